@@ -74,6 +74,12 @@ FUSING = {
         '<custom><tuple name="t"><element objtype="body" objname="st"/></tuple></custom>',
     ),
     "kept by a force": FUSED.format("", GM, "", "", '<sensor><force site="s"/></sensor>'),
+    "under a bound of masses": FUSED.format('boundmass="3"', GM, "", INERTIAL, ""),
+    "under a bound of geoms' masses": FUSED.format('boundmass="3"', GM, "", "", ""),
+    "under a bound of inertias": FUSED.format('boundinertia=".7"', INERTIAL, "", "", ""),
+    "of the world, held up": FUSED.format("", GM, "", "", "").replace(
+        'name="W"', 'name="W" gravcomp=".5"'
+    ),
     "kept by a camera": FUSED.format(
         "", GM + '<camera target="st" mode="targetbody"/>', "", "", ""
     ),

@@ -6,7 +6,7 @@ import compiled
 import mujoco
 import pytest
 
-from stepcore import load, loads
+from stepcore import Sim, load, loads
 from stepcore.mjcf.nodes import MJCFError
 
 REPLICATED = {
@@ -105,6 +105,13 @@ ATTACHED = {
         world='<body><geom name="y" class="K-a"/><geom name="zz" class="K-main"/></body>',
     ),
     "itself": parent("", world='<attach body="o" prefix="S-"/>'),
+    "with rules for masses of this model": parent(
+        '<attach model="kid" prefix="K-"/>', '<compiler boundmass="700" settotalmass="2000"/>'
+    ),
+    "with rules that take masses from geoms": parent(
+        '<attach model="kid" prefix="K-"/>',
+        '<compiler inertiafromgeom="true" inertiagrouprange="0 0"/>',
+    ),
     "merged": parent(
         '<attach model="kid" body="b" prefix="K-"/>',
         '<compiler conflict="merge"/><option timestep="0.001"/>',
@@ -138,6 +145,85 @@ def test_attached_models_are_mujocos(what: str, tmp_path: Path) -> None:
     gears = [actuator.gear[0] for actuator in scene.actuators]
     assert gears == list(theirs.actuator_gear[:, 0])
     assert [j.damping for j in scene.joints] == list(theirs.dof_damping)
+
+
+RULES = {
+    "bounds": 'boundmass="9" boundinertia=".5"',
+    "a total mass of its own, which counts for nothing": 'settotalmass="5"',
+    "balance": 'balanceinertia="true"',
+    "always from geoms": 'inertiafromgeom="true"',
+    "groups": 'inertiagrouprange="3 4"',
+}
+HEAVY = """<mujoco><compiler {0}/><worldbody><body name="a"><joint axis="1 0 0"/>
+    <geom type="box" size=".1 .2 .3" group="3" pos=".1 0 0"/><geom size=".2" group="2"/>
+    <body pos="0 1 0"><joint/><inertial pos="0 0 .1" mass="2" diaginertia="1 2 {1}"/>
+      <geom size=".1" group="2"/></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("what", RULES)
+@pytest.mark.parametrize("turned", (False, True))
+def test_bodies_follow_the_rules_of_their_own_model(
+    what: str, turned: bool, tmp_path: Path
+) -> None:
+    """And those of the other model the other's; turned: which of them has the rules."""
+    one, other = HEAVY.format(RULES[what], 4 if "balance" in what else 2.5), HEAVY.format("", 2.5)
+    attach = '<asset><model name="kid" file="kid.xml"/></asset><worldbody>{}<attach model="kid" '
+    attach = attach.format('<frame pos="3 0 0"/>') + 'prefix="k"/>'
+    outer, inner = (one, other) if turned else (other, one)
+    (tmp_path / "kid.xml").write_text(inner)
+    (tmp_path / "m.xml").write_text(outer.replace("<worldbody>", attach))
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    scene = load(tmp_path / "m.xml")
+    compiled.compare(scene, theirs)
+    compiled.compare(loads(scene.to_mjcf()), theirs)
+    if not turned:
+        assert any("other rules (<compiler>)" in n for n in scene.notes) != ("total" in what)
+
+
+STATEFUL = """<mujoco><worldbody>
+  <body name="h" mocap="true" pos="1 2 3"><geom size=".1"/></body>
+  <body name="b"><joint name="j"/><geom size=".1"/>
+    <body name="c"><joint name="k" type="ball"/><geom size=".1"/></body></body>
+  <body name="i" mocap="true"><geom size=".1"/></body></worldbody>
+  <actuator><motor name="m" joint="j"/><position name="p" joint="j" kp="2" timeconst=".1"/>
+    <pid name="d" joint="j" kp="3" ki="2" input="pos"/><intvelocity name="v" joint="j" kp="1"
+    actrange="-9 9"/><motor name="n" joint="j"/></actuator>
+  <keyframe><key name="x" qpos="1 0 0 1 0" ctrl="1 2 3 4 5" act="7 8 9" mpos="1 2 3 4 5 6"
+    mquat="0 1 0 0 0 0 1 0"/></keyframe></mujoco>"""
+
+
+def test_keyframes_come_with_their_activations_and_mocap_bodies(tmp_path: Path) -> None:
+    """Those of bodies and actuators that come along, each in its new place."""
+    (tmp_path / "kid.xml").write_text(STATEFUL)
+    (tmp_path / "m.xml").write_text("""<mujoco>
+  <asset><model name="kid" file="kid.xml"/></asset><worldbody>
+  <body name="o" mocap="true"><geom size=".1"/></body>
+  <body><joint name="oj"/><geom size=".1"/></body>
+  <attach model="kid" prefix="K-"/></worldbody>
+  <actuator><intvelocity joint="oj" kp="1" actrange="-1 1"/></actuator></mujoco>""")
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    model = load(tmp_path / "m.xml").compile()
+    sim, data = Sim(model), mujoco.MjData(theirs)
+    mujoco.mj_resetDataKeyframe(theirs, data, 0)
+    sim.reset(key="K-x")
+    for field in ("qpos", "ctrl", "act", "mocap_pos", "mocap_quat"):
+        assert getattr(sim, field) == pytest.approx(getattr(data, field), abs=1e-15), field
+    assert sim.act == pytest.approx([0, 7, 8, 9])
+
+
+def test_models_are_attached_in_the_order_of_the_file(tmp_path: Path) -> None:
+    """Actuators too, whether the <attach> stands in an inner body or in a frame."""
+    (tmp_path / "kid.xml").write_text(CHILD.split("<keyframe>")[0] + "</mujoco>")
+    (tmp_path / "m.xml").write_text(
+        parent(
+            '<body name="q"><joint name="qj"/><geom/><attach model="kid" body="b" prefix="K-"/>'
+            '</body><frame><attach model="kid" body="c" prefix="L-"/></frame>',
+            world='<attach model="kid" frame="fr" prefix="M-"/>',
+        )
+    )
+    scene = load(tmp_path / "m.xml")
+    compiled.compare(scene, mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml")))
+    assert [a.name for a in scene.actuators] == ["mo", "K-m", "L-mk", "M-ml"]
 
 
 def test_models_within_models_find_their_files(tmp_path: Path) -> None:

@@ -60,6 +60,12 @@ def read(world: WorldReader, node: Node) -> None:
         _add_input(world, node, added, word)
 
 
+def sizes(gains: ActuatorGains) -> tuple[int, int]:
+    """How many controls and how many activations an actuator with these gains has."""
+    alone = Actuator(type=gains.tag, **_words(gains))
+    return len(parts(alone)) or 1, states(law(alone))
+
+
 def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> None:
     """Another input of a controller: it has a control of its own, next to the owner's."""
     values = world.defaults.of(node, kind="actuator")
@@ -191,6 +197,9 @@ def _ctrlrange(
     world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
 ) -> Bounds:
     """That of the one input; MuJoCo names it by the input of a <pid>."""
+    if gains.tag in ("damper", "adhesion"):
+        # MuJoCo limits these whatever ctrllimited and autolimits say.
+        values = values | {"ctrllimited": True}
     if gains.tag != "pid":
         return world.limits(node, values, "ctrllimited", "ctrlrange")
     if first_of(gains) == "pos":

@@ -37,7 +37,7 @@ def align(world: WorldReader) -> None:
         shapes.setdefault(id(shape.geom.body), []).append(shape)
     for body in bodies:
         weight = known[id(body)]
-        quat = _axes(world, body, shapes.get(id(body), []))
+        quat = own_axes(world, body, shapes.get(id(body), []))
         if quat is None:
             quat = principal_axes(weight.inertia)[0]
         pose = (tuple(map(float, weight.ipos)), quat)
@@ -50,9 +50,9 @@ def align(world: WorldReader) -> None:
         body.pos, body.quat = frames.composed((body.pos, body.quat), *pose)
 
 
-def _axes(world: WorldReader, body: Body, shapes: list[Shape]) -> Vec | None:
+def own_axes(world: WorldReader, body: Body, shapes: list[Shape]) -> Vec | None:
     """The axes that the file itself gives an inertia: those of its element, or of an only geom."""
-    rules = world.scene.mass_rules
+    rules = world.rules_of(body)
     if body.mass is not None and rules.inertiafromgeom is not True:
         return world.inertial_axes.get(id(body))
     low, high = rules.inertiagrouprange

@@ -88,7 +88,7 @@ def _may(world: WorldReader, body: Body, known: dict[int, Weight], fluid: bool) 
     values = world.nodes[id(body)].values
     if values.get("mocap") or values.get("fuse") is False or "sleep" in values:
         return False
-    if known[id(body)].mass == 0.0:
+    if known[id(body)].mass == 0.0 or body.parent is world.scene.world:
         return True
     parent = world.nodes.get(id(body.parent))
     above = parent.values.get("gravcomp", 0.0) if parent is not None else 0.0
@@ -120,7 +120,9 @@ def _add_weight(world: WorldReader, body: Body, parent: Body, known: dict[int, W
     if known[id(body)].mass == 0.0 and body.mass is None:
         return
     inferred = parent.mass is None and body.mass is None
-    if rules.inertiafromgeom is True or (inferred and rules.inertiafromgeom is None):
+    if not bounded and inferred and rules.inertiafromgeom is None:
+        return
+    if rules.inertiafromgeom is True:
         if not bounded:
             return
         node = world.nodes[id(body)]

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import _core
 from stepcore.scene import frames
+from stepcore.scene.contents import Contents
+from stepcore.scene.elements import Body, MassRules
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.scene.plain import plain
-
-if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
 
 
 @dataclass(frozen=True)
@@ -47,17 +47,40 @@ def weights(scene: Contents) -> dict[int, Weight]:
     """The weight of each body, by its ``id``, without the scaling to a total mass."""
     total = scene.mass_rules.settotalmass
     scene.mass_rules.settotalmass = -1.0
-    layout = Layout(scene)
     try:
-        core = _core.compile(plain(layout))
+        layout = Layout(scene)
+        known = _weighed(layout)
     finally:
         scene.mass_rules.settotalmass = total
-    tables = core.tables()
-    mass, ipos, inertia = (tables[f"body_{name}"] for name in ("mass", "ipos", "inertia"))
-    return {
-        id(body): Weight(float(mass[i]), np.array(ipos[i]), np.array(inertia[i]))
-        for i, body in enumerate(layout.bodies)
-    }
+    return {id(body): weight for body, weight in zip(layout.bodies, known, strict=True)}
+
+
+def weights_under(rules: MassRules, scene: Contents, bodies: Iterable[Body]) -> dict[int, Weight]:
+    """The weights of some bodies of a scene under other rules than its own, by their ``id``."""
+    part = Contents()
+    part.mass_rules = MassRules(**(rules.values() | {"settotalmass": -1.0}))
+    part.meshes, part.hfields = scene.meshes, scene.hfields
+    twins: dict[int, Body] = {}
+    for body in bodies:
+        twins[id(body)] = twin = copy.copy(body)
+        twin.parent = part.world
+        part.bodies.append(twin)
+    for geom in scene.geoms:
+        if id(geom.body) in twins:
+            part.geoms.append(copy.copy(geom))
+            part.geoms[-1].body = twins[id(geom.body)]
+    # Bodies of one parent keep their order.
+    return dict(zip(twins, _weighed(Layout(part))[1:], strict=True))
+
+
+def _weighed(layout: Layout) -> list[Weight]:
+    """The weight of each body, in the order of the compiled model."""
+    tables = _core.compile(plain(layout)).tables()
+    columns = (tables[f"body_{name}"] for name in ("mass", "ipos", "inertia"))
+    return [
+        Weight(float(mass), np.array(ipos), np.array(inertia))
+        for mass, ipos, inertia in zip(*columns, strict=True)
+    ]
 
 
 def six(inertia: NDArray[np.float64]) -> Vec:

@@ -38,6 +38,7 @@ from stepcore.mjcf.models import Models, inside, sections
 from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
 from stepcore.mjcf.references import check_references
 from stepcore.mjcf.refusals import Refusals
+from stepcore.mjcf.settle import settle_masses
 from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import collector
@@ -162,6 +163,7 @@ def finish(world: WorldReader, root: Node) -> None:
     check_references(world, root)
     leave_out_visual_geoms(world, layout)
     world.assets.read_used(scene)
+    settle_masses(world)
     if world.main.values.get("discardvisual"):
         discard_visual(world, root)
     if world.main.values.get("fusestatic"):

@@ -37,15 +37,15 @@ def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
 
 def weighs(world: WorldReader, layout: Layout, shape: Shape) -> bool:
     """Whether the geom contributes to the mass of a body whose mass can matter."""
-    rules = world.scene.mass_rules
     body = shape.geom.body
+    rules = world.rules_of(body)
     low, high = rules.inertiagrouprange
     if not shape.heavy or not low <= shape.geom.group <= high or rules.inertiafromgeom is False:
         return False
     if rules.inertiafromgeom is None and body.mass is not None:
         return False
     # The mass of a body that cannot move matters to sensors, and as a share of a prescribed total.
-    matters = rules.settotalmass > 0 or senses_mass(world.scene)
+    matters = world.scene.mass_rules.settotalmass > 0 or senses_mass(world.scene)
     return layout.moving(body) or (matters and body is not world.scene.world)
 
 

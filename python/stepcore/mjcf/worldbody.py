@@ -15,7 +15,7 @@ from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema.tree import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
-from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom, Joint
+from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom, Joint, MassRules
 from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.frames import Vec
 
@@ -92,6 +92,8 @@ class WorldReader:
         self.aligned: set[int] = set()
         # Groups of actuators that are left out.
         self.disabled_groups: frozenset[int] = frozenset()
+        # Every body has a mass of its own by now (`settle.py`).
+        self.settled = False
         # Ranges of joints, limited or not, which servos can inherit.
         self.ranges: dict[int, tuple[float, ...]] = {}
 
@@ -108,6 +110,12 @@ class WorldReader:
         """Reads an element with the compiler settings of its own model; errors are kept."""
         self.compiler = node.compiler or self.main
         return self.refusals.at(node, read)
+
+    def rules_of(self, body: Body) -> MassRules:
+        """How the body's mass is made: by the compiler settings of its own model."""
+        node = self.nodes.get(id(body))
+        own = None if node is None or self.settled else node.compiler
+        return self.scene.mass_rules if own is None else own.mass_rules()
 
     def _element(self, place: Place, node: Node) -> Place | None:
         """Reads an element; returns the place of its children if they are to be read."""

@@ -31,7 +31,7 @@ struct Load {
 /// The principal axes of a body's inertia.
 #[derive(Clone, Copy, Debug)]
 pub enum Axes {
-    /// Those of its only geom.
+    /// Those of its only geom, or of the inertia before a rule changed it.
     Own([f64; 4]),
     /// To be found from the matrix.
     Found,
@@ -44,6 +44,13 @@ impl Axes {
             Self::Own(quat) => quat,
             Self::Found => axes(inertia),
         }
+    }
+}
+
+impl Load {
+    /// The axes stay what they are when moments become equal: a fluid's box has them.
+    fn keep_axes(&mut self) {
+        self.axes = Axes::Own(self.axes.of(&self.inertia));
     }
 }
 
@@ -168,6 +175,7 @@ fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
         let eigen = SymmetricEigen::new(load.inertia);
         if eigen.eigenvalues.min() < rules.bound_inertia {
             let raised = eigen.eigenvalues.map(|x| x.max(rules.bound_inertia));
+            load.keep_axes();
             load.inertia = turned(raised, &eigen.eigenvectors);
         }
     }
@@ -186,6 +194,7 @@ fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
             "principal moments of which none is greater than the sum of the others (or balance_inertia set)",
         ));
     }
+    load.keep_axes();
     load.inertia = Matrix3::identity() * (load.inertia.trace() / 3.0);
     Ok(())
 }

@@ -4,6 +4,7 @@ mod cones;
 mod derivative;
 mod few;
 mod lanes;
+mod nearly_unmoved;
 mod newton;
 mod packed;
 mod wide;

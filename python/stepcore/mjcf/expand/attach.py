@@ -61,14 +61,11 @@ class Attacher:
     def run(self) -> None:
         """Replaces every <attach>, in the order of the file."""
         # What is attached from this model itself is the tree as it is written.
-        for section in list(self.model.root.children):
-            if section.tag != "worldbody":
-                continue
-            for parent in list(below(section)):
-                inside: list[Node] = []
-                for node in parent.children:
-                    inside += self._attached(node) if node.tag == "attach" else [node]
-                parent.children = inside
+        worlds = [section for section in self.model.root.children if section.tag == "worldbody"]
+        found = [pair for section in worlds for pair in _attachments(section)]
+        for parent, node in found:
+            at = next(i for i, child in enumerate(parent.children) if child is node)
+            parent.children[at : at + 1] = self._attached(node)
 
     def _attached(self, node: Node) -> list[Node]:
         """What takes the place of an <attach>."""
@@ -76,8 +73,8 @@ class Attacher:
         own = other is self.model
         policy = self.model.compiler.values.get("conflict", "warning")
         if not own:
-            if other.compiler.mass_rules().values() != self.model.compiler.mass_rules().values():
-                raise node.unbuilt("an attached model with other rules for masses than this one")
+            if other.compiler.mass_rules().fitaabb != self.model.compiler.mass_rules().fitaabb:
+                raise node.unbuilt("an attached model with another fitaabb than this one")
             self.notes += merge(self.model.root, other.root, node, policy)
         twin = twin_of(other.root)
         tree, childclass = _part(node, twin, own)
@@ -145,6 +142,18 @@ class Attacher:
                 self.model.root.children.append(part)
         for one in tree:
             rename(one, names, lambda name: prefix + name)
+
+
+def _attachments(section: Node) -> list[tuple[Node, Node]]:
+    """The <attach> elements below a node, in the order of the file, each after its parent."""
+    found = []
+    pending = [(section, child) for child in reversed(section.children)]
+    while pending:
+        parent, node = pending.pop()
+        if node.tag == "attach":
+            found.append((parent, node))
+        pending += [(node, child) for child in reversed(node.children)]
+    return found
 
 
 def twin_name(node: Node, prefix: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from stepcore.mjcf.actuators import sizes
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.expand.naming import copied
 from stepcore.mjcf.nodes import Node
@@ -16,19 +17,21 @@ def key_parts(root: Node, defaults: Defaults) -> list[Node]:
     if not keys:
         return []
     joints = list(_joints(root, defaults))
-    actuators = [node for s in root.children if s.tag == "actuator" for node in s.children]
+    mocaps = [body for body, _ in _bodies(root) if body.values.get("mocap")]
+    nodes = [node for s in root.children if s.tag == "actuator" for node in s.children]
+    actuators = [(node, *sizes(defaults.gains(node))) for node in nodes]
     layout = {
         "qpos": [(node, QPOS[kind]) for node, kind in joints],
         "qvel": [(node, DOFS[kind]) for node, kind in joints],
-        "ctrl": [(node, 1) for node in actuators],
+        "ctrl": [(node, controls) for node, controls, _ in actuators],
+        "act": [(node, activations) for node, _, activations in actuators],
+        "mpos": [(node, 3) for node in mocaps],
+        "mquat": [(node, 4) for node in mocaps],
     }
     for key in keys:
         if key.parts is not None:
             continue
         key.parts = {}
-        for name in ("act", "mpos", "mquat"):
-            if key.values.get(name):
-                raise key.unbuilt(f"{name} in a keyframe of an attached model", name)
         for name, elements in layout.items():
             given = key.values.pop(name, ())
             key.attrs.pop(name, None)
@@ -36,7 +39,7 @@ def key_parts(root: Node, defaults: Defaults) -> list[Node]:
                 raise key.error(f"<key> {name} has {len(given)} numbers, more than its model")
             key.parts[name] = []
             for node, size in elements:
-                if len(given) >= size:
+                if len(given) >= size > 0:
                     key.parts[name].append((node, given[:size]))
                 given = given[size:]
     return keys
@@ -57,17 +60,23 @@ def twin_of(root: Node) -> Node:
 
 def _joints(root: Node, defaults: Defaults) -> Iterable[tuple[Node, str]]:
     """The joints of a model in its order, with their types."""
+    for _, inside in _bodies(root):
+        for node, of_node in inside:
+            if node.tag == "freejoint":
+                yield node, "free"
+            elif node.tag == "joint":
+                yield node, defaults.of(node, of_node).get("type", "hinge")
+
+
+def _bodies(root: Node) -> Iterable[tuple[Node, list[tuple[Node, str | None]]]]:
+    """The world and the bodies of a model in its order, each with what it holds."""
     pending: list[tuple[Node, str | None]] = [
         (section, None) for section in reversed(root.children) if section.tag == "worldbody"
     ]
     while pending:
         body, childclass = pending.pop()
         inside = list(_flat(body, body.attrs.get("childclass", childclass)))
-        for node, of_node in inside:
-            if node.tag == "freejoint":
-                yield node, "free"
-            elif node.tag == "joint":
-                yield node, defaults.of(node, of_node).get("type", "hinge")
+        yield body, inside
         pending += reversed([(node, one) for node, one in inside if node.tag == "body"])
 
 

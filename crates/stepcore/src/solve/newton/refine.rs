@@ -4,8 +4,14 @@
 //! factors, within their zones: the law's impulse at this u, less λ, is e; Hδ = Σ y e,
 //! Δλ = e − s″ y·δ. Where e is no more than the tolerance allows there is nothing to refine, and
 //! once is enough unless c is tiny.
+//!
+//! Then u = û + D⁻¹ Σ yλ. But where a body is hardly moved by rows that press on it, as a wheel by the
+//! floor under its axle, c is so small that opposed rows (the edges of a pyramid) carry loads far beyond
+//! what moves it: of their sum only the rounding is left. Newton's own u does not come from that
+//! sum; there it is kept, and moved by δ, of which the equation of motion's error is a part:
+//! Hδ = Σ y (λ + e) − D(u − û).
 
-use super::bundles::{Problem, Run};
+use super::bundles::{Bundles, Problem, Run};
 use super::system::{padded, System};
 use crate::real::{Mask, Real};
 use crate::solve::cone::project_some;
@@ -17,14 +23,18 @@ const REFINEMENTS: usize = 3;
 /// What a refinement would take away is left where it is this part of the tolerance: Newton's steps
 /// end far within it, and those who asked for no other one get digits to spare.
 const SPARE: f64 = 1e-3;
+/// Impulses whose effects, each by itself, are so many times the motion cancel. It is more than a load
+/// on a body under hundreds of others, and costs three digits.
+const CANCELLED: f64 = 1024.0;
 
 impl<R: Real> System<R> {
-    /// Impulses by their laws, refined, and u = û + D⁻¹ Σ yλ.
+    /// Impulses by their laws, refined, and the u that they make.
     pub fn settle(&mut self, problem: Problem<R>, limits: Limits) {
         if self.moved {
             self.laws(problem.bundles, R::Mask::of(false));
         }
-        self.follow(problem);
+        let cancelled = self.cancelled(problem.bundles);
+        self.follow(problem, cancelled);
         let enough = R::of(SPARE * limits.tolerance);
         for _ in 0..REFINEMENTS {
             if self.fresh.none() {
@@ -41,6 +51,7 @@ impl<R: Real> System<R> {
             }
             self.step.fill(R::zero());
             problem.gather(&self.rate, R::one(), &mut self.step);
+            self.add_unbalanced(problem, cancelled);
             // Σ y e is what is left of the gradient: with δ it tells the decrement.
             self.gradient.copy_from_slice(&self.step);
             self.solve(problem.pattern);
@@ -49,7 +60,8 @@ impl<R: Real> System<R> {
             let left = (fall * self.floor.recip_or_zero()).max(R::zero()).sqrt();
             self.decrement = R::select(self.fresh, left, self.decrement);
             self.refine(problem);
-            self.follow(problem);
+            self.move_kept(cancelled);
+            self.follow(problem, cancelled);
             self.fresh = self.fresh.and(left.gt(R::of(R::epsilon())));
         }
     }
@@ -128,14 +140,49 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// u = û + D⁻¹ Σ yλ.
-    fn follow(&mut self, problem: Problem<R>) {
+    /// Lanes whose impulses cancel: Σ λ²A against the energy of the motion that the rows see.
+    fn cancelled(&self, bundles: &Bundles<R>) -> R::Mask {
+        let mut apart = R::zero();
+        for (at, impulse) in self.impulse.iter().enumerate() {
+            let energy = apart + *impulse * *impulse * bundles.a[at];
+            apart = R::select(bundles.mask[at], energy, apart);
+        }
+        let mut motion = self.scale(bundles);
+        for ((u, guess), d) in self.u.iter().zip(&self.guess).zip(&self.d) {
+            motion += *d * (*u - *guess) * (*u - *guess);
+        }
+        apart.gt(R::of(CANCELLED * CANCELLED) * motion)
+    }
+
+    /// step += Σ yλ − D(u − û), where it is not 0 by what u is.
+    fn add_unbalanced(&mut self, problem: Problem<R>, cancelled: R::Mask) {
+        if cancelled.none() {
+            return;
+        }
+        self.gradient.fill(R::zero());
+        problem.gather(&self.impulse, R::one(), &mut self.gradient);
+        for (at, step) in self.step.iter_mut().enumerate() {
+            let missing = self.gradient[at] - self.d[at] * (self.u[at] - self.guess[at]);
+            *step = R::select(cancelled, *step + missing, *step);
+        }
+    }
+
+    /// u + δ in lanes that keep u.
+    fn move_kept(&mut self, cancelled: R::Mask) {
+        let mask = cancelled.and(self.fresh);
+        for (u, step) in self.u.iter_mut().zip(&self.step) {
+            *u = R::select(mask, *u + *step, *u);
+        }
+    }
+
+    /// u = û + D⁻¹ Σ yλ; not in lanes whose impulses cancel.
+    fn follow(&mut self, problem: Problem<R>, cancelled: R::Mask) {
         self.gradient.fill(R::zero());
         problem.gather(&self.impulse, R::one(), &mut self.gradient);
         for (((u, guess), f), inv) in
             self.u.iter_mut().zip(&self.guess).zip(&self.gradient).zip(&self.inv_d)
         {
-            *u = *guess + *f * *inv;
+            *u = R::select(cancelled, *u, *guess + *f * *inv);
         }
     }
 }

@@ -1,0 +1,80 @@
+"""Bodies of attached models whose masses are made by other rules than those of this model.
+
+As in MuJoCo, a body follows the `<compiler>` of the model that it comes from. A scene has one set
+of rules: where others make another mass of a body, it gets that as its own.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from stepcore.mjcf.align import own_axes
+from stepcore.mjcf.masses import Weight, six, weights_under
+from stepcore.scene.elements import Body, MassRules
+from stepcore.scene.layout import Layout
+
+if TYPE_CHECKING:
+    from stepcore.mjcf.worldbody import Shape, WorldReader
+
+NOTE = (
+    "an attached model makes masses by other rules (<compiler>): bodies have the masses that their "
+    "own rules make, and changed densities or sizes of geoms would not change these"
+)
+
+
+def settle_masses(world: WorldReader) -> None:
+    """Gives bodies their own mass and inertia where they are made by other rules than the scene's.
+
+    The scene keeps the rules of this model, unless these would change such a mass.
+    """
+    scene = world.scene
+    groups: dict[tuple[object, ...], tuple[MassRules, list[Body]]] = {}
+    for body in Layout(scene).bodies[1:]:
+        rules = world.rules_of(body)
+        groups.setdefault(_words(rules), (rules, []))[1].append(body)
+    if not groups.keys() - {_words(scene.mass_rules)}:
+        return
+    kept = scene.mass_rules
+    if kept.inertiafromgeom is True or kept.boundmass > 0 or kept.boundinertia > 0:
+        kept = MassRules(settotalmass=kept.settotalmass)
+    shapes: dict[int, list[Shape]] = {}
+    for shape in world.shapes:
+        shapes.setdefault(id(shape.geom.body), []).append(shape)
+    settled = False
+    for rules, bodies in groups.values():
+        if _words(rules) == _words(kept):
+            continue
+        known = weights_under(rules, scene, bodies)
+        for body in bodies:
+            if _same(known[id(body)], kept, world, body):
+                continue
+            settled = True
+            axes = own_axes(world, body, shapes.get(id(body), []))
+            if axes is not None:
+                world.inertial_axes[id(body)] = axes
+            weight = known[id(body)]
+            x, y, z = map(float, weight.ipos)
+            body.mass, body.ipos, body.inertia = weight.mass, (x, y, z), six(weight.inertia)
+    scene.mass_rules = kept
+    world.settled = True
+    if settled:
+        scene.notes.append(NOTE)
+
+
+def _words(rules: MassRules) -> tuple[object, ...]:
+    """What of the rules concerns one body."""
+    return tuple((rules.values() | {"settotalmass": None}).values())
+
+
+def _same(weight: Weight, kept: MassRules, world: WorldReader, body: Body) -> bool:
+    """Whether the rules that the scene keeps give the body this weight too."""
+    try:
+        other = weights_under(kept, world.scene, [body])[id(body)]
+    except ValueError:
+        return False
+    pairs = zip(
+        (weight.mass, *weight.ipos, *weight.inertia.flat),
+        (other.mass, *other.ipos, *other.inertia.flat),
+        strict=True,
+    )
+    return all(one == two for one, two in pairs)
