@@ -201,13 +201,14 @@ def threads(value: object) -> int:
 
 def real(low: float = -math.inf, above: float = -math.inf, high: float = math.inf) -> Check:
     """A finite number in [low, high] and greater than `above`."""
-    limit = "a finite number"
+    bounds = []
     if low > -math.inf:
-        limit += f" >= {low:g}"
+        bounds.append(f">= {low:g}")
     if above > -math.inf:
-        limit += f" > {above:g}"
+        bounds.append(f"> {above:g}")
     if high < math.inf:
-        limit += f" <= {high:g}"
+        bounds.append(f"<= {high:g}")
+    limit = " ".join(["a finite number", *[" and ".join(bounds)] * bool(bounds)])
 
     def check(owner: Any, field: str, value: object) -> float:
         result = number(value)

@@ -166,6 +166,60 @@ def test_runs_are_gone_through_together():
         assert re.search(r"distance of second</td>[^>]*>300 mm", panel.figures.content)
         assert panel.apart.plot.data[1] == pytest.approx([300, 300], abs=5)
         assert panel.apart.plot.series[1]["label"] == "second"
+        part = live.several([one.run(1.0), other.run(0.5)], ["first", "second"])
+    with live.view_runs(part, port=PORT) as view, view._panel.lock:
+        view._panel.play(False)
+        view._panel.now = 1.4
+        view._panel.draw()
+        assert re.search(r"distance of second</td>[^>]*>–<", view._panel.figures.content)
+
+
+def test_a_motion_that_nobody_sees_waits(capfd):
+    """And viser's own words are not printed beside the address."""
+    view = cheetah().view(port=PORT, wait=False)
+    time.sleep(0.3)
+    now = view._panel.sim.time
+    view.close()
+    assert now == 0.0
+    assert capfd.readouterr().out == f"stepcore view: {view.url}\n"
+
+
+def test_a_view_that_cannot_be_made_leaves_its_port():
+    sim = cheetah()
+    sim.qpos[0] = np.nan
+    with pytest.raises(ValueError, match="must be finite"):
+        sim.view(port=PORT, wait=False)
+    with live.view_sim(cheetah(), port=PORT) as view:
+        assert view.url == f"http://localhost:{PORT}"
+        # The next view takes the next port.
+        with live.view_sim(cheetah(), port=PORT) as other:
+            assert other.url == f"http://localhost:{PORT + 1}"
+    with pytest.raises(ValueError, match="port = 70000: must be a whole number from 1 to 65535"):
+        sim.view(port=70000)
+
+
+def test_what_moves_is_followed_and_seen_through(panel):
+    stage, sim = panel.stage, panel.sim
+    panel._step()
+
+    def place():
+        return np.array(stage.root.position) + sim.xpos[1:].mean(axis=0)
+
+    before = place()
+    stage.follow(True, panel.seen)
+    sim.qpos[0] += 3.0
+    panel.draw()
+    assert place() == pytest.approx(before) and stage.root.position[0] == pytest.approx(-3.0)
+    stage.follow(False, panel.seen)
+    sim.qpos[0] += 1.0
+    panel.draw()
+    assert place()[0] == pytest.approx(before[0] + 1.0)
+    panel.restart(None)
+    assert np.array_equal(stage.root.position, np.zeros(3))
+    stage.see_through(True)
+    assert all(mesh.opacity < 0.5 for mesh, _ in stage.solid) and len(stage.solid) == 8
+    stage.see_through(False)
+    assert [mesh.opacity for mesh, _ in stage.solid] == [opacity for _, opacity in stage.solid]
 
 
 def test_what_cannot_be_viewed_is_refused():

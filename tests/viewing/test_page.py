@@ -194,6 +194,53 @@ def test_the_distance_of_two_runs():
         distance(low.run(0.1)._replayed(), cheetah(0.1)._replayed())
 
 
+def test_nothing_is_compared_after_the_other_has_ended(chrome, tmp_path):
+    """Nor is a label taken for what a page is made of."""
+    whole, part = drop(dt=0.01).run(1.0), drop(dt=0.01).run(0.5)
+    gap = distance(whole._replayed(), part._replayed())
+    time = whole._replayed().time
+    assert np.array_equal(np.isnan(gap), time > 0.505)
+    whole.save_html(tmp_path / "run.html", over=[part], labels=["whole", "<b>part</b>"])
+    chrome.get((tmp_path / "run.html").as_uri())
+    wait_for(chrome, "return !!window.replay")
+    figures = chrome.find_element("id", "figures")
+    for at, said in ((0.3, "0.000 mm"), (0.8, "–")):
+        chrome.execute_script(f"replay.seek({at})")
+        assert figures.text.endswith(f"distance of <b>part</b> {said}")
+    assert complaints(chrome) == []
+
+
+def place_in_window(chrome, body):
+    """Where the middle of a body is seen, in shares of the window."""
+    return chrome.execute_script(f"return replay.seen({body})")
+
+
+@pytest.mark.parametrize(("width", "height"), [(400, 800), (800, 400), (1400, 900)])
+def test_a_fall_stays_in_the_window_of_a_telephone_too(chrome, tmp_path, width, height):
+    drop(dt=0.01).run(1.0).save_html(tmp_path / "run.html")
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        chrome.get((tmp_path / "run.html").as_uri())
+        wait_for(chrome, "return !!window.replay")
+        for at in (0.0, 1.0):
+            chrome.execute_script(f"replay.seek({at})")
+            x, y = place_in_window(chrome, 1)
+            assert 0.1 < x < 0.9 and 0.1 < y < 0.85
+        ends = chrome.execute_script(
+            "return [...document.querySelectorAll('footer > *')]"
+            ".map((part) => part.getBoundingClientRect().right)"
+        )
+        assert max(ends) <= width
+        covers = "document.getElementById('panel').getBoundingClientRect().bottom"
+        assert chrome.execute_script(
+            f"return {covers} <= document.querySelector('footer').getBoundingClientRect().top"
+        )
+        assert complaints(chrome) == []
+    finally:
+        chrome.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 def test_without_the_extra_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "trimesh", None)
     with pytest.raises(ImportError, match=r"pip install 'stepcore\[view\]'"):

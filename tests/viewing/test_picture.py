@@ -113,6 +113,22 @@ def test_what_cannot_be_drawn_is_refused(given, said):
         sc.picture(ball(), **given)
 
 
+@pytest.mark.parametrize("name", ["run.gif", "run", "run.txt"])
+def test_a_file_that_cannot_be_written_is_refused_before_it_is_drawn(tmp_path, name):
+    path = tmp_path / name
+    with pytest.raises(ValueError, match=r"must be a name that ends in .mp4 or .mov or .mkv"):
+        ball().run(0.1).save_video(path, **SMALL)
+    if not name.endswith(".gif"):
+        with pytest.raises(ValueError, match=r"must be a name that ends in .png, .jpg or alike"):
+            sc.picture(ball(), path, **SMALL)
+    assert not path.exists()
+
+
+def test_a_video_has_even_sides(tmp_path):
+    with pytest.raises(ValueError, match=r"width = 161: must be an even number"):
+        ball().run(0.1).save_video(tmp_path / "run.mp4", width=161, height=120)
+
+
 def test_only_a_sim_has_a_picture():
     with pytest.raises(ValueError, match=r"must be a stepcore\.Sim"):
         sc.picture(lesson.drop())

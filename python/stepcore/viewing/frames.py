@@ -109,6 +109,8 @@ def replayed(snapshots: Snapshots, label: str = "") -> Replayed:
 def distance(one: Replayed, other: Replayed) -> NDArray[np.float64]:
     """RMS distance of the bodies that move of two runs, at the instants of the first [m].
 
+    NaN where the other has not begun or has ended.
+
     Raises ValueError where the two have not the same bodies.
     """
     if one.drawing.bodies != other.drawing.bodies:
@@ -125,4 +127,8 @@ def distance(one: Replayed, other: Replayed) -> NDArray[np.float64]:
     if not len(moving):
         return np.zeros(len(one.instants))
     squares = np.sum(gap[:, moving] ** 2, axis=-1)
-    return np.sqrt(np.mean(squares, axis=-1))
+    apart = np.sqrt(np.mean(squares, axis=-1))
+    # The last instants of two runs of one duration may be a part of an interval apart.
+    slack = max(np.max(np.diff(each), initial=0.0) for each in (one.time, time)) / 2
+    there_too = (one.time >= time[0] - slack) & (one.time <= time[-1] + slack)
+    return np.where(there_too, apart, np.nan)

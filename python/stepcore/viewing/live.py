@@ -6,9 +6,10 @@ can reach it.
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from time import monotonic
 from typing import Any
 
@@ -44,7 +45,8 @@ class View:
         self._stop.set()
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5)
-        self._server.stop()
+        with _quiet():
+            self._server.stop()
 
     def wait(self) -> None:
         """Waits until someone closes the view or presses Ctrl-C, which closes it."""
@@ -58,7 +60,9 @@ class View:
         last = monotonic()
         while not self._stop.is_set():
             now = monotonic()
-            self._panel.pass_time(min(now - last, 0.2))
+            # A motion that nobody sees waits.
+            if self._server.get_clients():
+                self._panel.pass_time(min(now - last, 0.2))
             last = now
             self._stop.wait(max(0.0, 1 / RATE - (monotonic() - now)))
 
@@ -80,14 +84,12 @@ class View:
 
 def view_sim(sim: Any, host: str = "localhost", port: int = PORT) -> View:
     """A live view of a copy of a Sim; see `Sim.view`."""
-    server = _server(host, port)
-    return View(server, SimPanel(server, sim))
+    return _view(host, port, lambda server: SimPanel(server, sim))
 
 
 def view_runs(runs: Sequence[Replayed], host: str = "localhost", port: int = PORT) -> View:
     """A view of recorded runs, laid over each other; see `Trajectory.view`."""
-    server = _server(host, port)
-    return View(server, RunPanel(server, runs))
+    return _view(host, port, lambda server: RunPanel(server, runs))
 
 
 def view(
@@ -140,15 +142,39 @@ def several(runs: Sequence[Any], labels: Sequence[str] = ()) -> list[Replayed]:
 
 def opened(view: View, wait: bool | None) -> View:
     """The view, whose address is printed; waits for its end where nobody sits at a prompt."""
-    print(f"stepcore view: {view.url}", flush=True)
     prompt = hasattr(sys, "ps1") or "ipykernel" in sys.modules
-    if wait or (wait is None and not prompt):
+    waits = wait or (wait is None and not prompt)
+    print(f"stepcore view: {view.url}{' (Ctrl-C ends it)' if waits else ''}", flush=True)
+    if waits:
         view.wait()
     return view
 
 
+def _view(host: str, port: int, panel: Callable[[Any], Panel]) -> View:
+    server = _server(host, port)
+    try:
+        return View(server, panel(server))
+    except BaseException:
+        with _quiet():
+            server.stop()
+        raise
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what viser prints of its own: its address in a box, and that it has stopped."""
+    console = need("rich", "a view").get_console()
+    console.quiet, before = True, console.quiet
+    try:
+        yield
+    finally:
+        console.quiet = before
+
+
 def _server(host: str, port: int) -> Any:
+    checks.whole(1, 65535)("view", "port", port)
     viser = need("viser", "a view")
-    server = viser.ViserServer(host=host, port=port, label="stepcore", verbose=False)
+    with _quiet():
+        server = viser.ViserServer(host=host, port=port, label="stepcore", verbose=False)
     server.scene.set_up_direction("+z")
     return server

@@ -190,6 +190,7 @@
 
   // Figures and their curves.
 
+  const labelOf = (k) => runs[k].label || `run ${k + 1}`;
   const number = (x) => (Math.abs(x) >= 1e4 || (x !== 0 && Math.abs(x) < 1e-3)
     ? x.toExponential(2) : x.toPrecision(4));
 
@@ -203,16 +204,23 @@
     rows.push(["total", `${number(kinetic + potential)} J`]);
     rows.push(["contacts that bear", run.starts[frame + 1] - run.starts[frame]]);
     rows.push(["residual", `${run.residual[frame].toExponential(1)} m/s`]);
-    gaps.forEach((gap) => rows.push(["distance (rms)", `${number(1000 * gap[frame])} mm`]));
-    byId("figures").innerHTML = rows
-      .map(([name, value]) => `<tr><td>${name}</td><td>${value}</td></tr>`).join("");
+    gaps.forEach((gap, k) => {
+      // Where the other run has ended nothing is compared.
+      const apart = Number.isNaN(gap[frame]) ? "–" : `${number(1000 * gap[frame])} mm`;
+      rows.push([`distance of ${labelOf(k + 1)}`, apart]);
+    });
+    byId("figures").replaceChildren(...rows.map((cells) => {
+      const row = document.createElement("tr");
+      for (const cell of cells) row.insertCell().textContent = cell;
+      return row;
+    }));
   }
 
   // What can be chosen to be drawn over time.
   const CURVES = {
     distance: () => gaps.map((gap, k) => ({
       values: Array.from(gap, (x) => 1000 * x), colour: cssOf(runs[k + 1].tint),
-      name: `distance of ${runs[k + 1].label || `run ${k + 2}`} [mm]`,
+      name: `distance of ${labelOf(k + 1)} [mm]`,
     })),
     energy: () => {
       const energy = Array.from(runs[0].energy);
@@ -242,9 +250,9 @@
     byId("legend").innerHTML = drawn
       .map((c) => `<span><i class="key" style="background:${c.colour}"></i></span>`).join("");
     drawn.forEach((c, k) => byId("legend").children[k].append(c.name));
-    least = Math.min(0, ...drawn.map((c) => c.values.reduce((a, b) => Math.min(a, b), 0)));
-    most = Math.max(...drawn.map((c) => c.values.reduce((a, b) => Math.max(a, b), -1e300)));
-    most = byId("curve").value === "residual" ? most : Math.max(most, 1e-12);
+    const every = drawn.flatMap((c) => c.values).filter(Number.isFinite);
+    least = every.reduce((a, b) => Math.min(a, b), 0);
+    most = every.reduce((a, b) => Math.max(a, b), byId("curve").value === "residual" ? -1e300 : 0);
   }
   const names = Object.keys(CURVES).filter((name) => name !== "distance" || gaps.length);
   byId("curve").innerHTML = names.map((name) => `<option>${name}</option>`).join("");
@@ -267,17 +275,25 @@
     pen.moveTo(0, y(0));
     pen.lineTo(width, y(0));
     pen.stroke();
-    pen.fillStyle = "#888d";
-    pen.font = "20px system-ui, sans-serif";
-    pen.textAlign = "right";
-    pen.fillText(number(most), width - 4, 20);
-    pen.fillText(number(least), width - 4, height - 8);
     pen.lineWidth = 3;
     for (const { values, colour } of drawn) {
       pen.strokeStyle = colour;
       pen.beginPath();
-      values.forEach((value, i) => pen.lineTo(x(runs[0].time[i]), y(value)));
+      values.forEach((value, i) => {
+        if (Number.isFinite(value)) pen.lineTo(x(runs[0].time[i]), y(value));
+      });
       pen.stroke();
+    }
+    // The ends of the axis, which stay readable over the curves.
+    const { color, backgroundColor } = getComputedStyle(document.querySelector("aside"));
+    pen.font = "20px system-ui, sans-serif";
+    pen.textAlign = "right";
+    pen.lineWidth = 6;
+    pen.strokeStyle = backgroundColor;
+    pen.fillStyle = color;
+    for (const [value, at] of [[most, 20], [least, height - 8]]) {
+      pen.strokeText(number(value), width - 4, at);
+      pen.fillText(number(value), width - 4, at);
     }
     pen.strokeStyle = "#d7263d";
     pen.lineWidth = 2;
@@ -299,7 +315,20 @@
       body.children.forEach((mesh) => mesh.visible && box.expandByObject(mesh));
     });
     if (box.isEmpty()) box.expandByObject(scene.children.find((c) => c.isGroup) || scene);
-    return box.isEmpty() ? new THREE.Vector3() : box.getCenter(new THREE.Vector3());
+    if (box.isEmpty()) return new THREE.Vector3();
+    // A motion that stays near is seen whole: the view is as much wider as it is longer.
+    const size = box.getSize(new THREE.Vector3()).length();
+    const whole = box.clone();
+    const { poses, bodies, drawing } = runs[0];
+    for (let a = 0; a < poses.length; a += 7) {
+      if (drawing.moving[(a / 7) % bodies.length]) {
+        whole.expandByPoint(here.set(poses[a], poses[a + 1], poses[a + 2]));
+      }
+    }
+    const wider = whole.getSize(new THREE.Vector3()).length() / (size || 1);
+    if (wider > 3) return box.getCenter(new THREE.Vector3());
+    view.far *= wider;
+    return whole.getCenter(new THREE.Vector3());
   }
 
   function place() {
@@ -396,7 +425,7 @@
       const colour = run.tint ? cssOf(run.tint) : "#8b929c";
       return `<span><i class="key" style="background:${colour}"></i></span>`;
     }).join("");
-    runs.forEach((run, k) => byId("runs").children[k].append(run.label || `run ${k + 1}`));
+    runs.forEach((run, k) => byId("runs").children[k].append(labelOf(k)));
   }
 
   function resize() {
@@ -404,10 +433,17 @@
     const { innerWidth: width, innerHeight: height } = window;
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
-    // What is looked at stands in the middle of what the panel leaves free.
-    const covered = document.querySelector("aside").offsetWidth;
-    camera.setViewOffset(width, height, width > 2 * covered ? -covered / 2 : 0, 0, width, height);
+    // A narrow window shows as much from side to side as a square one.
+    camera.fov = 2 * Math.atan(0.364 / Math.min(1, width / height)) * (180 / Math.PI);
+    // What is looked at stands in the middle of what panel and clock leave free.
+    const covered = byId("panel").open ? document.querySelector("aside").offsetWidth : 0;
+    const aside = width > 2.5 * covered ? -covered / 2 : 0;
+    const under = document.querySelector("footer").offsetHeight / 2;
+    camera.setViewOffset(width, height, aside, under, width, height);
   }
+  // On a telephone the panel would cover what moves.
+  byId("panel").open = Math.min(window.innerWidth, window.innerHeight) > 500;
+  byId("panel").ontoggle = resize;
   window.addEventListener("resize", resize);
   resize();
   show(begin);
@@ -466,5 +502,10 @@
       renderer.render(scene, camera);
     },
     bodies: (run = 0) => runs[run].bodies.map((body) => body.position.toArray()),
+    // Where a body stands in the window, from the left and from above, in shares of it.
+    seen: (body) => {
+      const { x, y } = runs[0].bodies[body].position.clone().project(camera);
+      return [(1 + x) / 2, (1 - y) / 2];
+    },
   };
 })();

@@ -13,7 +13,7 @@ import numpy as np
 
 from stepcore.viewing.curves import ENERGY, RED, Curves, Points, energies, residuals
 from stepcore.viewing.drawing import ARROW, TINTS, drawing_of
-from stepcore.viewing.frames import Instant, Replayed, distance, instant_of
+from stepcore.viewing.frames import Instant, Replayed, distance, instant_of, poses_of
 from stepcore.viewing.stage import Stage
 
 SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
@@ -53,6 +53,10 @@ class Panel(ABC):
             for name in ("contacts", "forces"):
                 box = self.gui.add_checkbox(name.capitalize(), True)
                 box.on_update(self._locked(self._switch(name, box)))
+            follow = self.gui.add_checkbox("Follow", False, hint="keep what moves in the picture")
+            follow.on_update(self._locked(lambda _: self.stage.follow(follow.value, self.seen)))
+            through = self.gui.add_checkbox("See through", False, hint="forces inside bodies too")
+            through.on_update(lambda _: self.stage.see_through(through.value))
             if self.stage.hidden:
                 box = self.gui.add_checkbox("All geoms", False)
                 box.on_update(lambda _: self.stage.show_hidden(box.value))
@@ -101,6 +105,11 @@ class Panel(ABC):
         style = "width:calc(100% - 1.3em);margin:0 0.65em;font-size:0.8em;"
         style += "font-variant-numeric:tabular-nums"
         self.figures.content = f'<table style="{style}">{lines}</table>'
+
+    @property
+    @abstractmethod
+    def seen(self) -> Instant:
+        """The present instant, of the first run."""
 
     @abstractmethod
     def advance(self, seconds: float) -> None:
@@ -156,6 +165,10 @@ class SimPanel(Panel):
         self.draw()
         self.stage.look([self.instant])
 
+    @property
+    def seen(self) -> Instant:
+        return self.instant
+
     def _keys(self) -> dict[str, int]:
         return {name or f"#{k}": k for k, name in enumerate(self.sim.model.key_names)}
 
@@ -192,6 +205,7 @@ class SimPanel(Panel):
             self.sim.reset(key=key)
         self.failed = ""
         self.states, self.times, self.past = [self.sim.state()], [self.sim.time], []
+        self.stage.begin_again(poses_of(self.sim))
         for k, slider in enumerate(self.sliders):
             slider.value = min(max(float(self.sim.ctrl[k]), slider.min), slider.max)
         self.draw()
@@ -284,8 +298,17 @@ class RunPanel(Panel):
         self.apart = self._distances()
         self._curves((self.begin, self.end))
         self._shown()
-        self.stage.look([run.instants[0] for run in runs])
+        self.stage.look(runs[0].instants)
         self.draw()
+
+    @property
+    def seen(self) -> Instant:
+        return self.runs[0].instants[self._at()[0]]
+
+    def _at(self) -> list[int]:
+        """The index of the present instant of each run."""
+        now = min(self.now, self.end) + 1e-9
+        return [max(0, int(np.searchsorted(t, now, side="right")) - 1) for t in self.times]
 
     def _distances(self) -> Curves | None:
         """The plot of the distances of the others from the first run."""
@@ -317,12 +340,15 @@ class RunPanel(Panel):
 
     def draw(self) -> None:
         now = min(self.now, self.end)
-        at = [max(0, int(np.searchsorted(t, now + 1e-9, side="right")) - 1) for t in self.times]
+        at = self._at()
         instants = [run.instants[k] for run, k in zip(self.runs, at, strict=True)]
         self.stage.show(instants)
         rows = figures_of(instants[0])
         for run, gap in zip(self.runs[1:], self.gaps, strict=True):
-            rows.append((f"distance of {run.label or 'the other'}", f"{1000 * gap[at[0]]:.3g} mm"))
+            apart = float(1000 * gap[at[0]])
+            # Where the other run has ended nothing is compared.
+            value = f"{apart:.3g} mm" if np.isfinite(apart) else "–"
+            rows.append((f"distance of {run.label or 'the other'}", value))
         self.say(rows)
         self.slider.value = min(max(0.0, now - self.begin), self.end - self.begin)
         # Curves end where the motion is.

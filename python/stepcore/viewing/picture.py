@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from stepcore.viewing.mujoco_picture import MujocoPicture
 from stepcore.viewing.needs import need
 
 RENDERERS = {"mujoco": MujocoPicture, "mitsuba": MitsubaPicture}
+# What ffmpeg puts H.264 in.
+ENDINGS = (".mp4", ".mov", ".mkv")
 # Frames a second of a video.
 RATES = 1.0, 240.0
 
@@ -54,6 +57,9 @@ def picture(
     """
     if not hasattr(sim, "forward"):
         raise ValueError(f"sim = {checks.shown(sim)}: must be a stepcore.Sim")
+    if path is not None:
+        image = need("PIL.Image", "writing a picture", "video")
+        _check_ending("picture", path, image.registered_extensions(), ".png, .jpg or alike")
     own = type(sim)(sim.model)
     own.restore(sim.state())
     instant, drawing = instant_of(own), drawing_of(own.model, own)
@@ -66,7 +72,7 @@ def picture(
     finally:
         made.close()
     if path is not None:
-        need("PIL.Image", "writing a picture", "video").fromarray(drawn).save(path)
+        image.fromarray(drawn).save(path)
     return drawn
 
 
@@ -81,7 +87,11 @@ def save_video(
     """See `Trajectory.save_video`."""
     checks.real(*RATES[:1], high=RATES[1])("save_video", "fps", fps)
     checks.real(above=0)("save_video", "speed", speed)
+    _check_ending("save_video", path, ENDINGS, " or ".join(ENDINGS))
     ffmpeg = need("imageio_ffmpeg", "a video", "video")
+    for field, value in zip(("width", "height"), size, strict=True):
+        if checks.whole(2, LARGEST)("save_video", field, value) % 2:
+            raise checks.refuse("save_video", field, value, "an even number")
     drawing, time = run.drawing, run.time
     made = renderer_of(drawing, *size, renderer)
     following = Following(drawing, run.instants[0])
@@ -99,6 +109,14 @@ def save_video(
     finally:
         writer.close()
         made.close()
+
+
+def _check_ending(
+    owner: str, path: str | os.PathLike[str], known: Collection[str], such: str
+) -> None:
+    """Refuses a file that could not be written, before seconds of drawing."""
+    if os.path.splitext(os.fspath(path))[1].lower() not in known:
+        raise checks.refuse(owner, "path", os.fspath(path), f"a name that ends in {such}")
 
 
 def renderer_of(drawing: Drawing, width: int, height: int, name: str | None = None) -> Any:

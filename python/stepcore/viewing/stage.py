@@ -12,8 +12,12 @@ from stepcore.viewing.drawing import ARROW, TINTS, Drawing, Shape
 from stepcore.viewing.frames import Instant
 from stepcore.viewing.primitives import surface_of
 
-# Strengths of lights in viser's units: the sky, and all lights of a file together.
-SKY, LAMP = 0.9, 1.8
+# Strengths of lights in viser's units: the sky, all lights of a file together, and what is around.
+SKY, LAMP, SURROUNDINGS = 0.9, 1.8, 0.5
+# A motion that goes no further is seen whole, of the extent.
+NEAR = 3.0
+# The frame in which everything stands, and the opacity of what is seen through.
+ROOT, THIN = "/scene", 0.35
 AMBER, RED, LINK = (244, 163, 0), (215, 38, 61), (209, 73, 91)
 
 
@@ -28,6 +32,11 @@ class Stage:
         self.extent = drawings[0].extent
         self.contacts = self.forces = True
         self.hidden: list[Any] = []
+        # Meshes of what moves, with their opacities.
+        self.solid: list[tuple[Any, float | None]] = []
+        # Everything stands in a frame, which follows a motion: the camera is the reader's.
+        self.root = server.scene.add_frame(ROOT, show_axes=False)
+        self.anchor: NDArray[Any] | None = None
         if drawings[0].lights:
             self._lights(drawings[0])
         self.bodies = [self._bodies(number, each) for number, each in enumerate(drawings)]
@@ -38,7 +47,7 @@ class Stage:
         scene = self.server.scene
         frames = []
         for index in range(len(drawing.bodies)):
-            name = f"/run{number}/body{index}"
+            name = f"{ROOT}/run{number}/body{index}"
             frames.append(scene.add_frame(name, show_axes=False))
         for k, shape in enumerate(drawing.shapes):
             if number and not drawing.moving[shape.body]:
@@ -46,7 +55,7 @@ class Stage:
                 continue
             vertices, faces = surface_of(shape, 20 * self.extent)
             rgba = shape.rgba if not number else (*TINTS[(number - 1) % len(TINTS)], 0.5)
-            name = f"/run{number}/body{shape.body}/shape{k}"
+            name = f"{ROOT}/run{number}/body{shape.body}/shape{k}"
             mesh = scene.add_mesh_simple(
                 name,
                 np.asarray(vertices, np.float32),
@@ -62,6 +71,8 @@ class Stage:
             )
             if not shape.shown:
                 self.hidden.append(mesh)
+            if drawing.moving[shape.body]:
+                self.solid.append((mesh, mesh.opacity))
             if shape.kind == "plane":
                 self._grid(name, shape)
         return frames
@@ -70,11 +81,13 @@ class Stage:
         """The lights of the file, and a weak sky; the camera has no headlight here."""
         scene = self.server.scene
         scene.configure_default_lights(enabled=False)
+        # What surfaces reflect beside the lamps; viser's own washes colours out.
+        scene.configure_environment_map("warehouse", environment_intensity=SURROUNDINGS)
         scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), intensity=SKY)
         brightest = max(1.0, sum(max(light.diffuse) for light in drawing.lights))
         for k, light in enumerate(drawing.lights):
             common: dict[str, Any] = {
-                "name": f"/run0/body{light.body}/light{k}",
+                "name": f"{ROOT}/run0/body{light.body}/light{k}",
                 "color": tuple(round(255 * min(1.0, c)) for c in light.diffuse),
                 "intensity": LAMP / brightest,
                 "decay": 0.0,
@@ -114,17 +127,47 @@ class Stage:
         for mesh in self.hidden:
             mesh.visible = on
 
-    def look(self, instants: Sequence[Instant]) -> None:
-        """Where a new client looks from: from the front and above, at what moves."""
+    def see_through(self, on: bool) -> None:
+        """Makes what moves transparent, so that forces inside are seen, or as it was."""
+        for mesh, opacity in self.solid:
+            mesh.opacity = min(THIN, 1.0 if opacity is None else opacity) if on else opacity
+
+    def follow(self, on: bool, instant: Instant) -> None:
+        """Keeps the middle of what moves where it is seen now, or lets it go."""
+        self.anchor = np.array(self.root.position) + self._middle(instant) if on else None
+
+    def begin_again(self, instant: Instant) -> None:
+        """A motion begins anew, where the camera looked at first."""
+        self.root.position = (0.0, 0.0, 0.0)
+        if self.anchor is not None:
+            self.anchor = self._middle(instant)
+
+    def _middle(self, instant: Instant) -> NDArray[Any]:
         moving = self.drawings[0].moving
-        places = instants[0].xpos[moving] if moving.any() else instants[0].xpos
-        at = places.mean(axis=0)
-        self.server.initial_camera.position = tuple(at + self.extent * np.array([1.0, -1.3, 0.6]))
+        places = instant.xpos[moving] if moving.any() else instant.xpos
+        middle: NDArray[Any] = places.mean(axis=0)
+        return middle
+
+    def look(self, instants: Sequence[Instant]) -> None:
+        """Where a new client looks from: from the front and above, at what moves.
+
+        instants: of the first run; a motion that stays near is seen whole.
+        """
+        moving = self.drawings[0].moving
+        chosen = moving if moving.any() else np.ones_like(moving)
+        at, far = self._middle(instants[0]), self.extent
+        places = np.concatenate([instant.xpos[chosen] for instant in instants])
+        way = float(np.linalg.norm(np.ptp(places, axis=0)))
+        if far < way < NEAR * far:
+            at, far = (places.min(axis=0) + places.max(axis=0)) / 2, way
+        self.server.initial_camera.position = tuple(at + far * np.array([1.0, -1.3, 0.6]))
         self.server.initial_camera.look_at = tuple(at)
 
     def show(self, instants: Sequence[Instant]) -> None:
         """Moves everything to these instants, one of each run."""
         with self.server.atomic():
+            if self.anchor is not None:
+                self.root.position = self.anchor - self._middle(instants[0])
             for frames, instant in zip(self.bodies, instants, strict=True):
                 for frame, pos, quat in zip(frames, instant.xpos, instant.xquat, strict=True):
                     frame.position, frame.wxyz = pos, quat
@@ -134,12 +177,12 @@ class Stage:
             for number, other in enumerate(instants[1:], 1):
                 moving = self.drawings[0].moving
                 ends = np.stack([instants[0].xpos[moving], other.xpos[moving]], axis=1)
-                self._lines(f"/links{number}", ends, LINK)
+                self._lines(f"{ROOT}/links{number}", ends, LINK)
 
     def _contacts(self, number: int, instant: Instant) -> None:
         scene, extent = self.server.scene, self.extent
         places = instant.places if self.contacts else instant.places[:0]
-        name = f"/run{number}/contacts"
+        name = f"{ROOT}/run{number}/contacts"
         if len(places):
             colours = np.tile(np.array(AMBER, np.uint8), (len(places), 1))
             points = places.astype(np.float32)
@@ -151,7 +194,7 @@ class Stage:
         ends = np.stack([instant.places, instant.places + scale * instant.forces], axis=1)
         long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 0.01 * extent
         ends = ends[long] if self.forces else ends[:0]
-        name = f"/run{number}/forces"
+        name = f"{ROOT}/run{number}/forces"
         if len(ends):
             scene.add_arrows(
                 name,
@@ -167,7 +210,7 @@ class Stage:
     def _tendons(self, number: int, instant: Instant) -> None:
         if instant.tendons:
             ends = [np.stack([way[:-1], way[1:]], axis=1) for way in instant.tendons]
-            self._lines(f"/run{number}/tendons", np.concatenate(ends), (192, 57, 43))
+            self._lines(f"{ROOT}/run{number}/tendons", np.concatenate(ends), (192, 57, 43))
 
     def _lines(self, name: str, ends: NDArray[Any], colour: tuple[int, int, int]) -> None:
         self.server.scene.add_line_segments(
