@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # Folders of a package that hold models for its own tests only.
 TESTS = {"test", "tests", "testing", "test_assets"}
+# Packages whose models the pages name.
+WITH_MODELS = ("gymnasium", "dm_control")
 LESSON = ("spring", "drop", "stack", "grasp")
 
 
@@ -61,7 +63,8 @@ def find_asset(package: str, name: str) -> Path:
     spec = importlib.util.find_spec(package)
     roots = list(spec.submodule_search_locations or ()) if spec else []
     if not roots:
-        raise ValueError(f"{package}:{name}: no package '{package}' is installed")
+        how = f" (pip install {package})" if package in WITH_MODELS else ""
+        raise ValueError(f"{package}:{name}: no package '{package}' is installed{how}")
     wanted = Path(name if name.endswith(".xml") else name + ".xml")
     files = sorted(file for root in roots for file in Path(root).rglob("*.xml"))
     matches = [file for file in files if file.parts[-len(wanted.parts) :] == wanted.parts]

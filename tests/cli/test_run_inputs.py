@@ -34,6 +34,19 @@ def velocities(capsys, file, *args):
     return json.loads(said.out)["qvel"]
 
 
+@pytest.mark.parametrize(("package", "ending"), [("mcap", ".mcap"), ("trimesh", ".html")])
+def test_a_missing_extra_is_named_before_the_run(capsys, monkeypatch, tmp_path, package, ending):
+    monkeypatch.setitem(sys.modules, package, None)
+    out = str(tmp_path / f"run{ending}")
+    commands = [["run", "lesson:drop", "--duration", "1e9", "--save", out]]
+    if ending == ".html":
+        commands.append(["view", "lesson:drop", "--duration", "1e9", "--html", out])
+    for command in commands:
+        assert main(command) == 1
+        err = capsys.readouterr().err
+        assert f"{out} needs {package}: pip install 'stepcore[" in err
+
+
 @pytest.mark.parametrize("ctrl", ["3,-8", "b=-8,a=3", " a = 3 , b = -8"])
 def test_constant_controls(capsys, carts, ctrl):
     assert velocities(capsys, carts, "--ctrl", ctrl) == pytest.approx([1.5, -2.0], abs=1e-12)

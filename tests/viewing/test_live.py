@@ -198,6 +198,12 @@ def test_a_view_that_cannot_be_made_leaves_its_port():
         sim.view(port=70000)
 
 
+@pytest.mark.parametrize("host", ["1.2.3.4", "no.such.host.invalid", "a" * 300])
+def test_an_address_that_is_not_this_machine_s_is_refused(host):
+    with pytest.raises(ValueError, match="must be an address of this machine"):
+        cheetah().view(host=host, wait=False)
+
+
 def test_what_moves_is_followed_and_seen_through(panel):
     stage, sim = panel.stage, panel.sim
     panel._step()

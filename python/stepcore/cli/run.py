@@ -25,6 +25,7 @@ from stepcore.measure.findings import Finding, findings_of
 from stepcore.report.report import NARROWEST, wrapped
 from stepcore.report.table import window
 from stepcore.report.units import computing, counted, seconds, times
+from stepcore.viewing.needs import need
 
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
@@ -132,6 +133,11 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
         return ()
     if args.save is not None and not args.save.endswith(SAVED):
         raise Usage(f"--save {args.save}: must end in {', '.join(SAVED)}")
+    # What is missing is said before the run.
+    if args.save is not None and args.save.endswith(".mcap"):
+        need("mcap", f"--save {args.save}", "mcap")
+    if args.save is not None and args.save.endswith(".html"):
+        need("trimesh", f"--save {args.save}")
     if args.record is not None:
         names = tuple(name.strip() for name in args.record.split(","))
         for name in names:

@@ -18,6 +18,7 @@ from stepcore.cli.output import check_path
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
 from stepcore.experiment.single_run import SingleRun
+from stepcore.viewing.needs import need
 
 # How long the run of a page is [s].
 DURATION = 5.0
@@ -30,7 +31,12 @@ def add(command: argparse.ArgumentParser) -> None:
         "--dt", type=float, metavar="S", help="time step [s] (default: the model's)"
     )
     live = command.add_argument_group("live view")
-    live.add_argument("--host", default="localhost", help="who may look (default: this machine)")
+    live.add_argument(
+        "--host",
+        default="localhost",
+        help="where the page is served; 0.0.0.0 lets other machines open it (default: this machine "
+        "alone)",
+    )
     live.add_argument("--port", type=int, default=8080, help="of the page (default: 8080)")
     page = command.add_argument_group("page")
     page.add_argument("--html", dest="page", metavar="OUT", help="write a page that replays a run")
@@ -43,6 +49,7 @@ def add(command: argparse.ArgumentParser) -> None:
 def call(args: argparse.Namespace) -> None:
     if args.page is not None:
         check_path(args.page, "--html")
+        need("trimesh", f"--html {args.page}")
     elif args.duration is not None:
         raise Usage("--duration is of the run that --html writes; a live view has no end")
     duration = args.duration = DURATION if args.duration is None else args.duration

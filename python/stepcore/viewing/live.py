@@ -7,6 +7,7 @@ can reach it.
 from __future__ import annotations
 
 import contextlib
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -160,6 +161,17 @@ def _view(host: str, port: int, panel: Callable[[Any], Panel]) -> View:
         raise
 
 
+def _check_host(host: str) -> None:
+    """Refuses an address that is not this machine's, for which viser would wait for ever."""
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as tried:
+            tried.bind(address)
+    except (OSError, UnicodeError, TypeError):
+        limit = "an address of this machine, such as localhost or 0.0.0.0"
+        raise checks.refuse("view", "host", host, limit) from None
+
+
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Without what viser prints of its own: its address in a box, and that it has stopped."""
@@ -173,6 +185,7 @@ def _quiet() -> Iterator[None]:
 
 def _server(host: str, port: int) -> Any:
     checks.whole(1, 65535)("view", "port", port)
+    _check_host(host)
     viser = need("viser", "a view")
     with _quiet():
         server = viser.ViserServer(host=host, port=port, label="stepcore", verbose=False)

@@ -16,7 +16,7 @@ COLOURS = {
     "explicit": "#CC79A7",
     "midpoint": "#56B4E9",
     "implicit": "#000000",
-    "discrete": "#F0E442",
+    "discrete": "#999933",
 }
 BLUE, GREEN, ORANGE = COLOURS["rk4"], COLOURS["implicitfast"], COLOURS["euler"]
 RED = COLOURS["semi-implicit"]
