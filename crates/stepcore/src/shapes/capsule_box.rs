@@ -18,6 +18,10 @@ use crate::spatial::V3;
 const ROUNDING: f64 = 1e-9;
 /// The same of depths that count as equal.
 const TIE: f64 = 1e-12;
+/// Of a distance: what two ways to compute it may differ by.
+const EVEN: f64 = 1e-15;
+/// Of the sizes: a distance whose direction is better told by what meets than by its two points.
+const THIN: f64 = 1e-6;
 /// Squared sine of an angle below which the axis counts as parallel to an edge.
 const PARALLEL: f64 = 1e-14;
 pub(crate) struct CapsuleBox;
@@ -47,8 +51,11 @@ impl OneWorld<2> for CapsuleBox {
         };
         let size = one.size[1] + two.size.iter().sum::<f64>();
         let way = lying.way_out();
-        let mut out =
-            if way.gap.lane(0) > ROUNDING * size { lying.beside() } else { lying.through(&way) };
+        let mut out = if way.gap.lane(0) > ROUNDING * size {
+            lying.beside(&way, size)
+        } else {
+            lying.through(&way)
+        };
         if out[1].exists.any() && out[1].feature == out[0].feature {
             out[1].feature += R::of(32.0);
         }
@@ -207,7 +214,10 @@ impl<R: Real> Lying<R> {
         if end < best {
             (place, best) = (last, end);
         }
-        best *= 1.0 - ROUNDING;
+        // Of an axis along an edge the end counts; not where the axis comes nearer from there.
+        let ahead = self.axis.along * if place == last { -R::one() } else { R::one() };
+        let nears = ahead.dot(&self.from(&self.axis.at(place))).lane(0) > TIE * best;
+        best *= if nears { 1.0 + EVEN } else { 1.0 - ROUNDING };
         for (_, edge) in self.cuboid.edges() {
             let (there, _, gap) = segments_gap(&self.axis, &edge);
             let gap = length(gap);
@@ -219,9 +229,13 @@ impl<R: Real> Lying<R> {
     }
 
     /// The contacts of an axis that passes the box.
-    fn beside(&self) -> Touches<R, 2> {
+    fn beside(&self, way: &WayOut<R>, size: f64) -> Touches<R, 2> {
         let place = self.nearest();
-        let first = self.ball(place);
+        let mut first = self.ball(place);
+        let further = (first.dist + self.radius - way.gap).lane(0);
+        if way.gap.lane(0) < THIN * size && further < EVEN * size {
+            first = self.touch(place, way.gap, -way.normal);
+        }
         let second = self.second(place, &first.normal);
         let apart = (second.lane(0) - place.lane(0)).abs();
         let there = apart > ROUNDING * self.axis.half.lane(0);

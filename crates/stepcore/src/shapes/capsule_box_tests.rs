@@ -56,6 +56,39 @@ fn a_capsule_on_a_box_rests_on_both_ends() {
     close(&beside[1], 0.0, [1.0, 1.0, 0.5], [0.0, -0.6, -0.8]);
 }
 
+/// How far the planes across the nearest contact's normal that touch both are apart, less its
+/// distance: 0 of the nearest contact of shapes that are apart.
+fn unproven(a: &Pose<f64>, capsule: &[f64; 3], b: &Pose<f64>, block: &[f64; 3]) -> f64 {
+    let found = meet(a, capsule, b, block);
+    let first = found.iter().min_by(|s, t| s.dist.total_cmp(&t.dist)).unwrap();
+    let along = b.rot.transpose() * first.normal;
+    let long = capsule[0] + capsule[1] * first.normal.dot(&a.rot.column(2)).abs();
+    let reach = long + along.abs().dot(&Vector3::from(*block));
+    first.normal.dot(&(b.pos - a.pos)) - reach - first.dist
+}
+
+#[test]
+fn an_axis_all_but_along_an_edge_and_one_all_but_through_it() {
+    let (mut random, block) = (Random(11), at(0.0, 0.0, 0.0));
+    let (size, capsule) = ([1.0, 1.0, 0.5], [0.25, 0.5, 0.0]);
+    for k in 0..4000 {
+        let tilt = 10.0_f64.powi(-1 - k % 9);
+        let turn = nalgebra::Rotation3::new(random.vector() * tilt);
+        let (y, z) = (1.0 + 0.1 * random.next().abs(), 0.5 + 0.3 * random.next().abs());
+        let mut pose = lying(0.8 * random.next(), y, z);
+        pose.rot = turn * pose.rot;
+        let off = unproven(&pose, &capsule, &block, &size);
+        assert!(off.abs() < 1e-11, "{tilt:e}: {off:e}");
+        // Across the edge, so far from it.
+        let away = Vector3::new(0.0, 0.6, 0.8);
+        let way = away.cross(&Vector3::new(1.0, random.next(), 0.0)).normalize();
+        let rot = Matrix3::from_columns(&[away, way.cross(&away), way]);
+        let pos = Vector3::new(0.3, 1.0, 0.5) + away * (0.1 * tilt * tilt) + way * 0.2;
+        let off = unproven(&Pose { pos, rot }, &capsule, &block, &size);
+        assert!(off.abs() < 1e-11, "{tilt:e}: {off:e}");
+    }
+}
+
 #[test]
 fn distances_and_depths_are_those_of_brute_force() {
     let mut random = Random(1);

@@ -141,13 +141,23 @@ impl<const POINTS: usize, const FACES: usize> Polytope<POINTS, FACES> {
 
     /// How far the set reaches beyond a face; the polytope grows there, if there is room.
     pub fn push(&mut self, face: usize, support: &impl Fn(&V3<f64>) -> V3<f64>) -> Way {
+        self.push_beyond(face, 0.0, support)
+    }
+
+    /// The same; it grows only where the set reaches further beyond the face than `close`.
+    pub fn push_beyond(
+        &mut self,
+        face: usize,
+        close: f64,
+        support: &impl Fn(&V3<f64>) -> V3<f64>,
+    ) -> Way {
         let Face { normal, height, .. } = self.faces[face];
         let w = support(&normal);
         let reach = normal.dot(&w);
         if reach < self.least {
             (self.least, self.best) = (reach, normal);
         }
-        let grown = reach - height > FLAT * self.size && self.grow(face, w);
+        let grown = reach - height > close.max(FLAT * self.size) && self.grow(face, w);
         self.stuck = !grown;
         if !grown {
             self.faces[face].done = true;

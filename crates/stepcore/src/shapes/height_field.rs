@@ -14,9 +14,10 @@
 
 use super::by_lane::{empty, OneWorld};
 use super::convex::{contacts, meeting, solid};
+use super::field_list::List;
 use super::separation::{Cause, Separation};
 use super::solid::{plain, Core, Solid};
-use super::touch::{Touch, Touches};
+use super::touch::Touches;
 use super::Shape;
 use crate::real::{Mask, Real};
 use crate::scene::GeomType;
@@ -24,22 +25,8 @@ use crate::spatial::{Pose, V3};
 
 /// The most contacts of a height field and one shape.
 pub const MOST: usize = 16;
-/// Contacts that are looked at at once; of more, `KEPT` that are far from each other go on.
-const ROOM: usize = 256;
-const KEPT: usize = 64;
 /// Slopes from a corner of a prism's top to a triangle's up to which that goes on in its plane.
 const ONWARD: f64 = 1e-3;
-/// Directions in the field's plane, none of them along a side or a diagonal of its cells.
-const AROUND: [(f64, f64); 8] = [
-    (0.92, 0.38),
-    (0.38, 0.92),
-    (-0.38, 0.92),
-    (-0.92, 0.38),
-    (-0.92, -0.38),
-    (-0.38, -0.92),
-    (0.38, -0.92),
-    (0.92, -0.38),
-];
 /// Over the pair's size: what is in one place, and what lies as far along a direction.
 const SAME: f64 = 1e-9;
 
@@ -58,14 +45,32 @@ pub struct HeightField {
 }
 
 /// One of the two prisms under a cell.
-struct Prism {
+#[derive(Clone, Copy)]
+pub(super) struct Prism {
     corners: [V3<f64>; 6],
     /// Row and column of the nodes of its top.
     nodes: [(usize, usize); 3],
-    number: usize,
+    pub number: usize,
 }
 
 impl Prism {
+    /// From its bottom to its highest corner it comes as near to a box as `more` [m].
+    fn near(&self, bounds: &Bounds, more: f64) -> bool {
+        let top = self.corners[..3].iter().fold(f64::NEG_INFINITY, |most, c| most.max(c.z));
+        bounds.low.z - more <= top && bounds.high.z + more >= self.corners[3].z
+    }
+
+    /// No more than the distance of a box [m].
+    fn apart(&self, bounds: &Bounds) -> f64 {
+        let aside = V3::from_fn(|i, _| {
+            let corners = || self.corners.iter().map(|corner| corner[i]);
+            let (low, high) = (bounds.low[i], bounds.high[i]);
+            let beyond = corners().fold(f64::INFINITY, f64::min) - high;
+            beyond.max(low - corners().fold(f64::NEG_INFINITY, f64::max)).max(0.0)
+        });
+        aside.dot(&aside).sqrt()
+    }
+
     /// Of its top: unit, upward.
     fn normal(&self) -> V3<f64> {
         let [a, b, c, ..] = self.corners;
@@ -129,6 +134,14 @@ impl HeightField {
         Some((cell(low), cell(high)))
     }
 
+    /// The cells that a box meets which is larger by `more` [m].
+    fn stretch(&self, bounds: &Bounds, more: f64) -> Stretch {
+        let cells = |i: usize, n: usize| {
+            Self::cells(bounds.low[i] - more, bounds.high[i] + more, n, self.half[i])
+        };
+        Stretch(cells(1, self.nrow).zip(cells(0, self.ncol)).map(|(rows, columns)| [rows, columns]))
+    }
+
     /// The triangle of the surface over or under a place of the field; None beside it.
     fn surface(&self, place: &V3<f64>) -> Option<[V3<f64>; 3]> {
         let columns = Self::cells(place.x, place.x, self.ncol, self.half[0])?;
@@ -180,12 +193,17 @@ impl HeightField {
         if far[3] || far[4] || far[5] {
             // The bottom, or a wall.
             let under = centre.z < -self.base;
+            let end = |(row, col): (usize, usize)| {
+                (row == 0 || row == self.nrow - 1) && (col == 0 || col == self.ncol - 1)
+            };
+            // The upright edge at a corner of the field.
+            let upright = |i: usize| far[i] && far[i + 3] && end(prism.nodes[i]);
             let wall = |i: usize, k: usize| {
                 (far[i] || far[i + 3])
                     && (far[k] || far[k + 3])
                     && self.border(prism.nodes[i], prism.nodes[k])
             };
-            return under || wall(0, 1) || wall(1, 2) || wall(2, 0);
+            return under || (0..3).any(upright) || wall(0, 1) || wall(1, 2) || wall(2, 0);
         }
         let mut list = [0; 3];
         let mut count = 0;
@@ -206,57 +224,90 @@ impl HeightField {
     }
 }
 
+/// A box in the field's axes.
+struct Bounds {
+    low: V3<f64>,
+    high: V3<f64>,
+}
+
+/// Rows and columns of cells, the first and the last of each; None: no cell.
+struct Stretch(Option<[(usize, usize); 2]>);
+
+impl Stretch {
+    fn holds(&self, (row, col): (usize, usize)) -> bool {
+        let between = |i: usize, (low, high): (usize, usize)| low <= i && i <= high;
+        self.0.is_some_and(|[rows, columns]| between(row, rows) && between(col, columns))
+    }
+
+    fn prisms<'a>(&self, field: &'a HeightField) -> impl Iterator<Item = Prism> + 'a {
+        self.0.into_iter().flat_map(move |[rows, columns]| {
+            (rows.0..=rows.1).flat_map(move |row| {
+                (columns.0..=columns.1)
+                    .flat_map(move |col| [false, true].map(|upper| field.prism(row, col, upper)))
+            })
+        })
+    }
+}
+
 /// A height field, and a shape of this type.
 #[derive(Clone, Copy, Debug)]
-pub struct OnField(pub GeomType);
+pub struct OnField {
+    pub kind: GeomType,
+    /// What is this far apart [m] is no contact.
+    pub within: f64,
+}
 
 impl OneWorld<MOST> for OnField {
     fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, MOST> {
         match one.field {
-            Some(field) => on_field(field, one.pose, &solid(self.0, two)),
+            Some(field) => on_field(field, one.pose, &solid(self.kind, two), self.within),
             None => [empty(); MOST],
         }
     }
 }
 
-/// Contacts found so far.
-struct List<R: Real> {
-    touches: [Touch<R>; ROOM],
-    count: usize,
-    /// The field's x and y axes.
-    axes: [V3<f64>; 2],
-}
-
-fn on_field<R: Real>(field: &HeightField, pose: &Pose<R>, shape: &Solid<R>) -> Touches<R, MOST> {
+fn on_field<R: Real>(
+    field: &HeightField,
+    pose: &Pose<R>,
+    shape: &Solid<R>,
+    within: f64,
+) -> Touches<R, MOST> {
     let plain_pose = plain(pose);
     let plain_shape = plain(shape.pose);
     let body = Solid { core: shape.core, radius: shape.radius, pose: &plain_shape };
     let centre = plain_pose.to_local(&(plain_shape.pos - plain_pose.pos));
-    // The shape's box in the field's axes, grown by its own extent: what is farther cannot matter.
-    let mut low = V3::zeros();
-    let mut high = V3::zeros();
+    // The shape's box in the field's axes.
+    let mut bounds = Bounds { low: V3::zeros(), high: V3::zeros() };
     for i in 0..3 {
         let axis = plain_pose.axis(i);
-        high[i] = centre[i] + axis.dot(&body.support(&axis).0) + shape.radius;
-        low[i] = centre[i] + axis.dot(&body.support(&-axis).0) - shape.radius;
+        bounds.high[i] = centre[i] + axis.dot(&body.support(&axis).0) + shape.radius;
+        bounds.low[i] = centre[i] + axis.dot(&body.support(&-axis).0) - shape.radius;
     }
-    let grown = 0.25 * (high - low).iter().fold(0.0_f64, |most, x| most.max(*x));
-    let axes = [plain_pose.axis(0), plain_pose.axis(1)];
-    let mut list = List { touches: [empty(); ROOM], count: 0, axes };
-    let columns = HeightField::cells(low.x - grown, high.x + grown, field.ncol, field.half[0]);
-    let rows = HeightField::cells(low.y - grown, high.y + grown, field.nrow, field.half[1]);
-    if let (Some(columns), Some(rows)) = (columns, rows) {
-        for row in rows.0..=rows.1 {
-            for col in columns.0..=columns.1 {
-                for upper in [false, true] {
-                    let prism = field.prism(row, col, upper);
-                    let top = prism.corners[..3].iter().fold(f64::NEG_INFINITY, |m, c| m.max(c.z));
-                    if low.z - grown <= top && high.z + grown >= -field.base {
-                        on_prism(field, &prism, pose, shape, &centre, &mut list);
-                    }
-                }
+    let mut list = List::new([plain_pose.axis(0), plain_pose.axis(1)]);
+    // What lies about the shape by its own extent, and then what else may be near enough.
+    let extents = bounds.high - bounds.low;
+    let beside = 0.25 * extents.iter().fold(0.0_f64, |most, x| most.max(*x));
+    let first = field.stretch(&bounds, beside);
+    for prism in first.prisms(field) {
+        if prism.near(&bounds, beside) {
+            on_prism(field, &prism, pose, shape, &centre, &mut list);
+        }
+    }
+    let enough = |list: &List<R>| if within.is_finite() { within } else { list.least() };
+    if enough(&list) > beside {
+        for prism in field.stretch(&bounds, enough(&list)).prisms(field) {
+            let known = first.holds(prism.nodes[0]) && prism.near(&bounds, beside);
+            if !known && prism.apart(&bounds) < enough(&list) {
+                on_prism(field, &prism, pose, shape, &centre, &mut list);
             }
         }
+    }
+    // Under a valley every way out may lead into another prism: then a top holds what is below it.
+    if let Some((prism, _)) = list.sunk.take().filter(|_| list.least() >= 0.0) {
+        let ground = Solid { core: Core::Prism(&prism.corners), radius: 0.0, pose };
+        let found = on_top(&prism, &plain_pose, &body);
+        let touches: Touches<R, 8> = contacts(&ground, shape, &found);
+        list.add_all(&prism, &touches, SAME * shape.extent(), |_| true);
     }
     list.chosen(SAME * shape.extent())
 }
@@ -277,26 +328,25 @@ fn on_prism<R: Real>(
     let tolerance = SAME * (shape.extent() + prism_size(prism));
     let (found, own) = if field.leads_out(prism, &way, centre, tolerance) {
         (separation, true)
-    } else if let Some(found) = over_top(field, prism, pose, shape) {
-        found
     } else {
-        return;
+        let over = over_top(field, prism, pose, shape);
+        // Behind a steep top, and not in its prism: others have it.
+        let behind = separation.apart > tolerance;
+        match over.filter(|(found, own)| !(*own && behind && found.apart < -tolerance)) {
+            Some(over) => over,
+            None => return list.drop_way(prism, &separation, shape.radius),
+        }
     };
     let touches: Touches<R, 8> = contacts(&ground, shape, &found);
     let there = || touches.iter().filter(|touch| touch.exists.any());
     if !own && there().count() == 1 {
         // Nothing lies flat on this top: the one place is another prism's.
-        return;
+        return list.drop_way(prism, &separation, shape.radius);
     }
-    for touch in there() {
+    list.add_all(prism, &touches, tolerance, |touch| {
         let at = plain(pose).to_local(&(touch.pos.map(|x| x.lane(0)) - plain(pose).pos));
-        if own || prism.holds(&at, tolerance) {
-            let name =
-                touch.feature.lane(0) as u32 ^ (prism.number as u32).wrapping_mul(0x9E37_79B1);
-            let feature = R::of(f64::from(name & 0x00FF_FFFF));
-            list.add(Touch { feature, ..*touch }, tolerance);
-        }
-    }
+        own || prism.holds(&at, tolerance)
+    });
 }
 
 /// The longest side of a prism's top.
@@ -328,81 +378,14 @@ fn over_top<R: Real>(
             height * height <= ONWARD * ONWARD * way.dot(&way)
         })
     };
-    let apart = local.dot(&(point - a));
-    let found = Separation { normal, apart, cause: Cause::FaceOne(local) };
-    (over || onward()).then_some((found, over))
+    (over || onward()).then(|| (on_top(prism, &pose, &body), over))
 }
 
-impl<R: Real> List<R> {
-    fn add(&mut self, touch: Touch<R>, same: f64) {
-        if self.count == ROOM {
-            self.thin(same);
-        }
-        self.touches[self.count] = touch;
-        self.count += 1;
-    }
-
-    /// Makes room: `KEPT` of the contacts stay.
-    fn thin(&mut self, same: f64) {
-        let picked = self.spread(KEPT, same);
-        let mut kept = 0;
-        for i in 0..self.count {
-            if picked[i] {
-                self.touches[kept] = self.touches[i];
-                kept += 1;
-            }
-        }
-        self.count = kept;
-    }
-
-    /// `MOST` of them: see the top of the file.
-    fn chosen(&self, same: f64) -> Touches<R, MOST> {
-        let mut out = [empty(); MOST];
-        let picked = self.spread(MOST, same);
-        let listed = self.touches[..self.count].iter().zip(picked).filter(|(_, picked)| *picked);
-        for (to, (touch, _)) in out.iter_mut().zip(listed) {
-            *to = *touch;
-        }
-        out
-    }
-
-    /// Which of the contacts stay, at most `most`.
-    fn spread(&self, most: usize, same: f64) -> [bool; ROOM] {
-        let all = &self.touches[..self.count];
-        let mut picked = [false; ROOM];
-        let depth = |i: usize| all[i].dist.lane(0);
-        let Some(deepest) = (0..all.len()).min_by(|i, j| depth(*i).total_cmp(&depth(*j))) else {
-            return picked;
-        };
-        let mut nearest = [f64::INFINITY; ROOM];
-        let mut pick = |next: usize, nearest: &mut [f64; ROOM]| {
-            picked[next] = true;
-            for (i, touch) in all.iter().enumerate() {
-                let way = touch.pos - all[next].pos;
-                nearest[i] = nearest[i].min(way.dot(&way).lane(0));
-            }
-        };
-        let mut kept = 0;
-        for (x, y) in AROUND {
-            let way = self.axes[0] * x + self.axes[1] * y;
-            let out = |i: usize| way.dot(&all[i].pos.map(|x| x.lane(0)));
-            let next = (1..all.len()).fold(0, |far, i| if out(i) > out(far) { i } else { far });
-            if nearest[next] > same * same {
-                pick(next, &mut nearest);
-                kept += 1;
-            }
-        }
-        while kept < most {
-            let far = |best: usize, i: usize| if nearest[i] > nearest[best] { i } else { best };
-            // The last place is the deepest one's, if no other has been given to it.
-            let missing = kept + 1 == most && nearest[deepest] > same * same;
-            let next = if missing { deepest } else { (1..all.len()).fold(0, far) };
-            if nearest[next] <= same * same {
-                break;
-            }
-            pick(next, &mut nearest);
-            kept += 1;
-        }
-        picked
-    }
+/// The separation along the top's own normal.
+fn on_top(prism: &Prism, pose: &Pose<f64>, body: &Solid<f64>) -> Separation {
+    let local = prism.normal();
+    let normal = pose.to_world(&local);
+    let point = pose.to_local(&(body.pose.pos - pose.pos + body.support(&-normal).0));
+    let apart = local.dot(&(point - prism.corners[0]));
+    Separation { normal, apart, cause: Cause::FaceOne(local) }
 }

@@ -94,7 +94,11 @@ impl<R: Real> Meeting<'_, R> {
             if points.count == 0 {
                 if let Some(at) = self.under_cap(&one, &two) {
                     let half = R::of(0.5) * deepest.apart;
-                    deepest.at = at + self.normal * half;
+                    let under = Point { at: at + self.normal * half, ..deepest };
+                    let most = self.outside(&deepest).max(BORDER * self.size);
+                    if self.outside(&under) <= most {
+                        deepest = under;
+                    }
                 }
             }
         }
@@ -129,6 +133,14 @@ impl<R: Real> Meeting<'_, R> {
             Cause::Free => (n.dot(&(q - p)), (p + q) * half),
         };
         Point { apart, at, name: name(0, i, k) }
+    }
+
+    /// How far a contact's places on the two cores lie outside of them.
+    fn outside(&self, point: &Point<R>) -> f64 {
+        let plain = |v: V3<R>| v.map(|x| x.lane(0));
+        let half = self.normal * (R::of(0.5) * point.apart);
+        let on_two = point.at + half - self.between;
+        self.one.outside(&plain(point.at - half)).max(self.two.outside(&plain(on_two)))
     }
 
     /// A contact where the cores pass through p and q on one line along the normal.

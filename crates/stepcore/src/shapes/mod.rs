@@ -16,6 +16,7 @@ mod convex_tests;
 pub(crate) mod cylinder;
 mod epa;
 mod facets;
+mod field_list;
 mod gjk;
 mod grid;
 pub mod height_field;
@@ -23,10 +24,15 @@ pub mod hull;
 #[cfg(test)]
 mod hull_tests;
 mod manifold;
+mod overlap;
+mod peak;
+#[cfg(test)]
+mod peak_tests;
 pub(crate) mod plane;
 mod plane_mesh;
 mod quickhull;
 pub mod ray;
+mod refine;
 mod separation;
 mod shape_test;
 mod solid;
@@ -102,7 +108,8 @@ pub fn meet<R: Real>(
         ShapeTest::SphereCapsule => all(&sphere::sphere_capsule(p1, s1.x, p2, s2.x, s2.y)),
         ShapeTest::SphereBox => all(&sphere::sphere_box(p1, s1.x, p2, s2)),
         ShapeTest::OnField(kind) => {
-            all(&by_lane::<R, _, { height_field::MOST }>(&OnField(kind), one, two));
+            let test = OnField { kind, within };
+            all(&by_lane::<R, _, { height_field::MOST }>(&test, one, two));
         }
         ShapeTest::SphereCylinder => {
             all(&cylinder::sphere_cylinder(p1, s1.x, p2, s2.x, s2.y));

@@ -103,6 +103,66 @@ impl<'a, R: Real> Solid<'a, R> {
         }
     }
 
+    /// Which of its pieces reaches furthest: a corner, or an end of a cylinder.
+    pub fn piece(&self, direction: &V3<R>) -> usize {
+        match self.core {
+            Core::Cylinder(..) => usize::from(self.pose.axis(2).dot(direction).lane(0) >= 0.0),
+            _ => self.support(direction).1,
+        }
+    }
+
+    /// The furthest point of one of its pieces.
+    pub fn pinned(&self, piece: usize, direction: &V3<R>) -> V3<R> {
+        match self.core {
+            Core::Cylinder(_, half) => {
+                let axis = self.pose.axis(2);
+                let far = axis.dot(direction).lane(0) >= 0.0;
+                let point = self.support(direction).0;
+                match (far, piece == 1) {
+                    (true, false) => point - axis * R::of(2.0 * half),
+                    (false, true) => point + axis * R::of(2.0 * half),
+                    _ => point,
+                }
+            }
+            Core::Ellipsoid(_) => self.support(direction).0,
+            _ => self.corner(piece),
+        }
+    }
+
+    /// How far a point, from its centre, lies outside of the core, to first order; negative inside.
+    pub fn outside(&self, point: &V3<f64>) -> f64 {
+        let p = plain(self.pose).to_local(point);
+        match self.core {
+            Core::Point => p.dot(&p).sqrt(),
+            Core::Segment(half) => {
+                let z = p.z - p.z.clamp(-half, half);
+                (p.x * p.x + p.y * p.y + z * z).sqrt()
+            }
+            // x over the half axes has length 1 on the surface: what is above 1 over its slope.
+            Core::Ellipsoid(size) => {
+                let level = V3::from_fn(|i, _| p[i] / size[i]);
+                let slope = V3::from_fn(|i, _| level[i] / size[i]);
+                let (length, steep) = (level.dot(&level).sqrt(), slope.dot(&slope).sqrt());
+                (length - 1.0) * length * steep.recip_or_zero()
+            }
+            Core::Cylinder(radius, half) => {
+                ((p.x * p.x + p.y * p.y).sqrt() - radius).max(p.z.abs() - half)
+            }
+            Core::Box(size) => {
+                (0..3).map(|i| p[i].abs() - size[i]).fold(f64::NEG_INFINITY, f64::max)
+            }
+            Core::Hull(hull) => hull
+                .faces
+                .iter()
+                .map(|face| face.normal.dot(&p) - face.offset)
+                .fold(f64::NEG_INFINITY, f64::max),
+            Core::Prism(corners) => PRISM_FACES
+                .iter()
+                .map(|face| normal_of(corners, face).dot(&(p - corners[face[0]])))
+                .fold(f64::NEG_INFINITY, f64::max),
+        }
+    }
+
     /// How the furthest point moves as the unit direction turns by a small `turn` across it: the
     /// second derivative of the reach, times `turn`. 0 at a corner.
     pub fn bend(&self, direction: &V3<f64>, turn: &V3<f64>) -> V3<f64> {

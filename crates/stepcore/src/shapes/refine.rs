@@ -1,0 +1,262 @@
+//! From a rough direction to the largest separation near it.
+
+use super::peak::peak;
+use super::separation::{across, across_both, Cause, Pairing, Separation, ROUNDING};
+use super::solid::{Core, Solid};
+use super::touch::unit;
+use crate::spatial::V3;
+
+/// Sines of the angle from a rough direction within which faces and edges are tried: of polytopes
+/// the search ends at rounding, of bent surfaces near the answer.
+const NEAR_EXACT: f64 = 0.02;
+const NEAR_ROUGH: f64 = 0.3;
+const NEAR_AGAIN: f64 = 0.1;
+/// Over the size of the pair: how far a point may lie outside of its shape.
+const HOLDS: f64 = 1e-10;
+/// Steps of Newton's method, and how often it starts again from where it led.
+const STEPS: usize = 30;
+const AGAIN: usize = 4;
+/// Cosine of the angle to a cap up to which its rim gets a start of its own.
+const CAP: f64 = 0.9;
+/// Steps of Newton's method whose gain rounding hides.
+const HIDDEN: usize = 3;
+/// Edges of a corner that are tried.
+const EDGES: usize = 16;
+
+impl Pairing<'_> {
+    /// The largest separation near a rough direction. What meets there may be other corners than
+    /// those that the rough direction shows: with bent surfaces again from where it led.
+    pub(super) fn refine(&self, rough: &V3<f64>) -> Separation {
+        self.settled(self.refine_once(rough, self.near()))
+    }
+
+    pub(super) fn near(&self) -> f64 {
+        if self.smooth {
+            NEAR_ROUGH
+        } else {
+            NEAR_EXACT
+        }
+    }
+
+    /// The same again from where it led, until that is the best there is.
+    pub(super) fn settled(&self, mut best: Separation) -> Separation {
+        for _ in 0..if self.smooth { AGAIN } else { 0 } {
+            let next = self.refine_once(&best.normal, NEAR_AGAIN);
+            if next.apart <= best.apart + ROUNDING * self.size {
+                break;
+            }
+            best = next;
+        }
+        best
+    }
+
+    /// The same of bent shapes, and better where it is not the largest separation nearby: where one
+    /// of the points that it claims is none of its shape.
+    pub(super) fn topped(&self, found: Separation) -> Separation {
+        if !self.smooth || self.holds(&found) {
+            return found;
+        }
+        let top = peak(self, &found.normal);
+        let (normal, apart) = self.climb(&top, None);
+        let free = Separation { normal, apart, cause: Cause::Free };
+        let mut best = found;
+        // Directions that differ by 1e-8 are as good but for rounding; their points are not.
+        for next in [self.refine_once(&top, NEAR_AGAIN), free] {
+            let gained = next.apart - best.apart;
+            let even = gained.abs() <= ROUNDING * self.size;
+            if if even { self.holds(&next) } else { gained > 0.0 } {
+                best = next;
+            }
+        }
+        best
+    }
+
+    /// The place along the normal at which the separation is taken belongs to both shapes.
+    fn holds(&self, found: &Separation) -> bool {
+        let n = &found.normal;
+        let (p, q) = (self.one.support(n).0, self.between + self.two.support(&-n).0);
+        let off = HOLDS * self.size;
+        match found.cause {
+            Cause::FaceOne(_) | Cause::EdgeOne(_) => {
+                self.one.outside(&(q - n * found.apart)) <= off
+            }
+            Cause::FaceTwo(_) | Cause::EdgeTwo(_) => {
+                self.two.outside(&(p + n * found.apart - self.between)) <= off
+            }
+            Cause::Edges(e, f) => {
+                let [e, f] = [self.one.pose.to_world(&e), self.two.pose.to_world(&f)];
+                let side = f.cross(n);
+                let at = p + e * ((q - p).dot(&side) / e.dot(&side));
+                let there = at + n * found.apart - self.between;
+                self.one.outside(&at) <= off && self.two.outside(&there) <= off
+            }
+            Cause::Free => {
+                let aside = q - p - n * found.apart;
+                aside.dot(&aside) <= off * off
+            }
+        }
+    }
+
+    pub(super) fn refine_once(&self, rough: &V3<f64>, near: f64) -> Separation {
+        let start = self.apart(rough);
+        let mut best = Separation { normal: *rough, apart: f64::NEG_INFINITY, cause: Cause::Free };
+        let mut offer = |normal: V3<f64>, apart: f64, cause: Cause| {
+            if apart > best.apart + ROUNDING * self.size {
+                best = Separation { normal, apart, cause };
+            }
+        };
+        let cosine = (1.0 - near * near).sqrt();
+        if let Some((normal, along, _)) = self.one.face(rough) {
+            if along >= cosine {
+                offer(normal, self.apart(&normal), Cause::FaceOne(self.one.pose.to_local(&normal)));
+            }
+        }
+        if let Some((outward, along, _)) = self.two.face(&-rough) {
+            if along >= cosine {
+                let local = self.two.pose.to_local(&outward);
+                offer(-outward, self.apart(&-outward), Cause::FaceTwo(local));
+            }
+        }
+        let (ones, nones) = edges(&self.one, rough, near);
+        let (twos, ntwos) = edges(&self.two, &-rough, near);
+        for e in &ones[..nones] {
+            for f in &twos[..ntwos] {
+                if let Some(normal) = across(e, f, rough) {
+                    let [e, f] = [self.one.pose.to_local(e), self.two.pose.to_local(f)];
+                    offer(normal, self.apart(&normal), Cause::Edges(e, f));
+                }
+            }
+        }
+        // With corners alone these are places of least separation while the shapes overlap.
+        if self.smooth || start > 0.0 {
+            let starts = [Some(*rough), self.over_rim_of_one(rough), self.over_rim_of_two(rough)];
+            for from in starts.iter().flatten() {
+                for e in &ones[..nones] {
+                    let (normal, apart) = self.climb(from, Some(e));
+                    offer(normal, apart, Cause::EdgeOne(self.one.pose.to_local(e)));
+                }
+                for f in &twos[..ntwos] {
+                    let (normal, apart) = self.climb(from, Some(f));
+                    offer(normal, apart, Cause::EdgeTwo(self.two.pose.to_local(f)));
+                }
+                let (normal, apart) = self.climb(from, None);
+                offer(normal, apart, Cause::Free);
+            }
+        }
+        offer(*rough, start, Cause::Free);
+        best
+    }
+
+    /// Where what meets a cylinder's cap lies beyond its rim, a start for Newton's method: the cap's
+    /// normal leant that way. The rim's bend is infinite at the cap's own normal, and from another
+    /// side of it no step leads there.
+    fn over_rim_of_one(&self, rough: &V3<f64>) -> Option<V3<f64>> {
+        let (cap, ..) = self.one.face(rough).filter(|face| face.1 > CAP)?;
+        let there = self.between + self.two.support(&-cap).0;
+        self.one.over_rim(&cap, &there, self.size)
+    }
+
+    fn over_rim_of_two(&self, rough: &V3<f64>) -> Option<V3<f64>> {
+        let (cap, ..) = self.two.face(&-rough).filter(|face| face.1 > CAP)?;
+        let there = self.one.support(&-cap).0 - self.between;
+        self.two.over_rim(&cap, &there, self.size).map(|n| -n)
+    }
+
+    /// Newton's method for the largest separation near a direction; with an edge, across it.
+    fn climb(&self, rough: &V3<f64>, edge: Option<&V3<f64>>) -> (V3<f64>, f64) {
+        let onto = |n: V3<f64>| edge.map_or(n, |e| n - e * e.dot(&n));
+        let mut normal = unit(&onto(*rough));
+        let mut point = self.furthest(&-normal);
+        let mut apart = normal.dot(&point);
+        let mut hidden = 0;
+        for _ in 0..STEPS {
+            let Some(step) = self.newton(&normal, &point, apart, edge) else { break };
+            let square = step.dot(&step);
+            let mut share = 1.0;
+            let better = loop {
+                let next = unit(&onto(normal + step * share));
+                let there = self.furthest(&-next);
+                let gained = next.dot(&there);
+                if gained > apart {
+                    break Some((next, there, gained));
+                }
+                // The last steps gain less than rounding shows.
+                let even = gained > apart - ROUNDING * self.size;
+                if share == 1.0 && square < 1e-4 && even && hidden < HIDDEN {
+                    hidden += 1;
+                    break Some((next, there, gained));
+                }
+                share *= 0.25;
+                if share < 1e-3 {
+                    break None;
+                }
+            };
+            let Some((next, there, gained)) = better else { break };
+            (normal, point, apart) = (next, there, gained);
+            if square < 1e-32 {
+                break;
+            }
+        }
+        (normal, apart)
+    }
+
+    /// The step of Newton's method. On the unit sphere the slope
+    /// of n·w(n) is what of w is across n, and its bend minus both shapes' bends minus n·w.
+    fn newton(
+        &self,
+        normal: &V3<f64>,
+        point: &V3<f64>,
+        apart: f64,
+        edge: Option<&V3<f64>>,
+    ) -> Option<V3<f64>> {
+        let bend = |t: &V3<f64>| self.bend(normal, t);
+        if let Some(e) = edge {
+            let t = unit(&e.cross(normal));
+            let (g, h) = (t.dot(point), t.dot(&bend(&t)) + apart);
+            let step =
+                if h > 0.0 { g / h } else { g / (h.abs() + apart.abs()).max(f64::MIN_POSITIVE) };
+            return step.is_finite().then(|| t * step.clamp(-0.5, 0.5));
+        }
+        let (t, u) = across_both(normal);
+        let (bt, bu) = (bend(&t), bend(&u));
+        let (g, k) = (t.dot(point), u.dot(point));
+        let (tt, tu, uu) = (t.dot(&bt) + apart, t.dot(&bu), u.dot(&bu) + apart);
+        let det = tt * uu - tu * tu;
+        let step = if tt > 0.0 && det > 0.0 {
+            t * ((uu * g - tu * k) / det) + u * ((tt * k - tu * g) / det)
+        } else {
+            let scale = (tt.abs() + uu.abs() + apart.abs()).max(f64::MIN_POSITIVE);
+            (t * g + u * k) * (1.0 / scale)
+        };
+        let length = step.dot(&step).sqrt();
+        let step = if length > 0.5 { step * (0.5 / length) } else { step };
+        length.is_finite().then_some(step)
+    }
+}
+
+/// Edges at the corner furthest along a unit direction that are nearly across it: unit vectors.
+fn edges(solid: &Solid<f64>, rough: &V3<f64>, near: f64) -> ([V3<f64>; EDGES], usize) {
+    let mut list = [V3::zeros(); EDGES];
+    let mut count = 0;
+    let mut add = |edge: V3<f64>| {
+        if count < EDGES && edge.dot(rough).abs() <= near {
+            list[count] = edge;
+            count += 1;
+        }
+    };
+    match solid.core {
+        Core::Point | Core::Ellipsoid(_) => {}
+        Core::Segment(_) | Core::Cylinder(..) => add(solid.pose.axis(2)),
+        Core::Box(_) => (0..3).for_each(|i| add(solid.pose.axis(i))),
+        Core::Hull(_) | Core::Prism(_) => {
+            let corner = solid.support(rough).1;
+            let here = solid.corner(corner);
+            let mut k = 0;
+            while let Some(next) = solid.neighbour(corner, k) {
+                add(unit(&(solid.corner(next) - here)));
+                k += 1;
+            }
+        }
+    }
+    (list, count)
+}
