@@ -321,6 +321,8 @@ def mirrored(scene):
     for body in scene.bodies:
         body.pos, body.quat, body.ipos = body.pos * MIRROR, body.quat * TURNED, body.ipos * MIRROR
         body.inertia = np.array(body.inertia) * [1, 1, 1, -1, 1, -1]
+        if body.iquat is not None:
+            body.iquat = body.iquat * TURNED
     for joint in scene.joints:
         joint.pos = joint.pos * MIRROR
         joint.axis = joint.axis * (MIRROR if joint.type == "slide" else AXIAL)

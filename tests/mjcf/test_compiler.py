@@ -80,6 +80,12 @@ FUSING = {
     "of the world, held up": FUSED.format("", GM, "", "", "").replace(
         'name="W"', 'name="W" gravcomp=".5"'
     ),
+    "within a body of the world, held up": FUSED.format("", GM, "", "", "").replace(
+        '<body name="k3"', '<body name="V" gravcomp="1"><geom size=".2"/></body><body name="k3"'
+    ),
+    "held up alone, in a massless body": FUSED.format("", GM, 'gravcomp="1"', "", "").replace(
+        '<geom name="gs" type="box" size=".1 .2 .3"/>', ""
+    ),
     "kept by a camera": FUSED.format(
         "", GM + '<camera target="st" mode="targetbody"/>', "", "", ""
     ),

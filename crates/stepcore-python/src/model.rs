@@ -198,6 +198,7 @@ impl Model {
             m.bodies.iter().flat_map(|b| [b.ipos.x, b.ipos.y, b.ipos.z]).collect(),
             &[nbody, 3],
         )?;
+        add("body_iquat", m.bodies.iter().flat_map(|b| b.iquat).collect(), &[nbody, 4])?;
         add("body_invweight0", m.bodies.iter().flat_map(|b| b.invweight).collect(), &[nbody, 2])?;
         add("dof_invweight0", m.dofs.iter().map(|d| d.invweight).collect(), &[m.nv])?;
         add(

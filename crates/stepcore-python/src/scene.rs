@@ -117,7 +117,7 @@ impl Read for Target {
 }
 
 record!(Softness { solref, solimp });
-record!(Inertial { mass, pos, inertia });
+record!(Inertial { mass, pos, inertia, axes });
 record!(Body { name, parent, pos, quat, inertial, gravcomp, mocap });
 record!(Joint {
     name,

@@ -109,7 +109,12 @@ fn a_stack_by_sweeps() {
 #[test]
 fn a_pendulum_by_elliptic_functions() {
     let mut scene = Scene { gravity: [0.0, 0.0, -G], ..Scene::default() };
-    let inertial = stepcore::scene::Inertial { mass: 1.0, pos: [1.0, 0.0, 0.0], inertia: [0.0; 6] };
+    let inertial = stepcore::scene::Inertial {
+        mass: 1.0,
+        pos: [1.0, 0.0, 0.0],
+        inertia: [0.0; 6],
+        axes: None,
+    };
     scene.bodies.push(Body { inertial: Some(inertial), ..Body::default() });
     scene.joints.push(Joint { body: 1, axis: [0.0, -1.0, 0.0], ..Joint::default() });
     for (integrator, dt, tolerance) in [
@@ -132,7 +137,8 @@ fn a_free_body_keeps_energy_and_angular_momentum() {
     let mut scene = Scene { gravity: [0.0; 3], ..Scene::default() };
     let inertia =
         [0.808_333_333_333_333_3, 0.683_333_333_333_333_3, 0.141_666_666_666_666_67, 0.0, 0.0, 0.0];
-    let inertial = stepcore::scene::Inertial { mass: 10.0, pos: [0.1, -0.2, 0.3], inertia };
+    let inertial =
+        stepcore::scene::Inertial { mass: 10.0, pos: [0.1, -0.2, 0.3], inertia, axes: None };
     scene.bodies.push(Body { inertial: Some(inertial), ..Body::default() });
     scene.joints.push(Joint { body: 1, kind: JointType::Free, ..Joint::default() });
     let mut sim =

@@ -20,7 +20,7 @@ fn spring() -> Scene {
     let mass = body(&mut scene, 0, [0.0; 3]);
     joint(&mut scene, mass, JointType::Slide, [1.0, 0.0, 0.0]).stiffness[0] = 100.0;
     let inertia = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
-    scene.bodies[mass].inertial = Some(Inertial { mass: 1.0, pos: [0.0; 3], inertia });
+    scene.bodies[mass].inertial = Some(Inertial { mass: 1.0, pos: [0.0; 3], inertia, axes: None });
     scene
 }
 

@@ -309,6 +309,9 @@ class ModelData(ABC):
     qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")
     body_mass = ModelArray("Mass of each body [kg], shape (nbody,).")
     body_ipos = ModelArray("Centre of mass in the body's frame [m], shape (nbody, 3).")
+    body_iquat = ModelArray(
+        "Orientation of the principal axes of the inertia in the body's frame, shape (nbody, 4)."
+    )
     body_inertia = ModelArray(
         "Inertia about the centre of mass, in the body's axes [kg·m²], shape (nbody, 3, 3)."
     )

@@ -37,7 +37,7 @@ def align(world: WorldReader) -> None:
         shapes.setdefault(id(shape.geom.body), []).append(shape)
     for body in bodies:
         weight = known[id(body)]
-        quat = own_axes(world, body, shapes.get(id(body), []))
+        quat = _axes(world, body, shapes.get(id(body), []))
         if quat is None:
             quat = principal_axes(weight.inertia)[0]
         pose = (tuple(map(float, weight.ipos)), quat)
@@ -47,14 +47,15 @@ def align(world: WorldReader) -> None:
             back = _inverse(pose)
             own = weight.seen_from(*back)
             body.ipos, body.inertia = frames.ORIGIN, (*six(own.inertia)[:3], 0.0, 0.0, 0.0)
+            body.iquat = frames.IDENTITY
         body.pos, body.quat = frames.composed((body.pos, body.quat), *pose)
 
 
-def own_axes(world: WorldReader, body: Body, shapes: list[Shape]) -> Vec | None:
+def _axes(world: WorldReader, body: Body, shapes: list[Shape]) -> Vec | None:
     """The axes that the file itself gives an inertia: those of its element, or of an only geom."""
     rules = world.rules_of(body)
     if body.mass is not None and rules.inertiafromgeom is not True:
-        return world.inertial_axes.get(id(body))
+        return body.iquat
     low, high = rules.inertiagrouprange
     geoms = [shape.geom for shape in shapes if shape.heavy and low <= shape.geom.group <= high]
     # A mesh has axes of its own.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from stepcore.mjcf.expand.naming import references
-from stepcore.mjcf.masses import six, weights
+from stepcore.mjcf.masses import give, weights
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import below
 
@@ -38,9 +38,7 @@ def discard_visual(world: WorldReader, root: Node) -> None:
                 "discardvisual would change the inertia of the body, which inertiafromgeom takes "
                 "from its geoms"
             )
-        body, weight = shape.geom.body, known[id(shape.geom.body)]
-        x, y, z = map(float, weight.ipos)
-        body.mass, body.ipos, body.inertia = weight.mass, (x, y, z), six(weight.inertia)
+        give(shape.geom.body, known[id(shape.geom.body)])
     removed = {id(shape.geom) for shape in gone}
     if world.assets.drawn:
         world.only_drawn |= removed

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from stepcore.mjcf.expand.naming import references
-from stepcore.mjcf.masses import Weight, six, weights
+from stepcore.mjcf.masses import Weight, give, weights
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import below
 from stepcore.scene import frames
@@ -24,7 +24,7 @@ BOUNDS = ("boundmass", "boundinertia", "balanceinertia")
 
 
 def fuse(world: WorldReader, root: Node) -> None:
-    """Fuses the static bodies of the scene, the innermost first."""
+    """Fuses the static bodies of the scene: chosen from the world outwards, as in MuJoCo."""
     scene = world.scene
     jointed = {id(joint.body) for joint in scene.joints}
     named = _referred(root)
@@ -41,10 +41,16 @@ def fuse(world: WorldReader, root: Node) -> None:
         held.setdefault(id(body.parent), []).append(body)
     gone = set()
     moved: dict[int, int] = {}
-    for body in _innermost_first(scene.bodies):
+    order = _innermost_first(scene.bodies)
+    for body in reversed(order):
         kept = id(body) in jointed or id(body) in sites or (body.name and body.name in named)
-        if not kept and _may(world, body, known, fluid):
+        above = body.parent
+        while above is not None and id(above) in gone:
+            above = above.parent
+        if not kept and above is not None and _may(world, body, above, known, fluid):
             gone.add(id(body))
+    for body in order:
+        if id(body) in gone:
             _fuse(world, body, known, held)
     for elements in held.values():
         moved |= {id(element): place for place, element in enumerate(elements)}
@@ -83,16 +89,17 @@ def _sensed(root: Node) -> set[str]:
     } - {""}
 
 
-def _may(world: WorldReader, body: Body, known: dict[int, Weight], fluid: bool) -> bool:
-    """Whether the body's own attributes, and the fluid, let it be fused."""
+def _may(
+    world: WorldReader, body: Body, above: Body, known: dict[int, Weight], fluid: bool
+) -> bool:
+    """Whether the body's own attributes, and the fluid, let it be fused with one above it."""
     values = world.nodes[id(body)].values
     if values.get("mocap") or values.get("fuse") is False or "sleep" in values:
         return False
-    if known[id(body)].mass == 0.0 or body.parent is world.scene.world:
+    if known[id(body)].mass == 0.0 or above is world.scene.world:
         return True
-    parent = world.nodes.get(id(body.parent))
-    above = parent.values.get("gravcomp", 0.0) if parent is not None else 0.0
-    return not fluid and bool(values.get("gravcomp", 0.0) == above)
+    there = world.nodes[id(above)].values.get("gravcomp", 0.0)
+    return not fluid and bool(values.get("gravcomp", 0.0) == there)
 
 
 def _fuse(world: WorldReader, body: Body, known: dict[int, Weight], held: Held) -> None:
@@ -127,6 +134,4 @@ def _add_weight(world: WorldReader, body: Body, parent: Body, known: dict[int, W
             return
         node = world.nodes[id(body)]
         raise node.unbuilt("fusing bodies (fusestatic) with bounds of their inertia")
-    parent.mass, parent.inertia = both.mass, six(both.inertia)
-    x, y, z = both.ipos
-    parent.ipos = (float(x), float(y), float(z))
+    give(parent, both)

@@ -20,11 +20,15 @@ from stepcore.scene.plain import plain
 
 @dataclass(frozen=True)
 class Weight:
-    """A body's mass [kg], centre [m] and inertia about it [kg·m²], (3, 3), in the body's frame."""
+    """A body's mass [kg], centre [m] and inertia about it [kg·m²], (3, 3), in the body's frame.
+
+    iquat: its principal axes; None: not known.
+    """
 
     mass: float
     ipos: NDArray[np.float64]
     inertia: NDArray[np.float64]
+    iquat: Vec | None = None
 
     def seen_from(self, pos: Vec, quat: Vec) -> Weight:
         """The same in the frame in which the body has this pose."""
@@ -76,11 +80,18 @@ def weights_under(rules: MassRules, scene: Contents, bodies: Iterable[Body]) -> 
 def _weighed(layout: Layout) -> list[Weight]:
     """The weight of each body, in the order of the compiled model."""
     tables = _core.compile(plain(layout)).tables()
-    columns = (tables[f"body_{name}"] for name in ("mass", "ipos", "inertia"))
+    columns = (tables[f"body_{name}"] for name in ("mass", "ipos", "inertia", "iquat"))
     return [
-        Weight(float(mass), np.array(ipos), np.array(inertia))
-        for mass, ipos, inertia in zip(*columns, strict=True)
+        Weight(float(mass), np.array(ipos), np.array(inertia), tuple(map(float, iquat)))
+        for mass, ipos, inertia, iquat in zip(*columns, strict=True)
     ]
+
+
+def give(body: Body, weight: Weight) -> None:
+    """Makes this weight the body's own."""
+    body.mass, body.inertia, body.iquat = weight.mass, six(weight.inertia), weight.iquat
+    x, y, z = map(float, weight.ipos)
+    body.ipos = (x, y, z)
 
 
 def six(inertia: NDArray[np.float64]) -> Vec:

@@ -62,11 +62,6 @@ def _not_computed(world: WorldReader, node: Node) -> str:
         return "it needs a camera"
     if values.get("delay", 0) > 0 or any(values.get("interval", ())):
         return "readings that are late or rare (delay, interval) are not computed"
-    for prefix, turned in (("obj", node.tag in TURNED), ("ref", True)):
-        if turned and values.get(f"{prefix}type") == "body":
-            body = world.scene.body(values.get(f"{prefix}name", ""))
-            if body.mass is not None:
-                return "the axes of a body's own inertial frame are not kept"
     if node.tag == "actuatorvel" and world.scene.actuator(values["actuator"]).body is not None:
         return ADHERES
     read = node.tag in ("actuatorpos", "actuatorvel", "actuatorfrc")

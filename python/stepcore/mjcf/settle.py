@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from stepcore.mjcf.align import own_axes
-from stepcore.mjcf.masses import Weight, six, weights_under
+from stepcore.mjcf.masses import Weight, give, weights_under
 from stepcore.scene.elements import Body, MassRules
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
-    from stepcore.mjcf.worldbody import Shape, WorldReader
+    from stepcore.mjcf.worldbody import WorldReader
 
 NOTE = (
     "an attached model makes masses by other rules (<compiler>): bodies have the masses that their "
@@ -37,9 +36,6 @@ def settle_masses(world: WorldReader) -> None:
     kept = scene.mass_rules
     if kept.inertiafromgeom is True or kept.boundmass > 0 or kept.boundinertia > 0:
         kept = MassRules(settotalmass=kept.settotalmass)
-    shapes: dict[int, list[Shape]] = {}
-    for shape in world.shapes:
-        shapes.setdefault(id(shape.geom.body), []).append(shape)
     settled = False
     for rules, bodies in groups.values():
         if _words(rules) == _words(kept):
@@ -49,12 +45,7 @@ def settle_masses(world: WorldReader) -> None:
             if _same(known[id(body)], kept, world, body):
                 continue
             settled = True
-            axes = own_axes(world, body, shapes.get(id(body), []))
-            if axes is not None:
-                world.inertial_axes[id(body)] = axes
-            weight = known[id(body)]
-            x, y, z = map(float, weight.ipos)
-            body.mass, body.ipos, body.inertia = weight.mass, (x, y, z), six(weight.inertia)
+            give(body, known[id(body)])
     scene.mass_rules = kept
     world.settled = True
     if settled:

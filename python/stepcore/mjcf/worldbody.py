@@ -86,9 +86,7 @@ class WorldReader:
         # Geoms that only draw, where they are kept to be drawn (`Assets.drawn`).
         self.only_drawn: set[int] = set()
         self.with_inertial: set[int] = set()
-        # The axes of inertias that are given by moments about them, by body; free joints whose
-        # bodies are to be aligned with their inertia.
-        self.inertial_axes: dict[int, Vec] = {}
+        # Free joints whose bodies are to be aligned with their inertia.
         self.aligned: set[int] = set()
         # Groups of actuators that are left out.
         self.disabled_groups: frozenset[int] = frozenset()
@@ -188,8 +186,10 @@ class WorldReader:
         place.body.ipos, turn = self._pose(node, values, place)
         inertia = values.get("fullinertia")
         if inertia is None:
-            self.inertial_axes[id(place.body)] = turn
-            inertia = (*values.get("diaginertia", frames.ORIGIN), 0.0, 0.0, 0.0)
+            xx, yy, zz = values.get("diaginertia", frames.ORIGIN)
+            # Axes that are found put the largest moment first.
+            place.body.iquat = None if turn == frames.IDENTITY and xx >= yy >= zz else turn
+            inertia = (xx, yy, zz, 0.0, 0.0, 0.0)
         place.body.inertia = frames.turned_inertia(turn, inertia)
         place.body.mass = values["mass"]
 

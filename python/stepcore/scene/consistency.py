@@ -32,8 +32,8 @@ def check(layout: Layout) -> None:
     if (world.pos, world.quat) != (ORIGIN, IDENTITY) or id(world) in layout.joints_of:
         raise ValueError("the world cannot move: it has no pos, no quat and no joint")
     for body in layout.bodies[1:]:
-        if body.mass is None and any((*body.inertia, *body.ipos)):
-            raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
+        if body.mass is None and (any((*body.inertia, *body.ipos)) or body.iquat is not None):
+            raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
         if body.mocap and (body.parent is not world or id(body) in layout.joints_of):
             limit = "a child of the world without joints"
             raise checks.refuse(body, "mocap", True, f"False, or {limit}")

@@ -69,6 +69,7 @@ class Contents(Holdings):
         mass: float | None = None,
         inertia: Vector | None = None,
         ipos: Vector | None = None,
+        iquat: Vector | None = None,
         gravcomp: float = 0.0,
         mocap: bool = False,
     ) -> Body:
@@ -81,6 +82,7 @@ class Contents(Holdings):
         ipos: centre of mass in the body's frame [m].
         inertia: about the centre of mass, in body axes [kg·m²]: xx yy zz, or xx yy zz xy xz yz.
             A mass without an inertia is a point mass.
+        iquat: orientation of the principal axes of the inertia; without it they are found.
         gravcomp: share of its weight that a force at its centre of mass holds up.
         mocap: True for a body whose pose is an input.
         """
@@ -89,10 +91,12 @@ class Contents(Holdings):
             fields["inertia"] = inertia
         if ipos is not None:
             fields["ipos"] = ipos
+        if iquat is not None:
+            fields["iquat"] = iquat
         given = len(fields) > 4
         body = Body(parent=self.body(parent), gravcomp=gravcomp, mocap=mocap, **fields)
         if mass is None and given:
-            raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
+            raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
         return self._append(self.bodies, body)
 
     def add_joint(

@@ -208,6 +208,7 @@ def _body(body: Body, index: dict[int, int]) -> dict[str, Any]:
     inertial = None
     if body.mass is not None:
         inertial = {"mass": body.mass, "pos": list(body.ipos), "inertia": list(body.inertia)}
+        inertial["axes"] = None if body.iquat is None else list(body.iquat)
     return {
         "name": body.name,
         "parent": 0 if body.parent is None else index[id(body.parent)],

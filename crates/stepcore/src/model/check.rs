@@ -229,6 +229,9 @@ fn inertial(e: &Subject, x: &Inertial) -> Result<()> {
     e.not_negative("inertial mass", x.mass)?;
     e.finite("inertial pos", &x.pos)?;
     e.finite("inertial inertia", &x.inertia)?;
+    if let Some(axes) = &x.axes {
+        e.direction("inertial axes", axes)?;
+    }
     for i in 0..3 {
         e.not_negative(&format!("inertial inertia[{i}]"), x.inertia[i])?;
     }

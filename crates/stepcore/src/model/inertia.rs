@@ -14,6 +14,8 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 /// over the third, is rounding.
 const ROUNDING: f64 = 1e-15;
 const TRIANGLE: f64 = 1e-10;
+/// The same of what is left off the diagonal in axes that are given as principal.
+const GIVEN: f64 = 1e-9;
 /// Two frames closer than this (radians; parts of the body's size) are one, as in MuJoCo.
 const SAME_FRAME: f64 = 1e-6;
 
@@ -31,7 +33,7 @@ struct Load {
 /// The principal axes of a body's inertia.
 #[derive(Clone, Copy, Debug)]
 pub enum Axes {
-    /// Those of its only geom, or of the inertia before a rule changed it.
+    /// Those of its only geom, those that were given, or of the inertia before a rule changed it.
     Own([f64; 4]),
     /// To be found from the matrix.
     Found,
@@ -134,7 +136,8 @@ fn given(scene: &Scene, body: usize) -> Option<Load> {
     let [xx, yy, zz, xy, xz, yz] = x.inertia;
     let (ipos, inertia) = (Vector3::from(x.pos), Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
     let aligned = (x.mass == 0.0 || centred(x.mass, &ipos, &inertia)) && diagonal(&inertia);
-    Some(Load { mass: x.mass, ipos, inertia, aligned, axes: Axes::Found })
+    let axes = x.axes.map_or(Axes::Found, |quat| Axes::Own(unit_quat(quat)));
+    Some(Load { mass: x.mass, ipos, inertia, aligned, axes })
 }
 
 /// A body that weighs nothing. MuJoCo then reads the body's own pos and quat as
@@ -148,6 +151,19 @@ fn nothing(scene: &Scene, body: usize) -> Load {
 
 fn same_frame(offset: &Vector3<f64>, quat: [f64; 4], size: f64) -> bool {
     offset.amax() <= SAME_FRAME * size && quat[1..].iter().all(|x| x.abs() < SAME_FRAME)
+}
+
+/// Axes that are given are principal.
+fn principal(element: &Text, load: &Load) -> Result<()> {
+    let Axes::Own(quat) = load.axes else { return Ok(()) };
+    let seen = seen_from(quat, &load.inertia);
+    if (seen[(0, 1)].abs().max(seen[(0, 2)].abs()).max(seen[(1, 2)].abs())) <= GIVEN * seen.trace()
+    {
+        return Ok(());
+    }
+    let [w, x, y, z] = quat;
+    let limit = "the principal axes of the inertia";
+    Err(Error::value(text![element, " iquat"], format!("[{w}, {x}, {y}, {z}]"), limit))
 }
 
 /// No rule for masses mends a negative moment, nor, as in MuJoCo, a full matrix without one.
@@ -214,6 +230,7 @@ pub fn weigh(scene: &Scene, assets: &[Asset], model: &mut Model) -> Result<(Vec<
             _ => from_geoms(scene, assets, &geoms[i]),
         };
         loads[i] = counted.or_else(|| given(scene, i)).unwrap_or_else(|| nothing(scene, i));
+        principal(&Text::label(Kind::Body, &scene.bodies[i].name, i), &loads[i])?;
         apply_rules(scene, i, &mut loads[i])?;
     }
     let total: f64 = loads.iter().map(|x| x.mass).sum();

@@ -9,6 +9,8 @@ pub struct Inertial {
     pub pos: [f64; 3],
     /// xx, yy, zz, xy, xz, yz [kg·m²].
     pub inertia: [f64; 6],
+    /// The principal axes (w x y z, in body axes), which equal moments leave open; None finds them.
+    pub axes: Option<[f64; 4]>,
 }
 
 /// A rigid body, fixed to its parent but for its joints.

@@ -147,8 +147,12 @@ pub fn heap() -> Scene {
     limb(&mut scene, lower, [0.0; 3], [0.2, 0.0, -0.1], 0.03);
     let slider = body(&mut scene, 0, [0.05, 0.0, 0.4]);
     joint(&mut scene, slider, JointType::Slide, [1.0, 0.0, 0.0]).frictionloss = 0.4;
-    scene.bodies[slider].inertial =
-        Some(Inertial { mass: 0.3, pos: [0.0; 3], inertia: [0.01, 0.01, 0.01, 0.0, 0.0, 0.0] });
+    scene.bodies[slider].inertial = Some(Inertial {
+        mass: 0.3,
+        pos: [0.0; 3],
+        inertia: [0.01, 0.01, 0.01, 0.0, 0.0, 0.0],
+        axes: None,
+    });
     scene.equalities.push(Equality {
         name: "tie".into(),
         kind: EqualityType::Connect,

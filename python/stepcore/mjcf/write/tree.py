@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 from stepcore.mjcf.nodes import DEPTH
 from stepcore.mjcf.write.names import Names
 from stepcore.mjcf.write.tags import Tag, changed
+from stepcore.scene import frames
 from stepcore.scene.elements import Body, Geom, Joint, Site
 from stepcore.scene.elements.site import SITE_SIZE
+from stepcore.scene.frames import Vec
 from stepcore.scene.layout import SIZES, Layout
 
 # MuJoCo's grey with opacity 0.
@@ -41,13 +46,51 @@ def _before_bodies(tag: Tag, inner: Tag) -> None:
 
 
 def _body(body: Body, names: Names) -> Tag:
-    placed = changed(body, "name", "parent", "mass", "ipos", "inertia")
+    placed = changed(body, "name", "parent", "mass", "ipos", "inertia", "iquat")
     tag = Tag("body", **names.attribute(body), **placed)
     if body.mass is not None:
-        inertia = body.inertia
-        about = {"fullinertia": inertia} if any(inertia[3:]) else {"diaginertia": inertia[:3]}
-        tag.add(Tag("inertial", pos=body.ipos, mass=body.mass, **about))
+        tag.add(Tag("inertial", pos=body.ipos, mass=body.mass, **_inertia(body)))
     return tag
+
+
+def _inertia(body: Body) -> dict[str, Vec]:
+    inertia = body.inertia
+    if body.iquat is not None:
+        turn = {} if body.iquat == frames.IDENTITY else {"quat": body.iquat}
+        return {**turn, "diaginertia": _moments(body.iquat, inertia)}
+    # Axes that are found put the largest moment first; three moments of a file are as they stand.
+    falling = inertia[0] >= inertia[1] >= inertia[2]
+    diagonal = not any(inertia[3:]) and (falling or min(inertia[:3]) == 0.0)
+    return {"diaginertia": inertia[:3]} if diagonal else {"fullinertia": inertia}
+
+
+def _moments(quat: Vec, inertia: Vec) -> Vec:
+    """The moments about principal axes, by which a reader finds these very bits, if any do."""
+    if quat == frames.IDENTITY:
+        return inertia[:3]
+    w, x, y, z = quat
+    found: Vec = (0.0, 0.0, 0.0)
+    # Twice: the quaternion has its length only to rounding.
+    for _ in range(2):
+        seen = frames.turned_inertia(quat, (*found, 0.0, 0.0, 0.0))
+        missing = [one - two for one, two in zip(inertia, seen, strict=True)]
+        more = frames.turned_inertia((w, -x, -y, -z), missing)
+        found = tuple(one + two for one, two in zip(found, more[:3], strict=True))
+    for moments in itertools.product(*map(_neighbours, found)):
+        if frames.turned_inertia(quat, (*moments, 0.0, 0.0, 0.0)) == inertia:
+            return moments
+    return found
+
+
+def _neighbours(x: float) -> list[float]:
+    """The number and those within two roundings of it."""
+    found = [x]
+    for end in (math.inf, -math.inf):
+        one = x
+        for _ in range(2):
+            one = math.nextafter(one, end)
+            found.append(one)
+    return found
 
 
 def _joint(joint: Joint, names: Names) -> Tag:

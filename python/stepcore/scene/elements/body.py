@@ -8,7 +8,7 @@ from typing import Annotated
 from stepcore import checks
 from stepcore.scene.element import Element
 from stepcore.scene.elements.field_types import Flag, Inertia, Mass, Quat, Real, Text, Vec3
-from stepcore.scene.frames import IDENTITY, ORIGIN
+from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -23,6 +23,9 @@ class Body(Element):
     ipos: centre of mass in the body's frame [m], shape (3,).
     inertia: about the centre of mass, in body axes [kg·m²], shape (6,): xx yy zz xy xz yz. Three
         numbers give a diagonal.
+    iquat: orientation of the principal axes of that inertia in the body's frame, shape (4,); None
+        finds them from it. It matters where moments are equal: a fluid drags a body by its axes
+        (``density``), and sensors of frames of type "body" turn with them.
     gravcomp: share of its weight that a force at its centre of mass holds up; 1 floats.
     mocap: True for a body whose pose is an input (`Sim.mocap_pos`, `Sim.mocap_quat`): a child of
         the world without joints, that stands still in every step, and holds what is welded to it.
@@ -35,6 +38,7 @@ class Body(Element):
     mass: Mass = None
     ipos: Vec3 = ORIGIN
     inertia: Inertia = (0.0,) * 6
+    iquat: Annotated[Vec | None, checks.optional(checks.unit(4))] = None
     gravcomp: Real = 0.0
     mocap: Flag = False
 

@@ -108,7 +108,8 @@ fn powers_of_two_scale_the_weights_bit_for_bit() {
 
 #[test]
 fn rules_about_masses() {
-    let given = Inertial { mass: 2.0, pos: [0.0; 3], inertia: [1.0, 1.0, 3.0, 0.0, 0.0, 0.0] };
+    let given =
+        Inertial { mass: 2.0, pos: [0.0; 3], inertia: [1.0, 1.0, 3.0, 0.0, 0.0, 0.0], axes: None };
     let mut b = Build::new().body(0, &[free()], &[ball()]);
     b.0.bodies[1].inertial = Some(given);
     assert!(b.error().to_string().contains("sum of the others"));
