@@ -155,10 +155,12 @@ def test_a_start_begins_the_curves_anew():
 def test_runs_are_gone_through_together():
     one, other = cheetah(), cheetah()
     other.qpos[0] += 0.3
-    runs = live.several([one.run(0.5), other.run(0.5)], ["first", "second"])
+    runs = live.several([one.run(0.5), other.run(0.5)], ["<first>", "second"])
     with live.view_runs(runs, port=PORT) as view, view._panel.lock:
         panel = view._panel
         panel.play(False)
+        assert "&lt;first&gt;: in its own colours" in panel._legend()
+        assert re.search(r'color:#f2731a">■</span> second', panel._legend())
         panel.now = 0.0
         panel.step()
         assert panel.now == pytest.approx(runs[0].time[1])

@@ -6,6 +6,7 @@ import threading
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Sequence
+from html import escape
 from time import monotonic
 from typing import Any
 
@@ -99,7 +100,7 @@ class Panel(ABC):
         newtons, length = self.stage.newtons, ARROW * self.stage.extent
         rows = [*rows, ("arrow of " + f"{newtons:.3g} N", f"{length:.3g} m")]
         lines = "".join(
-            f'<tr><td>{name}</td><td style="text-align:right">{value}</td></tr>'
+            f'<tr><td>{escape(name)}</td><td style="text-align:right">{escape(value)}</td></tr>'
             for name, value in rows
         )
         style = "width:calc(100% - 1.3em);margin:0 0.65em;font-size:0.8em;"
@@ -135,6 +136,11 @@ def figures_of(instant: Instant) -> list[tuple[str, str]]:
         ("contacts that bear", f"{len(instant.places)}"),
         ("residual", f"{instant.residual:.1e} m/s"),
     ]
+
+
+def tint_of(k: int) -> str:
+    """The colour of the run that is laid over the first as number k, as pages write it."""
+    return "#" + "".join(f"{round(255 * c):02x}" for c in TINTS[k % len(TINTS)])
 
 
 class SimPanel(Panel):
@@ -286,8 +292,10 @@ class RunPanel(Panel):
     """Goes through recorded runs, which are laid over each other."""
 
     def __init__(self, server: Any, runs: Sequence[Replayed]) -> None:
-        super().__init__(server, Stage(server, [run.drawing for run in runs]))
         self.runs = runs
+        if len(runs) > 1:
+            server.gui.add_html(self._legend())
+        super().__init__(server, Stage(server, [run.drawing for run in runs]))
         self.gaps = [distance(runs[0], run) for run in runs[1:]]
         self.times = [run.time for run in runs]
         self.begin, self.end = float(self.times[0][0]), max(float(t[-1]) for t in self.times)
@@ -314,12 +322,18 @@ class RunPanel(Panel):
         """The plot of the distances of the others from the first run."""
         if not self.gaps:
             return None
-        colours = ["#" + "".join(f"{round(255 * c):02x}" for c in tint) for tint in TINTS]
-        names = [
-            (run.label or "the other", colours[k % len(colours)])
+        names = [(run.label or "the other", tint_of(k)) for k, run in enumerate(self.runs[1:])]
+        return Curves(self.gui, "distance [mm]", names, span=(self.begin, self.end))
+
+    def _legend(self) -> str:
+        """Which run is which."""
+        first = self.runs[0].label or "run 1"
+        lines = [f"{escape(first)}: in its own colours"]
+        lines += [
+            f'<span style="color:{tint_of(k)}">■</span> {escape(run.label or f"run {k + 2}")}'
             for k, run in enumerate(self.runs[1:])
         ]
-        return Curves(self.gui, "distance [mm]", names, span=(self.begin, self.end))
+        return f'<div style="margin:0 0.65em;font-size:0.8em">{"<br>".join(lines)}</div>'
 
     def _go(self, event: Any) -> None:
         if getattr(event, "client_id", None) is not None:
