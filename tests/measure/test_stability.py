@@ -251,8 +251,15 @@ def test_text_data_and_picture(tmp_path):
     # ω = 316/s: 100 ms is beyond 2/ω and 2√2/ω; at 1 ms only rk4 is accurate.
     marks = {p.label: "".join(SYMBOLS[cell.state] for cell in p.at(1e5)) for p in found.panels}
     assert marks["semi-implicit"] == "·oX" and marks["rk4"] == "··X"
-    printed = [line.split() for line in text.splitlines() if line.startswith("1e+05")]
-    assert [line[1] for line in printed] == list(marks.values())
+
+    def printed(text):
+        return [line.split()[1] for line in text.splitlines() if line.startswith("1e+05")]
+
+    assert printed(found.text(full=True)) == list(marks.values())
+    # A screen has the map of the scene's integrator, and says what it leaves out.
+    assert printed(text) == [marks["semi-implicit"]]
+    assert found.sentences[0].startswith("semi-implicit: of 6 runs, ")
+    assert "Not shown: the maps of 7 other settings (--all" in " ".join(text.split())
     data = json.loads(found.to_json())
     assert len(data["rows"]) == 8 * 2 * 3 and data["units"]["dt"] == "s"
     assert {"setting", "value", "dt", "state", "error", "theory"} <= set(data["rows"][0])

@@ -115,9 +115,9 @@ class StabilityMap(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """How many runs of each setting are finite, inaccurate and exploded."""
+        """How many runs of each setting are finite, inaccurate and exploded; the scene's first."""
         sentences = []
-        for panel in self.panels:
+        for panel in sorted(self.panels, key=lambda panel: panel is not self._first):
             count = Counter(cell.state for cell in panel.cells)
             states = ", ".join(f"{count[state]} {state}" for state in SYMBOLS if count[state])
             sentences.append(f"{panel.label}: of {counted(len(panel.cells), 'run')}, {states}.")
@@ -148,8 +148,19 @@ class StabilityMap(Result):
             }
 
     def tables(self, full: bool) -> list[Table]:
-        """The panels: one row for each value, one mark for each dt."""
-        return [self._table(panel) for panel in self.panels]
+        """The panels: one row for each value, one mark for each dt; not `full`: one panel."""
+        if full or len(self.panels) == 1:
+            return [self._table(panel) for panel in self.panels]
+        table = self._table(self._first)
+        left = counted(len(self.panels) - 1, "other setting")
+        table.legend = f"Not shown: the maps of {left} (--all, or text(full=True))."
+        return [table]
+
+    @property
+    def _first(self) -> MapPanel:
+        """The panel of the scene's integrator, or the first."""
+        own = (panel for panel in self.panels if panel.label == self.settings.integrator)
+        return next(own, self.panels[0])
 
     def _table(self, panel: MapPanel) -> Table:
         across = f"dt {seconds(self.dts[0])} to {seconds(self.dts[-1])}"
