@@ -1,56 +1,89 @@
-//! What rows of free bodies add to the Hessian, straight from their y: Σ y s″ yᵀ.
+//! What rows of free bodies add to the Hessian, Σ y s″ yᵀ: blocks of six by six, two lines at a time.
 
 use crate::real::{Mask, Real};
 
 /// Dofs of a free body.
-const FREE: usize = 6;
+pub(super) const FREE: usize = 6;
 
-/// Intervals on the same dofs and their curvature s″; rows at a bound have none.
+/// What rows add to the lines m and m + 1 of a block.
+pub(super) trait Lines<R: Real> {
+    /// Calls `add` for every row that bends: with s″ y of these two dofs, and y from the six dofs of
+    /// the columns on.
+    fn each(&self, m: usize, add: impl FnMut([R; 2], &[R]));
+}
+
+/// target += Σ s″ y yᵀ between two bodies.
+#[inline(always)]
+pub(super) fn add_outer<R: Real>(target: &mut [R], lines: &impl Lines<R>) {
+    for m in [0, 2, 4] {
+        add_lines::<R, FREE>(target, m, lines);
+    }
+}
+
+/// The same of a body with itself: entries on the diagonal and above, by pairs of lines.
+#[inline(always)]
+pub(super) fn add_upper<R: Real>(target: &mut [R], lines: &impl Lines<R>) {
+    add_lines::<R, 6>(target, 0, lines);
+    add_lines::<R, 4>(target, 2, lines);
+    add_lines::<R, 2>(target, 4, lines);
+}
+
+/// Lines m and m + 1, in the last N columns.
+#[inline(always)]
+fn add_lines<R: Real, const N: usize>(target: &mut [R], m: usize, lines: &impl Lines<R>) {
+    let from = FREE - N;
+    let (mut one, mut two) = ([R::zero(); N], [R::zero(); N]);
+    one.copy_from_slice(&target[m * FREE + from..][..N]);
+    two.copy_from_slice(&target[(m + 1) * FREE + from..][..N]);
+    lines.each(m, |[p, q], theirs| {
+        let theirs = &theirs[from..from + N];
+        for a in 0..N {
+            one[a] += p * theirs[a];
+        }
+        for a in 0..N {
+            two[a] += q * theirs[a];
+        }
+    });
+    target[m * FREE + from..][..N].copy_from_slice(&one);
+    target[(m + 1) * FREE + from..][..N].copy_from_slice(&two);
+}
+
+/// Intervals on the same dofs: rows at a bound have no curvature.
 pub(super) struct Bent<'a, R: Real> {
     /// Row after row, `len` numbers each.
     pub y: &'a [R],
     pub len: usize,
+    /// s″.
     pub curve: &'a [R],
+    /// Where the dofs of the lines begin in a row, and those of the columns.
+    pub starts: [usize; 2],
 }
 
-impl<R: Real> Bent<'_, R> {
-    /// target += Σ y s″ yᵀ between two bodies, whose parts of a row begin at `starts`.
+impl<R: Real> Lines<R> for Bent<'_, R> {
     #[inline(always)]
-    pub fn add_outer(&self, target: &mut [R], starts: [usize; 2]) {
-        for m in [0, 2, 4] {
-            self.add_lines::<FREE>(target, m, starts);
-        }
-    }
-
-    /// The same of a body with itself: entries on the diagonal and above, by pairs of lines.
-    #[inline(always)]
-    pub fn add_upper(&self, target: &mut [R], start: usize) {
-        self.add_lines::<6>(target, 0, [start; 2]);
-        self.add_lines::<4>(target, 2, [start; 2]);
-        self.add_lines::<2>(target, 4, [start; 2]);
-    }
-
-    /// Lines m and m + 1, in the last N columns.
-    #[inline(always)]
-    fn add_lines<const N: usize>(&self, target: &mut [R], m: usize, [own, theirs]: [usize; 2]) {
-        let from = FREE - N;
-        let (mut one, mut two) = ([R::zero(); N], [R::zero(); N]);
-        one.copy_from_slice(&target[m * FREE + from..][..N]);
-        two.copy_from_slice(&target[(m + 1) * FREE + from..][..N]);
+    fn each(&self, m: usize, mut add: impl FnMut([R; 2], &[R])) {
+        let [own, theirs] = self.starts;
         for (y, curve) in self.y.chunks_exact(self.len).zip(self.curve) {
             if curve.gt(R::zero()).none() {
                 continue;
             }
-            let (own, theirs) = (&y[own + m..][..2], &y[theirs + from..][..N]);
-            let (p, q) = (*curve * own[0], *curve * own[1]);
-            for a in 0..N {
-                one[a] += p * theirs[a];
-            }
-            for a in 0..N {
-                two[a] += q * theirs[a];
-            }
+            let own = &y[own + m..][..2];
+            add([*curve * own[0], *curve * own[1]], &y[theirs..]);
         }
-        target[m * FREE + from..][..N].copy_from_slice(&one);
-        target[(m + 1) * FREE + from..][..N].copy_from_slice(&two);
+    }
+}
+
+/// Rows whose s″ y are at hand, six numbers each as their y.
+pub(super) struct Scaled<'a, R: Real> {
+    pub own: &'a [R],
+    pub theirs: &'a [R],
+}
+
+impl<R: Real> Lines<R> for Scaled<'_, R> {
+    #[inline(always)]
+    fn each(&self, m: usize, mut add: impl FnMut([R; 2], &[R])) {
+        for (own, theirs) in self.own.chunks_exact(FREE).zip(self.theirs.chunks_exact(FREE)) {
+            add([own[m], own[m + 1]], theirs);
+        }
     }
 }

@@ -11,14 +11,11 @@
 //! loops have constant lengths; no sum is split, so the bits are the same however they are
 //! vectorised.
 
-use super::bent::Bent;
+use super::bent::{add_outer, add_upper, Bent, Scaled, FREE};
 use super::bundles::Bundles;
 use super::nodes::{Meeting, Member, Nodes};
 use crate::real::{Mask, Real};
 use crate::room::room;
-
-/// Dofs of a free body.
-const FREE: usize = 6;
 
 pub(super) struct Columns<R> {
     values: Vec<R>,
@@ -150,10 +147,11 @@ impl<R: Real> Columns<R> {
                 for row in &self.active {
                     self.theirs.extend_from_slice(&y[row + run..][..FREE]);
                 }
+                let lines = Scaled { own: &self.own, theirs: &self.theirs };
                 if member.node == own.node {
-                    upper(target, &self.own, &self.theirs);
+                    add_upper(target, &lines);
                 } else {
-                    outer(target, &self.own, &self.theirs);
+                    add_outer(target, &lines);
                 }
                 continue;
             }
@@ -178,17 +176,15 @@ impl<R: Real> Columns<R> {
         if run.cone.is_some() || !members.iter().all(free) {
             return false;
         }
-        let rows = Bent {
-            y: &curved.y[bundle.y..][..bundle.rows.len * bundle.dofs.len],
-            len: bundle.dofs.len,
-            curve: run.curve.of(curved.curve),
-        };
+        let y = &curved.y[bundle.y..][..bundle.rows.len * bundle.dofs.len];
+        let curve = run.curve.of(curved.curve);
+        let lines = |starts| Bent { y, len: bundle.dofs.len, curve, starts };
         let mut starts = members.iter().map(|member| (member.node, member.run.unwrap_or(0)));
         let Some((node, own)) = starts.next() else { return true };
         let block = |node: usize| self.place[node]..self.place[node] + FREE * FREE;
-        rows.add_upper(&mut self.values[block(node)], own);
+        add_upper(&mut self.values[block(node)], &lines([own, own]));
         for (node, theirs) in starts {
-            rows.add_outer(&mut self.values[block(node)], [own, theirs]);
+            add_outer(&mut self.values[block(node)], &lines([own, theirs]));
         }
         true
     }
@@ -395,46 +391,6 @@ fn factor_square<R: Real>(size: usize, square: &mut [R], d: &mut [R], inverse: &
             *x *= inverse[m];
         }
     }
-}
-
-/// target += Σ own theirsᵀ over rows of six.
-#[inline(always)]
-fn outer<R: Real>(target: &mut [R], own: &[R], theirs: &[R]) {
-    for m in [0, 2, 4] {
-        lines::<R, FREE>(target, m, own, theirs);
-    }
-}
-
-/// The same of a node with itself: entries on the diagonal and above, by pairs of lines.
-#[inline(always)]
-fn upper<R: Real>(target: &mut [R], own: &[R], theirs: &[R]) {
-    lines::<R, 6>(target, 0, own, theirs);
-    lines::<R, 4>(target, 2, own, theirs);
-    lines::<R, 2>(target, 4, own, theirs);
-}
-
-/// Lines m and m + 1, in the last N columns.
-#[inline(always)]
-fn lines<R: Real, const N: usize>(target: &mut [R], m: usize, own: &[R], theirs: &[R]) {
-    let from = FREE - N;
-    let (mut one, mut two) = ([R::zero(); N], [R::zero(); N]);
-    one.copy_from_slice(&target[m * FREE + from..][..N]);
-    two.copy_from_slice(&target[(m + 1) * FREE + from..][..N]);
-    for (own, theirs) in own.chunks_exact(FREE).zip(theirs.chunks_exact(FREE)) {
-        let (Some(own), Some(theirs)) = (own.first_chunk::<FREE>(), theirs.last_chunk::<N>())
-        else {
-            continue;
-        };
-        let (p, q) = (own[m], own[m + 1]);
-        for a in 0..N {
-            one[a] += p * theirs[a];
-        }
-        for a in 0..N {
-            two[a] += q * theirs[a];
-        }
-    }
-    target[m * FREE + from..][..N].copy_from_slice(&one);
-    target[(m + 1) * FREE + from..][..N].copy_from_slice(&two);
 }
 
 /// target[b] −= Σ scaled[m][b] source[m].
