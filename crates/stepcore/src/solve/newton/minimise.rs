@@ -21,11 +21,12 @@ const TRIALS: usize = 60;
 impl<R: Real> System<R> {
     /// The iteration. A lane leaves it when its gradient or its step is rounding, its
     /// residual is within the tolerance, or its last step was exact. Lanes that it had to
-    /// leave unfinished. `lightest`: the least mass of a block.
+    /// leave unfinished. `begun`: laws and slope, where they are at hand; `lightest`: the least mass
+    /// of a block.
     pub fn minimise(
         &mut self,
         problem: Problem<R>,
-        mut live: R::Mask,
+        (mut live, mut begun): (R::Mask, Option<(R, R)>),
         limits: Limits,
         (lightest, count): (R, Count),
         report: &mut Report<R>,
@@ -38,14 +39,19 @@ impl<R: Real> System<R> {
         let tiny = |factor: f64| R::of(factor * factor * R::epsilon() * R::epsilon());
         let bound = R::of(limits.tolerance * limits.tolerance) * lightest;
         for _ in 0..limits.sweeps {
-            let changed = self.laws(problem.bundles, live);
             self.moved = false;
-            self.fresh = self.fresh.and(changed.not());
-            live = live.and(full.and(changed.not()).not());
-            if live.none() {
-                break;
-            }
-            let (size, moved) = self.slope(problem);
+            let slope = if let Some(begun) = begun.take() {
+                begun
+            } else {
+                let changed = self.laws(problem.bundles, live);
+                self.fresh = self.fresh.and(changed.not());
+                live = live.and(full.and(changed.not()).not());
+                if live.none() {
+                    break;
+                }
+                self.slope(problem)
+            };
+            let (size, moved) = slope;
             // What is no number any more, as where a run explodes, no iteration makes one.
             live = live.and(size.lt(R::of(f64::INFINITY)));
             // |g| in D⁻¹ bounds the residual's energy, and the step that is left.
@@ -91,7 +97,7 @@ impl<R: Real> System<R> {
     }
 
     /// g = D(u − û) − Σ yλ; |g|² in D⁻¹, and |u − û|² in D.
-    fn slope(&mut self, problem: Problem<R>) -> (R, R) {
+    pub(super) fn slope(&mut self, problem: Problem<R>) -> (R, R) {
         let mut moved = R::zero();
         for (((g, u), guess), d) in
             self.gradient.iter_mut().zip(&self.u).zip(&self.guess).zip(&self.d)

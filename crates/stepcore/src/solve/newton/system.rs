@@ -62,8 +62,55 @@ impl<R: Real> System<R> {
     }
 
     /// Takes an island in, whose velocities are u; starts from these or from û, whichever costs
-    /// less.
-    pub fn start(&mut self, problem: Problem<R>, inv_d: &[R], guess: &[R], u: &[R]) {
+    /// less. Where it is u for sure, laws and slope are there at hand: what `slope` gives.
+    pub fn start(
+        &mut self,
+        problem: Problem<R>,
+        (inv_d, guess, u): (&[R], &[R], &[R]),
+        live: R::Mask,
+    ) -> Option<(R, R)> {
+        self.make_room(problem, (inv_d, guess, u));
+        self.find_slacks(problem);
+        if self.u == self.guess {
+            return None;
+        }
+        self.laws(problem.bundles, live);
+        let (size, moved) = self.slope(problem);
+        // The cost at û is at least cost + g·(û − u) + ½ |û − u|² in D: its first part bends by D, and
+        // no other bends down.
+        let mut rise = R::of(0.5) * moved;
+        for ((g, u), guess) in self.gradient.iter().zip(&self.u).zip(&self.guess) {
+            rise -= *g * (*u - *guess);
+        }
+        let sure = rise.gt(R::zero());
+        if sure.all() {
+            return Some((size, moved));
+        }
+        self.start_lower(problem, R::of(0.5) * moved, sure);
+        None
+    }
+
+    /// Goes from u, whose laws are at hand, to û where the cost there is less. ½ (u − û)ᵀD(u − û), the
+    /// first part of the cost, is `energy`; at û it is 0.
+    fn start_lower(&mut self, problem: Problem<R>, energy: R, sure: R::Mask) {
+        let bundles = problem.bundles;
+        let mut warm = energy;
+        for (i, (impulse, w)) in self.impulse.iter().zip(&self.w).enumerate() {
+            let cost = warm + penalty(*impulse, *w, bundles.c[i]);
+            warm = R::select(bundles.mask[i], cost, warm);
+        }
+        slacks(problem, &self.guess, &mut self.rate);
+        let warmer = sure.or(warm.le(penalties(bundles, &self.rate)));
+        for (u, guess) in self.u.iter_mut().zip(&self.guess) {
+            *u = R::select(warmer, *u, *guess);
+        }
+        for (w, cold) in self.w.iter_mut().zip(&self.rate) {
+            *w = R::select(warmer, *w, *cold);
+        }
+    }
+
+    /// Lists for an island.
+    fn make_room(&mut self, problem: Problem<R>, (inv_d, guess, u): (&[R], &[R], &[R])) {
         let dofs = problem.pattern.dofs();
         let take = |out: &mut Vec<R>, from: &[R]| {
             out.clear();
@@ -87,24 +134,6 @@ impl<R: Real> System<R> {
         }
         if problem.pattern.heap {
             self.columns.start(&problem.pattern.nodes);
-        }
-        slacks(problem, &self.guess, &mut self.w);
-        if self.u == self.guess {
-            return;
-        }
-        // ½ (u − û)ᵀD(u − û) + Σ s; the first part is 0 at û.
-        let mut warm = R::zero();
-        for ((u, guess), d) in self.u.iter().zip(&self.guess).zip(&self.d) {
-            warm += R::of(0.5) * *d * (*u - *guess) * (*u - *guess);
-        }
-        slacks(problem, &self.u, &mut self.rate);
-        let warm = penalties(problem.bundles, &self.rate, warm);
-        let warmer = warm.le(penalties(problem.bundles, &self.w, R::zero()));
-        for (u, guess) in self.u.iter_mut().zip(&self.guess) {
-            *u = R::select(warmer, *u, *guess);
-        }
-        for (w, warm) in self.w.iter_mut().zip(&self.rate) {
-            *w = R::select(warmer, *warm, *w);
         }
     }
 
@@ -194,14 +223,20 @@ fn slacks<R: Real>(problem: Problem<R>, u: &[R], out: &mut [R]) {
     }
 }
 
-/// cost + Σ s at w, where s = −λ (w + ½ c λ).
-fn penalties<R: Real>(bundles: &Bundles<R>, w: &[R], mut cost: R) -> R {
+/// s = −λ (w + ½ c λ).
+#[inline(always)]
+fn penalty<R: Real>(impulse: R, w: R, c: R) -> R {
+    -impulse * (w + R::of(0.5) * c * impulse)
+}
+
+/// Σ s at w.
+fn penalties<R: Real>(bundles: &Bundles<R>, w: &[R]) -> R {
+    let mut cost = R::zero();
     for run in &bundles.runs {
         let own = run.rows.range();
         let (c, mask, w) = (&bundles.c[own.clone()], &bundles.mask[own.clone()], &w[own.clone()]);
         let mut add = |i: usize, impulse: R| {
-            let s = -impulse * (w[i] + R::of(0.5) * c[i] * impulse);
-            cost = R::select(mask[i], cost + s, cost);
+            cost = R::select(mask[i], cost + penalty(impulse, w[i], c[i]), cost);
         };
         if let Some(cone) = run.cone {
             let impulse = bundles.cones[cone].law::<CONE>(padded(w)).0;

@@ -99,9 +99,9 @@ impl<R: Real> Worker<R> {
         bundles.take(present, rows);
         pattern.fit(free.dof_lists, rows.heap, &bundles.list, class);
         let problem = Problem { pattern, bundles, y: &rows.y };
-        system.start(problem, free.inv_d, free.guess, &rows.u);
+        let begun = system.start(problem, (free.inv_d, free.guess, &rows.u), live);
         let scale = (lightest(present, rows), row_count(rows, present));
-        let open = system.minimise(problem, live, limits, scale, report);
+        let open = system.minimise(problem, (live, begun), limits, scale, report);
         system.settle(problem, limits);
         report.open = report.open.or(open);
         report.decrement = report.decrement.max(R::select(live, system.decrement, R::zero()));
