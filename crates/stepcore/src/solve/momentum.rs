@@ -83,14 +83,15 @@ pub(super) struct Momentum<R: Real> {
     d: Vec<R>,
     /// By dof: already in `dofs`.
     seen: Vec<bool>,
-    /// Blocks by hash.
+    /// Blocks and their ranks, and the same by hash.
+    ranked: Vec<(u32, usize)>,
     hashed: Vec<(u64, usize)>,
     heaps: Vec<Heap>,
     /// The order of one sweep.
     visit: Vec<usize>,
 }
 
-room!(Momentum<R>: rows, dofs, d, seen, hashed, heaps, visit; moves, before, after);
+room!(Momentum<R>: rows, dofs, d, seen, ranked, hashed, heaps, visit; moves, before, after);
 
 impl<R> Point<R> {
     fn new() -> Self {
@@ -151,6 +152,7 @@ impl<R: Real> Momentum<R> {
             dofs: Vec::new(),
             d: Vec::new(),
             seen: Vec::new(),
+            ranked: Vec::new(),
             hashed: Vec::new(),
             heaps: Vec::new(),
             visit: Vec::new(),
@@ -161,11 +163,9 @@ impl<R: Real> Momentum<R> {
     pub fn begin(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, blocks: &[usize]) {
         self.rows.clear();
         self.dofs.clear();
-        self.hashed.clear();
         self.seen.resize(rows.u.len(), false);
         for at in blocks {
             let block = &rows.blocks[*at];
-            self.hashed.push((hash(u64::from(block.rank)), *at));
             self.rows.extend(block.rows.range());
             for row in &rows.rows[block.rows.range()] {
                 for k in row.dofs.of(dof_lists) {
@@ -183,15 +183,7 @@ impl<R: Real> Momentum<R> {
             self.seen[*k] = false;
             self.d.push(R::one() / inv_d[*k]);
         }
-        self.hashed.sort_unstable();
-        self.heaps.clear();
-        for (at, (hash, _)) in self.hashed.iter().enumerate() {
-            let hash = hash >> (64 - BITS);
-            match self.heaps.last_mut() {
-                Some(heap) if heap.hash == hash => heap.end = at + 1,
-                _ => self.heaps.push(Heap { hash, key: 0, start: at, end: at + 1 }),
-            }
-        }
+        self.deal(blocks.iter().map(|at| (rows.blocks[*at].rank, *at)));
         self.gram = [[R::zero(); DEPTH]; DEPTH];
         self.slopes = [R::zero(); DEPTH];
         self.errors = [R::zero(); DEPTH];
@@ -206,6 +198,27 @@ impl<R: Real> Momentum<R> {
         self.before.u.extend(self.dofs.iter().map(|k| rows.u[*k]));
         self.after.impulse.resize(rows_len, R::zero());
         self.after.u.resize(dofs_len, R::zero());
+    }
+
+    /// Deals blocks, given with their ranks, into heaps, unless they are those at hand.
+    fn deal(&mut self, ranked: impl Iterator<Item = (u32, usize)> + Clone) {
+        if ranked.clone().eq(self.ranked.iter().copied()) {
+            return;
+        }
+        self.ranked.clear();
+        self.ranked.extend(ranked);
+        self.hashed.clear();
+        let hashes = self.ranked.iter().map(|(rank, at)| (hash(u64::from(*rank)), *at));
+        self.hashed.extend(hashes);
+        self.hashed.sort_unstable();
+        self.heaps.clear();
+        for (at, (hash, _)) in self.hashed.iter().enumerate() {
+            let hash = hash >> (64 - BITS);
+            match self.heaps.last_mut() {
+                Some(heap) if heap.hash == hash => heap.end = at + 1,
+                _ => self.heaps.push(Heap { hash, key: 0, start: at, end: at + 1 }),
+            }
+        }
     }
 
     /// The order of a sweep: the heaps in a new order, each forwards or backwards.
