@@ -37,12 +37,16 @@ impl Constraint for Contacts {
         if rows.shares(now, makings.contacts.len()) {
             return rows.share_contacts(now, makings.contacts);
         }
-        for contact in &mut *makings.contacts {
-            let pair = &{ contact.pair };
-            match now.settings.law {
-                Law::SolRef => rows.soft_contact(now, contact, pair),
-                Law::Penalty => rows.penalty(now, contact, pair),
-                Law::Lesson | Law::Relaxed | Law::Rigid => {
+        match now.settings.law {
+            Law::SolRef => rows.soft_contacts(now, makings.contacts),
+            Law::Penalty => {
+                for contact in &*makings.contacts {
+                    rows.penalty(now, contact, &contact.pair);
+                }
+            }
+            Law::Lesson | Law::Relaxed | Law::Rigid => {
+                for contact in &mut *makings.contacts {
+                    let pair = &{ contact.pair };
                     rows.rigid_contact(now, contact, pair);
                 }
             }
@@ -133,25 +137,6 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// The edges of a contact between free bodies that slides along two tangents and no more, made
-    /// at once; false: nothing is made.
-    fn edges_at_once(
-        &mut self,
-        now: &Situation<R>,
-        contact: &Contact<R>,
-        pair: &Pair,
-        ways: &Ways,
-    ) -> bool {
-        let [one, two] = ways.list() else { return false };
-        if one.turns || two.turns || ways.still > 0 {
-            return false;
-        }
-        let axis = axes_of(contact, now);
-        let along = [contact.normal, axis(one), axis(two)];
-        let bodies = bodies(now.model, pair);
-        self.push_pyramid(now, (bodies, pair), &contact.points(), &along, R::of(ways.mu))
-    }
-
     fn least_softness(&self, first: usize, pair: &Pair) -> R {
         let rows = &self.rows[first..];
         if pair.invweight > 0.0 {
@@ -182,11 +167,11 @@ impl<R: Real> Rows<R> {
     }
 
     /// MuJoCo's contact: soft normal, convex friction.
-    pub(super) fn soft_contact(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
-        let (settings, dt) = (now.settings, R::of(now.settings.dt));
+    pub(super) fn soft_contact(&mut self, now: &Situation<R>, contact: &Contact<R>) {
+        let (settings, dt, pair) = (now.settings, R::of(now.settings.dt), &contact.pair);
         let material = now.model.material(pair);
         let mask = contact.mask.and(contact.dist.lt(R::of(material.reach())));
-        if mask.none() {
+        if mask.none() || self.pyramids(now, core::array::from_ref(contact)) {
             return;
         }
         let r = contact.dist - R::of(material.margin);
@@ -195,18 +180,6 @@ impl<R: Real> Rows<R> {
         let (weight, mu, impratio) = (pair.invweight, ways.slide, settings.impratio);
         let first = self.rows.len();
         let most = settings.max_recovery_speed.under(Law::SolRef);
-        let sticks = material.adhesion > 0.0;
-        let plain = settings.cone == Cone::Pyramidal && weight > 0.0 && most.is_none() && !sticks;
-        if plain && self.edges_at_once(now, contact, pair, &ways) {
-            return self.soften(
-                now,
-                contact,
-                pair,
-                (first, &ways),
-                (law, r, R::Mask::of(false), [R::zero(); 2]),
-                mask,
-            );
-        }
         self.rows_along(now, contact, pair, &ways, true);
         if let Some(most) = most {
             // The normal of a pyramid is its edges side by side, four with condim 3.
@@ -252,7 +225,7 @@ impl<R: Real> Rows<R> {
 
     /// Fills in the edges from `first` on, at the violation r. `unmoved`: nothing moves the normal,
     /// and its load has no end; [a, velocity]: of the normal, where contacts adhere.
-    fn soften(
+    pub(super) fn soften(
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
@@ -440,7 +413,7 @@ impl<R: Real> Rows<R> {
 }
 
 /// The axis of a way of friction, drawn out by its scale.
-fn axes_of<R: Real>(contact: &Contact<R>, now: &Situation<R>) -> impl Fn(&Way) -> V3<R> {
+pub(super) fn axes_of<R: Real>(contact: &Contact<R>, now: &Situation<R>) -> impl Fn(&Way) -> V3<R> {
     let (normal, tangents) = (contact.normal, contact.tangents(now.placed));
     move |way| {
         let axis = match way.axis {
@@ -455,7 +428,7 @@ fn axes_of<R: Real>(contact: &Contact<R>, now: &Situation<R>) -> impl Fn(&Way) -
     }
 }
 
-fn bodies(model: &Model, pair: &Pair) -> [usize; 2] {
+pub(super) fn bodies(model: &Model, pair: &Pair) -> [usize; 2] {
     [model.geoms[pair.geom1].body, model.geoms[pair.geom2].body]
 }
 

@@ -31,6 +31,7 @@ mod muscle;
 mod name;
 mod orientation;
 pub(crate) mod penalty;
+mod pyramids;
 mod shared_contacts;
 mod spring;
 mod sticky;

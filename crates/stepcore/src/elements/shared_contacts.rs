@@ -28,9 +28,8 @@ impl<R: Real> Rows<R> {
         pool.share(count, &|part| {
             let mut rows = lock(&parts[part]);
             rows.clear();
-            for contact in contacts.iter().skip(part * len).take(len) {
-                rows.soft_contact(now, contact, &contact.pair);
-            }
+            let own = contacts.chunks(len.max(1)).nth(part).unwrap_or(&[]);
+            rows.soft_contacts(now, own);
         });
         for part in &mut parts {
             self.append(inside(part));

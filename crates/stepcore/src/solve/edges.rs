@@ -1,14 +1,16 @@
-//! The edges of a contact between free bodies, whose pyramid is made at once.
+//! The edges of contacts between two free bodies, whose pyramids are made at once.
 //!
 //! Normal and tangents are lifted side by side, and each dof's entries of the four edges made of
-//! them, so that no way of friction is stored. The numbers are those of `push_relative` and
-//! `push_edges`, bit for bit.
+//! them, so that no way of friction is stored. Contacts of two bodies that have their directions in
+//! common, such as those of two boxes, are made number by number: an operation is on one number of
+//! each. The numbers are those of `push_relative` and `push_edges`, bit for bit.
 
-use super::relative::{all_free, Side, SIX};
+use super::relative::{is_free, SIX};
 use super::rows::{Rows, Situation};
 use super::suspect;
-use crate::model::Pair;
+use crate::model::{Pair, NONE};
 use crate::real::{Mask, Real};
+use crate::scene::JointType;
 use crate::spatial::V3;
 
 /// The normal and two tangents.
@@ -16,85 +18,190 @@ const WAYS: usize = 3;
 /// Two a tangent.
 const EDGES: usize = 4;
 
-/// A J M⁻¹ Jᵀ and J v of some rows, as their dofs are summed.
-struct Sums<R: Real> {
-    ways: [R; WAYS],
-    velocities: [R; WAYS],
-    edges: [R; EDGES],
+/// One of the two bodies of N contacts.
+struct Side<R: Real, const N: usize> {
+    /// Its first dof.
+    first: usize,
+    /// Where the contacts are, from the origin of its motion.
+    arm: [[R; N]; 3],
+    /// Which ways its motion counts.
+    along: [V3<R>; WAYS],
+}
+
+/// The edges of N contacts: where their y begin, and A = J M⁻¹ Jᵀ and J v of ways and edges.
+pub(crate) struct Pyramids<R: Real, const N: usize> {
+    y: usize,
+    ways: [[R; N]; WAYS],
+    velocities: [[R; N]; WAYS],
+    edges: [[R; N]; EDGES],
 }
 
 impl<R: Real> Rows<R> {
-    /// Pushes the edges J_n ± μ J_t of how two bodies' points `at` slide, `along` the normal and two
-    /// tangents. Pushes nothing and returns false where the bodies are not free, or where a way may
-    /// be rounding that is to be dropped, which is looked at row by row.
-    pub(crate) fn push_pyramid(
+    /// Makes the y of the edges J_n ± μ J_t of how two bodies' points `at` slide, `along` the normal
+    /// and two tangents. Makes nothing where the bodies are not free, or where a way may be
+    /// rounding that is to be dropped, which is looked at row by row.
+    pub(crate) fn lift_pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,
         (bodies, pair): ([usize; 2], &Pair),
-        at: &[V3<R>; 2],
+        at: &[[V3<R>; 2]; N],
         along: &[V3<R>; WAYS],
         mu: R,
-    ) -> bool {
-        let sides = [
-            Side::of(now, bodies[0], &at[0], along.map(|d| -d)),
-            Side::of(now, bodies[1], &at[1], *along),
-        ];
+    ) -> Option<Pyramids<R, N>> {
         let list = pair.dofs.of(now.dof_lists);
-        if !all_free(now.model, list, &sides) {
-            return false;
+        let sides = [side(now, bodies, 0, at, along)?, side(now, bodies, 1, at, along)?];
+        let count = sides.iter().flatten().count();
+        if now.model.couples || list.len() != count * SIX {
+            return None;
         }
-        let (start, len) = (self.y.len(), list.len());
-        self.y.resize(start + EDGES * len, R::zero());
-        let sums = edges(now, list, &sides, mu, &mut self.y[start..]);
-        if sums.ways.iter().any(|a| suspect(*a, pair.mass).any()) {
-            self.y.truncate(start);
-            return false;
+        let none = [R::zero(); N];
+        let mut made = Pyramids {
+            y: self.y.len(),
+            ways: [none; WAYS],
+            velocities: [none; WAYS],
+            edges: [none; EDGES],
+        };
+        let mut lines = [[[none; SIX]; EDGES]; 2];
+        for (lines, first) in lines.iter_mut().zip(list.iter().step_by(SIX)) {
+            let mine = sides.iter().flatten().find(|side| side.first == *first);
+            made.add(now, mine?, mu, lines);
         }
-        let [normal, tangents @ ..] = sums.velocities;
-        for (k, a) in sums.edges.into_iter().enumerate() {
+        if made.ways.iter().flatten().any(|a| suspect(*a, pair.mass).any()) {
+            return None;
+        }
+        self.y.resize(made.y + N * EDGES * list.len(), R::zero());
+        let rows = self.y[made.y..].chunks_exact_mut(list.len());
+        for (at, row) in rows.enumerate() {
+            let (c, i) = (at / EDGES, at % EDGES);
+            for (lines, out) in lines.iter().zip(row.chunks_exact_mut(SIX)) {
+                for k in 0..SIX {
+                    out[k] = lines[i][k][c];
+                }
+            }
+        }
+        Some(made)
+    }
+
+    /// Pushes the rows of one of the contacts.
+    pub(crate) fn push_pyramid<const N: usize>(
+        &mut self,
+        made: &Pyramids<R, N>,
+        which: usize,
+        pair: &Pair,
+        mu: R,
+    ) {
+        let start = made.y + which * EDGES * pair.dofs.len;
+        let [normal, tangents @ ..] = made.velocities.map(|way| way[which]);
+        for (k, a) in made.edges.iter().enumerate() {
             let by = mu * tangents[k / 2];
             let velocity = if k % 2 == 0 { normal + by } else { normal - by };
-            self.push_row(pair.dofs, start + k * len, a, velocity);
+            self.push_row(pair.dofs, start + k * pair.dofs.len, a[which], velocity);
         }
-        true
     }
 }
 
-/// y of the edges into `out`, one row after another.
+/// One of two bodies, if it is free, Some(None) if nothing moves it; else None.
 #[inline(always)]
-fn edges<R: Real>(
+fn side<R: Real, const N: usize>(
     now: &Situation<R>,
-    list: &[usize],
-    sides: &[Option<Side<R, WAYS>>; 2],
-    mu: R,
-    out: &mut [R],
-) -> Sums<R> {
-    let (zero, len) = (R::zero(), list.len());
-    let mut sums = Sums { ways: [zero; WAYS], velocities: [zero; WAYS], edges: [zero; EDGES] };
-    for from in (0..len).step_by(SIX) {
-        let first = list[from];
-        let Some(side) = sides.iter().flatten().find(|side| side.begins(first)) else { continue };
-        let mut x = side.of_six(now, first);
-        now.placed.metric.lift_six(first, &mut x);
-        let inv_d = &now.placed.metric.inv_d[first..first + SIX];
-        let u = &now.placed.u[first..first + SIX];
-        let mut lines = [[zero; SIX]; EDGES];
-        for k in 0..SIX {
-            let own = x[k];
-            let (p, q) = (mu * own[1], mu * own[2]);
-            let each = [own[0] + p, own[0] - p, own[0] + q, own[0] - q];
-            for i in 0..WAYS {
-                sums.ways[i] += own[i] * own[i] * inv_d[k];
-                sums.velocities[i] += own[i] * u[k];
-            }
-            for i in 0..EDGES {
-                sums.edges[i] += each[i] * each[i] * inv_d[k];
-                lines[i][k] = each[i];
-            }
-        }
-        for (i, line) in lines.iter().enumerate() {
-            out[i * len + from..][..SIX].copy_from_slice(line);
+    bodies: [usize; 2],
+    which: usize,
+    at: &[[V3<R>; 2]; N],
+    along: &[V3<R>; WAYS],
+) -> Option<Option<Side<R, N>>> {
+    let body = &now.model.bodies[bodies[which]];
+    if body.tree == NONE {
+        return Some(None);
+    }
+    let chain = body.chain.of(&now.model.dof_lists);
+    let first = *chain.first()?;
+    let joint = &now.model.joints[now.model.dofs[first].joint];
+    if joint.kind != JointType::Free || !is_free(now.model, chain) {
+        return None;
+    }
+    let origin = &now.placed.origin[body.tree];
+    let mut arm = [[R::zero(); N]; 3];
+    for c in 0..N {
+        for axis in 0..3 {
+            arm[axis][c] = at[c][which][axis] - origin[axis];
         }
     }
-    sums
+    let [n, a, b] = along;
+    let along = if which == 0 { [-n, -a, -b] } else { *along };
+    Some(Some(Side { first, arm, along }))
+}
+
+impl<R: Real, const N: usize> Side<R, N> {
+    /// J of a way by dof, which moves along the world's axes and turns about the body's. What is
+    /// left out is products with 0, which are added to numbers that are no −0.
+    #[inline(always)]
+    fn jacobian(&self, now: &Situation<R>, way: usize) -> [[R; N]; SIX] {
+        let (d, [x, y, z]) = (&self.along[way], &self.arm);
+        let mut torque = [[R::zero(); N]; 3];
+        for c in 0..N {
+            torque[0][c] = y[c] * d.z - z[c] * d.y;
+            torque[1][c] = z[c] * d.x - x[c] * d.z;
+            torque[2][c] = x[c] * d.y - y[c] * d.x;
+        }
+        let mut j = [[R::zero(); N]; SIX];
+        for k in 0..3 {
+            let axis = &now.placed.motion[self.first + 3 + k].ang;
+            for c in 0..N {
+                j[k][c] += d[k];
+                j[3 + k][c] +=
+                    (axis.x * torque[0][c] + axis.y * torque[1][c]) + axis.z * torque[2][c];
+            }
+        }
+        j
+    }
+}
+
+impl<R: Real, const N: usize> Pyramids<R, N> {
+    /// Adds what a body has of the sums, and sets its y of the edges.
+    #[inline(always)]
+    fn add(
+        &mut self,
+        now: &Situation<R>,
+        side: &Side<R, N>,
+        mu: R,
+        lines: &mut [[[R; N]; SIX]; EDGES],
+    ) {
+        let metric = &now.placed.metric;
+        let Self { ways: own, velocities, edges, .. } = self;
+        let mut ways = [[[R::zero(); N]; SIX]; WAYS];
+        for (i, way) in ways.iter_mut().enumerate() {
+            *way = side.jacobian(now, i);
+            metric.lift_six(side.first, way);
+        }
+        let inv_d = &metric.inv_d[side.first..][..SIX];
+        let u = &now.placed.u[side.first..][..SIX];
+        for k in 0..SIX {
+            for c in 0..N {
+                let (own, p, q) = (ways[0][k][c], mu * ways[1][k][c], mu * ways[2][k][c]);
+                lines[0][k][c] = own + p;
+                lines[1][k][c] = own - p;
+                lines[2][k][c] = own + q;
+                lines[3][k][c] = own - q;
+            }
+        }
+        for i in 0..WAYS {
+            let (mut a, mut velocity) = (own[i], velocities[i]);
+            for k in 0..SIX {
+                for c in 0..N {
+                    a[c] += ways[i][k][c] * ways[i][k][c] * inv_d[k];
+                    velocity[c] += ways[i][k][c] * u[k];
+                }
+            }
+            (own[i], velocities[i]) = (a, velocity);
+        }
+        for i in 0..EDGES {
+            let mut a = edges[i];
+            for k in 0..SIX {
+                for c in 0..N {
+                    a[c] += lines[i][k][c] * lines[i][k][c] * inv_d[k];
+                }
+            }
+            edges[i] = a;
+        }
+    }
 }

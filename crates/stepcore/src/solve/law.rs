@@ -29,11 +29,19 @@ pub struct SolRef<R: Real> {
     pub softness: R,
 }
 
-impl<R: Real> SolRef<R> {
-    /// At the violation `r` (its size, for a block).
-    pub fn at(soft: &Softness, r: R, dt: f64, refsafe: bool) -> Self {
+/// What `solref` and `solimp` say whatever the violation is.
+#[derive(Clone, Copy)]
+pub struct Spring<'a> {
+    soft: &'a Softness,
+    d0: f64,
+    dw: f64,
+    stiffness: f64,
+    b: f64,
+}
+
+impl<'a> Spring<'a> {
+    pub fn new(soft: &'a Softness, dt: f64, refsafe: bool) -> Self {
         let (d0, dw) = (impedance(soft.solimp[0]), impedance(soft.solimp[1]));
-        let d = impedance_at(soft, d0, dw, r);
         let [s0, s1] = soft.solref;
         let (stiffness, b) = if s0 > 0.0 {
             let tc = if refsafe { s0.max(2.0 * dt) } else { s0 };
@@ -41,7 +49,21 @@ impl<R: Real> SolRef<R> {
         } else {
             (-s0 / (dw * dw), -s1 / dw)
         };
-        Self { b: R::of(b), kd: R::of(stiffness) * d, softness: (R::one() - d) / d }
+        Self { soft, d0, dw, stiffness, b }
+    }
+
+    /// At the violation `r` (its size, for a block).
+    #[inline(always)]
+    pub fn at<R: Real>(&self, r: R) -> SolRef<R> {
+        let d = impedance_at(self.soft, self.d0, self.dw, r);
+        SolRef { b: R::of(self.b), kd: R::of(self.stiffness) * d, softness: (R::one() - d) / d }
+    }
+}
+
+impl<R: Real> SolRef<R> {
+    /// At the violation `r` (its size, for a block).
+    pub fn at(soft: &Softness, r: R, dt: f64, refsafe: bool) -> Self {
+        Spring::new(soft, dt, refsafe).at(r)
     }
 
     /// The same with a spring that asks for no more than `most` [m/s] of an overlap r whose speed is

@@ -17,7 +17,7 @@ pub(super) const WIDE: usize = 3;
 pub(super) const SIX: usize = 6;
 
 /// One of the two bodies: the forces whose power is its part of each row's velocity.
-pub(super) struct Side<'a, R: Real, const N: usize> {
+struct Side<'a, R: Real, const N: usize> {
     chain: &'a [usize],
     along: [Force<R>; N],
 }
@@ -215,7 +215,7 @@ impl<R: Real> Rows<R> {
 }
 
 /// The list is that of one or two free bodies, whose inertias nothing ties together.
-pub(super) fn all_free<R: Real, const N: usize>(
+fn all_free<R: Real, const N: usize>(
     model: &Model,
     list: &[usize],
     sides: &[Option<Side<R, N>>; 2],
@@ -226,7 +226,7 @@ pub(super) fn all_free<R: Real, const N: usize>(
 }
 
 /// The dofs are those of one free body.
-fn is_free(model: &Model, chain: &[usize]) -> bool {
+pub(super) fn is_free(model: &Model, chain: &[usize]) -> bool {
     let [first, .., last] = chain else { return false };
     chain.len() == SIX && *last == first + SIX - 1 && model.dofs[*first].row.len == 1
 }

@@ -1,0 +1,78 @@
+//! Contacts of one pair of free bodies, whose pyramids are made at once: four of two boxes share
+//! bodies, directions, material and most of what their rows are made of.
+
+use super::contact::{axes_of, bodies};
+use super::friction::Ways;
+use crate::detect::Contact;
+use crate::real::{Mask, Real};
+use crate::settings::{Cone, Law};
+use crate::solve::law::Spring;
+use crate::solve::{Rows, Situation};
+
+impl<R: Real> Rows<R> {
+    /// MuJoCo's contacts. Those of one pair stand one after another, and are made by fours and twos
+    /// where their directions are the same.
+    pub(super) fn soft_contacts(&mut self, now: &Situation<R>, contacts: &[Contact<R>]) {
+        for own in contacts.chunk_by(|a, b| a.pair.index == b.pair.index) {
+            let rest = self.by_pyramids::<4>(now, own);
+            for contact in self.by_pyramids::<2>(now, rest) {
+                self.soft_contact(now, contact);
+            }
+        }
+    }
+
+    /// Makes contacts of one pair N at a time; what is left of them.
+    fn by_pyramids<'a, const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        mut contacts: &'a [Contact<R>],
+    ) -> &'a [Contact<R>] {
+        while let Some((own, rest)) = contacts.split_first_chunk::<N>() {
+            // Lanes have vectors of their own.
+            if R::LANES > 1 || !self.pyramids(now, own) {
+                own.iter().for_each(|contact| self.soft_contact(now, contact));
+            }
+            contacts = rest;
+        }
+        contacts
+    }
+
+    /// The edges of contacts of one pair of free bodies that slide along the same two tangents and no
+    /// more, made at once; false: nothing is made.
+    pub(super) fn pyramids<const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        contacts: &[Contact<R>; N],
+    ) -> bool {
+        let (first, settings) = (&contacts[0], now.settings);
+        let (pair, material) = (&first.pair, now.model.material(&first.pair));
+        let limited = settings.max_recovery_speed.under(Law::SolRef).is_some();
+        if settings.cone != Cone::Pyramidal || pair.invweight <= 0.0 || limited {
+            return false;
+        }
+        let ways = Ways::soft(pair.still, material);
+        let [one, two] = ways.list() else { return false };
+        if material.adhesion > 0.0 || one.turns || two.turns || ways.still > 0 {
+            return false;
+        }
+        let reach = R::of(material.reach());
+        let masks = contacts.each_ref().map(|contact| contact.mask.and(contact.dist.lt(reach)));
+        let alike = |contact: &Contact<R>| contact.normal == first.normal;
+        if !masks.iter().all(|mask| mask.any()) || !contacts[1..].iter().all(alike) {
+            return false;
+        }
+        let axis = axes_of(first, now);
+        let (along, mu) = ([first.normal, axis(one), axis(two)], R::of(ways.mu));
+        let (own, at) = ((bodies(now.model, pair), pair), contacts.each_ref().map(Contact::points));
+        let Some(made) = self.lift_pyramids(now, own, &at, &along, mu) else { return false };
+        let spring = Spring::new(&material.soft, settings.dt, settings.refsafe);
+        let nothing = (R::Mask::of(false), [R::zero(); 2]);
+        for (which, (contact, mask)) in contacts.iter().zip(masks).enumerate() {
+            let (row, r) = (self.rows.len(), contact.dist - R::of(material.margin));
+            self.push_pyramid(&made, which, pair, mu);
+            let law = (spring.at(r), r, nothing.0, nothing.1);
+            self.soften(now, contact, pair, (row, &ways), law, mask);
+        }
+        true
+    }
+}
