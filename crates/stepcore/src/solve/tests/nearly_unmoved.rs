@@ -58,7 +58,7 @@ fn opposed_loads_leave_the_velocity_its_digits() {
     for off in [0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3] {
         for c in [1e-15, 1e-13, 1e-11, 1e-9, 1e-7, 1e-5] {
             let edges = edges(off, c);
-            let found = apart(solved::<f64>(&[edges.clone()]), exact(&edges));
+            let found = apart(solved::<f64>(std::slice::from_ref(&edges)), exact(&edges));
             assert!(found < 1e-12, "off {off}, c {c}: {found:e}");
         }
     }
@@ -68,7 +68,7 @@ fn opposed_loads_leave_the_velocity_its_digits() {
 fn in_single_precision_too() {
     for c in [1e-10, 1e-8, 1e-6, 1e-4] {
         let edges = edges(1e-3, c);
-        let found = apart(f64::from(solved::<f32>(&[edges.clone()])), exact(&edges));
+        let found = apart(f64::from(solved::<f32>(std::slice::from_ref(&edges))), exact(&edges));
         assert!(found < 3e-4, "c {c}: {found:e}");
     }
 }
