@@ -7,10 +7,11 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use stepcore::arrays::{Array, Given};
-use stepcore::batch::{Givens, Play};
+use stepcore::arrays::{Array, Given, Givens};
+use stepcore::batch::Play;
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
+use stepcore::real::WIDTH;
 
 use crate::world::{Memo, World};
 use crate::worlds::{Lists, Worlds};
@@ -22,8 +23,8 @@ const LEAST: u64 = 8;
 const MOST: u64 = 512;
 /// The last trials decide by their median: a single one may have been disturbed.
 const VOTES: usize = 3;
-/// Up to so many worlds both ways are kept. Of more both would be too much memory: so many of them,
-/// evenly spread, are tried both ways instead.
+/// Up to so many worlds both ways are kept. Of more both would be too much memory: so many of them
+/// are tried both ways instead, neighbours that share a register, from registers evenly spread.
 const KEPT: usize = 1 << 16;
 const SAMPLE: usize = 1 << 11;
 
@@ -122,7 +123,9 @@ impl Auto {
     /// Steps some of the worlds both ways, aside; they all change if that is quicker.
     fn try_sample(&mut self) -> Result<()> {
         self.tried();
-        let some: Vec<usize> = (0..SAMPLE).map(|k| k * self.worlds / SAMPLE).collect();
+        let order = self.now.by_model();
+        let spread = order.chunks_exact(WIDTH).step_by(self.worlds / SAMPLE);
+        let some: Vec<usize> = spread.take(SAMPLE / WIDTH).flatten().copied().collect();
         let memos: Vec<Memo> = some.iter().map(|world| self.now.memo(*world)).collect();
         let mut times = [Duration::ZERO; 2];
         for (lanes, time) in [true, false].into_iter().zip(&mut times) {

@@ -11,7 +11,7 @@ use numpy::ndarray::{ArrayViewMut, IxDyn};
 use numpy::{PyArray, PyArrayDyn};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use stepcore::arrays::{Array, Given};
+use stepcore::arrays::{Array, Given, Givens};
 use stepcore::model::Model;
 
 /// A numpy view with its name.
@@ -58,12 +58,14 @@ impl Arrays {
         world: usize,
         read: impl FnOnce(&Given) -> T + Send,
     ) -> T {
-        self.read_all(py, |all| read(&all.given(world)))
+        self.read_all(py, |all| read(&all.of(world)))
     }
 
     /// Lets `read` see all worlds' arrays, from as many threads as it likes.
-    pub fn read_all<T>(&self, py: Python<'_>, read: impl FnOnce(&All) -> T + Send) -> T {
-        self.memory.get().read(py, |numbers| read(&All { arrays: self, numbers }))
+    pub fn read_all<T>(&self, py: Python<'_>, read: impl FnOnce(&Givens) -> T + Send) -> T {
+        self.memory.get().read(py, |numbers| {
+            read(&Givens::new(self.worlds, |array| &numbers[self.range(array)]))
+        })
     }
 
     /// Lets `take(array, numbers)` overwrite what a step changes, an array of all worlds at a time.
@@ -96,22 +98,6 @@ impl Arrays {
             Ok((array.name(), view))
         };
         Array::ALL.into_iter().map(view).collect()
-    }
-}
-
-/// All worlds' arrays, while they are read.
-pub struct All<'a> {
-    arrays: &'a Arrays,
-    numbers: &'a [f64],
-}
-
-impl<'a> All<'a> {
-    /// One world's.
-    pub fn given(&self, world: usize) -> Given<'a> {
-        Given::new(|array| {
-            let length = self.arrays.lengths[array as usize];
-            &self.numbers[self.arrays.range(array).start + world * length..][..length]
-        })
     }
 }
 

@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
-use stepcore::arrays::{lists, Array, Given};
-use stepcore::batch::{fills_lanes, gains_by_lanes, program_of, Batch, Givens, Last, Play};
+use stepcore::arrays::{lists, Array, Given, Givens};
+use stepcore::batch::{fills_lanes, gains_by_lanes, program_of, Batch, Last, Play};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::program::Program;

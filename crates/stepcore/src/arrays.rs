@@ -4,7 +4,7 @@
 //! `Array` lists them. A new one is a line in each of its functions, and one in `State::lists` or in
 //! `Inputs::arrays`, where the engine keeps it.
 
-use std::ops::Index;
+use std::ops::{Index, Range};
 
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
@@ -173,6 +173,11 @@ impl<'a> Given<'a> {
     /// quaternions of no length.
     /// `world`: its index in a batch, for the error text.
     pub fn check<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
+        self.check_finite::<R>(model, world)?;
+        self.check_forms::<R>(model, world)
+    }
+
+    fn check_finite<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
         for array in Array::ALL {
             let values = &self[array];
             let Some(k) = values.iter().position(|x| !R::of(*x).lane(0).is_finite()) else {
@@ -186,6 +191,11 @@ impl<'a> Given<'a> {
             let field = format!("{}[{place}]", array.name());
             return Err(refuse::<R>(field, values[k], &owner, world));
         }
+        Ok(())
+    }
+
+    /// The same of numbers that are finite.
+    pub(crate) fn check_forms<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
         self.check_truths(model, world)?;
         self.check_quaternions::<R>(model, world)
     }
@@ -227,6 +237,39 @@ impl<'a> Given<'a> {
             }
         }
         Ok(())
+    }
+}
+
+/// State and inputs of many worlds, to be read: of each array all worlds', one after the other.
+pub struct Givens<'a> {
+    lists: [&'a [f64]; Array::COUNT],
+    /// Numbers of a world.
+    lengths: [usize; Array::COUNT],
+}
+
+impl<'a> Givens<'a> {
+    /// Of what `list` holds for each array, of so many worlds.
+    pub fn new(worlds: usize, list: impl FnMut(Array) -> &'a [f64]) -> Self {
+        let lists = Array::ALL.map(list);
+        Self { lists, lengths: lists.map(|list| list.len() / worlds) }
+    }
+
+    /// One world's.
+    #[inline]
+    pub fn of(&self, world: usize) -> Given<'a> {
+        let mut own: [&[f64]; Array::COUNT] = [&[]; Array::COUNT];
+        for ((own, all), length) in own.iter_mut().zip(self.lists).zip(self.lengths) {
+            *own = &all[world * length..(world + 1) * length];
+        }
+        Given(own)
+    }
+
+    /// Whether all numbers of some worlds are finite in the engine's number: without a branch for
+    /// each, so that vectors serve.
+    pub(crate) fn all_finite<R: Real>(&self, worlds: Range<usize>) -> bool {
+        let fine = |list: &[f64]| list.iter().fold(true, |all, x| all & R::One::of(*x).is_finite());
+        let own = self.lists.iter().zip(self.lengths);
+        own.fold(true, |all, (list, n)| all & fine(&list[worlds.start * n..worlds.end * n]))
     }
 }
 

@@ -51,8 +51,8 @@ class Batch(Stepped):
     n: the number of worlds.
     threads: how many threads step them; by default one a core, or one in all for a batch so small
         that waking threads costs more than it gains.
-    lanes: True steps eight worlds at a time in the processor's vector registers (16 in single
-        precision), False one by one. "auto" does what takes less time: now and then, more and more
+    lanes: True steps eight worlds at a time in the processor's vector registers, False one
+        by one. "auto" does what takes less time: now and then, more and more
         rarely, it takes a step the other way and measures. Where worlds touch different things a
         register does the work of all of them, so that walkers in contact may be quicker alone.
     on_failure: what happens if a world fails as in `Sim.step`. With "stop", SimulationError names
@@ -309,11 +309,13 @@ class Batch(Stepped):
             self._core.forget(chosen.tolist())
             self._reset_at[chosen], self._reset_to[chosen] = self.time, time
         own = {name: values.pop(name) for name in ("qpos", "qvel") if np.ndim(values[name]) > 1}
-        self._write(values, chosen)
+        # A slice is written much sooner than indices.
+        where: Any = slice(None) if worlds is None else chosen
+        self._write(values, where)
         if key is None:
             self._write_own_initial(chosen)
         for name, rows in own.items():
-            self._arrays[name][chosen] = rows
+            self._arrays[name][where] = rows
 
     def _write_own_initial(self, chosen: NDArray[np.intp]) -> None:
         """What parameters change of the initial arrays of chosen worlds."""

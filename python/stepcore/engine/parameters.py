@@ -207,6 +207,8 @@ class Variants:
         for index, model in enumerate(self.models):
             if model is not self._base.core and (arrays := dict(model.initial())) != own:
                 different[index] = arrays
+        if not different:
+            return []
         worlds: dict[int, list[int]] = {index: [] for index in different}
         for world, index in enumerate(self.model_of):
             if index in worlds:

@@ -4,7 +4,7 @@ use std::panic::resume_unwind;
 use std::sync::{Arc, MutexGuard};
 
 use pyo3::prelude::*;
-use stepcore::arrays::Given;
+use stepcore::arrays::{Given, Givens};
 use stepcore::error::Error;
 use stepcore::model::Model;
 use stepcore::settings::Settings;
@@ -12,7 +12,6 @@ use stepcore::settings::Settings;
 use super::{Array, Batch};
 use crate::errors::Raised;
 use crate::gil;
-use crate::memory::All;
 use crate::model::result;
 use crate::world::{world, Placed, World};
 use crate::worlds::Worlds;
@@ -29,13 +28,13 @@ impl Batch {
     pub(super) fn check(&self, py: Python<'_>, worlds: &dyn Worlds) -> PyResult<()> {
         let n = self.arrays.worlds;
         self.arrays
-            .read_all(py, |all| (0..n).try_for_each(|world| worlds.check(world, &all.given(world))))
+            .read_all(py, |all| (0..n).try_for_each(|world| worlds.check(world, &all.of(world))))
             .raised(py)
     }
 
     /// Checks all arrays, then copies them into the engine.
     pub(super) fn load(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
-        self.arrays.read_all(py, |all| worlds.load(&|world| all.given(world))).raised(py)
+        self.arrays.read_all(py, |all| worlds.load(all)).raised(py)
     }
 
     pub(super) fn store(&self, py: Python<'_>, worlds: &dyn Worlds) {
@@ -110,11 +109,11 @@ impl Batch {
     ) -> PyResult<Vec<T>> {
         let order = worlds.by_model();
         let threads = self.how.threads.min(order.len() / WORTH_A_THREAD).max(1);
-        let some = |own: &[usize], all: &All| {
+        let some = |own: &[usize], all: &Givens| {
             let mut reader = Reader { settings: &self.settings, held: None };
             let one = |world: &usize| {
                 let reader = reader.of(worlds.model(*world))?;
-                Ok((*world, read(reader, *world, &all.given(*world))?))
+                Ok((*world, read(reader, *world, &all.of(*world))?))
             };
             own.iter().map(one).collect::<Result<Vec<_>, Error>>()
         };

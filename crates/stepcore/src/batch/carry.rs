@@ -3,13 +3,10 @@
 use std::sync::Mutex;
 
 use super::Batch;
-use crate::arrays::{Array, Given};
+use crate::arrays::{Array, Givens};
 use crate::error::{Error, Result};
 use crate::pool::lock;
 use crate::real::Real;
-
-/// The arrays of each world, which threads may ask for.
-pub type Givens<'a> = dyn Fn(usize) -> Given<'a> + Sync + 'a;
 
 impl<R: Real> Batch<R> {
     /// Takes the arrays of all worlds; of those that cannot be stepped the first is refused, and
@@ -18,11 +15,18 @@ impl<R: Real> Batch<R> {
         let Self { worlds, crew, groups, seats, models, .. } = self;
         let refused = Mutex::new(None::<(usize, Error)>);
         crew.carry(*worlds, groups, 1, |first, portion| {
-            let own = (first..first + portion.len())
-                .flat_map(|index| seats.worlds(index).iter().map(move |world| (index, *world)));
-            for (index, world) in own {
+            let own = seats.of_groups(first..first + portion.len());
+            let (least, most) =
+                own.iter().fold((usize::MAX, 0), |(a, b), w| (a.min(*w), b.max(*w)));
+            let finite = given.all_finite::<R>(least..most + 1);
+            for (index, world) in own.iter().map(|world| (seats.of(*world).0, *world)) {
                 let model = &models[seats.model(index)];
-                let Err(error) = given(world).check::<R>(model, Some(world)) else { continue };
+                let given = given.of(world);
+                let outcome = match finite {
+                    true => given.check_forms::<R>(model, Some(world)),
+                    false => given.check::<R>(model, Some(world)),
+                };
+                let Err(error) = outcome else { continue };
                 let mut refused = lock(&refused);
                 if refused.as_ref().is_none_or(|(least, _)| world < *least) {
                     *refused = Some((world, error));
@@ -37,7 +41,7 @@ impl<R: Real> Batch<R> {
             for (index, group) in (first..).zip(portion) {
                 let own = seats.worlds(index);
                 for (lane, world) in own.iter().enumerate() {
-                    group.put(lane, own.len(), &given(*world));
+                    group.put(lane, own.len(), &given.of(*world));
                 }
             }
         });

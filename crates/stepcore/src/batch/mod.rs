@@ -13,7 +13,6 @@ mod listed;
 mod play;
 mod seats;
 
-pub use carry::Givens;
 pub use failed::Failed;
 pub use group::Last;
 pub use play::Play;

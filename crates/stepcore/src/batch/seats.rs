@@ -1,21 +1,24 @@
 //! Which world sits in which lane of which group.
 
+use std::ops::Range;
+
 use crate::room::listed;
 
 /// Worlds of one model sit beside each other, in their own order; the last group of a model may
 /// have lanes to spare.
 pub(super) struct Seats {
-    lanes: usize,
+    /// The lanes of a group are two to this power.
+    power: u32,
     /// By world: group · lanes + lane.
     seat: Vec<usize>,
     /// All worlds in the order of their seats.
     worlds: Vec<usize>,
     /// By group: its model, and its worlds' range in `worlds`.
-    groups: Vec<(usize, std::ops::Range<usize>)>,
+    groups: Vec<(usize, Range<usize>)>,
 }
 
 impl Seats {
-    /// `model_of`: the model of each world.
+    /// `lanes`: a power of two; `model_of`: the model of each world.
     pub fn new(lanes: usize, model_of: &[usize]) -> Self {
         let mut worlds: Vec<usize> = (0..model_of.len()).collect();
         worlds.sort_by_key(|world| model_of[*world]);
@@ -29,7 +32,7 @@ impl Seats {
                 groups.push((model_of[together[0]], start..start + together.len()));
             }
         }
-        Self { lanes, seat, worlds, groups }
+        Self { power: lanes.trailing_zeros(), seat, worlds, groups }
     }
 
     /// Memory [bytes].
@@ -40,12 +43,17 @@ impl Seats {
     /// The group and the lane of a world.
     #[inline(always)]
     pub fn of(&self, world: usize) -> (usize, usize) {
-        (self.seat[world] / self.lanes, self.seat[world] % self.lanes)
+        (self.seat[world] >> self.power, self.seat[world] & ((1 << self.power) - 1))
     }
 
     /// The worlds of a group, by lane.
     pub fn worlds(&self, group: usize) -> &[usize] {
         &self.worlds[self.groups[group].1.clone()]
+    }
+
+    /// The worlds of groups that follow each other.
+    pub fn of_groups(&self, groups: Range<usize>) -> &[usize] {
+        &self.worlds[self.groups[groups.start].1.start..self.groups[groups.end - 1].1.end]
     }
 
     /// All worlds in the order of their seats.
@@ -64,7 +72,7 @@ impl Seats {
     }
 }
 
-fn end(range: &std::ops::Range<usize>) -> usize {
+fn end(range: &Range<usize>) -> usize {
     range.end
 }
 
