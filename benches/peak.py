@@ -14,8 +14,8 @@ Operations are those of the method in general form: what compiled code leaves ou
 with the zeros of an axis, is counted, so that a share may even exceed 1 (the chain's does). A share
 far below 1 is no idle core: operations that wait for the last one's result, divisions and roots
 (which take ten times a product), comparisons and selects (which count as 0), and lanes whose world
-has no part in a row, all lower it. "gain" is how much less a world takes than alone: of 8, or
-16 in single precision, lanes.
+has no part in a row, all lower it. "gain" is how much less a world takes than alone: of 8
+lanes.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ def test_portions_of_many_starts_come_back_in_their_order(threads):
     paths = screened(made, settings, range(21), workers, "runs")
     assert all(alike(path, made.screen(settings, k)) for k, path in enumerate(paths))
     assert told[-1] == (21, 21)
-    if helps(20, settings, threads, Saving()):
+    if helps(20, threads, Saving()):
         assert (workers.saving.runs, workers.saving.batches) == (20, 3)
         assert workers.saving.alone > 0 and workers.saving.spent > 0
 
@@ -86,14 +86,12 @@ def test_controls_of_python_are_run_singly():
 
 
 def test_batches_are_made_where_they_end_sooner():
-    settings = sc.Settings()
-    assert helps(7, settings, 1, Saving())
-    assert not helps(4, settings, 1, Saving())  # too few
-    assert not helps(7, settings, 8, Saving())  # a thread for each is sooner
-    assert helps(31, settings, 4, Saving())
-    assert not helps(7, settings, 1, Saving(runs=8, batches=1, alone=1.0, spent=1.0))
-    assert [len(some) for some in portions(range(20), settings)] == [8, 8, 4]
-    assert [len(some) for some in portions(range(20), settings.replace(precision="f32"))] == [16, 4]
+    assert helps(7, 1, Saving())
+    assert not helps(4, 1, Saving())  # too few
+    assert not helps(7, 8, Saving())  # a thread for each is sooner
+    assert helps(31, 4, Saving())
+    assert not helps(7, 1, Saving(runs=8, batches=1, alone=1.0, spent=1.0))
+    assert [len(some) for some in portions(range(20))] == [8, 8, 4]
 
 
 def test_what_a_batch_refuses_each_run_says_itself(monkeypatch):

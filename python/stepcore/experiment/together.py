@@ -24,7 +24,7 @@ from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
 # Worlds of a batch: as many as a register holds numbers.
-WIDTH = {"f64": 8, "f32": 16}
+WIDTH = 8
 # Fewer runs than this fill too little of a register.
 LEAST = 5
 # A batch takes about so many times less time than its worlds alone, if it is worth making at all.
@@ -36,19 +36,17 @@ def can(runner: Runner) -> bool:
     return runner.schedule.control is None
 
 
-def helps(runs: int, settings: Settings, threads: int, saving: Saving) -> bool:
+def helps(runs: int, threads: int, saving: Saving) -> bool:
     """Whether batches end sooner than single runs on so many threads."""
     if runs < LEAST or not saving.worth:
         return False
-    width = WIDTH[settings.precision]
-    batches = -(-runs // width)
-    return -(-batches // threads) * min(runs, width) <= GAIN * -(-runs // threads)
+    batches = -(-runs // WIDTH)
+    return -(-batches // threads) * min(runs, WIDTH) <= GAIN * -(-runs // threads)
 
 
-def portions(starts: Sequence[int], settings: Settings) -> list[Sequence[int]]:
+def portions(starts: Sequence[int]) -> list[Sequence[int]]:
     """The starts of each batch."""
-    width = WIDTH[settings.precision]
-    return [starts[first : first + width] for first in range(0, len(starts), width)]
+    return [starts[first : first + WIDTH] for first in range(0, len(starts), WIDTH)]
 
 
 def timed(runner: Runner, settings: Settings, starts: Sequence[int]) -> Timed:
@@ -184,12 +182,12 @@ def screened(
     if isinstance(bar, str):
         with workers.bar(bar, len(starts)) as own:
             return screened(runner, settings, starts, workers, own, until_fails)
-    if not (can(runner) and helps(len(starts) - 1, settings, workers.threads, workers.saving)):
+    if not (can(runner) and helps(len(starts) - 1, workers.threads, workers.saving)):
         job = partial(runner.screen, settings)
         if until_fails:
             return workers.until(lambda path: path.failure, job, starts, bar)
         return workers.each(job, starts, bar)
-    paths = _made(runner, settings, [starts[:1], *portions(starts[1:], settings)], workers, bar)
+    paths = _made(runner, settings, [starts[:1], *portions(starts[1:])], workers, bar)
     ends = next((k for k, path in enumerate(paths) if until_fails and path.failure), len(paths))
     return paths[: ends + 1]
 

@@ -1,14 +1,14 @@
 //! `Count`: a whole number for each lane.
 
-use super::lanes::MOST;
+use super::lanes::WIDTH;
 use super::Mask;
 
 /// A count for each lane; a scalar uses the first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Count([u64; MOST]);
+pub struct Count([u64; WIDTH]);
 
 impl Count {
-    pub const ZERO: Self = Self([0; MOST]);
+    pub const ZERO: Self = Self([0; WIDTH]);
 
     #[inline(always)]
     pub fn lane(&self, lane: usize) -> u64 {

@@ -27,7 +27,6 @@ pub(crate) mod traced;
 pub use count::Count;
 pub use counted::{Counted, FUNCTION};
 pub use dual::{Dual, WAYS};
-pub(crate) use lanes::MOST as MOST_LANES;
 pub use lanes::{LaneMask, Lanes, LanesF32, WIDTH};
 pub use stage::Stage;
 

@@ -70,6 +70,12 @@ pub(super) struct Island<'a, R: Real> {
     pub blocks: &'a [usize],
 }
 
+/// Where a number adds anything to a sum, be it but a slope.
+fn adds<R: Real>(x: R) -> R::Mask {
+    let zero = x.le(R::zero()).and(x.ge(R::zero()));
+    zero.not().or(R::Mask::of(x.steepness() != 0.0))
+}
+
 impl<R: Real> Few<R> {
     pub fn new() -> Self {
         Self {
@@ -153,6 +159,10 @@ impl<R: Real> Few<R> {
             *w = -*b;
         }
         for ((column, x), mask) in a.chunks_exact(b.len().max(1)).zip(&*impulse).zip(&*masks) {
+            if adds(*x).and(*mask).none() {
+                // Of w only the order among other numbers counts, not the sign of a zero.
+                continue;
+            }
             if mask.all() {
                 for (w, a) in w.iter_mut().zip(column) {
                     *w += *a * *x;
@@ -214,11 +224,11 @@ impl<R: Real> Few<R> {
         some.extend((0..n).filter(|i| free[*i].any()));
         rest.copy_from_slice(b);
         for j in 0..n {
-            let held = free[j].or(masks[j].not()).not();
+            let bound = R::select(high[j], hi[j], lo[j]);
+            let held = free[j].or(masks[j].not()).not().and(adds(bound));
             if held.none() {
                 continue;
             }
-            let bound = R::select(high[j], hi[j], lo[j]);
             for (rest, a) in rest.iter_mut().zip(&a[j * n..(j + 1) * n]) {
                 *rest = R::select(held, *rest - *a * bound, *rest);
             }
@@ -238,7 +248,6 @@ impl<R: Real> Few<R> {
     fn eliminate(&mut self) -> R::Mask {
         let Self { m, x, inv, l, free, a, some, .. } = self;
         let (size, n) = (some.len(), free.len());
-        let whole = some.iter().all(|i| free[*i].all());
         let mut poor = R::Mask::of(false);
         for k in 0..size {
             let (own, later) = m.split_at_mut((k + 1) * size);
@@ -253,15 +262,19 @@ impl<R: Real> Few<R> {
             }
             for (i, row) in (k + 1..size).zip(later.chunks_exact_mut(size)) {
                 let both = mine.and(free[some[i]]);
-                if whole && size < LONG {
+                if both.none() {
+                    continue;
+                }
+                // Of a row that is not free here nothing reads what it gets.
+                if !both.all() {
+                    for (m, l) in row[i..].iter_mut().zip(&l[i..size]) {
+                        *m = R::select(both, *m - own[i] * *l, *m);
+                    }
+                } else if size < LONG {
                     subtract_scaled(&mut row[i..], own[i], &l[i..size]);
-                } else if whole {
+                } else {
                     for (m, l) in row[i..].iter_mut().zip(&l[i..size]) {
                         *m -= own[i] * *l;
-                    }
-                } else {
-                    for ((m, l), j) in row[i..].iter_mut().zip(&l[i..size]).zip(&some[i..]) {
-                        *m = R::select(both.and(free[*j]), *m - *l * own[i], *m);
                     }
                 }
                 x[i] = R::select(both, x[i] - l[i] * x[k], x[i]);

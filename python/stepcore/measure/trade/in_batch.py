@@ -16,13 +16,14 @@ from stepcore._core import Settings
 from stepcore.experiment.cost import Stopwatch, TimedRun
 from stepcore.experiment.errors import pareto
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.together import WIDTH, BatchRun, can
+from stepcore.experiment.together import BatchRun, can
 from stepcore.measure.trade.finish import Finisher
 from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.row import TradeRow
 
-# They fill a vector register in either precision.
-WORLDS = max(WIDTH.values())
+# They fill two vector registers.
+WORLDS = 16
+PRECISIONS = ("f64", "f32")
 # Of the settings that the answer names so many are timed.
 MOST = 3
 
@@ -103,7 +104,7 @@ def batch_points(
         return []
     bases = dict.fromkeys(row.settings for row in named if row is not None and row.errors)
     some = list(bases)[:MOST]
-    settings = list(dict.fromkeys(base.replace(precision=p) for base in some for p in WIDTH))
+    settings = list(dict.fromkeys(base.replace(precision=p) for base in some for p in PRECISIONS))
     trials.run(settings, "single precision")
     runs = [
         TimedBatch(trials.runner, setting, trials.failure(setting) is not None, WORLDS)

@@ -157,7 +157,7 @@ def several(runner: Runner, workers: Workers, job: Screened) -> Made:
     settings, first, last = job
     singly = first + 2 if first == 0 else first + 1
     left = last - singly
-    if not (can(runner) and helps(left, settings, 1, workers.saving)):
+    if not (can(runner) and helps(left, 1, workers.saving)):
         return screen_starts(runner, job), []
     paths, work = screen_starts(runner, (settings, first, singly - 1))
     if paths and paths[-1].failure:
@@ -165,7 +165,7 @@ def several(runner: Runner, workers: Workers, job: Screened) -> Made:
     parts = [timed(runner, settings, [singly - 1])]
     if not parts[0].paths[0].failure:
         rest = range(singly, last)
-        parts += [timed(runner, settings, some) for some in portions(rest, settings)]
+        parts += [timed(runner, settings, some) for some in portions(rest)]
     paths += [path for part in parts for path in part.paths]
     ends = next((k for k, path in enumerate(paths) if path.failure), len(paths))
     return (paths[: ends + 1], work), parts if len(parts) > 1 else []
