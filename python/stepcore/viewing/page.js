@@ -202,7 +202,7 @@
     rows.push(["kinetic energy", `${number(kinetic)} J`]);
     rows.push(["potential energy", `${number(potential)} J`]);
     rows.push(["total", `${number(kinetic + potential)} J`]);
-    rows.push(["contacts that bear", run.starts[frame + 1] - run.starts[frame]]);
+    rows.push(["contacts with force", run.starts[frame + 1] - run.starts[frame]]);
     rows.push(["residual", `${run.residual[frame].toExponential(1)} m/s`]);
     gaps.forEach((gap, k) => {
       // Where the other run has ended nothing is compared.

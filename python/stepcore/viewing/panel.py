@@ -133,7 +133,7 @@ def figures_of(instant: Instant) -> list[tuple[str, str]]:
         ("kinetic energy", f"{kinetic:.4g} J"),
         ("potential energy", f"{potential:.4g} J"),
         ("total", f"{kinetic + potential:.4g} J"),
-        ("contacts that bear", f"{len(instant.places)}"),
+        ("contacts with force", f"{len(instant.places)}"),
         ("residual", f"{instant.residual:.1e} m/s"),
     ]
 

@@ -70,7 +70,7 @@ def searched(
         for setting, paths in trials.screened.items()
         if paths[-1].failure or trials.far(paths)
     ]
-    trials.run([*chosen, *failed], "front")
+    trials.run([*chosen, *failed], "search: the best")
     return sorted(dict.fromkeys([*chosen, *failed]), key=lambda s: -s.dt)
 
 

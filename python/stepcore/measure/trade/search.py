@@ -129,7 +129,7 @@ class SettingsSearch:
         counts = {max(1, own // 4), max(1, own // 2), own, 2 * own, 4 * own, 8 * own, 1}
         judged = sorted(n for n in counts if n <= max(own, self.finest))
         tried = [self.steps.at(base, n) for base in some for n in judged]
-        self.trials.screen([self.shipped, *tried], self.few, "overview")
+        self.trials.screen([self.shipped, *tried], self.few, "search: overview")
         return tried
 
     def meeting(self, error: float, climb: bool = True) -> list[Settings]:
@@ -140,11 +140,11 @@ class SettingsSearch:
         """
         bases = dict.fromkeys([*families(self.shipped, self.rows, self.stiff), *self.methods])
         open_ = [self.bracket(base) for base in bases]
-        self.narrow(open_, error, self.few, COARSE, "families")
+        self.narrow(open_, error, self.few, COARSE, "search: time steps")
         open_ = self.keep(open_, error, FIRST)
         if climb:
             open_ = self.climb(open_, error)
-            self.narrow(open_, error, self.few, COARSE, "axes")
+            self.narrow(open_, error, self.few, COARSE, "search: settings")
             self.methods += [self.steps.at(bracket.base, self.steps.own) for bracket in open_]
         kept = [self.again(bracket, error) for bracket in self.keep(open_, error, SECOND)]
         self.narrow(kept, error, self.all, FINE, "all starts")
@@ -236,7 +236,7 @@ class SettingsSearch:
         moving = set(range(len(now)))
         for _ in range(CLIMBS):
             asked = {i: self.near(now[i], error) for i in moving}
-            self.trials.screen([s for some in asked.values() for s in some], self.few, "axes")
+            self.trials.screen([s for some in asked.values() for s in some], self.few, "search: settings")
             for i, tried in asked.items():
                 base, order = now[i].base, now[i].order(error)
                 prices = [
