@@ -4,12 +4,16 @@
 //! pushed out to the set's furthest point along the face's normal. The set reaches at least as far
 //! as each face and, along that normal, exactly as far as the furthest point.
 
+use super::separation::across_both;
 use crate::spatial::V3;
 
 /// No place in a list: lists hold fewer.
 const NONE: u16 = u16::MAX;
 /// Height above a face, over the size, that is only rounding.
 const FLAT: f64 = 1e-13;
+
+/// Points from which the first four are taken: of a simplex, along axes, and beside those twice.
+const SEEDS: usize = 4 + 6 + 2 * 4;
 
 /// One triangle, counter-clockwise from outside.
 #[derive(Clone, Copy)]
@@ -53,7 +57,7 @@ pub struct Way {
 impl<const POINTS: usize, const FACES: usize> Polytope<POINTS, FACES> {
     /// A tetrahedron of points of the set, or None where the set is flat.
     pub fn new(support: &impl Fn(&V3<f64>) -> V3<f64>, simplex: &[V3<f64>]) -> Option<Self> {
-        let mut seeds = [V3::zeros(); 10];
+        let mut seeds = [V3::zeros(); SEEDS];
         seeds[..simplex.len()].copy_from_slice(simplex);
         let mut count = simplex.len();
         let mut corners = spread(&seeds[..count]);
@@ -67,6 +71,16 @@ impl<const POINTS: usize, const FACES: usize> Polytope<POINTS, FACES> {
                 }
             }
             corners = spread(&seeds[..count]);
+        }
+        // Two crossed needles: what was seen lies in one plane or on one line, the set does not.
+        for _ in 0..2 {
+            if corners.is_none() {
+                for way in beside(&seeds[..count])? {
+                    seeds[count] = support(&way);
+                    count += 1;
+                }
+                corners = spread(&seeds[..count]);
+            }
         }
         let [a, b, c, d] = corners?;
         let blank = Face {
@@ -280,20 +294,49 @@ impl<const POINTS: usize, const FACES: usize> Polytope<POINTS, FACES> {
     }
 }
 
+/// The first of the points, the one furthest from it, and the one furthest from their line; with
+/// the square of their distance, and of twice the area of their triangle.
+fn base(points: &[V3<f64>]) -> Option<([V3<f64>; 3], f64, f64)> {
+    let a = *points.first()?;
+    let (length, b) = furthest(points, |p| (p - a).dot(&(p - a)));
+    let ab = b - a;
+    let (area, c) = furthest(points, |p| ab.cross(&(p - a)).dot(&ab.cross(&(p - a))));
+    Some(([a, b, c], length, area))
+}
+
+fn furthest(points: &[V3<f64>], measure: impl Fn(&V3<f64>) -> f64) -> (f64, V3<f64>) {
+    points.iter().fold((0.0, points[0]), |best, p| {
+        let value = measure(p);
+        if value > best.0 {
+            (value, *p)
+        } else {
+            best
+        }
+    })
+}
+
 /// Four of the points that span a volume.
 fn spread(points: &[V3<f64>]) -> Option<[V3<f64>; 4]> {
-    let a = *points.first()?;
-    let furthest = |measure: &dyn Fn(&V3<f64>) -> f64| {
-        points
-            .iter()
-            .fold((0.0, a), |best, p| if measure(p) > best.0 { (measure(p), *p) } else { best })
-    };
-    let (length, b) = furthest(&|p| (p - a).dot(&(p - a)));
-    let ab = b - a;
-    let (area, c) = furthest(&|p| ab.cross(&(p - a)).dot(&ab.cross(&(p - a))));
-    let normal = ab.cross(&(c - a));
-    let (volume, d) = furthest(&|p| normal.dot(&(p - a)).abs());
+    let ([a, b, c], length, area) = base(points)?;
+    let normal = (b - a).cross(&(c - a));
+    let (volume, d) = furthest(points, |p| normal.dot(&(p - a)).abs());
     // Height over the base, and width over the length.
     let flat = area <= FLAT * length * length || volume <= FLAT * area.sqrt() * length.sqrt();
     (!flat).then_some([a, b, c, d])
+}
+
+/// Four directions across the plane or the line in which points lie.
+fn beside(points: &[V3<f64>]) -> Option<[V3<f64>; 4]> {
+    let ([a, b, c], length, area) = base(points)?;
+    if length == 0.0 {
+        return None;
+    }
+    let along = (b - a) * (1.0 / length.sqrt());
+    let (t, u) = if area > FLAT * length * length {
+        let normal = (b - a).cross(&(c - a)) * (1.0 / area.sqrt());
+        (normal, along.cross(&normal))
+    } else {
+        across_both(&along)
+    };
+    Some([t, -t, u, -u])
 }

@@ -3,6 +3,7 @@
 
 use super::by_lane::by_lane;
 use super::convex::{solid, Convex};
+use super::epa::Polytope;
 use super::hull::Hull;
 use super::separation::Pairing;
 use super::touch::Touches;
@@ -149,5 +150,22 @@ fn a_small_tile_over_the_edge_of_a_cap() {
             Shape { pose: &q, size: &tile, hull: None, field: None },
         ];
         check([Cylinder, Box], shapes);
+    }
+}
+
+/// The difference of two crossed needles: along the axes it reaches furthest at four corners of one
+/// plane. It is flat only where it is as thin along that plane's own normal.
+#[test]
+fn a_plate_askew_has_a_volume() {
+    let (a, b) = (V3::new(0.4, 0.12, 0.08), V3::new(0.08, 0.3, 0.27));
+    let up = a.cross(&b).normalize();
+    for (thick, there) in [(1e-3, true), (1e-9, true), (0.0, false)] {
+        let points = [a + b, a - b, b - a, -a - b, up * thick, up * -thick];
+        let support = |way: &V3<f64>| {
+            points.iter().fold(points[0], |far, p| if p.dot(way) > far.dot(way) { *p } else { far })
+        };
+        for seeds in [&points[..0], &points[..1], &points[..3], &points[..4]] {
+            assert_eq!(Polytope::<16, 32>::new(&support, seeds).is_some(), there, "{thick}");
+        }
     }
 }

@@ -50,10 +50,10 @@ impl Pairing<'_> {
         best
     }
 
-    /// The same of bent shapes, and better where it is not the largest separation nearby: where one
-    /// of the points that it claims is none of its shape.
+    /// The same, and better where it is not the largest separation nearby: where one of the points
+    /// that it claims is none of its shape. Polytopes that overlap have no directions but exact ones.
     pub(super) fn topped(&self, found: Separation) -> Separation {
-        if !self.smooth || self.holds(&found) {
+        if !(self.smooth || found.apart > 0.0) || self.holds(&found) {
             return found;
         }
         let top = peak(self, &found.normal);
