@@ -2,6 +2,7 @@
 
 import io
 import re
+import socket
 import time
 from types import SimpleNamespace
 
@@ -187,15 +188,18 @@ def test_a_motion_that_nobody_sees_waits(capfd):
 
 
 def test_a_view_that_cannot_be_made_leaves_its_port():
+    with socket.socket() as tried:
+        tried.bind(("localhost", 0))
+        port = tried.getsockname()[1]
     sim = cheetah()
     sim.qpos[0] = np.nan
     with pytest.raises(ValueError, match="must be finite"):
-        sim.view(port=PORT, wait=False)
-    with live.view_sim(cheetah(), port=PORT) as view:
-        assert view.url == f"http://localhost:{PORT}"
-        # The next view takes the next port.
-        with live.view_sim(cheetah(), port=PORT) as other:
-            assert other.url == f"http://localhost:{PORT + 1}"
+        sim.view(port=port, wait=False)
+    with live.view_sim(cheetah(), port=port) as view:
+        assert view.url == f"http://localhost:{port}"
+        # The next view takes the next port that is free.
+        with live.view_sim(cheetah(), port=port) as other:
+            assert int(other.url.rpartition(":")[2]) > port
     with pytest.raises(ValueError, match="port = 70000: must be a whole number from 1 to 65535"):
         sim.view(port=70000)
 

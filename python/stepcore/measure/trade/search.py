@@ -236,7 +236,9 @@ class SettingsSearch:
         moving = set(range(len(now)))
         for _ in range(CLIMBS):
             asked = {i: self.near(now[i], error) for i in moving}
-            self.trials.screen([s for some in asked.values() for s in some], self.few, "search: settings")
+            self.trials.screen(
+                [s for some in asked.values() for s in some], self.few, "search: settings"
+            )
             for i, tried in asked.items():
                 base, order = now[i].base, now[i].order(error)
                 prices = [
