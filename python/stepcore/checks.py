@@ -350,6 +350,14 @@ def interval(owner: Any, field: str, value: object) -> tuple[float, float]:
     raise refuse(owner, field, value, "two finite numbers, the first smaller")
 
 
+def interval_or_zero(owner: Any, field: str, value: object) -> tuple[float, float]:
+    """The same, or twice 0."""
+    entries = listed(value)
+    if entries is not None and [number(entry) for entry in entries] == [0.0, 0.0]:
+        return 0.0, 0.0
+    return interval(owner, field, value)
+
+
 def solref(owner: Any, field: str, value: object) -> tuple[float, ...]:
     """Time constant [s] and damping ratio, both > 0; or -stiffness and -damping, both <= 0."""
     result: tuple[float, ...] = vector(2)(owner, field, value)

@@ -237,6 +237,7 @@ WORLDS = {
           <joint type="slide" range="-1 90" limited="true" ref="30" springref="-20"/>
           <joint axis="1 2 3" limited="false" range="3 4"/>
           <inertial pos="1 2 3" mass="2" diaginertia="1 2 2.5" euler="10 20 30"/>
+          <body><joint type="ball" limited="true"/><geom size=".1"/></body>
           <body><joint type="ball" range="0 60" limited="true" ref="4" damping="2"/>
             <inertial pos="0 0 1" mass="1" fullinertia="3 4 5 .1 .2 .3"/></body>
         </body>

@@ -276,6 +276,28 @@ def test_groups_of_actuators_are_left_out():
         assert data.act[0] == 0.3
 
 
+def test_an_actuator_that_is_left_out_rests_within_its_bounds():
+    """Under every integrator, in lanes too."""
+    actuators = (
+        '<intvelocity joint="a" group="2" kp="1" actrange="-.2 .3"/><motor joint="b" group="1"/>'
+    )
+    text = TREE.replace("<option", '<option actuatorgroupdisable="2"')
+    text = text.format(actuators=actuators, a="", rope="")
+    for name, integrator in peers.INTEGRATORS.items():
+        model = mujoco.MjModel.from_xml_string(text)
+        model.opt.integrator = integrator
+        data, scene = mujoco.MjData(model), sc.loads(text)
+        sim = sc.Sim(scene, integrator=name)
+        sim.act[:] = data.act[:] = 0.7
+        mujoco.mj_step(model, data)
+        sim.step()
+        assert sim.act[0] == data.act[0] == 0.3
+    batch = sc.Batch(scene, 3, lanes=True)
+    batch.act[:] = [[0.7], [-0.7], [0.1]]
+    batch.step()
+    np.testing.assert_array_equal(batch.act[:, 0], [0.3, -0.2, 0.1])
+
+
 def test_shortcuts_inherit_as_in_mujoco():
     """The law of each shortcut from its own class, from one of another, and from <general>."""
     shortcuts = {

@@ -252,8 +252,10 @@ def test_what_extends_urdf_is_listed():
     given = {"robot": 'foo="1" xmlns:xacro="x"', "limit": 'lower="-1" upper="1" acceleration="3"'}
     end = '<xacro:property name="a" value="1"/>'
     text = HINGED.format(**given, dynamics='spring_stiffness="2"', end=end)
+    text = text.replace('<link name="b"', '<link name="b" concave="yes"')
     mujoco.MjModel.from_xml_string(text)
     ignored = "\n".join(sc.loads(text).ignored)
     assert "spring_stiffness is no attribute of URDF" in ignored
     assert "acceleration is no attribute of URDF" in ignored
+    assert "concave is no attribute of URDF" in ignored
     assert "<xacro:property>" in ignored

@@ -258,7 +258,8 @@ class WorldReader:
                     self.scene.notes.append(f"{where}: {text}")
                 return None
         bounds = bounds or (0.0, 0.0)
-        if bounds[0] >= bounds[1]:
+        # A ball may be held at no angle at all.
+        if bounds[0] >= bounds[1] and (lo_free or tuple(bounds) != (0.0, 0.0)):
             raise bad(node, field, bounds, f'two numbers, the first smaller, with {switch}="true"')
         if not lo_free and bounds[0] != 0:
             raise bad(node, field, bounds, '"0 angle" for a ball joint')

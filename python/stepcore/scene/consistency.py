@@ -189,5 +189,8 @@ def _check_joints(layout: Layout, body: Body) -> None:
         if joint.range is not None:
             if joint.type == "free":
                 raise checks.refuse(joint, "range", joint.range, "None for a free joint")
+            if joint.type != "ball" and joint.range[0] == joint.range[1]:
+                limit = "two finite numbers, the first smaller"
+                raise checks.refuse(joint, "range", joint.range, limit)
             if joint.type == "ball" and joint.range[0] != 0:
                 raise checks.refuse(joint, "range", joint.range, "(0, angle) for a ball joint")

@@ -62,6 +62,8 @@ DRAWN_ROBOT = spec("name version", {"link": DRAWN_LINK, "joint": JOINT, "materia
 # Inside which elements only what the schema has may stand; elsewhere URDF is extended freely, and
 # what the schema does not have is listed as ignored.
 CLOSED = ("geometry", "inertial", "limit", "dynamics", "mimic", "origin")
+# Attributes that other simulators add, however near their names are to URDF's.
+FOREIGN = ("concave",)
 # What only draws.
 DRAWS = ("visual", "material")
 # What the program xacro may leave in the URDF that it makes: nothing depends on it any more.

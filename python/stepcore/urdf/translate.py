@@ -21,7 +21,7 @@ from stepcore.mjcf.schema.notation import Spec
 from stepcore.mjcf.validation import bad, values_of
 from stepcore.scene import frames
 from stepcore.urdf.file_paths import mesh_path
-from stepcore.urdf.schema import CLOSED, DRAWS, ROBOT, XACRO_ONLY
+from stepcore.urdf.schema import CLOSED, DRAWS, FOREIGN, ROBOT, XACRO_ONLY
 
 # A joint without an axis turns or slides along the first.
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -104,7 +104,8 @@ def _strip(node: Node, spec: Spec) -> list[str]:
             if _all_infinite([node.attrs.get(name, "").strip().lower()]):
                 del node.attrs[name]
     extra = [name for name in node.attrs if name not in spec.attrs]
-    foreign = [name for name in extra if "nearest" not in nearest(name, spec.attrs)]
+    far = [name for name in extra if "nearest" not in nearest(name, spec.attrs)]
+    foreign = [name for name in extra if name in far or name in FOREIGN]
     for name in foreign:
         del node.attrs[name]
     return [node.listed(f"{name} is no attribute of URDF") for name in foreign]

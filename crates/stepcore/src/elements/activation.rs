@@ -172,6 +172,10 @@ pub(crate) fn advance<R: Real>(
     for (index, k) in model.active() {
         out[k] = model.actuators[index].next(act[k], rates[k], seconds);
     }
+    // What is left out rests, within its bounds.
+    for (index, k) in model.alone(|actuator| !actuator.enabled) {
+        out[k] = model.actuators[index].within(act[k]);
+    }
 }
 
 /// Bristles move through a step of `rk4` as they begin it, as in MuJoCo.
@@ -255,10 +259,15 @@ impl Model {
 
     /// Actuators with one activation, and its place; not those of controllers.
     fn active(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.alone(|actuator| actuator.enabled)
+    }
+
+    /// The same of those that `of` picks.
+    fn alone(&self, of: fn(&scene::Actuator) -> bool) -> impl Iterator<Item = (usize, usize)> + '_ {
         let all = self.activations.iter().enumerate();
         let own = |(index, span): (usize, &Span)| span.range().map(move |k| (index, k));
-        let plain = |index: usize| {
-            self.actuators[index].enabled && self.actuators[index].controller.is_none()
+        let plain = move |index: usize| {
+            of(&self.actuators[index]) && self.actuators[index].controller.is_none()
         };
         all.filter(move |(index, _)| plain(*index)).flat_map(own)
     }

@@ -99,7 +99,9 @@ def _joint(joint: Joint, names: Names) -> Tag:
         skip += ["axis", "ref", "springref"]
     if joint.type == "free":
         skip.append("pos")
-    return Tag("joint", **names.attribute(joint), **changed(joint, *skip))
+    # A range of nothing but 0 means no limit, unless it is said to be one.
+    limited = {"limited": "true"} if joint.range == (0.0, 0.0) else {}
+    return Tag("joint", **names.attribute(joint), **limited, **changed(joint, *skip))
 
 
 def _geom(geom: Geom, names: Names) -> Tag:

@@ -44,6 +44,8 @@ SolRef = Annotated[Vec, checks.solref]
 SolRefFriction = Annotated[Vec | None, checks.optional(checks.solreffriction)]
 SolImp = Annotated[Vec, checks.vector(5, fill=SOLIMP)]
 Range = Annotated[tuple[float, float] | None, checks.optional(checks.interval)]
+# Of a ball joint, which may turn through no angle.
+Reach = Annotated[tuple[float, float] | None, checks.optional(checks.interval_or_zero)]
 Numbers = Annotated[Vec | None, checks.optional(checks.numbers)]
 Groups = Annotated[tuple[int, ...], checks.whole_pair]
 Inertia = Annotated[Vec, checks.inertia]

@@ -16,6 +16,7 @@ from stepcore.scene.elements.field_types import (
     NonNegative,
     Poly,
     Range,
+    Reach,
     Real,
     SolImp,
     SolRef,
@@ -65,7 +66,7 @@ class Joint(Element):
     type: Annotated[str, checks.one_of(*JOINT_TYPES)] = "hinge"
     pos: Vec3 = ORIGIN
     axis: Axis = (0.0, 0.0, 1.0)
-    range: Range = None
+    range: Reach = None
     margin: Real = 0.0
     ref: Real = 0.0
     springref: Real = 0.0
