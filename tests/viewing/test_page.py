@@ -9,7 +9,7 @@ import pytest
 from viewing_browser import complaints, opened, wait_for
 
 import stepcore as sc
-from stepcore import lesson
+from stepcore import cli, lesson
 from stepcore.viewing import page as pages
 from stepcore.viewing.frames import distance
 
@@ -239,6 +239,36 @@ def test_a_fall_stays_in_the_window_of_a_telephone_too(chrome, tmp_path, width, 
         assert complaints(chrome) == []
     finally:
         chrome.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_a_model_may_have_any_name(chrome, tmp_path):
+    scene = lesson.drop()
+    scene.name = "</script>$DATA$ $ Ü <b>"
+    sim = sc.Sim(scene)
+    sim.run(0.1).save_html(tmp_path / "a name with ü, % and #.html")
+    chrome.get((tmp_path / "a name with ü, % and #.html").as_uri())
+    wait_for(chrome, "return !!window.replay")
+    assert chrome.title == scene.name == chrome.find_element("tag name", "summary").text
+    assert complaints(chrome) == []
+
+
+@pytest.mark.filterwarnings("ignore:dt 10 ms explodes")
+def test_a_run_that_exploded_is_replayed_without_a_warning(chrome, tmp_path, capsys):
+    body = '<body><joint type="slide" stiffness="1e8"/><geom size=".1"/></body>'
+    model = tmp_path / "boom.xml"
+    model.write_text(
+        f"<mujoco><worldbody>{body}</worldbody><option timestep='0.01'/>"
+        "<keyframe><key qvel='1'/></keyframe></mujoco>"
+    )
+    out = tmp_path / "run.html"
+    assert cli.main(["view", str(model), "--html", str(out)]) == 1
+    said = capsys.readouterr()
+    assert "diverged in step" in said.err and "overflow" not in said.err
+    assert "s of motion" in said.out
+    chrome.get(out.as_uri())
+    wait_for(chrome, "return !!window.replay")
+    chrome.execute_script("replay.seek(replay.end)")
+    assert complaints(chrome) == []
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):

@@ -13,6 +13,7 @@ import html
 import io
 import json
 import os
+import re
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -37,7 +38,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         "extent": runs[0].drawing.extent,
         "runs": [_run(run, tint) for run, tint in zip(runs, _tints(len(runs)), strict=True)],
         "newtons": _newtons(runs),
-        "notes": [f"Not drawn: {note}" for note in runs[0].drawing.notes],
+        "notes": [f"Not drawn: {note}." for note in runs[0].drawing.notes],
         "arrow": ARROW * runs[0].drawing.extent,
     }
     if len(runs) > 1:
@@ -51,10 +52,8 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         "SHAPES": _own("page_shapes.js"),
         "SCRIPT": _own("page.js"),
     }
-    text = _own("page.html")
-    for name, part in parts.items():
-        text = text.replace(f"${name}$", part)
-    return text
+    # In one go, so that what is filled in is not searched.
+    return re.sub(r"\$([A-Z]+)\$", lambda found: parts[found[1]], _own("page.html"))
 
 
 def save_page(runs: Sequence[Replayed], path: str | os.PathLike[str]) -> None:
@@ -173,4 +172,6 @@ def _surface(vertices: NDArray[Any], faces: NDArray[Any]) -> dict[str, Any]:
 
 def _packed(numbers: Any, kind: str = "<f4") -> str:
     """Numbers as the page reads them: little-endian, in base64."""
-    return base64.b64encode(np.ascontiguousarray(numbers, kind).tobytes()).decode()
+    # A run that explodes has numbers beyond single precision.
+    with np.errstate(over="ignore"):
+        return base64.b64encode(np.ascontiguousarray(numbers, kind).tobytes()).decode()
