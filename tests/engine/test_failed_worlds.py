@@ -194,10 +194,11 @@ def test_a_damaged_snapshot_is_refused():
 
 
 def checked(payload):
-    """The payload with the checksum of a snapshot, FNV-1a of 64 bits."""
-    value = 0xCBF29CE484222325
-    for byte in payload:
-        value = (value ^ byte) * 0x100000001B3 % 2**64
+    """The payload with the checksum of a snapshot, of 64 bits: word after word."""
+    value = len(payload)
+    for (word,) in struct.iter_unpack("<Q", payload + bytes(8 - len(payload) % 8)):
+        turned = (value << 5 | value >> 59) % 2**64
+        value = (turned ^ word) * 0x517CC1B727220A95 % 2**64
     return payload + struct.pack("<Q", value)
 
 
