@@ -373,3 +373,25 @@ def test_arrays_go_in_and_out_over_threads(lanes):
         batch.qvel[[1400, 77, 800], 1] = 0.0
         batch.step()
     assert batches[0].qpos.tobytes() == batches[1].qpos.tobytes()
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+def test_forces_come_and_go_in_each_world(cheetah, lanes):
+    """Most worlds have none, which a batch does not write: one that has, had or has -0 shows."""
+    qpos, qvel, _ = cheetah_starts(cheetah)
+    pushes = [{}, {5: 3.0}, {2: -0.0, 6: 2.0}, {2: -1.0, 5: -0.0}, {}, {0: 4.0}]
+    batch = sc.Batch(cheetah, 8, lanes=lanes)
+    sims = [sc.Sim(cheetah) for _ in range(8)]
+    batch.qpos[:], batch.qvel[:] = qpos, qvel
+    for sim, q, v in zip(sims, qpos, qvel, strict=True):
+        sim.qpos[:], sim.qvel[:] = q, v
+    for push in pushes:
+        batch.qfrc_applied[:] = batch.xfrc_applied[:] = 0.0
+        for world, force in push.items():
+            batch.qfrc_applied[world, 1] = batch.xfrc_applied[world, 3, 2] = force
+        batch.step(2)
+        for world, sim in enumerate(sims):
+            sim.qfrc_applied[1] = sim.xfrc_applied[3, 2] = push.get(world, 0.0)
+            sim.step(2)
+    ends = np.array([[*sim.qpos, *sim.qvel] for sim in sims])
+    assert np.hstack([batch.qpos, batch.qvel]).tobytes() == ends.tobytes()
