@@ -17,7 +17,7 @@ use crate::place::Placed;
 use crate::pool::Pool;
 use crate::program::Listed;
 use crate::real::{Mask, Real};
-use crate::settings::{Integrator, Law, Settings, Solver};
+use crate::settings::{Law, Settings, Solver};
 use crate::sleep::{last_impulses, Sleeper};
 use crate::solve::{Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
@@ -135,11 +135,10 @@ impl<R: Real> Sim<R> {
             let limit = "1 with sleep: each world sleeps by itself";
             return Err(Error::value("lanes", R::LANES, limit));
         }
-        let effective = settings.integrator == Integrator::Discrete;
         Ok(Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
-            placed: Placed::new(&model, effective.then(|| R::of(settings.dt))),
+            placed: Placed::for_steps(&model, &settings),
             detected: Detected::new(&model, settings.max_contacts),
             rows: Rows::new(&model),
             velocity: vec![R::zero(); model.nv],

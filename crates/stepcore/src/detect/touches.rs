@@ -44,7 +44,7 @@ impl Model {
             return Err(Error::value("geom1, geom2", pair, limit));
         };
         let mut found = PosedTouches::room(poses, test.most_touches());
-        let mut placed = Placed::<R>::new(self, None);
+        let mut placed = Placed::<R>::new(self);
         let (bodies, geoms) = (self.chain_of([one.body, two.body]), [first, second]);
         let mut q = vec![R::zero(); self.nq];
         for start in (0..poses).step_by(R::LANES) {

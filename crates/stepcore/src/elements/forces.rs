@@ -189,7 +189,7 @@ pub fn joint_forces(
     if !matches!(kind, Kind::Spring | Kind::Damper | Kind::Actuator) {
         return None;
     }
-    let (mut inputs, mut placed) = (Inputs::<f64>::new(model), Placed::new(model, None));
+    let (mut inputs, mut placed) = (Inputs::<f64>::new(model), Placed::new(model));
     let nu = model.actuators.len();
     let mut all = Vec::with_capacity(qvel.len());
     for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {

@@ -73,7 +73,7 @@ pub fn fill(model: &mut Model) {
 
 /// The search, for pairs with the joints between them.
 fn proved(model: &Model, asked: &[(usize, Vec<Between>)]) -> Proof {
-    let mut placed = Placed::<f64>::new(model, None);
+    let mut placed = Placed::<f64>::new(model);
     let mut left = ALL_BOXES;
     let mut proof = Proof { apart: vec![false; model.pairs.len()], guards: vec![] };
     for (index, between) in asked {

@@ -3,7 +3,7 @@
 use super::slots::Slots;
 use super::{
     apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages, meetings,
-    meshes, pairs, pose, tendons, ties, tree, Model, NONE,
+    meshes, pairs, plane, pose, tendons, ties, tree, Model, NONE,
 };
 use crate::error::Result;
 use crate::scene::Scene;
@@ -54,6 +54,7 @@ impl Model {
             let still = !turns || ball && !tied[tree];
             model.trees[tree].constant = still && !weighted[tree];
         }
+        plane::fill(&mut model, &poses);
         coupling::fill(&mut model);
         model.slots = Slots::of(&model);
         apart::fill(&mut model);

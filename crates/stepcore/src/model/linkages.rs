@@ -195,7 +195,7 @@ impl Model {
         if self.actuators.is_empty() {
             return vec![];
         }
-        let mut placed = Placed::<f64>::new(self, None);
+        let mut placed = Placed::<f64>::new(self);
         placed.positions(self, &self.qpos0);
         let arms = |along: &Transmission| {
             let mut row = vec![0.0; self.nv];

@@ -19,6 +19,7 @@ mod meetings;
 mod meshes;
 mod pairs;
 mod plan;
+mod plane;
 mod pose;
 mod principal;
 mod proofs;
@@ -42,6 +43,7 @@ pub use material::Material;
 pub use meetings::{Meeting, Spheres};
 pub use pairs::Never;
 pub use plan::Unmet;
+pub use plane::Plane;
 pub use tally::Tally;
 pub use tendons::{Course, Mover, Point, Round, Stretch, Tendon};
 pub use ties::{Coupling, Ends, Equality, Tie};
@@ -185,6 +187,8 @@ pub struct Tree {
     pub constant: bool,
     /// Its poses enter a step: something turns, collides or is tied.
     pub seen: bool,
+    /// It moves in a plane, and nothing else of it is asked for.
+    pub plane: Option<Plane>,
 }
 
 /// A shape on a body.

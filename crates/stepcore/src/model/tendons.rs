@@ -237,7 +237,7 @@ fn movers(model: &Model, ends: [Point; 2], round: Option<Round>, dofs: &[usize])
 
 /// What tendons are at qpos0, and where their springs are at rest.
 fn measure(model: &mut Model) {
-    let mut placed = Placed::<f64>::new(model, None);
+    let mut placed = Placed::<f64>::new(model);
     placed.positions(model, &model.qpos_spring);
     let rest = placed.tendon_length.clone();
     placed.positions(model, &model.qpos0);

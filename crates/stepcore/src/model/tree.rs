@@ -113,6 +113,7 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
             slides_only: above.as_ref().is_none_or(|p| !p.carried),
             constant: false,
             seen: true,
+            plane: None,
         });
     }
     let dofs = Span { start: model.nv, len: kinds().map(JointType::dofs).sum() };

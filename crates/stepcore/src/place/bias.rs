@@ -55,6 +55,14 @@ impl<R: Real> Placed<R> {
         a
     }
 
+    /// Velocities, where something asks for them, and the bias force.
+    pub(super) fn bias_in_space(&mut self, model: &Model, qvel: &[R], tree: usize) {
+        if model.features.coriolis || !model.equalities.is_empty() {
+            self.velocities(model, qvel, &model.trees[tree]);
+        }
+        self.bias_of_tree(model, tree);
+    }
+
     /// The force on each dof that holds those accelerations.
     pub(super) fn bias_of_tree(&mut self, model: &Model, tree: usize) {
         let tree = &model.trees[tree];

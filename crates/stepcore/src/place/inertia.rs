@@ -6,8 +6,22 @@ use crate::real::Real;
 use crate::spatial::{rotate, splat, Inertia, M3, V3};
 
 impl<R: Real> Placed<R> {
-    /// Inertia of each body, of all that hangs on it, and the mass matrix of the tree.
+    /// The mass matrix of the tree.
     pub(super) fn weigh(&mut self, model: &Model, tree: &Tree) {
+        self.inertias(model, tree);
+        for k in tree.dofs.range() {
+            let dof = &model.dofs[k];
+            let momentum = self.composite[dof.body].mul(&self.motion[k]);
+            for at in dof.row.range() {
+                self.mass[at] = self.motion[model.row_dofs[at]].dot(&momentum);
+            }
+            self.mass[dof.row.start] += R::of(dof.armature);
+        }
+        self.weigh_tendons(model, tree);
+    }
+
+    /// Inertia of each body, and of all that hangs on it.
+    pub(super) fn inertias(&mut self, model: &Model, tree: &Tree) {
         let origin = &self.origin[model.bodies[tree.bodies.start].tree];
         for index in tree.bodies.range() {
             let body = &model.bodies[index];
@@ -25,15 +39,6 @@ impl<R: Real> Placed<R> {
                 self.composite[parent].add(&part);
             }
         }
-        for k in tree.dofs.range() {
-            let dof = &model.dofs[k];
-            let momentum = self.composite[dof.body].mul(&self.motion[k]);
-            for at in dof.row.range() {
-                self.mass[at] = self.motion[model.row_dofs[at]].dot(&momentum);
-            }
-            self.mass[dof.row.start] += R::of(dof.armature);
-        }
-        self.weigh_tendons(model, tree);
     }
 }
 

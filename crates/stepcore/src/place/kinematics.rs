@@ -53,6 +53,11 @@ impl<R: Real> Placed<R> {
         if self.placed && body.tree != NONE && !body.turns {
             return self.slide_body(model, qpos, index);
         }
+        if self.placed && body.tree != NONE {
+            if let Some(plane) = &model.trees[body.tree].plane {
+                return self.place_body_in_plane(model, plane, qpos, index);
+            }
+        }
         let offset = rotate(&self.xmat[parent], &splat(&body.pos));
         self.offset[index] = offset;
         let mut pos = self.xpos[parent] + offset;

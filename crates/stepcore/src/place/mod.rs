@@ -9,8 +9,10 @@ pub(crate) mod bias_slopes;
 mod effective;
 mod factor;
 mod force;
+mod in_plane;
 mod inertia;
 mod kinematics;
+mod kinematics_in_plane;
 mod linkage;
 mod resting;
 mod tendon;
@@ -25,8 +27,10 @@ use crate::elements::activation::Activations;
 use crate::model::{Body, Model, Tree};
 use crate::real::{Real, Stage};
 use crate::room::room;
+use crate::settings::{Integrator, Settings};
 use crate::spatial::{rotate, splat, Force, Inertia, Motion, Pose, Quat, M3, V3};
 use crate::state::Inputs;
+use in_plane::InPlane;
 use resting::Resting;
 
 /// What this stage writes. Lists are by body, dof, geom, tree as named.
@@ -52,6 +56,10 @@ pub struct Placed<R: Real> {
     /// Spatial inertia by body, and summed over all that hangs on the body.
     pub inertia: Vec<Inertia<R>>,
     pub composite: Vec<Inertia<R>>,
+    /// What trees that move in a plane have instead, by body; empty where there are none.
+    in_plane: Vec<InPlane<R>>,
+    /// Each step asks how bodies move in space, of these trees too.
+    in_space: bool,
     /// The mass matrix, armature included, in the layout of `Model::row_dofs`.
     pub mass: Vec<R>,
     /// M = LᵀDL; under `discrete` the factors of M̂, and M̂ itself.
@@ -115,13 +123,27 @@ pub struct Pulls<'a, R: Real> {
     pub arms: &'a [R],
 }
 
-room!(Placed<R>: mocap, xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
+room!(Placed<R>: mocap, xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, in_plane, mass,
     velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, act_fading, shares, force,
     u, guess; metric, effective, resting);
 
 impl<R: Real> Placed<R> {
+    /// For those who place, and do not step.
+    pub fn new(model: &Model) -> Self {
+        Self::with(model, None, false)
+    }
+
+    /// For steps of these settings.
+    pub fn for_steps(model: &Model, settings: &Settings) -> Self {
+        let effective = settings.integrator == Integrator::Discrete;
+        let in_space = settings.integrator == Integrator::Implicit;
+        Self::with(model, effective.then(|| R::of(settings.dt)), in_space)
+    }
+
     /// effective: the step in whose metric rows are solved, if not in M [s].
-    pub fn new(model: &Model, effective: Option<R>) -> Self {
+    /// in_space: see `Placed::in_space`.
+    fn with(model: &Model, effective: Option<R>, in_space: bool) -> Self {
+        let planes = model.trees.iter().any(|tree| tree.plane.is_some());
         let (nbody, nv) = (model.bodies.len(), model.nv);
         let zero = R::zero();
         let identity = Quat::identity();
@@ -142,6 +164,8 @@ impl<R: Real> Placed<R> {
             motion: vec![Motion::zero(); nv],
             inertia: vec![Inertia::zero(); nbody],
             composite: vec![Inertia::zero(); nbody],
+            in_plane: vec![InPlane::still(); if planes { nbody } else { 0 }],
+            in_space,
             mass: vec![zero; model.row_dofs.len()],
             effective: effective.map(|dt| Effective::new(model, &metric, dt)),
             metric,
@@ -277,15 +301,19 @@ impl<R: Real> Placed<R> {
     ) {
         for (index, tree) in model.trees.iter().enumerate() {
             if !tree.constant && !self.resting.skips(index) {
+                let plane = tree.plane.as_ref().filter(|_| !self.in_space);
                 R::enter(Stage::Inertia);
-                self.weigh(model, tree);
+                match plane {
+                    Some(plane) => self.weigh_in_plane(model, tree, plane),
+                    None => self.weigh(model, tree),
+                }
                 R::enter(Stage::Factor);
                 self.factor_mass(tree);
                 R::enter(Stage::Bias);
-                if model.features.coriolis || !model.equalities.is_empty() {
-                    self.velocities(model, qvel, tree);
+                match plane {
+                    Some(plane) => self.bias_in_plane(model, qvel, tree, plane),
+                    None => self.bias_in_space(model, qvel, index),
                 }
-                self.bias_of_tree(model, index);
             }
         }
         self.bias_of_tendons(model);
@@ -294,12 +322,12 @@ impl<R: Real> Placed<R> {
         self.weigh_effective(model, qpos, qvel, act, inputs);
     }
 
-    /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees
-    /// whose dynamics are constant, and whose bodies move all the same.
+    /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees whose
+    /// dynamics are constant, and whose bodies move all the same, and those that move in a plane.
     pub fn all_bodies(&mut self, model: &Model, qvel: &[R]) {
         self.resting.forget();
         for tree in &model.trees {
-            self.weigh(model, tree);
+            self.inertias(model, tree);
             self.velocities(model, qvel, tree);
         }
     }

@@ -55,7 +55,7 @@ fn pairs_that_are_apart_meet_in_no_configuration() {
     for _ in 0..60 {
         let model = drawn(&mut dice);
         claimed += model.pairs.iter().filter(|p| p.apart).count();
-        let mut placed = Placed::<f64>::new(&model, None);
+        let mut placed = Placed::<f64>::new(&model);
         for _ in 0..400 {
             let qpos = inside(&model, &mut dice);
             placed.positions(&model, &qpos);

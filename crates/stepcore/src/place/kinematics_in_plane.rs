@@ -1,0 +1,95 @@
+//! Forward kinematics of trees that move in a plane: see `kinematics.rs` and `in_plane.rs`. What lies
+//! along the plane's normal stays as it was placed first.
+
+use super::in_plane::{plus_turned, V2};
+use super::Placed;
+use crate::model::{Model, Plane};
+use crate::real::Real;
+use crate::scene::JointType;
+use crate::spatial::{Quat, V3};
+
+/// cos and sin of an angle.
+pub(super) type Turn<R> = [R; 2];
+
+/// The turn by the sum of both angles.
+#[inline(always)]
+fn sum<R: Real>([c, s]: Turn<R>, [d, t]: Turn<R>) -> Turn<R> {
+    [c * d - s * t, s * d + c * t]
+}
+
+/// A constant vector, turned.
+#[inline(always)]
+pub(super) fn turned<R: Real>(turn: Turn<R>, v: [f64; 2]) -> V2<R> {
+    sum(turn, v.map(R::of))
+}
+
+/// The turn by this angle about one of the world's axes, and then `to`.
+#[inline(always)]
+fn turned_quat<R: Real>([c, s]: Turn<R>, to: &Quat<f64>, plane: &Plane) -> Quat<R> {
+    let ([x, y], z) = (plane.axes(), plane.normal);
+    let (w, along) = (R::of(to.w), R::of(to.v[z]));
+    let [across, up] = turned([c, s], [to.v[x], to.v[y]]);
+    let mut v = V3::zeros();
+    (v[x], v[y], v[z]) = (across, up, c * along + s * w);
+    Quat { w: c * w - s * along, v }
+}
+
+impl<R: Real> Placed<R> {
+    /// See `place_body`.
+    pub(super) fn place_body_in_plane(
+        &mut self,
+        model: &Model,
+        plane: &Plane,
+        qpos: &[R],
+        index: usize,
+    ) {
+        let body = &model.bodies[index];
+        let first = model.trees[body.tree].bodies.start;
+        let flat = &plane.bodies[index - first];
+        let [x, y] = plane.axes();
+        let (mut half, mut turn) = self.in_plane[body.parent].turn;
+        let (parent, offset) = (&self.xpos[body.parent], turned(turn, flat.pos));
+        let mut pos = [parent[x] + offset[0], parent[y] + offset[1]];
+        let joints = || body.joints.of(&model.joints).iter().zip(plane.joints_of(body));
+        for (joint, flat) in joints() {
+            let along = qpos[joint.qpos] - R::of(joint.reference);
+            let lin = &mut self.motion[joint.dof].lin;
+            if joint.kind == JointType::Slide {
+                let axis = turned(turn, flat.axis);
+                pos = [pos[0] + along * axis[0], pos[1] + along * axis[1]];
+                [lin[x], lin[y]] = axis;
+                continue;
+            }
+            let apart = flat.anchor != [0.0; 2];
+            if apart {
+                let arm = turned(turn, flat.anchor);
+                pos = [pos[0] + arm[0], pos[1] + arm[1]];
+            }
+            // The anchor, until the tree's origin is known.
+            [lin[x], lin[y]] = pos;
+            let (s, c) = (along * R::of(0.5 * flat.turns)).sin_cos();
+            half = sum(half, [c, s]);
+            turn = sum(half, half);
+            if apart {
+                let arm = turned(turn, flat.anchor);
+                pos = [pos[0] - arm[0], pos[1] - arm[1]];
+            }
+        }
+        self.in_plane[index].turn = (half, turn);
+        [self.xpos[index][x], self.xpos[index][y]] = pos;
+        self.xquat[index] = turned_quat(half, &flat.quat, plane);
+        for k in 0..3 {
+            let axis = turned(turn, [flat.rot[(x, k)], flat.rot[(y, k)]]);
+            [self.xmat[index][(x, k)], self.xmat[index][(y, k)]] = axis;
+        }
+        if index == first {
+            self.origin[body.tree] = self.xpos[index];
+        }
+        let origin = &self.origin[body.tree];
+        for (joint, flat) in joints().filter(|(joint, _)| joint.kind == JointType::Hinge) {
+            let lin = &mut self.motion[joint.dof].lin;
+            let arm = [origin[x] - lin[x], origin[y] - lin[y]];
+            [lin[x], lin[y]] = plus_turned([R::zero(); 2], R::of(flat.turns), arm);
+        }
+    }
+}
