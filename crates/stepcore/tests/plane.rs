@@ -4,10 +4,10 @@ mod scenes;
 
 use std::sync::Arc;
 
-use scenes::{body, joint, Random};
+use scenes::{body, geom, joint, Random};
 use stepcore::model::Model;
 use stepcore::place::Placed;
-use stepcore::scene::{Inertial, JointType, Scene};
+use stepcore::scene::{GeomType, Inertial, JointType, Scene};
 use stepcore::settings::{Integrator, Settings};
 use stepcore::sim::Sim;
 
@@ -31,7 +31,11 @@ fn tree(frame: [f64; 4], random: &mut Random) -> Scene {
         let inertia =
             [1.1, 1.3, 1.6, 0.1 * random.next(), 0.1 * random.next(), 0.1 * random.next()];
         let pos = [random.next(), random.next(), random.next()];
-        scene.bodies[link].inertial = Some(Inertial { mass: 1.5 + random.next(), pos, inertia });
+        scene.bodies[link].inertial =
+            Some(Inertial { mass: 1.5 + random.next(), pos, inertia, axes: None });
+        let size = [0.1, 0.2, 0.3];
+        let own = geom(&mut scene, link, GeomType::Box, size);
+        (own.pos, own.quat) = (pos, [0.2, -0.4, 0.8, 0.4]);
         if k % 4 == 0 {
             joint(&mut scene, link, JointType::Slide, [0.6, 0.8, 0.0]);
         }
@@ -53,13 +57,22 @@ fn dynamics(model: &Model, settings: &Settings, seed: u64) -> [Vec<f64>; 3] {
     sim.state.qpos.iter_mut().for_each(|q| *q = 3.0 * random.next());
     sim.state.qvel.iter_mut().for_each(|v| *v = 5.0 * random.next());
     sim.refresh();
-    let Placed { xpos, xquat, xmat, motion, mass, bias, .. } = &sim.placed;
+    let Placed { xpos, xquat, xmat, motion, geom, mass, bias, .. } = &sim.placed;
     let mut placed = Vec::new();
     xpos.iter().for_each(|pos| placed.extend(pos.iter()));
     xquat.iter().for_each(|quat| placed.extend(quat.v.iter().chain([&quat.w])));
     xmat.iter().for_each(|rot| placed.extend(rot.iter()));
     motion.iter().for_each(|motion| placed.extend(motion.ang.iter().chain(motion.lin.iter())));
+    geom.iter().for_each(|pose| placed.extend(pose.pos.iter().chain(pose.rot.iter())));
     [mass.clone(), bias.clone(), placed]
+}
+
+/// The same model, as if it left its plane.
+fn in_space(model: &Model) -> Model {
+    let mut model = model.clone();
+    model.trees[0].plane = None;
+    model.geoms.iter_mut().for_each(|geom| geom.in_plane = None);
+    model
 }
 
 fn near(a: &[f64], b: &[f64]) {
@@ -78,8 +91,7 @@ fn a_plane_gives_what_space_gives() {
             scene.features.coriolis = coriolis;
             let model = Model::compile(&scene).unwrap();
             assert_eq!(model.trees[0].plane.as_ref().map(|plane| plane.normal), Some(normal));
-            let mut in_space = model.clone();
-            in_space.trees[0].plane = None;
+            let in_space = in_space(&model);
             for seed in 0..20 {
                 for integrator in [Integrator::Euler, Integrator::Implicit] {
                     let settings = Settings { integrator, ..Settings::default() };
@@ -96,8 +108,7 @@ fn a_plane_gives_what_space_gives() {
 #[test]
 fn momentum_is_that_of_space() {
     let model = Model::compile(&tree(FRAMES[0], &mut Random(5))).unwrap();
-    let mut in_space = model.clone();
-    in_space.trees[0].plane = None;
+    let in_space = in_space(&model);
     let momentum = |model: &Model| {
         let mut sim = Sim::<f64>::new(Arc::new(model.clone()), Settings::default()).unwrap();
         sim.state.qvel.iter_mut().enumerate().for_each(|(k, v)| *v = k as f64);

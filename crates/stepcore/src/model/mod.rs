@@ -43,7 +43,7 @@ pub use material::Material;
 pub use meetings::{Meeting, Spheres};
 pub use pairs::Never;
 pub use plan::Unmet;
-pub use plane::Plane;
+pub use plane::{FlatGeom, Plane};
 pub use tally::Tally;
 pub use tendons::{Course, Mover, Point, Round, Stretch, Tendon};
 pub use ties::{Coupling, Ends, Equality, Tie};
@@ -220,6 +220,8 @@ pub struct Geom {
     pub collides: bool,
     /// Its surface moves, by a velocity and an angular velocity in its frame.
     pub belt: Option<[Vector3<f64>; 2]>,
+    /// Of a geom on a tree that moves in a plane.
+    pub in_plane: Option<Box<FlatGeom>>,
 }
 
 impl Geom {

@@ -1,8 +1,8 @@
 //! Trees that move in a plane: every hinge turns about one world axis, and every slide lies across
 //! it. What they do in a step is worked out in two dimensions: see `place/in_plane.rs`.
 
-use super::pose::Pose;
-use super::{Body, Joint, Model, Tree};
+use super::pose::{rotation, Pose};
+use super::{Body, Geom, Joint, Model, Tree};
 use crate::scene::JointType;
 use crate::spatial::Quat;
 use nalgebra::{Matrix3, Vector3};
@@ -37,6 +37,15 @@ pub struct FlatBody {
     pub centre: [f64; 2],
 }
 
+/// The pose of a geom on a body of such a tree, from the body's origin.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlatGeom {
+    /// The plane's axes.
+    pub axes: [usize; 2],
+    pub pos: [f64; 2],
+    pub rot: Matrix3<f64>,
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlatJoint {
     /// Of a hinge: ±1, along the normal; 0 of a slide.
@@ -62,7 +71,7 @@ impl Plane {
     }
 }
 
-/// Fills `Tree::plane`. Equalities, and tendons that have a mass, read the motion of bodies in space.
+/// Fills `Tree::plane` and `Geom::in_plane`. Equalities, and tendons that have a mass, read the motion of bodies in space.
 pub(super) fn fill(model: &mut Model, poses: &[Pose]) {
     let weighted = model.weighted_by_tendons();
     let quats = quats_at_qpos0(&model.bodies);
@@ -73,6 +82,17 @@ pub(super) fn fill(model: &mut Model, poses: &[Pose]) {
         model.trees[index].plane =
             normal.map(|normal| plane_of(model, tree, normal, poses, &quats));
     }
+    for index in 0..model.geoms.len() {
+        model.geoms[index].in_plane = flat_geom(model, &model.geoms[index], poses);
+    }
+}
+
+fn flat_geom(model: &Model, geom: &Geom, poses: &[Pose]) -> Option<Box<FlatGeom>> {
+    let tree = model.trees.get(model.bodies[geom.body].tree)?;
+    let [x, y] = tree.plane.as_ref()?.axes();
+    let rot = poses[geom.body].rot;
+    let pos = rot * geom.pos;
+    Some(Box::new(FlatGeom { axes: [x, y], pos: [pos[x], pos[y]], rot: rot * rotation(geom.quat) }))
 }
 
 fn quats_at_qpos0(bodies: &[Body]) -> Vec<Quat<f64>> {

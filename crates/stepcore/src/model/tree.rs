@@ -263,6 +263,7 @@ fn geom(source: &crate::scene::Geom, asset: &Asset) -> Geom {
         conaffinity: source.conaffinity,
         collides: false,
         belt: belt(&source.surfacevel),
+        in_plane: None,
     }
 }
 

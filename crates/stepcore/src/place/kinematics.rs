@@ -151,13 +151,25 @@ impl<R: Real> Placed<R> {
     pub fn place_geom(&mut self, model: &Model, index: usize) {
         let geom = &model.geoms[index];
         self.place_geom_centre(model, index);
-        self.geom[index].rot = self.xquat[geom.body].mul(&Quat::splat(&geom.quat)).matrix();
+        match &geom.in_plane {
+            Some(flat) if self.placed => self.turn_geom_in_plane(flat, geom.body, index),
+            _ => {
+                let quat = self.xquat[geom.body].mul(&Quat::splat(&geom.quat));
+                self.geom[index].rot = quat.matrix();
+            }
+        }
     }
 
     fn place_geom_centre(&mut self, model: &Model, index: usize) {
         let geom = &model.geoms[index];
         let body = geom.body;
-        self.geom[index].pos = self.xpos[body] + rotate(&self.xmat[body], &splat(&geom.pos));
+        match &geom.in_plane {
+            Some(flat) if self.placed => self.move_geom_in_plane(flat, body, index),
+            _ => {
+                let arm = rotate(&self.xmat[body], &splat(&geom.pos));
+                self.geom[index].pos = self.xpos[body] + arm;
+            }
+        }
     }
 
     /// As much of a colliding geom's pose as its contacts need.

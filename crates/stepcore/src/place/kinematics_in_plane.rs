@@ -3,10 +3,11 @@
 
 use super::in_plane::{plus_turned, V2};
 use super::Placed;
-use crate::model::{Model, Plane};
+use crate::model::{FlatGeom, Model, Plane};
 use crate::real::Real;
 use crate::scene::JointType;
-use crate::spatial::{Quat, V3};
+use crate::spatial::{Quat, M3, V3};
+use nalgebra::Matrix3;
 
 /// cos and sin of an angle.
 pub(super) type Turn<R> = [R; 2];
@@ -32,6 +33,14 @@ fn turned_quat<R: Real>([c, s]: Turn<R>, to: &Quat<f64>, plane: &Plane) -> Quat<
     let mut v = V3::zeros();
     (v[x], v[y], v[z]) = (across, up, c * along + s * w);
     Quat { w: c * w - s * along, v }
+}
+
+/// A constant orientation, turned; its rows along the normal stay.
+#[inline(always)]
+fn turn_axes<R: Real>(to: &mut M3<R>, turn: Turn<R>, rot: &Matrix3<f64>, [x, y]: [usize; 2]) {
+    for k in 0..3 {
+        [to[(x, k)], to[(y, k)]] = turned(turn, [rot[(x, k)], rot[(y, k)]]);
+    }
 }
 
 impl<R: Real> Placed<R> {
@@ -78,10 +87,7 @@ impl<R: Real> Placed<R> {
         self.in_plane[index].turn = (half, turn);
         [self.xpos[index][x], self.xpos[index][y]] = pos;
         self.xquat[index] = turned_quat(half, &flat.quat, plane);
-        for k in 0..3 {
-            let axis = turned(turn, [flat.rot[(x, k)], flat.rot[(y, k)]]);
-            [self.xmat[index][(x, k)], self.xmat[index][(y, k)]] = axis;
-        }
+        turn_axes(&mut self.xmat[index], turn, &flat.rot, [x, y]);
         if index == first {
             self.origin[body.tree] = self.xpos[index];
         }
@@ -91,5 +97,19 @@ impl<R: Real> Placed<R> {
             let arm = [origin[x] - lin[x], origin[y] - lin[y]];
             [lin[x], lin[y]] = plus_turned([R::zero(); 2], R::of(flat.turns), arm);
         }
+    }
+
+    /// See `place_geom_centre`.
+    pub(super) fn move_geom_in_plane(&mut self, flat: &FlatGeom, body: usize, index: usize) {
+        let (at, arm) = (&self.xpos[body], turned(self.in_plane[body].turn.1, flat.pos));
+        for (k, arm) in flat.axes.into_iter().zip(arm) {
+            self.geom[index].pos[k] = at[k] + arm;
+        }
+    }
+
+    /// See `place_geom`.
+    pub(super) fn turn_geom_in_plane(&mut self, flat: &FlatGeom, body: usize, index: usize) {
+        let (rot, turn) = (&mut self.geom[index].rot, self.in_plane[body].turn.1);
+        turn_axes(rot, turn, &flat.rot, flat.axes);
     }
 }

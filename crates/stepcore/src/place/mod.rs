@@ -195,11 +195,11 @@ impl<R: Real> Placed<R> {
         for body in 1..model.bodies.len() {
             self.place_body(model, &qpos, body);
         }
-        self.placed = true;
-        self.constant_arms(model);
         for geom in 0..model.geoms.len() {
             self.place_geom(model, geom);
         }
+        self.placed = true;
+        self.constant_arms(model);
         for (index, tree) in model.trees.iter().enumerate() {
             self.weigh(model, tree);
             self.factor_mass(tree);
