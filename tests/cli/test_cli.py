@@ -141,6 +141,8 @@ def test_info(capsys):
         (["trade", "BALL", "--horizon", "-1"], "horizon"),
         (["trade", "BALL", "--starts", "none"], "--starts"),
         (["trade", "BALL", "--ctrl", "no.npy"], "no such file"),
+        (["trade", "BALL", "--ctrl", "1,0"], "a measurement takes a .npy or .csv file of controls"),
+        (["trade", "BALL", "--budget", "20"], "must be > 0, with its unit: "),
         (["trade", "BALL", "--ctrl", "BALL"], ".npy or .csv"),
         (["trade", "BALL", "--control", "json"], "FILE.py:FUNCTION or MODULE:FUNCTION"),
         (["trade", "BALL", "--control", "no_such_module:f"], "no_such_module"),

@@ -226,7 +226,7 @@ def test_ctrl_c_ends_it():
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ("20 us", "budget = '20 us': must be > 0: a number, or as"),
+        ("20 us", "budget = '20 us': must be > 0, with its unit: \"20us/step\""),
         ("-1us/s", "budget"),
         (0, "budget = 0"),
         ("0x", "budget"),

@@ -125,7 +125,8 @@ def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
 def controls_of(path: str) -> Any:
     """The rows of controls in a file, .npy or .csv."""
     if not os.path.isfile(path):
-        raise Usage(f"--ctrl {path}: no such file")
+        takes = "a measurement takes a .npy or .csv file of controls"
+        raise Usage(f"--ctrl {path}: no such file; {takes}")
     if not path.endswith((".npy", ".csv")):
         raise Usage(f"--ctrl {path}: must end in .npy or .csv")
     try:

@@ -186,7 +186,7 @@ def budget(owner: str, name: str, value: object, dt: float, by: str) -> float:
     """
     units = _spelt(OPERATIONS if by == "flops" else (*COMPUTING, ("ns", 1e-3)))
     example = "20kflop" if by == "flops" else "20us"
-    limit = f'> 0: a number, or as "{example}/step" or "{example}/s"'
+    limit = f'> 0, with its unit: "{example}/step" or "{example}/s"'
     if by != "flops":
         limit += ', or "100x" for that many times real time'
     result = checks.number(value)
