@@ -1,6 +1,8 @@
 """Height fields against the oracle: the nearest of the prisms under their triangles."""
 
+import mujoco
 import numpy as np
+import peers
 import pytest
 from oracle.convex import Convex, Posed
 from oracle.poses import quaternions, rotation, shape
@@ -52,29 +54,55 @@ def deepest(touches):
     return np.where(touches.exists, touches.dist, np.inf).min(axis=-1)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_distances_above_the_land(kind):
-    """Apart: the least distance of all prisms, or of those in the shape's shadow, where the nearest
-    is beyond it: no step asks for that one before the two come near."""
-    rng = np.random.default_rng(37)
-    heights = rng.uniform(0, 1, (3, 4))
+def land(name, rng):
+    """Heights from 0 to 1, as MuJoCo keeps them."""
+    heights = rng.uniform(0, 1, (4, 5))
+    if name == "cliffs":
+        heights = np.where(heights > 0.5, 1.0, 0.0)
     heights.ravel()[:2] = 0, 1
-    heights = np.float64(np.float32(heights))  # what MuJoCo keeps
+    return np.float64(np.float32(heights))
+
+
+@pytest.mark.parametrize("name", ["hills", "cliffs"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_distances_to_the_land(kind, name):
+    """Over it, beside it and in it: apart, the least distance of all prisms, however far; else an
+    overlap, be it in a pit with all ways out through other prisms."""
+    rng = np.random.default_rng(37)
+    heights = land(name, rng)
     one = shape(rng, kind, "generic", 0.2)
-    n = 40
+    n = 60
     turn = quaternions(rng, n)
-    pos = rng.uniform(-1, 1, (n, 3)) * (*HALF, 0) + (0, 0, TALL + 0.25)
-    pos[:, 2] -= rng.uniform(0, 0.3, n)
+    pos = rng.uniform(-1.3, 1.3, (n, 3)) * (*HALF, 0)
+    pos[:, 2] = rng.uniform(0, TALL + 0.4, n)
     found = compiled(heights, one).touches("a", "b", np.concatenate([pos, turn], axis=1))
     dist = np.min(
         [search(Posed(p, one, pos, rotation(turn))).dist for p in prisms(heights)], axis=0
     )
     apart = dist > 1e-9
-    error = (deepest(found) - dist)[apart]
-    assert len(error) > 10
-    assert error.min() > -1e-9
-    assert np.mean(error < 1e-9) > 0.3
-    assert (deepest(found)[~apart] < 1e-9).all()
+    assert 10 < apart.sum() < 50
+    assert np.abs(deepest(found) - dist)[apart].max() < 1e-9
+    assert deepest(found)[dist < -1e-9].max() < 0
+
+
+@pytest.mark.parametrize("margin", [0.02, 0.1, 0.3])
+def test_a_margin_wider_than_the_shape_reaches_a_cliff(margin):
+    """A small ball beside a wall of one cell, 0.5 m high: MuJoCo's nearest contact, or none."""
+    elevation = " ".join(["0 " * 11 + "1 " * 10] * 21)
+    text = (
+        '<mujoco><asset><hfield name="h" nrow="21" ncol="21" size="1 1 .5 .2" '
+        f'elevation="{elevation}"/></asset><worldbody><geom type="hfield" hfield="h"/>'
+        f'<body pos="-.02 .013 .2"><freejoint/><geom size=".01" margin="{margin}"/></body>'
+        "</worldbody></mujoco>"
+    )
+    model = peers.strict(mujoco.MjModel.from_xml_string(text))
+    data, sim = mujoco.MjData(model), sc.Sim(sc.loads(text))
+    mujoco.mj_forward(model, data)
+    sim.forward()
+    theirs, ours = data.contact.dist, sim.contacts["dist"]
+    assert bool(len(theirs)) == bool(len(ours)) == (margin > 0.05)
+    if len(theirs):
+        assert ours.min() == pytest.approx(theirs.min(), abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)

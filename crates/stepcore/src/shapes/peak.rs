@@ -16,7 +16,7 @@ use crate::spatial::V3;
 const KEPT: usize = 8;
 const ROUNDS: usize = 40;
 /// The first steps are no longer than this, and none is tried below the other.
-const FIRST: f64 = 0.1;
+const FIRST: f64 = 0.01;
 const LEAST: f64 = 1e-12;
 /// Over the size of the pair: a gain that is only rounding.
 const ROUNDING: f64 = 1e-15;
