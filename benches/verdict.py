@@ -30,6 +30,8 @@ import stepcore as sc
 RIGHT = 1e-6
 # Of the pair's size: contacts farther apart are at other places.
 ELSEWHERE = 1e-4
+# Of a contact's distance from its margin [m].
+GRAZES = 1e-15
 # Cosine of the angle between normals that count as one.
 SAME_NORMAL = 1 - 1e-12
 
@@ -83,6 +85,11 @@ def listed_by_mujoco(data: mujoco.MjData) -> dict[tuple[int, int], Claims]:
             pair = (int(c.geom[0]), int(c.geom[1]))
             pairs.setdefault(pair, []).append((c.dist, c.pos.copy(), c.frame[:3].copy()))
     return {pair: claims(*zip(*found, strict=True)) for pair, found in pairs.items()}
+
+
+def grazes(data: mujoco.MjData) -> bool:
+    """Some contact is at its margin to rounding, which decides whether it makes rows."""
+    return any(abs(c.dist - c.includemargin) <= GRAZES for c in data.contact[: data.ncon])
 
 
 def elsewhere(one: Claims | None, two: Claims | None, size: float) -> bool:

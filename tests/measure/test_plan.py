@@ -231,3 +231,17 @@ def test_the_command_prints_and_writes(tmp_path: Path, capsys) -> None:
     listed = capsys.readouterr().out.partition("The elements of each entry")[2].split()
     assert set(sc.load("gymnasium:ant").compile().joint_names) <= set(listed)
     assert np.all([len(e["names"]) <= e["count"] for e in data["rows"]])
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_what_moves_in_a_plane_is_worked_out_in_two_dimensions(axis: str) -> None:
+    scene = sc.Scene()
+    link = scene.add_body("link")
+    scene.add_joint(link, "hinge", name="turn", axis=[float(axis == k) for k in "xyz"])
+    scene.add_geom(link, "sphere", (0.1,), mass=1.0, pos=(0.1, 0.2, 0.3))
+    left = {e.name: e for e in scene.compile().plan().left_out if "plane" in e.name}
+    entry = left["poses, mass matrix and bias force out of a plane (by tree)"]
+    assert entry.why == f"hinges turn about {axis}, slides lie across it: two dimensions"
+    scene = scene.with_settings(integrator="implicit")
+    left = [e.name for e in scene.compile().plan().left_out if "plane" in e.name]
+    assert left == ["poses out of a plane (by tree)"]

@@ -358,6 +358,8 @@ impl Model {
         let wet = m.fluid.of_body.iter().map(|parts| parts.len > 0).collect::<Vec<_>>();
         plan.set_item("fluid", wet)?;
         plan.set_item("constant", trees.clone().map(|t| t.constant).collect::<Vec<_>>())?;
+        let normals = trees.clone().map(|t| t.plane.as_ref().map(|plane| plane.normal));
+        plan.set_item("normals", normals.collect::<Vec<_>>())?;
         plan.set_item("seen", trees.clone().map(|t| t.seen).collect::<Vec<_>>())?;
         plan.set_item("damped", m.damped())?;
         plan.set_item("sloped", m.sloped())?;

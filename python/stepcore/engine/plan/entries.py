@@ -167,6 +167,11 @@ class _Listing:
         name = "mass matrix, factors and bias force (by tree)"
         yield _out("place", name, sliding, "constant: nothing rotates")
         yield _out("place", name, balls, "isotropic: constant, and no gyroscopic term")
+        forces = ", mass matrix and bias force" if self.settings.integrator != "implicit" else ""
+        for k, axis in enumerate("xyz"):
+            flat = [n for n, normal in zip(trees, self.plan["normals"], strict=True) if normal == k]
+            why = f"hinges turn about {axis}, slides lie across it: two dimensions"
+            yield _out("place", f"poses{forces} out of a plane (by tree)", flat, why)
         removals = {removal.kind: removal for removal in self.features.terms()}
         name = "of which Coriolis, centrifugal, gyroscopic"
         if on.coriolis:
