@@ -8,7 +8,7 @@ both engines place, detect and solve from scratch, MuJoCo at its most accurate, 
 they compute is compared, relative to the largest entry. Where the two find other contacts, or as
 many at other places, what follows from them is not compared: the state counts as one whose contacts
 differ, and an independent oracle says of each such pair of geoms who is right (`verdict.py`). Nor
-is it where a contact is at its margin to rounding. Then one step of every integrator that both have.
+is it where a contact is at its margin to rounding. Then one step of each integrator that both have.
 
 Times: MuJoCo in a C loop with its timers off, stepcore by `sim.step(n)`, both from the same starts,
 in turn. "equal": Newton, to the residual that MuJoCo reaches. "shipped": what the file asks for, on
