@@ -50,6 +50,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         "THREE": three(),
         "DATA": coded,
         "SHAPES": _own("page_shapes.js"),
+        "FIGURES": _own("page_figures.js"),
         "SCRIPT": _own("page.js"),
     }
     # In one go, so that what is filled in is not searched.
