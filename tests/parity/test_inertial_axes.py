@@ -81,3 +81,33 @@ def test_axes_are_a_field_of_bodies():
         scene.compile()
     with pytest.raises(ValueError, match="mass = None: must be given where ipos, inertia or iquat"):
         sc.Scene().add_body("c", iquat=(1, 0, 0, 0))
+
+
+def test_a_body_without_mass_hangs_by_its_own_axes_under_bounds():
+    agree(
+        BODY.format(rules='boundmass="5" boundinertia=".1"', inertia='<geom name="g" size=".1"/>')
+        .replace('size=".1"', 'size=".1" mass="0"')
+        .replace('euler="0 20 0"', 'pos=".3 0 1" euler="30 20 0"')
+    )
+
+
+@pytest.mark.parametrize("moments", MOMENTS)
+def test_another_inertia_has_axes_of_its_own(moments):
+    """Scaled it keeps them; with other axes they are found, and `iquat` says so."""
+    inertia = INERTIAL.format(turn='euler="30 -50 20"', moments=moments)
+    scene = sc.loads(BODY.format(rules="", inertia=inertia))
+    body, model = scene.body("b"), scene.compile()
+    axes, old = body.iquat, np.array(body.inertia)
+    beside = old + np.array([0, 0, 0, 0.01, 0, 0])
+    for other in (beside, old * [1.1, 1, 1, 1, 1, 1], 2 * old):
+        changed = model.with_values({"body/b/inertia": other})
+        six = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+        assert [changed.body_inertia[1][place] for place in six] == pytest.approx(other)
+        batch = sc.Batch(model, 2)
+        batch.param["body/b/inertia"] = np.array([old, other])
+        assert batch.model_of(1).body_inertia[1] == pytest.approx(changed.body_inertia[1])
+    body.inertia = 2 * old
+    assert body.iquat == axes
+    body.inertia = beside
+    assert body.iquat is None
+    body.inertia, body.mass = (0,) * 6, None

@@ -144,9 +144,9 @@ fn given(scene: &Scene, body: usize) -> Option<Load> {
 /// those of its inertia; where the body is fixed to a moving one, the inverse
 /// weight at that point counts in its contacts.
 fn nothing(scene: &Scene, body: usize) -> Load {
-    let ipos = Vector3::from(scene.bodies[body].pos);
-    let aligned = same_frame(&ipos, unit_quat(scene.bodies[body].quat), 0.0);
-    Load { mass: 0.0, ipos, inertia: Matrix3::zeros(), aligned, axes: Axes::Found }
+    let (ipos, quat) = (Vector3::from(scene.bodies[body].pos), unit_quat(scene.bodies[body].quat));
+    let aligned = same_frame(&ipos, quat, 0.0);
+    Load { mass: 0.0, ipos, inertia: Matrix3::zeros(), aligned, axes: Axes::Own(quat) }
 }
 
 fn same_frame(offset: &Vector3<f64>, quat: [f64; 4], size: f64) -> bool {

@@ -8,7 +8,10 @@ from typing import Annotated
 from stepcore import checks
 from stepcore.scene.element import Element
 from stepcore.scene.elements.field_types import Flag, Inertia, Mass, Quat, Real, Text, Vec3
-from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
+from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, turned_inertia
+
+# Products of inertia in principal axes, of the trace; the engine allows a little more.
+PRINCIPAL = 1e-10
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -25,7 +28,8 @@ class Body(Element):
         numbers give a diagonal.
     iquat: orientation of the principal axes of that inertia in the body's frame, shape (4,); None
         finds them from it. It matters where moments are equal: a fluid drags a body by its axes
-        (``density``), and sensors of frames of type "body" turn with them.
+        (``density``), and sensors of frames of type "body" turn with them. It becomes None where
+        an inertia is assigned that has other axes.
     gravcomp: share of its weight that a force at its centre of mass holds up; 1 floats.
     mocap: True for a body whose pose is an input (`Sim.mocap_pos`, `Sim.mocap_quat`): a child of
         the world without joints, that stands still in every step, and holds what is welded to it.
@@ -41,6 +45,18 @@ class Body(Element):
     iquat: Annotated[Vec | None, checks.optional(checks.unit(4))] = None
     gravcomp: Real = 0.0
     mocap: Flag = False
+
+    def __setattr__(self, field: str, value: object) -> None:
+        super().__setattr__(field, value)
+        axes = self.__dict__.get("iquat") if field == "inertia" else None
+        if axes is not None and not _principal(axes, self.inertia):
+            self.iquat = None
+
+
+def _principal(axes: Vec, inertia: Vec) -> bool:
+    w, x, y, z = axes
+    xx, yy, zz, *products = turned_inertia((w, -x, -y, -z), inertia)
+    return max(map(abs, products)) <= PRINCIPAL * (xx + yy + zz) and any(inertia)
 
 
 # A reference to one.
