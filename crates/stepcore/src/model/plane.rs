@@ -60,7 +60,7 @@ impl Plane {
     /// The world's axes in the plane; with the normal before them they are right-handed.
     #[inline(always)]
     pub fn axes(&self) -> [usize; 2] {
-        [(self.normal + 1) % 3, (self.normal + 2) % 3]
+        across(self.normal)
     }
 
     /// Of a joint of this tree.
@@ -69,6 +69,11 @@ impl Plane {
         let first = body.joints.start - self.first_joint;
         &self.joints[first..first + body.joints.len]
     }
+}
+
+#[inline(always)]
+fn across(normal: usize) -> [usize; 2] {
+    [(normal + 1) % 3, (normal + 2) % 3]
 }
 
 /// Fills `Tree::plane` and `Geom::in_plane`. Equalities, and tendons that have a mass, read the motion of bodies in space.
@@ -129,7 +134,7 @@ fn plane_of(
     poses: &[Pose],
     quats: &[Quat<f64>],
 ) -> Plane {
-    let [x, y] = [(normal + 1) % 3, (normal + 2) % 3];
+    let [x, y] = across(normal);
     let flat = |v: Vector3<f64>| [v[x], v[y]];
     let body = |index: usize| {
         let (body, rot) = (&model.bodies[index], poses[index].rot);
