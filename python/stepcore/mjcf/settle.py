@@ -14,6 +14,7 @@ from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import WorldReader
+    from stepcore.scene.contents import Contents
 
 NOTE = (
     "an attached model makes masses by other rules (<compiler>): bodies have the masses that their "
@@ -40,12 +41,11 @@ def settle_masses(world: WorldReader) -> None:
     for rules, bodies in groups.values():
         if _words(rules) == _words(kept):
             continue
-        known = weights_under(rules, scene, bodies)
+        known, otherwise = weights_under(rules, scene, bodies), _weights_if(kept, scene, bodies)
         for body in bodies:
-            if _same(known[id(body)], kept, world, body):
-                continue
-            settled = True
-            give(body, known[id(body)])
+            if not _same(known[id(body)], otherwise.get(id(body))):
+                settled = True
+                give(body, known[id(body)])
     scene.mass_rules = kept
     world.settled = True
     if settled:
@@ -57,11 +57,19 @@ def _words(rules: MassRules) -> tuple[object, ...]:
     return tuple((rules.values() | {"settotalmass": None}).values())
 
 
-def _same(weight: Weight, kept: MassRules, world: WorldReader, body: Body) -> bool:
-    """Whether the rules that the scene keeps give the body this weight too."""
+def _weights_if(rules: MassRules, scene: Contents, bodies: list[Body]) -> dict[int, Weight]:
+    """The weights of those bodies that have one under these rules, by their ``id``."""
     try:
-        other = weights_under(kept, world.scene, [body])[id(body)]
+        return weights_under(rules, scene, bodies)
     except ValueError:
+        if len(bodies) == 1:
+            return {}
+    # One by one: a body that the rules refuse says nothing about the others.
+    return {key: w for body in bodies for key, w in _weights_if(rules, scene, [body]).items()}
+
+
+def _same(weight: Weight, other: Weight | None) -> bool:
+    if other is None:
         return False
     pairs = zip(
         (weight.mass, *weight.ipos, *weight.inertia.flat),
