@@ -354,3 +354,21 @@ def test_reprs_say_what_there_is() -> None:
         "Joint(name='j_a', body=<body \"a\">, axis=(0.0, 1.0, 0.0), ref=0.5)"
     )
     assert str(scene.add_geom("a")) == 'unnamed geom of body "a"'
+
+
+def test_errors_name_what_has_no_name_by_its_index() -> None:
+    """When it is made, when it is assigned, and in copies: as errors about the whole scene do."""
+    scene = Scene()
+    body = scene.add_body()
+    with pytest.raises(ValueError, match=r"^joint 0 of body 1: axis = "):
+        scene.add_joint(body, axis=(0, 0, 0))
+    scene.add_joint(body)
+    scene.add_geom(body)
+    scene.add_geom(scene.add_body("arm"))
+    for held in (scene, copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
+        with pytest.raises(ValueError, match=r"^joint 0 of body 1: stiffness = 'a': must be"):
+            held.joints[0].stiffness = "a"  # type: ignore[assignment]
+        with pytest.raises(ValueError, match=r"^geom 1 of body 'arm': size = -1: must be"):
+            held.geoms[1].size = -1  # type: ignore[assignment]
+        with pytest.raises(ValueError, match=r"^body 1: mass = -1: must be"):
+            held.bodies[1].mass = -1

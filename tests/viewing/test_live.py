@@ -342,6 +342,27 @@ def test_the_command_writes_a_page(tmp_path, capsys):
     assert "--html" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("host", "inner", "others"),
+    [
+        ("localhost", "localhost", False),
+        ("127.0.0.1", "127.0.0.1", False),
+        ("::1", r"\[::1\]", False),
+        ("0.0.0.0", "localhost", True),
+    ],
+)
+def test_it_says_what_other_machines_type(host, inner, others, capsys):
+    try:
+        view = live.opened(live.view_sim(sc.Sim(lesson.drop()), host, PORT), False)
+    except ValueError:
+        pytest.skip(f"this machine has no {host}")
+    with view:
+        own = re.escape(live._own_address())
+        outer = rf" \(from another machine http://{own}:\d+\)" if others else ""
+        assert re.fullmatch(rf"stepcore view: http://{inner}:\d+{outer}\n", capsys.readouterr().out)
+        assert bool(view.outer_url) == others
+
+
 def test_the_command_opens_a_view(monkeypatch, capsys):
     monkeypatch.setattr(live.View, "wait", live.View.close)
     arguments = ["view", "gymnasium:half_cheetah", "--ctrl", "bthigh=1", "--port", str(PORT)]

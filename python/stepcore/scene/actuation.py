@@ -17,7 +17,7 @@ from stepcore.scene.elements.actuator import SECOND, TARGETS
 from stepcore.scene.frames import ORIGIN, Vec
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.holdings import Holdings
 
 # A muscle's numbers in the order of gainprm, with their defaults.
 MUSCLE: dict[str, Any] = {
@@ -157,7 +157,7 @@ def _muscle(parameters: Vec) -> dict[str, Any]:
     return dict(zip(MUSCLE, (numbers[:2], *numbers[2:]), strict=True))
 
 
-def na(scene: Contents) -> int:
+def na(scene: Holdings) -> int:
     """The number of activations in a scene."""
     return sum(states(law(actuator)) for actuator in scene.actuators)
 

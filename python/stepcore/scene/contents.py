@@ -6,12 +6,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore import checks
 from stepcore.scene import frames
+from stepcore.scene.element import belongs
 from stepcore.scene.elements import (
     Actuator,
     Body,
@@ -31,6 +33,7 @@ from stepcore.scene.elements import (
 )
 from stepcore.scene.elements.sensor import OBJECTS
 from stepcore.scene.holdings import Holdings
+from stepcore.scene.layout import named
 from stepcore.scene.sensor_ends import find as find_end
 
 if TYPE_CHECKING:
@@ -94,9 +97,11 @@ class Contents(Holdings):
         if iquat is not None:
             fields["iquat"] = iquat
         given = len(fields) > 4
-        body = Body(parent=self.body(parent), gravcomp=gravcomp, mocap=mocap, **fields)
-        if mass is None and given:
-            raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
+        carrier = self.body(parent)
+        with self._naming():
+            body = Body(parent=carrier, gravcomp=gravcomp, mocap=mocap, **fields)
+            if mass is None and given:
+                raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
         return self._append(self.bodies, body)
 
     def add_joint(
@@ -139,16 +144,10 @@ class Contents(Holdings):
             own["mesh"] = self.mesh(mesh)
         if hfield is not None:
             own["hfield"] = self.hfield(hfield)
-        geom = _make(Geom, fields, **own)
-        if fromto is not None:
-            both = [field for field in ("pos", "quat") if field in fields]
-            if both:
-                raise checks.ElementError(geom, f"{both[0]} and fromto are both given")
-            ends = checks.vector(6)(geom, "fromto", fromto)
-            try:
-                geom.size, geom.pos, geom.quat = frames.from_to(type, ends, geom.size[0])
-            except ValueError as error:
-                raise checks.ElementError(geom, str(error)) from None
+        with self._naming():
+            geom = _make(Geom, fields, **own)
+            if fromto is not None:
+                _place(geom, fromto, fields)
         return self._append(self.geoms, geom)
 
     def add_mesh(
@@ -373,8 +372,30 @@ class Contents(Holdings):
         """Excludes collisions between the geoms of two bodies, but for those of explicit pairs."""
         self.excludes.append((self.body(body1), self.body(body2)))
 
+    @contextlib.contextmanager
+    def _naming(self) -> Iterator[None]:
+        """Errors about an element name it as those of the whole scene do."""
+        try:
+            yield
+        except checks.ElementError as error:
+            raise self._named(error) from None
+
+    def _named(self, error: checks.ElementError) -> checks.ElementError:
+        return named(self, error)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy's elements are the copy's."""
+        self.__dict__.update(state)
+        for elements in state.values():
+            if isinstance(elements, list):
+                for element in elements:
+                    if isinstance(element, Element):
+                        belongs(element, self)
+
     def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-        return self._append(into, _make(kind, fields, **own))
+        with self._naming():
+            element = _make(kind, fields, **own)
+        return self._append(into, element)
 
     def _append(self, into: list[E], element: E) -> E:
         names = self._names_of(type(element).__name__.lower())
@@ -383,7 +404,20 @@ class Contents(Holdings):
             raise checks.ElementError(element, "the name is used twice")
         into.append(element)
         names.added(into, element)
+        belongs(element, self)
         return element
+
+
+def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
+    """Gives a geom the size and the pose of its two end points."""
+    both = [field for field in ("pos", "quat") if field in fields]
+    if both:
+        raise checks.ElementError(geom, f"{both[0]} and fromto are both given")
+    ends = checks.vector(6)(geom, "fromto", fromto)
+    try:
+        geom.size, geom.pos, geom.quat = frames.from_to(geom.type, ends, geom.size[0])
+    except ValueError as error:
+        raise checks.ElementError(geom, str(error)) from None
 
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:

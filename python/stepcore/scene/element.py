@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import typing
+import weakref
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from stepcore import checks
@@ -22,11 +23,25 @@ _FIELDS: dict[type, tuple[str, ...]] = {}
 E = typing.TypeVar("E", bound="Element")
 # How often an element has got another name.
 _renamed = [0]
+# By element, the scene that holds it.
+_SCENES: weakref.WeakKeyDictionary[Element, weakref.ref[Any]] = weakref.WeakKeyDictionary()
 
 
 def renamed() -> int:
     """A number that grows whenever some element gets another name."""
     return _renamed[0]
+
+
+def belongs(element: Element, scene: Any) -> None:
+    """Remembers which scene holds an element: errors call it as the scene does."""
+    _SCENES[element] = weakref.ref(scene)
+
+
+def _named(element: Element, error: checks.ElementError) -> checks.ElementError:
+    holder = _SCENES.get(element)
+    scene = None if holder is None else holder()
+    result: checks.ElementError = error if scene is None else scene._named(error)
+    return result
 
 
 def _checks_of(kind: type[Element]) -> dict[str, tuple[checks.Check, object, object]]:
@@ -57,7 +72,10 @@ class Element:
             )
         check, default, checked = known[field]
         if value is not default:
-            checked = check(self, field, value)
+            try:
+                checked = check(self, field, value)
+            except checks.ElementError as error:
+                raise _named(self, error) from None
         if field == "name" and "name" in self.__dict__:
             _renamed[0] += 1
         object.__setattr__(self, field, checked)

@@ -13,7 +13,7 @@ from stepcore import checks
 from stepcore.scene.elements import Body, Element, Geom, Joint
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.holdings import Holdings
 
 QPOS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
@@ -25,7 +25,7 @@ SIZES |= {"mesh": 0, "hfield": 0}
 class Layout:
     """The elements of a scene in the order of the compiled model."""
 
-    def __init__(self, scene: Contents) -> None:
+    def __init__(self, scene: Holdings) -> None:
         self.scene = scene
         self.bodies = _depth_first(scene.bodies)
         self.index = {id(body): i for i, body in enumerate(self.bodies)}
@@ -134,7 +134,7 @@ def _depth_first(bodies: list[Body]) -> list[Body]:
     return order
 
 
-def called(scene: Contents, element: object) -> str:
+def called(scene: Holdings, element: object) -> str:
     """An element in errors, as the engine calls it: "joint 3 of body 'leg'" without a name.
 
     One that the scene has not yet gets the index that it would have.
@@ -154,7 +154,7 @@ def called(scene: Contents, element: object) -> str:
         return str(element)
 
 
-def named(scene: Contents, error: checks.ElementError) -> checks.ElementError:
+def named(scene: Holdings, error: checks.ElementError) -> checks.ElementError:
     """The same error, whose element is called as in the engine's errors."""
     again = checks.ElementError(called(scene, error.owner), error.text)
     again.owner = error.owner

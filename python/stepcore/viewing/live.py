@@ -22,6 +22,9 @@ from stepcore.viewing.panel import Panel, RunPanel, SimPanel
 # Pictures a second.
 RATE = 30.0
 PORT = 8080
+# Hosts that serve every address of the machine, and how those begin that no other machine reaches.
+EVERYWHERE = ("0.0.0.0", "::")
+LOOPBACK = ("localhost", "127.", "::1")
 
 
 class View:
@@ -30,8 +33,8 @@ class View:
     url: its address. It stays open until `close`, or the end of the program.
     """
 
-    def __init__(self, server: Any, panel: Panel) -> None:
-        self._server, self._panel = server, panel
+    def __init__(self, server: Any, panel: Panel, host: str = "localhost") -> None:
+        self._server, self._panel, self._host = server, panel, host
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._turn, name="stepcore view", daemon=True)
         self._thread.start()
@@ -39,7 +42,16 @@ class View:
     @property
     def url(self) -> str:
         """Its address in a browser of this machine."""
-        return f"http://localhost:{self._server.get_port()}"
+        return self._url("localhost" if self._host in EVERYWHERE else self._host)
+
+    @property
+    def outer_url(self) -> str:
+        """Its address in browsers of other machines, which `host` lets in; else ""."""
+        own = _own_address() if self._host in EVERYWHERE else self._host
+        return "" if own.startswith(LOOPBACK) else self._url(own)
+
+    def _url(self, host: str) -> str:
+        return f"http://{f'[{host}]' if ':' in host else host}:{self._server.get_port()}"
 
     def close(self) -> None:
         """Ends the view."""
@@ -145,7 +157,9 @@ def opened(view: View, wait: bool | None) -> View:
     """The view, whose address is printed; waits for its end where nobody sits at a prompt."""
     prompt = hasattr(sys, "ps1") or "ipykernel" in sys.modules
     waits = wait or (wait is None and not prompt)
-    print(f"stepcore view: {view.url}{' (Ctrl-C ends it)' if waits else ''}", flush=True)
+    outer = "" if view.outer_url in ("", view.url) else f"from another machine {view.outer_url}"
+    more = "; ".join(filter(None, (outer, "Ctrl-C ends it" if waits else "")))
+    print(f"stepcore view: {view.url}{more and f' ({more})'}", flush=True)
     if waits:
         view.wait()
     return view
@@ -154,11 +168,20 @@ def opened(view: View, wait: bool | None) -> View:
 def _view(host: str, port: int, panel: Callable[[Any], Panel]) -> View:
     server = _server(host, port)
     try:
-        return View(server, panel(server))
+        return View(server, panel(server), host)
     except BaseException:
         with _quiet():
             server.stop()
         raise
+
+
+def _own_address() -> str:
+    """The address by which other machines reach this one, or its name."""
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        # Nothing is sent: the system only says which of its addresses it would send from.
+        asked.connect(("192.0.2.1", 9))
+        return str(asked.getsockname()[0])
+    return socket.gethostname()
 
 
 def _check_host(host: str) -> None:

@@ -165,9 +165,9 @@ class SimPanel(Panel):
             "Back in time", 0.0, 1.0, 0.001, 1.0, hint="drag to go back"
         )
         self.back.on_update(self._locked(self._go_back))
-        self._curves()
         self.sliders = self._controls()
         self._shown()
+        self._curves()
         self.draw()
         self.stage.look([self.instant])
 
