@@ -124,6 +124,59 @@ DISCARDING = {
 }
 
 
+# A body that weighs nothing by itself, and how it is held.
+WEIGHTLESS = """<mujoco><compiler {rules}/><worldbody>{before}
+    <body name="b" pos=".3 0 1" euler="30 20 0">{inside}</body>{after}</worldbody>
+  <sensor><framepos objtype="body" objname="{name}"/></sensor></mujoco>"""
+HOLDS = {
+    "nothing": ("", ""),
+    "a frame": ('<frame pos="0 0 .3" euler="0 0 20">', "</frame>"),
+    "two frames": ('<frame pos="1 0 0"><frame euler="0 0 20">', "</frame></frame>"),
+    "copies": ('<replicate count="2" offset="0 1 0" euler="0 0 20">', "</replicate>"),
+    "a frame of a body": (
+        '<body pos="0 0 1"><joint/><geom size=".1"/><frame pos="0 0 .3" euler="0 0 20">',
+        "</frame></body>",
+    ),
+}
+INSIDE = {
+    "nothing": "",
+    "a geom": '<geom size=".1"/>',
+    "a joint": '<joint type="slide"/>',
+    "a weightless geom": '<geom size=".1" mass="0"/>',
+    "an empty inertial": '<inertial mass="0" pos=".1 .2 0" euler="20 0 0"/>',
+}
+
+
+@pytest.mark.parametrize("held", HOLDS)
+@pytest.mark.parametrize("inside", INSIDE)
+@pytest.mark.parametrize(
+    "rules", ["", 'inertiafromgeom="false"', 'inertiagrouprange="3 4"', 'inertiafromgeom="true"']
+)
+def test_bodies_without_mass(rules: str, inside: str, held: str) -> None:
+    """MuJoCo takes the pose that such a body is written with for that of its inertia."""
+    before, after = HOLDS[held]
+    for bounds in ("", ' boundmass="5" boundinertia=".1"'):
+        text = WEIGHTLESS.format(
+            rules=rules + bounds,
+            before=before,
+            inside=INSIDE[inside],
+            after=after,
+            name="b0" if held == "copies" else "b",
+        )
+        try:
+            theirs = mujoco.MjModel.from_xml_string(text)
+        except ValueError:
+            with pytest.raises(ValueError, match="mass"):
+                loads(text).compile()
+            continue
+        scene = loads(text)
+        for ours in (scene, loads(scene.to_mjcf())):
+            model = ours.compile()
+            for name in ("mass", "ipos") + (("iquat",) if bounds or theirs.nv == 0 else ()):
+                got = np.array(getattr(model, f"body_{name}"))
+                assert got[1:] == pytest.approx(getattr(theirs, f"body_{name}")[1:], abs=1e-12)
+
+
 @pytest.mark.parametrize("what", DISCARDING)
 def test_visual_geoms_are_discarded(what: str) -> None:
     compiled.compare(loads(DISCARDING[what]), mujoco.MjModel.from_xml_string(DISCARDING[what]))

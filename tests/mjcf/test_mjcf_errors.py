@@ -156,6 +156,13 @@ MISTAKES = {
         3,
         'joint "j" has no range',
     ),
+    "a range to inherit that nothing limits": (
+        wrong_servo("position", 'inheritrange="1"', 'range="0 1" limited="true"').replace(
+            "<mujoco>", '<mujoco><compiler autolimits="false"/>', 1
+        ),
+        3,
+        'inheritrange without ctrllimited="true", and autolimits is "false"',
+    ),
     "an unknown dyntype": (wrong_servo("general", 'dyntype="pdi"'), 3, "pid"),
     "activations of nothing": (wrong_servo("general", 'actdim="1"'), 3, "actdim = 1"),
     "unknown input": (wrong_servo("general", 'input="speed"'), 3, "pos, vel or pressure"),

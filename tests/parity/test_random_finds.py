@@ -202,3 +202,37 @@ def test_the_filter_of_a_servo_on_a_circle_goes_the_shorter_way_round(dyntype, e
             sim.step(1)
             assert peers.apart(sim.act, data.act) < 1e-9
             assert peers.apart(sim.qvel, data.qvel) < 1e-9
+
+
+@pytest.mark.parametrize("limited", ["auto", "false"])
+@pytest.mark.parametrize("servo", ["position", "intvelocity", "pid"])
+def test_servos_inherit_the_range_of_a_tendon(servo, limited):
+    """Whether that limits the tendon or not, as of a joint."""
+    text = f"""<mujoco><worldbody><body><joint name="j" type="slide"/><geom size=".1"/></body>
+      </worldbody><tendon><fixed name="t" range="-1 2" limited="{limited}">
+        <joint joint="j" coef="1"/></fixed></tendon>
+      <actuator><{servo} tendon="t" kp="3" inheritrange=".5"/></actuator></mujoco>"""
+    model, data, sim = pair(text)
+    for ctrl in (-4, 0.3, 4):
+        data.ctrl[:] = sim.ctrl[:] = ctrl
+        for _ in range(40):
+            mujoco.mj_step(model, data)
+            sim.step()
+        assert sim.qpos == pytest.approx(data.qpos, abs=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["newton", "pgs"])
+@pytest.mark.parametrize("speed", [-1e4, -1e8, 1e12, -1e20])
+def test_a_motion_that_was_broken_off_leaves_no_rounding(solver, speed):
+    """A limit alone, whose last impulse was of another motion: the force of one that was not."""
+    text = """<mujoco><option timestep=".005"/><worldbody><body>
+      <joint type="slide" axis="1 0 0" range="-.1 .1"/><geom size=".1" mass="1"/></body>
+      </worldbody></mujoco>"""
+    sims = [sc.Sim(sc.loads(text), solver=solver) for _ in range(2)]
+    sims[0].qpos[:], sims[0].qvel[:] = -0.2, speed
+    sims[0].step()
+    for sim in sims:
+        sim.qpos[:], sim.qvel[:] = -0.2, 0.0
+        sim.forward()
+    assert sims[0].qacc == pytest.approx(sims[1].qacc, rel=1e-12)
+    assert sims[1].qacc == pytest.approx([250.0], rel=1e-9)

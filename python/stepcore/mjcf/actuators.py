@@ -233,6 +233,10 @@ def _ranges(
     if gains.inheritrange <= 0 or not gains.is_position:
         return _ctrlrange(world, node, values, gains), actrange
     found = _inherited(world, node, values, gains, target)
+    switch = "actlimited" if integrates else "ctrllimited"
+    if values.get(switch, "auto") == "auto" and not world.compiler.autolimits:
+        what = f'inheritrange without {switch}="true", and autolimits is "false"'
+        raise node.error(f"<{node.tag}> {what}")
     if integrates:
         limited = values.get("actlimited", "auto") is not False
         return world.limits(node, values, "ctrllimited", "ctrlrange"), found if limited else None
@@ -262,7 +266,7 @@ def _inherited(
     if gains.tag == "position" and "ctrlrange" in values and not takes_over:
         raise node.error("<position> inherits both ctrlrange and inheritrange")
     element = next(iter(target.values()))
-    bounds = element.range if "tendon" in target else world.ranges.get(id(element))
+    bounds = world.ranges.get(id(element))
     if bounds is None or bounds[0] == bounds[1]:
         raise node.error(f"<{node.tag}> inheritrange: {element} has no range")
     radians = "tendon" in target or element.range is not None or element.type != "hinge"

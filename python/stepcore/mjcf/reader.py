@@ -40,6 +40,7 @@ from stepcore.mjcf.references import check_references
 from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.settle import settle_masses
 from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
+from stepcore.mjcf.weightless import place_weightless
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import collector
 from stepcore.scene.consistency import check
@@ -163,6 +164,7 @@ def finish(world: WorldReader, root: Node) -> None:
     check_references(world, root)
     leave_out_visual_geoms(world, layout)
     world.assets.read_used(scene)
+    place_weightless(world)
     settle_masses(world)
     if world.main.values.get("discardvisual"):
         discard_visual(world, root)

@@ -34,6 +34,8 @@ def read(world: WorldReader, node: Node) -> None:
         **given,
     )
     world.keep(node, tendon)
+    if "range" in values:
+        world.ranges[id(tendon)] = values["range"]
 
 
 def _stop(world: WorldReader, node: Node) -> Stop:

@@ -86,13 +86,15 @@ class WorldReader:
         # Geoms that only draw, where they are kept to be drawn (`Assets.drawn`).
         self.only_drawn: set[int] = set()
         self.with_inertial: set[int] = set()
+        # The poses that bodies in frames are written with.
+        self.written: dict[int, tuple[Vec, Vec]] = {}
         # Free joints whose bodies are to be aligned with their inertia.
         self.aligned: set[int] = set()
         # Groups of actuators that are left out.
         self.disabled_groups: frozenset[int] = frozenset()
         # Every body has a mass of its own by now (`settle.py`).
         self.settled = False
-        # Ranges of joints, limited or not, which servos can inherit.
+        # Ranges of joints and tendons, limited or not, which servos can inherit.
         self.ranges: dict[int, tuple[float, ...]] = {}
 
     def read(self, world: Node) -> None:
@@ -161,6 +163,8 @@ class WorldReader:
         own = {name: values[name] for name in ("gravcomp", "mocap") if name in values}
         body = self.scene.add_body(values.get("name", ""), place.body, pos, quat, **own)
         self.keep(node, body)
+        if place.pose != AT_ORIGIN:
+            self.written[id(body)] = self._pose(node, values, Place(place.body))
         self.names["body"].add(body.name)
         childclass = self.defaults.known(node, "childclass") or place.childclass
         return Place(body, childclass=childclass)
@@ -184,14 +188,14 @@ class WorldReader:
             raise node.error("a second <inertial> in the same <body>")
         self.with_inertial.add(id(place.body))
         place.body.ipos, turn = self._pose(node, values, place)
-        inertia = values.get("fullinertia")
+        inertia, axes = values.get("fullinertia"), None
         if inertia is None:
             xx, yy, zz = values.get("diaginertia", frames.ORIGIN)
             # Axes that are found put the largest moment first.
-            place.body.iquat = None if turn == frames.IDENTITY and xx >= yy >= zz else turn
+            axes = None if turn == frames.IDENTITY and xx >= yy >= zz else turn
             inertia = (xx, yy, zz, 0.0, 0.0, 0.0)
         place.body.inertia = frames.turned_inertia(turn, inertia)
-        place.body.mass = values["mass"]
+        place.body.mass, place.body.iquat = values["mass"], axes
 
     def _joint(self, node: Node, place: Place) -> None:
         values = self.defaults.of(node, place.childclass)

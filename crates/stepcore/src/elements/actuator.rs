@@ -24,6 +24,11 @@ use crate::state::Inputs;
 
 pub(super) struct Actuator;
 
+/// A part of a bound, MuJoCo's: tensions that a tendon's bound has scaled add up to it but for rounding.
+const AT_BOUND: f64 = 1e-10;
+/// So many roundings, where a number has so few digits that this is more.
+const ROUNDED: f64 = 16.0;
+
 impl scene::Actuator {
     /// A control within its bounds, where these are obeyed.
     #[inline(always)]
@@ -173,24 +178,44 @@ pub(crate) fn bound<R: Real>(model: &Model, tensions: &mut [R]) {
     }
 }
 
-/// The actuators of a tendon together stay within its `actuatorfrcrange`; by tendon, the part that
-/// it lets through.
-pub(crate) fn clamp_tendons<R: Real>(model: &Model, tensions: &mut [R], shares: &mut [R]) {
-    shares.fill(R::one());
+/// The actuators of a tendon.
+fn on_tendon(model: &Model, tendon: usize) -> impl Iterator<Item = usize> + '_ {
+    let pulls = move |index: &usize| model.actuators[*index].target == Target::Tendon(tendon);
+    (0..model.actuators.len()).filter(pulls)
+}
+
+fn tension_of<R: Real>(model: &Model, tendon: usize, tensions: &[R]) -> R {
+    on_tendon(model, tendon).fold(R::zero(), |sum, index| sum + tensions[index])
+}
+
+/// The actuators of a tendon together stay within its `actuatorfrcrange`.
+pub(crate) fn clamp_tendons<R: Real>(model: &Model, tensions: &mut [R]) {
     for (tendon, limits) in model.tendons.iter().enumerate() {
         let Some(range) = limits.actuatorfrcrange else { continue };
-        let pulls = |index: &usize| model.actuators[*index].target == Target::Tendon(tendon);
-        let own = || (0..model.actuators.len()).filter(pulls);
-        let total = own().fold(R::zero(), |sum, index| sum + tensions[index]);
-        shares[tendon] = share(total, range);
-        for index in own() {
-            tensions[index] *= shares[tendon];
+        let share = share(tension_of(model, tendon, tensions), range);
+        for index in on_tendon(model, tendon) {
+            tensions[index] *= share;
         }
     }
 }
 
+/// By tendon, 1 where its actuators together are within its `actuatorfrcrange` once each of them is
+/// within its own bounds, 0 where they are at a bound: MuJoCo's rule, with its tolerance, of where they
+/// have slopes.
+pub(crate) fn free_tendons<R: Real>(model: &Model, tensions: &[R], free: &mut [R]) {
+    free.fill(R::one());
+    let near = R::of(AT_BOUND.max(ROUNDED * R::epsilon()));
+    for (tendon, limits) in model.tendons.iter().enumerate() {
+        let Some([lo, hi]) = limits.actuatorfrcrange else { continue };
+        let total = tension_of(model, tendon, tensions);
+        let above = total.gt(R::of(lo) + near * R::of(lo.abs()));
+        let below = total.lt(R::of(hi) - near * R::of(hi.abs()));
+        free[tendon] = R::select(above.and(below), R::one(), R::zero());
+    }
+}
+
 /// The part of a sum that its bounds let through.
-pub(crate) fn share<R: Real>(total: R, [lo, hi]: [f64; 2]) -> R {
+fn share<R: Real>(total: R, [lo, hi]: [f64; 2]) -> R {
     let one = R::one();
     let beyond = total.lt(R::of(lo)).or(total.gt(R::of(hi)));
     let whole = R::select(beyond.and(total.abs().gt(R::zero())), total, one);
@@ -207,18 +232,24 @@ pub(crate) fn ask_of_joints<R: Real>(now: &Moment<R>, sums: &mut [R]) {
     asked_of_drives(now, |dof, force| sums[dof] += force);
 }
 
-/// What joints let through of the forces of their actuators, by dof. What holds up weight through
-/// them is one of these.
-pub(crate) fn clamp_joints<R: Real>(now: &Moment<R>, shares: &mut [R]) {
+/// What joints let through of the forces of their actuators, by dof, and by dof whether they let through
+/// all of it and more: then 1, else 0. What holds up weight through them is one of these.
+pub(crate) fn clamp_joints<R: Real>(now: &Moment<R>, shares: &mut [R], free: &mut [R]) {
     ask_of_joints(now, shares);
     let mut clamps = now.model.clamps.iter().peekable();
-    for (dof, share_of) in shares.iter_mut().enumerate() {
+    for (dof, (share_of, free)) in shares.iter_mut().zip(free).enumerate() {
         let own = |(joint, _): &&(usize, [f64; 2])| now.model.joints[*joint].dof == dof;
-        *share_of = match clamps.next_if(own) {
-            Some((_, range)) => share(*share_of, *range),
-            None => R::one(),
+        [*share_of, *free] = match clamps.next_if(own) {
+            Some((_, range)) => let_through(*share_of, *range),
+            None => [R::one(); 2],
         };
     }
+}
+
+/// The part of a sum that the bounds of a joint let through, and 1 where it is within them, else 0.
+pub(crate) fn let_through<R: Real>(total: R, range: [f64; 2]) -> [R; 2] {
+    let within = total.gt(R::of(range[0])).and(total.lt(R::of(range[1])));
+    [share(total, range), R::select(within, R::one(), R::zero())]
 }
 
 /// What a position servo stores under a control [J]; 0 of other actuators.
@@ -265,15 +296,16 @@ fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
     });
     let turn = turn(model, index, (now.qpos, now.qvel), now.act, now.inputs);
     let own = turn.map_or(own, |turn| Some(turn.free));
-    let at = match actuator.target {
+    let within = match actuator.target {
         _ if now.frames.shares.is_empty() => return own,
-        Target::Joint(joint) | Target::InParent(joint) => model.joints[joint].dof,
+        Target::Joint(joint) | Target::InParent(joint) => {
+            model.nv + model.tendons.len() + model.joints[joint].dof
+        }
         Target::Tendon(tendon) => model.nv + tendon,
         Target::Site { .. } | Target::Crank { .. } | Target::Body(_) => return own,
     };
-    let share = now.frames.shares[at];
-    let whole = share.ge(R::one()).and(share.le(R::one()));
-    Some(own.map_or(whole, |own| own.and(whole)))
+    let within = now.frames.shares[within].gt(R::zero());
+    Some(own.map_or(within, |own| own.and(within)))
 }
 
 /// The force of a servo is at its bound.

@@ -244,8 +244,7 @@ pub fn weigh(scene: &Scene, assets: &[Asset], model: &mut Model) -> Result<(Vec<
     check(scene, model, &loads)?;
     for (body, x) in model.bodies.iter_mut().zip(&loads) {
         (body.mass, body.ipos, body.inertia) = (x.mass, x.ipos, x.inertia);
-        // MuJoCo takes the axes of a body without mass from where it hangs.
-        body.iquat = if x.mass == 0.0 { body.quat } else { x.axes.of(&x.inertia) };
+        body.iquat = x.axes.of(&x.inertia);
         if body.tree != NONE {
             model.trees[body.tree].mass += x.mass;
         }

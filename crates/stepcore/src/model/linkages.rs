@@ -177,7 +177,7 @@ impl Model {
         let bounded = self.tendons.iter().any(|tendon| tendon.actuatorfrcrange.is_some());
         let some = bounded || !self.clamps.is_empty();
         if some {
-            self.nv + self.tendons.len()
+            2 * self.nv + self.tendons.len()
         } else {
             0
         }

@@ -2,7 +2,7 @@
 
 use super::{Frames, Placed, Pulls};
 use crate::elements::activation::{rates, Activations};
-use crate::elements::actuator::{bound, clamp_joints, clamp_tendons, tensions};
+use crate::elements::actuator::{bound, clamp_joints, clamp_tendons, free_tendons, tensions};
 use crate::elements::force::{Group, Moment, Sum};
 use crate::elements::forces::push;
 use crate::model::Model;
@@ -29,13 +29,15 @@ impl<R: Real> Placed<R> {
         if self.shares.is_empty() {
             bound(model, &mut self.actuator);
         } else {
-            let (joints, tendons) = self.shares.split_at_mut(model.nv);
-            clamp_tendons(model, &mut self.actuator, tendons);
+            let (joints, within) = self.shares.split_at_mut(model.nv);
+            let (tendons, free) = within.split_at_mut(model.tendons.len());
+            clamp_tendons(model, &mut self.actuator);
             bound(model, &mut self.actuator);
+            free_tendons(model, &self.actuator, tendons);
             let Self { xpos, xmat, origin, motion, actuator, .. } = self;
             let frames =
                 Frames { xpos, xmat, origin, motion, tension: actuator, shares: &[], pulls };
-            clamp_joints(&Moment { model, frames, qpos, qvel, act, inputs }, joints);
+            clamp_joints(&Moment { model, frames, qpos, qvel, act, inputs }, joints, free);
         }
     }
 

@@ -14,7 +14,7 @@
 use super::Placed;
 use crate::detect::Contact;
 use crate::elements::activation::Activations;
-use crate::elements::actuator::{ask_of_joints, share};
+use crate::elements::actuator::{ask_of_joints, let_through};
 use crate::elements::force::Moment;
 use crate::model::{Linkage, Model};
 use crate::real::{Mask, Real};
@@ -105,7 +105,8 @@ impl<R: Real> Placed<R> {
         }
         for (joint, range) in &model.clamps {
             let dof = model.joints[*joint].dof;
-            self.shares[dof] = share(self.guess[dof], *range);
+            let within = model.nv + model.tendons.len() + dof;
+            [self.shares[dof], self.shares[within]] = let_through(self.guess[dof], *range);
         }
         self.driven_by_bounded_joints(model, R::one());
     }

@@ -84,8 +84,8 @@ pub struct Placed<R: Real> {
     pub act_rate: Vec<R>,
     /// And how fast these fade as the activations move [1/s].
     pub act_fading: Vec<R>,
-    /// How much of the actuators' forces its joint lets through, by dof, and its tendon, by tendon;
-    /// empty: all.
+    /// How much of the actuators' forces its joint lets through, by dof; then, by tendon and again by
+    /// dof, 1 where no bound holds the sum of these forces, else 0. Empty: nothing has such bounds.
     pub shares: Vec<R>,
     /// All smooth forces summed, by dof: applied + actuated + passive − bias.
     pub force: Vec<R>,

@@ -83,7 +83,7 @@ fn sweep<R: Real>(
     let Unconstrained { dof_lists, inv_d, .. } = free;
     // One row on its own, and one update all that is asked or all that it takes.
     if limits.sweeps == 1 || limits.exact {
-        if let Some(report) = rows.solve_single(dof_lists, inv_d, limits.exact) {
+        if let Some(report) = rows.solve_single(free, limits.exact) {
             return report;
         }
     }
