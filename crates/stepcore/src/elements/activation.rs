@@ -134,7 +134,7 @@ pub(crate) fn rates<R: Real>(
     pulls: Pulls<R>,
     [rates, fading]: [&mut [R]; 2],
 ) {
-    if !model.features.actuation {
+    if rates.is_empty() || !model.features.actuation {
         return;
     }
     for index in model.controlled() {
@@ -159,7 +159,7 @@ pub(crate) fn advance<R: Real>(
     out: &mut [R],
 ) {
     out.copy_from_slice(act);
-    if !model.features.actuation {
+    if act.is_empty() || !model.features.actuation {
         return;
     }
     for index in model.controlled() {
@@ -238,6 +238,9 @@ pub(crate) fn through_middle<R: Real>(
 
 /// By activation, the length that a servo on a circle has; others are left alone.
 pub(crate) fn centres<R: Real>(model: &Model, qpos: &[R], pulls: Pulls<R>, out: &mut [R]) {
+    if out.is_empty() {
+        return;
+    }
     for (index, k) in model.on_circles() {
         out[k] = model.along[index].length(model, qpos, pulls);
     }
@@ -245,6 +248,9 @@ pub(crate) fn centres<R: Real>(model: &Model, qpos: &[R], pulls: Pulls<R>, out: 
 
 /// Takes whole turns off activations that are more than half a turn away from these lengths.
 pub(crate) fn unwind<R: Real>(model: &Model, centres: &[R], act: &mut [R]) {
+    if act.is_empty() {
+        return;
+    }
     for (index, k) in model.on_circles() {
         act[k] = nearest(act[k], centres[k], model.circles[index]);
     }

@@ -33,6 +33,15 @@ pub(crate) struct Way {
     pub scale: f64,
 }
 
+/// In the order of `Material::friction`.
+const DIRECTIONS: [Way; MOST_WAYS] = [
+    Way { axis: Axis::Tangent(0), turns: false, scale: 1.0 },
+    Way { axis: Axis::Tangent(1), turns: false, scale: 1.0 },
+    Way { axis: Axis::Normal, turns: true, scale: 1.0 },
+    Way { axis: Axis::Tangent(0), turns: true, scale: 1.0 },
+    Way { axis: Axis::Tangent(1), turns: true, scale: 1.0 },
+];
+
 /// The ways of a contact that have rows.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ways {
@@ -68,13 +77,8 @@ impl Ways {
     }
 
     fn of(fixed: [bool; 2], material: &Material, least: f64) -> Self {
-        let way = |direction: usize| Way {
-            axis: if direction == 2 { Axis::Normal } else { Axis::Tangent(direction % 3) },
-            turns: direction > 1,
-            scale: 1.0,
-        };
         let mut ways = Self {
-            list: core::array::from_fn(way),
+            list: DIRECTIONS,
             count: 0,
             still: 0,
             mu: 0.0,
@@ -92,7 +96,7 @@ impl Ways {
                     ways.share = ratio(ways.slide, mu);
                 }
                 let scale = ratio(mu, ways.mu);
-                ways.list[ways.count] = Way { scale, ..way(direction) };
+                ways.list[ways.count] = Way { scale, ..DIRECTIONS[direction] };
                 ways.count += 1;
             }
         }

@@ -47,14 +47,13 @@ impl<R: Real> Rows<R> {
         let (first, settings) = (&contacts[0], now.settings);
         let (pair, material) = (&first.pair, now.model.material(&first.pair));
         let limited = settings.max_recovery_speed.under(Law::SolRef).is_some();
-        if settings.cone != Cone::Pyramidal || pair.invweight <= 0.0 || limited {
+        let slides = material.condim == 3 && pair.still == [false; 2];
+        let plain = slides && material.adhesion <= 0.0 && pair.invweight > 0.0;
+        if settings.cone != Cone::Pyramidal || !plain || limited {
             return false;
         }
         let ways = Ways::soft(pair.still, material);
         let [one, two] = ways.list() else { return false };
-        if material.adhesion > 0.0 || one.turns || two.turns || ways.still > 0 {
-            return false;
-        }
         let reach = R::of(material.reach());
         let masks = contacts.each_ref().map(|contact| contact.mask.and(contact.dist.lt(reach)));
         let alike = |contact: &Contact<R>| contact.normal == first.normal;

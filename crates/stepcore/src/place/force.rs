@@ -24,6 +24,9 @@ impl<R: Real> Placed<R> {
         act: Activations<R>,
         inputs: &Inputs<R>,
     ) {
+        if model.actuators.is_empty() && self.shares.is_empty() {
+            return;
+        }
         let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
         tensions(model, qpos, qvel, act, inputs, pulls, &mut self.actuator);
         if self.shares.is_empty() {
