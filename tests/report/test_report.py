@@ -36,13 +36,13 @@ def test_notes_beyond_a_screen_are_counted():
     lines = report.text(100, full=False).splitlines()
     assert len(lines) == SCREEN
     shown = sum(line.startswith("Note: ") for line in lines)
-    assert lines[-1] == f"Not shown: {50 - shown} more notes (--all, or text(full=True))."
+    assert lines[-1] == f"Not shown: {50 - shown} more notes (--all; in Python text(full=True))."
     assert report.text(100).count("Note: ") == 50 and "Not shown" not in report.text(100)
     few = Report("arm: an answer", ["It moves."], [], notes[:30])
     assert few.text(100, full=False) == few.text(100)
     table = Table([{"a": k} for k in range(SCREEN)])
     text = Report("arm: an answer", [], [table], notes[:1]).text(100, full=False)
-    assert text.endswith("Not shown: 1 note (--all, or text(full=True)).")
+    assert text.endswith("Not shown: 1 note (--all; in Python text(full=True)).")
 
 
 @pytest.mark.parametrize("width", [20, 33, 80])

@@ -19,7 +19,8 @@ from stepcore.cli.output import add_json, print_json
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import RECORDED, Trajectory
-from stepcore.experiment.single_run import SingleRun
+from stepcore.experiment.pace import Pace
+from stepcore.experiment.single_run import LOOKS, SingleRun
 from stepcore.experiment.watch import Watch
 from stepcore.measure.findings import Finding, findings_of
 from stepcore.report.report import NARROWEST, wrapped
@@ -89,6 +90,8 @@ def call(args: argparse.Namespace) -> None:
     model = model_of(args)
     # The ledger explains a failure in full, and costs a few percent.
     sim = Sim(model, **({"ledger": True} | changes))
+    # Those that were asked for.
+    shown = Settings(**(sim.settings.as_dict() | {"ledger": changes.get("ledger", False)}))
     key = key_of(args, model)
     sim.reset(key=0 if key is None and model.keys else key)
     steps = _steps(duration, sim.settings.dt)
@@ -101,13 +104,14 @@ def call(args: argparse.Namespace) -> None:
         )
     record = _recorded(args)
     watch, control = Watch(sim.model), control_of(args, sim)
+    pace = Pace(min(steps, LOOKS))
     ran = in_words(args, sim, control, key, run)
     single = SingleRun(
         sim,
         control=control,
         control_dt=args.control_dt,
         pushes=pushes_of(args, model),
-        probes=[watch] if steps else [],
+        probes=[watch, pace] if steps else [],
         record=record,
         progress=None,
     )
@@ -122,7 +126,8 @@ def call(args: argparse.Namespace) -> None:
         raise RuntimeError(" ".join(said)) from None
     _save(args, single.trajectory)
     found = findings_of(sim.model, watch) if steps else []
-    _report(sim, ran, steps, single.spent, notes, found, args.json)
+    step = pace.seconds(Sim(model, sim.settings)) if steps else 0.0
+    _report(sim, shown, ran, steps, step, notes, found, args.json)
 
 
 def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
@@ -161,19 +166,21 @@ def _save(args: argparse.Namespace, run: Trajectory | None) -> None:
 
 def _report(
     sim: Sim,
+    shown: Settings,
     ran: str,
     steps: int,
-    spent: float,
+    step: float,
     notes: list[str],
     found: list[Finding],
     as_json: bool,
 ) -> None:
     """Prints the final state and what the run showed.
 
-    ran: the motion, in words; spent: computing time [s].
+    shown: the settings that were asked for. ran: the motion, in words. step: computing time
+    of a step [s].
     """
     kinetic, potential = (float(part) for part in sim.energy)
-    cost = 1e6 * spent / steps if steps else None
+    cost = 1e6 * step or None
     if as_json:
         data = {
             "settings": sim.settings,
@@ -194,18 +201,19 @@ def _report(
         return
     model = sim.model
     name = model.scene.name or "scene"
-    if cost is None:
+    if not steps:
         _say(f"{name}: no step was made.")
     else:
         dt = sim.settings.dt
-        pace = f"{computing(cost)} a step, {times(1e6 * dt / cost)} real time"
-        _say(f"{name}: {seconds(steps * dt)} in {counted(steps, 'step')} of {seconds(dt)}; {pace}.")
+        took = f"{seconds(steps * dt)} in {counted(steps, 'step')} of {seconds(dt)}"
+        pace = cost and f"; {computing(cost)} a step, {times(1e6 * dt / cost)} real time"
+        _say(f"{name}: {took}{pace or ''}.")
     for finding in found:
         _say(f"{finding.severity}: {finding.text}")
     if steps and not found:
         _say("Nothing found: no contact creeps or sinks in, and limits and servos hold.")
     _say(f"The motion: {ran}.")
-    _say(f"{sim.settings!r}")
+    _say(f"{shown!r}")
     print()
     _say(f"time       {sim.time:g} s", LABEL)
     _say(f"qpos       {_numbers(sim.qpos)}", LABEL)

@@ -1,10 +1,9 @@
-"""One run of a Sim under a user's controls and pushes, observed by probes, its steps timed."""
+"""One run of a Sim under a user's controls and pushes, observed by probes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from time import perf_counter
 
 import numpy as np
 
@@ -50,8 +49,6 @@ class SingleRun:
     holds, at every step; without any there is none.
 
     progress: who is told how far the run is; see `Progress`.
-
-    spent: the time that steps took [s], without probes, controls and recording.
     """
 
     sim: Sim
@@ -61,7 +58,6 @@ class SingleRun:
     probes: Sequence[Probe] = ()
     record: Sequence[str] = ()
     progress: Choice = False
-    spent: float = 0.0
     trajectory: Trajectory | None = field(default=None, init=False)
 
     def run(self, steps: int) -> None:
@@ -117,9 +113,7 @@ class SingleRun:
             count = min(upto) - done
             if taking is not None:
                 taking.look(done)
-            begin = perf_counter()
             sim.step(count)
-            self.spent += perf_counter() - begin
             done += count
             if done % stride == 0 or done == steps:
                 for probe in self.probes:

@@ -205,7 +205,9 @@ def report(rows: Iterable[Row], full: bool = False) -> str:
             title = title if full else f"{title}: what does not agree"
             head = f"  {'':<38} {'value':>18} {'reference':>18}"
             lines += [*([""] if lines[-1] else []), title, head, *map(_line, chosen)]
-    return "\n".join(lines) + ("" if full else "\n\n--all (report(rows, full=True)) prints them.")
+    return "\n".join(lines) + (
+        "" if full else "\n\n--all (in Python report(rows, full=True)) prints them."
+    )
 
 
 def _agreeing(rows: Iterable[Row]) -> str:

@@ -102,7 +102,9 @@ def _notes(notes: Sequence[str], size: int, room: float) -> Iterator[str]:
         room, left = room - len(lines), left - 1
     if left:
         more = "more note" if left < len(notes) else "note"
-        yield from _wrapped(f"Not shown: {counted(left, more)} (--all, or text(full=True)).", size)
+        yield from _wrapped(
+            f"Not shown: {counted(left, more)} (--all; in Python text(full=True)).", size
+        )
 
 
 def _note(note: str) -> str:

@@ -196,7 +196,7 @@ def _table(entries: list[PlanEntry], heading: str, every: int) -> Table:
     columns = list(rows[0]) if rows else []
     columns = [c for c in columns if c not in numbers or any(row[c] for row in rows)]
     left = every - len(entries)
-    legend = f"Not shown: {left} smaller ones (--all, or text(full=True))." if left else ""
+    legend = f"Not shown: {left} smaller ones (--all; in Python text(full=True))." if left else ""
     return Table(rows, columns, dict.fromkeys(numbers, ""), heading=heading, legend=legend)
 
 

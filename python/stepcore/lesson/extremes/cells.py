@@ -144,7 +144,7 @@ def report(cells: Iterable[Cell], full: bool = False) -> str:
         ulp = "the value that the law requires is below the rounding of the numbers, and stays so."
         lines += ["", f"<ulp: {ulp}"]
     else:
-        lines += ["", "--all (report(cells, full=True)) prints every cell."]
+        lines += ["", "--all (in Python report(cells, full=True)) prints every cell."]
     return "\n".join(lines)
 
 

@@ -183,7 +183,7 @@ class Ablation(Result):
         legend = LEGEND.format(work="floating-point operations" if self.by_flops else "row updates")
         left = len(self.rows) - len(features)
         if left:
-            legend += f". Not shown: {counted(left, 'feature')} (--all, or text(full=True))"
+            legend += f". Not shown: {counted(left, 'feature')} (--all; in Python text(full=True))"
         return [Table([self._cells(row) for row in rows], formats=formats, legend=legend)]
 
     def _cells(self, row: FeatureEffect) -> dict[str, Any]:

@@ -168,7 +168,8 @@ class Convergence(ConvergenceFindings, Result):
         rows, sweeps = self.table, self.sweeps
         if not full and len(rows) > PRINTED:
             left = len(rows) - PRINTED
-            legend = f"{rows.legend}. Not shown: {counted(left, 'row')} (--all, or text(full=True))"
+            more = f"{counted(left, 'row')} (--all; in Python text(full=True))"
+            legend = f"{rows.legend}. Not shown: {more}"
             rows = rows[:PRINTED]
             rows.legend = legend
         if not full:

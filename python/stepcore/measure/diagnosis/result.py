@@ -132,7 +132,7 @@ class Diagnosis(DiagnosisFindings, Result):
         rows = self.rows if full or len(self.rows) <= PRINTED + 1 else self.rows[:PRINTED]
         left = len(self.rows) - len(rows)
         softer = f"{counted(left, 'softer element')}, and " if left else ""
-        more = f"Not shown: {softer}the other integrators (--all, or text(full=True))."
+        more = f"Not shown: {softer}the other integrators (--all; in Python text(full=True))."
         # A name is never cut: columns are left out first.
         formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
         columns = self._columns() if full else ["element", "frequency", "ratio", "share", own]

@@ -153,7 +153,7 @@ class StabilityMap(Result):
             return [self._table(panel) for panel in self.panels]
         table = self._table(self._first)
         left = counted(len(self.panels) - 1, "other setting")
-        table.legend = f"Not shown: the maps of {left} (--all, or text(full=True))."
+        table.legend = f"Not shown: the maps of {left} (--all; in Python text(full=True))."
         return [table]
 
     @property

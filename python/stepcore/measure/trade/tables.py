@@ -62,7 +62,7 @@ def settings_table(trade: TradeFindings, full: bool) -> Table:
     left = len(trade.rows) - len(shown)
     more = f"{counted(left, 'more setting')} and " if left else ""
     if not full:
-        legend += f" --all (text(full=True)) prints {more}energy, overlap and residual."
+        legend += f" --all (in Python text(full=True)) prints {more}energy, overlap and residual."
     return Table(records, columns, dict.fromkeys((*NUMBERS, "dt"), ""), legend=legend)
 
 
