@@ -5,6 +5,7 @@
 //! `Inputs::arrays`, where the engine keeps it.
 
 use std::ops::{Index, Range};
+use std::sync::Arc;
 
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
@@ -13,6 +14,7 @@ use crate::real::{Mask, Real};
 use crate::scene::JointType;
 use crate::settings::{Precision, Settings};
 use crate::sim::Sim;
+use crate::sleep::Sleep;
 use crate::state::{Inputs, State, Warm};
 
 /// The square of a quaternion's length from which it can still be scaled to 1 in any precision.
@@ -322,24 +324,46 @@ impl<R: Real> Sim<R> {
         self.state.put(lane, given)
     }
 
-    /// The world of lane 0 in other numbers, as accurate as `f64`: the same model, settings,
-    /// state and inputs.
-    pub fn in_doubles<Q: Real>(&self) -> Result<Sim<Q>> {
-        let settings =
-            Settings { precision: Precision::F64, ledger: false, ..self.settings.clone() };
-        let mut sim = Sim::<Q>::new(self.model.clone(), settings)?;
-        let lists = lists(&self.state, &self.inputs, 0);
-        sim.put(0, &Given::new(|array| &lists[array as usize]));
-        let number = |x: R| Q::of(x.lane(0));
-        let warm = self.state.warm.iter();
-        let warm = warm.map(|w| Warm {
-            slot: w.slot,
-            feature: number(w.feature),
-            impulse: w.impulse.map(number),
-        });
-        sim.state.warm.extend(warm);
-        sim.state.sleep = self.state.sleep.cast();
-        (sim.state.steps, sim.state.start) = (self.state.steps, self.state.start);
+    /// The world of lane 0 in plain numbers.
+    pub fn plain(&self) -> Plain {
+        Plain {
+            model: self.model.clone(),
+            settings: Settings {
+                precision: Precision::F64,
+                ledger: false,
+                ..self.settings.clone()
+            },
+            lists: lists(&self.state, &self.inputs, 0),
+            warm: self.state.warm.iter().map(|warm| warm.in_lane(0)).collect(),
+            sleep: self.state.sleep.cast(),
+            steps: self.state.steps,
+            start: self.state.start,
+        }
+    }
+}
+
+/// A world in plain numbers, of which one in other numbers is made.
+///
+/// Between generic code that reads one and code of one number type that makes the other: so that each
+/// type's step is compiled in one crate, not in all that hand a world over.
+pub struct Plain {
+    model: Arc<Model>,
+    settings: Settings,
+    lists: Vec<Vec<f64>>,
+    warm: Vec<Warm<f64>>,
+    sleep: Sleep<f64>,
+    steps: u64,
+    start: f64,
+}
+
+impl Plain {
+    /// The world in numbers as accurate as `f64`: the same model, settings, state and inputs.
+    pub fn sim<R: Real>(&self) -> Result<Sim<R>> {
+        let mut sim = Sim::<R>::new(self.model.clone(), self.settings.clone())?;
+        sim.put(0, &Given::new(|array| &self.lists[array as usize]));
+        sim.state.warm.extend(self.warm.iter().map(Warm::of));
+        sim.state.sleep = self.sleep.cast();
+        (sim.state.steps, sim.state.start) = (self.steps, self.start);
         Ok(sim)
     }
 }

@@ -71,11 +71,7 @@ impl<R: Real> Sleep<R> {
     /// In other numbers; those of lane 0, as nobody sleeps in lanes.
     pub fn cast<Q: Real>(&self) -> Sleep<Q> {
         let number = |x: R| Q::of(x.lane(0));
-        let warm = |w: &Warm<R>| Warm {
-            slot: w.slot,
-            feature: number(w.feature),
-            impulse: w.impulse.map(number),
-        };
+        let warm = |w: &Warm<R>| Warm::of(&w.in_lane(0));
         Sleep {
             slow: self.slow.clone(),
             island: self.island.clone(),

@@ -28,6 +28,11 @@ pub struct Warm<R: Real> {
 }
 
 impl<R: Real> Warm<R> {
+    /// The same in every lane.
+    pub fn of(plain: &Warm<f64>) -> Self {
+        Self { slot: plain.slot, feature: R::of(plain.feature), impulse: plain.impulse.map(R::of) }
+    }
+
     /// One lane's part.
     pub fn in_lane(&self, lane: usize) -> Warm<f64> {
         Warm {

@@ -6,8 +6,10 @@
 //! that a turn is a rotation vector in the body's own axes; dw are activations. The impulses that the solver
 //! starts from are held.
 
+use std::ops::Range;
+
 use super::watched::explained;
-use crate::arrays::Array;
+use crate::arrays::{Array, Plain};
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
 use crate::model::Model;
@@ -39,13 +41,18 @@ enum Direction {
 impl Linearizer {
     /// At the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
-        let mut sim = from.in_doubles::<Dual>()?;
+        Self::of(&from.plain())
+    }
+
+    fn of(from: &Plain) -> Result<Self> {
+        let mut sim = from.sim::<Dual>()?;
         // Asleep nothing answers: what is linearised is the step awake.
         sim.state.wake();
         sim.settings.sleep = false;
         sim.solver = Box::new(Differentiated::new());
-        let rows = 2 * from.model.nv + from.model.na;
-        let width = rows + from.model.actuators.len();
+        let model = &sim.model;
+        let rows = 2 * model.nv + model.na;
+        let width = rows + model.actuators.len();
         Ok(Self {
             start: sim.state.clone(),
             ctrl: sim.inputs.ctrl.clone(),
@@ -71,21 +78,35 @@ impl Linearizer {
     }
 
     /// Takes the next `n` of them.
+    #[inline] // A failure is explained in plain numbers, whose step is compiled where this is called.
     pub fn advance(&mut self, n: u64) -> Result<()> {
         for _ in 0..n {
-            let first = self.done;
-            let ways = first..(first + WAYS).min(self.width());
-            self.sim.state.clone_from(&self.start);
-            self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
-            for way in ways.clone() {
-                self.seed(self.direction(way), way - first);
-            }
-            self.sim.step(1).map_err(|error| explained(&self.sim, error))?;
-            for way in ways.clone() {
-                self.read(way, way - first)?;
-            }
-            self.done = ways.end;
+            self.step().map_err(|error| explained(&self.sim, error))?;
+            self.read_all()?;
         }
+        Ok(())
+    }
+
+    /// The directions of the next step.
+    fn ways(&self) -> Range<usize> {
+        self.done..(self.done + WAYS).min(self.width())
+    }
+
+    fn step(&mut self) -> Result<()> {
+        self.sim.state.clone_from(&self.start);
+        self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
+        for way in self.ways() {
+            self.seed(self.direction(way), way - self.done);
+        }
+        self.sim.step(1)
+    }
+
+    fn read_all(&mut self) -> Result<()> {
+        let ways = self.ways();
+        for way in ways.clone() {
+            self.read(way, way - self.done)?;
+        }
+        self.done = ways.end;
         Ok(())
     }
 

@@ -243,6 +243,6 @@ fn suspect<R: Real>(
 
 /// Why the next step of an accompanying copy failed: the same step in plain numbers says.
 pub(super) fn explained<R: Real>(sim: &Sim<R>, error: Error) -> Error {
-    let plain = sim.in_doubles::<f64>().and_then(|plain| Watched::around(plain).step(1));
+    let plain = sim.plain().sim::<f64>().and_then(|plain| Watched::around(plain).step(1));
     plain.err().unwrap_or(error)
 }
