@@ -94,6 +94,41 @@ def body_jacobian(m, d, body):
     return jacobian
 
 
+def site_jacobian(m, d, site):
+    jacobian = np.zeros((6, m.nv))
+    mujoco.mj_jacSite(m, d, jacobian[:3], jacobian[3:], m.site(site).id)
+    return jacobian
+
+
+def tendon_jacobian(m, d):
+    dense = np.zeros((m.ntendon, m.nv))
+    for row, (first, count) in enumerate(zip(m.ten_J_rowadr, m.ten_J_rownnz, strict=True)):
+        entries = slice(first, first + count)
+        dense[row, m.ten_J_colind[entries]] = d.ten_J[entries]
+    return dense
+
+
+def body_velocity(m, d, body):
+    velocity = np.zeros(6)
+    kind = mujoco.mjtObj.mjOBJ_XBODY
+    mujoco.mj_objectVelocity(m, d, kind, m.body(body).id, velocity, 0)
+    return np.concatenate([velocity[3:], velocity[:3]])
+
+
+def solved(m, d):
+    result = np.zeros((1, m.nv))
+    mujoco.mj_solveM(m, d, result, np.ones((1, m.nv)))
+    return result[0]
+
+
+def stepped_and_set_back(m, d):
+    whole = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.zeros(mujoco.mj_stateSize(m, whole))
+    mujoco.mj_getState(m, d, state, whole)
+    mujoco.mj_step(m, d, 5)
+    mujoco.mj_setState(m, d, state, whole)
+
+
 def inverse_dynamics(m, d):
     mujoco.mj_inverse(m, d)
     return d.qfrc_inverse
@@ -131,8 +166,11 @@ def rollout(m, d):
 
 CALLS = {
     call.__name__: call
-    for call in (full_mass_matrix, body_jacobian, inverse_dynamics, contact_force, ray)
-} | {"transition_matrix": transition_matrix, "rollout": rollout}
+    for call in (
+        *(full_mass_matrix, body_jacobian, site_jacobian, tendon_jacobian, body_velocity, solved),
+        *(stepped_and_set_back, inverse_dynamics, contact_force, ray, transition_matrix, rollout),
+    )
+}
 # Differences of steps, which contacts make curved, are as good as this.
 SLACK = {"transition_matrix(m, d)": 1e-4}
 
