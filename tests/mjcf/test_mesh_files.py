@@ -67,7 +67,7 @@ def same_surface(vertices, faces) -> None:
 @pytest.mark.parametrize("name", FORMATS)
 def test_each_format_holds_the_mesh(name, tmp_path):
     (tmp_path / name).write_bytes(FORMATS[name]())
-    vertices, faces = mesh_files.read(tmp_path / name)
+    vertices, faces, _ = mesh_files.read(tmp_path / name)
     assert len(vertices) == 4
     same_surface(vertices, faces)
     scene = sc.Scene()
@@ -88,6 +88,52 @@ def test_faces_of_four_corners_and_none_at_all(tmp_path):
     assert mesh_files.read(path)[1] is None
     (tmp_path / "b.msh").write_bytes(struct.pack("<4i", 4, 0, 0, 0) + bytes(48))
     assert mesh_files.read(tmp_path / "b.msh")[1] is None
+
+
+CUBE = (
+    *((1, 3, 2), (1, 4, 3), (5, 6, 7), (5, 7, 8), (1, 2, 6), (1, 6, 5)),
+    *((2, 3, 7), (2, 7, 6), (3, 4, 8), (3, 8, 7), (4, 1, 5), (4, 5, 8)),
+)
+
+
+def cubes(*heads: str) -> str:
+    """Three cubes along x; before the faces of each stands a line."""
+    text = ""
+    for x in (0, 3, 7):
+        corners = ((0, 0), (1, 0), (1, 1), (0, 1))
+        text += "".join(f"v {x + a} {b} {z}\n" for z in (0, 1) for a, b in corners)
+    for k, line in enumerate(heads):
+        text += line + "".join(f"f {a + 8 * k} {b + 8 * k} {c + 8 * k}\n" for a, b, c in CUBE)
+    return text
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        ("", "", ""),
+        ("o a\n", "o b\n", "o c\n"),
+        ("", "g b\n", ""),
+        ("o a\n", "", "g c\n"),
+        ("o nothing\no a\n", "usemtl m\n", "s 1\n"),
+        ("g a\n", "g a\n", ""),
+        ("g\n", "o\n", "# o b\n"),
+    ],
+)
+def test_the_first_object_is_the_mesh_as_in_mujoco(heads, tmp_path):
+    """Mass, centre and hull of a file of several objects, and the note that says so."""
+    path = tmp_path / "cubes.obj"
+    path.write_text(cubes(*heads))
+    text = f"""<mujoco><asset><mesh name="m" file="{path}"/></asset><worldbody><body><freejoint/>
+      <geom type="mesh" mesh="m" density="1"/></body></worldbody></mujoco>"""
+    theirs = mujoco.MjModel.from_xml_string(text)
+    scene = sc.loads(text)
+    model = scene.compile()
+    count = theirs.mesh_facenum[0]
+    assert len(mesh_files.read(path).faces) == count
+    assert model.body_mass[1] == pytest.approx(theirs.body_mass[1], rel=1e-6)
+    assert model.body_ipos[1] == pytest.approx(theirs.body_ipos[1], abs=1e-6)
+    assert len(model.geom_hull(0)[0]) == 8
+    assert any(f"{36 - count} faces of others" in note for note in scene.notes) == (count < 36)
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -172,7 +218,7 @@ def test_bytes_changed_at_random_are_read_or_refused(name, tmp_path):
             del data[rng.integers(len(data)) :]
         (tmp_path / name).write_bytes(data)
         try:
-            vertices, faces = mesh_files.read(tmp_path / name)
+            vertices, faces, _ = mesh_files.read(tmp_path / name)
         except ValueError as error:
             assert "\n" not in str(error)
             continue

@@ -136,8 +136,9 @@ class Assets:
             raise node.error(f"<mesh> needs one of file, vertex and builtin; it has {what}")
         if "file" in values:
             path = self._path(scene, node, values["file"])
-            mesh.vertices, mesh.faces = mesh_files.read(path, values.get("content_type", ""))
-            mesh.file = path
+            surface = mesh_files.read(path, values.get("content_type", ""))
+            mesh.vertices, mesh.faces, mesh.file = surface.vertices, surface.faces, path
+            scene.notes += mesh_files.notes(f"{node.file}:{node.line}: {values['file']}", surface)
             self._count(node, path)
         elif "builtin" in values:
             builtin_meshes.fill(mesh, node, values)

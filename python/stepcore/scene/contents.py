@@ -176,7 +176,9 @@ class Contents(Holdings):
         if file is not None:
             from stepcore.scene import mesh_files
 
-            given["vertices"], given["faces"] = mesh_files.read(file)
+            surface = mesh_files.read(file)
+            given["vertices"], given["faces"] = surface.vertices, surface.faces
+            self.notes += mesh_files.notes(os.fspath(file), surface)
             given["file"] = os.fspath(file)
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.meshes, Mesh, fields, name=name, **given)

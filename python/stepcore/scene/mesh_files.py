@@ -1,14 +1,13 @@
 """Readers of mesh files: STL (binary and text), OBJ and MuJoCo's MSH.
 
-Each takes the bytes of a file and returns vertices, shape (n, 3), and faces, shape (m, 3), or None
-where the file has none. Anything that is not what the format says is a ValueError.
+Each takes the bytes of a file. Anything that is not what the format says is a ValueError.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,17 @@ from numpy.typing import NDArray
 from stepcore import checks
 from stepcore.scene.polygons import triangles
 
-Surface = tuple[NDArray[Any], NDArray[Any] | None]
+
+class Surface(NamedTuple):
+    """Vertices, shape (n, 3), and faces, shape (m, 3), or None where the file has none.
+
+    beyond: how many faces the file has beyond those, of objects that MuJoCo does not read.
+    """
+
+    vertices: NDArray[Any]
+    faces: NDArray[Any] | None
+    beyond: int = 0
+
 
 # What the content type of MJCF stands for.
 CONTENT = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
@@ -41,12 +50,20 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> Surface:
         raise ValueError(f"{checks.cut(name, 300)}: the name of a mesh file ends with {endings}")
     data = checks.file_bytes(name, "a mesh file")
     try:
-        vertices, faces = {"stl": stl, "obj": obj, "msh": msh}[kind](data)
-        _check(vertices, faces)
+        surface = {"stl": stl, "obj": obj, "msh": msh}[kind](data)
+        _check(surface.vertices, surface.faces)
     except ValueError as error:
         text = f"{checks.cut(name, 300)}: not a whole {kind.upper()} file: {error}"
         raise ValueError(text) from None
-    return vertices, faces
+    return surface
+
+
+def notes(where: str, surface: Surface) -> list[str]:
+    """What a file has that its mesh has not."""
+    if not surface.beyond:
+        return []
+    what = "of an OBJ file the first object is read for mass and shape, as in MuJoCo"
+    return [f"{where}: {what}, and {surface.beyond} faces of others are not"]
 
 
 def _check(vertices: NDArray[Any], faces: NDArray[Any] | None) -> None:
@@ -122,37 +139,46 @@ def _joined(corners: NDArray[Any]) -> Surface:
     appear = np.argsort(first)
     number = np.empty(len(appear), np.int64)
     number[appear] = np.arange(len(appear))
-    return places[first[appear]], number[group].reshape(-1, 3)
+    return Surface(places[first[appear]], number[group].reshape(-1, 3))
 
 
 def obj(data: bytes) -> Surface:
-    """An OBJ file: its ``v`` and ``f`` lines; faces of more corners than three are split."""
+    """An OBJ file: its ``v`` and ``f`` lines; faces of more corners than three are split.
+
+    As in MuJoCo, all vertices count, and the faces of the first object or group that has any.
+    """
     text = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     places: list[bytes] = []
     polygons: list[list[bytes]] = []
     # How many vertices stand before each face, which its negative indices count from.
     before: list[int] = []
+    whole, beyond = False, 0
     for number, line in enumerate(text.split(b"\n"), 1):
         words = line.split()
-        if not words or words[0] not in (b"v", b"f"):
+        if not words or words[0] not in (b"v", b"f", b"o", b"g"):
+            continue
+        if words[0] in (b"o", b"g"):
+            whole |= bool(polygons) and len(words) > 1
             continue
         if len(words) < 4:
             raise ValueError(f"line {number} has fewer than 3 entries")
         if words[0] == b"v":
             places += words[1:4]
+        elif whole:
+            beyond += 1
         else:
             polygons.append([word.partition(b"/")[0] for word in words[1:]])
             before.append(len(places) // 3)
     vertices = _numbers(b" ".join(places), 3)
     if not polygons:
-        return vertices, None
+        return Surface(vertices, None)
     corners = [
         [_corner(word, count) for word in words]
         for words, count in zip(polygons, before, strict=True)
     ]
     for face in corners:
         _check_corners(min(face), max(face), len(vertices))
-    return vertices, triangles(corners, vertices)
+    return Surface(vertices, triangles(corners, vertices), beyond)
 
 
 def _corner(word: bytes, count: int) -> int:
@@ -186,6 +212,6 @@ def msh(data: bytes) -> Surface:
         raise ValueError(f"its head asks for {size} bytes; it has {len(data)}")
     vertices = np.frombuffer(data, "<f4", 3 * nvertex, 16).astype(float).reshape(-1, 3)
     if not nface:
-        return vertices, None
+        return Surface(vertices, None)
     faces = np.frombuffer(data, "<i4", 3 * nface, size - 12 * nface)
-    return vertices, faces.astype(np.int64).reshape(-1, 3)
+    return Surface(vertices, faces.astype(np.int64).reshape(-1, 3))
