@@ -158,6 +158,9 @@ def kept_geoms(sim: sc.Sim, model: mujoco.MjModel) -> np.ndarray:
     theirs = np.bincount(model.geom_bodyid, minlength=model.nbody)
     draws = (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_contype == 0)
     draws &= (model.geom_conaffinity == 0) & (ours != theirs)[model.geom_bodyid]
+    # One with a name may be there for a sensor.
+    known = set(sim.model.geom_names) - {""}
+    draws &= [model.geom(k).name not in known for k in range(model.ngeom)]
     return np.flatnonzero(~draws)
 
 

@@ -55,3 +55,36 @@ def test_slopes_end_where_a_sum_is_bounded(on, integrator):
                 assert np.array_equal(batch.qvel[world], sim.qvel)
     # With and without the servo's damping; Euler has none.
     assert seen == ({0} if integrator == "euler" else {0, 2})
+
+
+MOTORS = """<mujoco><option timestep=".01" gravity="0 0 0"/><worldbody>
+    <body><joint name="j" type="slide" axis="1 0 0"/><geom size=".1" mass="1"/></body></worldbody>
+  <tendon><fixed name="t" actuatorfrcrange="-.5 .7"><joint joint="j" coef="1"/></fixed></tendon>
+  <actuator><dcmotor tendon="t" nominal="12 3 20" {motor}/>{other}</actuator></mujoco>"""
+COGS, RUBS = 'cogging=".1 7 .3"', 'lugre="10 .1 .2 .3 .1"'
+
+
+@pytest.mark.parametrize("integrator", ["euler", "implicitfast"])
+@pytest.mark.parametrize("other", ["", '<motor tendon="t"/>'])
+@pytest.mark.parametrize(
+    "motor", ["", COGS, RUBS, f'{COGS} {RUBS} saturation=".4"', f'{COGS} inductance=".01"']
+)
+def test_a_tendon_bounds_what_the_currents_of_its_motors_do(motor, other, integrator):
+    """Their own bounds come after that, and then cogging and friction."""
+    text = MOTORS.format(motor=motor, other=other)
+    theirs = mujoco.MjModel.from_xml_string(text)
+    theirs.opt.integrator = peers.INTEGRATORS[integrator]
+    data = mujoco.MjData(theirs)
+    sim = sc.Sim(sc.loads(text), integrator=integrator, **peers.EXACT)
+    for ctrl in (-9, -1, 0.1, 5):
+        for one in (data, sim):
+            one.qpos[:], one.qvel[:], one.ctrl[:] = 0.2, 1.0, 0.5
+            one.ctrl[0] = ctrl
+            one.act[:] = 0.01
+        mujoco.mj_forward(theirs, data)
+        sim.forward()
+        assert sim.actuator_force == pytest.approx(data.actuator_force, abs=1e-12)
+        mujoco.mj_step(theirs, data)
+        sim.step()
+        for field in ("qvel", "act"):
+            assert getattr(sim, field) == pytest.approx(getattr(data, field), abs=1e-12)

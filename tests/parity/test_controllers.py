@@ -37,6 +37,7 @@ PIDS = [
     '<pid joint="a" input="pos" inheritrange=".8" kp="3"/>',
     '<pid joint="ball" input="pos" kp="3" kv=".1" gear="0 0 1"/>',
     '<pid joint="a" input="pos" kp="3" nsample="3" delay=".01"/>',
+    '<pid joint="b" input="vel" kp="2" dampratio=".6" gear="2" armature=".1"/>',
 ]
 MOTORS = [
     '<dcmotor joint="a" nominal="12 3 20"/>',
@@ -48,6 +49,14 @@ MOTORS = [
     '<dcmotor joint="b" nominal="12 3 20" input="vel" controller="2 0 .2" ctrlrange="-1 1"/>',
     '<dcmotor joint="b" nominal="12 3 20" input="ff"/>',
     '<dcmotor joint="ball" nominal="12 3 20" gear="0 1 .5"/>',
+]
+# Of a nominal point the motor's own damping takes its part, where a constant is left.
+NOMINAL = [
+    '<dcmotor joint="a" nominal="12 3 20" damping=".1" gear="2"/>',
+    '<dcmotor joint="b" nominal="12 3 20" damping=".3"/>',
+    '<dcmotor joint="a" nominal="12 3 20" damping=".01 .02" resistance="2"/>',
+    '<dcmotor joint="b" nominal="12 3 20" damping=".1" resistance="2"/>',
+    '<dcmotor tendon="t" nominal="12 3 20" damping=".05" motorconst=".5"/>',
 ]
 # Of several inputs, each of which is an actuator with a control of its own.
 SEVERAL = [
@@ -117,7 +126,10 @@ CLASSES = {
     '<dcmotor nominal="12 3 20" controller="5 0 .2" input="pos"/>': '<dcmotor class="c" joint="a"/>'
     '<dcmotor class="c" joint="b" controller="2"/>',
 }
-LISTS = {"pid": PIDS, "dcmotor": MOTORS, "several": SEVERAL, "states": STATES, "turns": TURNS}
+LISTS = {
+    **{"pid": PIDS, "dcmotor": MOTORS, "nominal": NOMINAL, "several": SEVERAL, "states": STATES},
+    "turns": TURNS,
+}
 INTEGRATORS = ("Euler", "implicitfast", "implicit", "RK4", "discrete")
 
 
@@ -298,7 +310,6 @@ def test_what_mujoco_refuses_is_refused(actuator):
         ({"type": "dcmotor", "motorconst": 1, "resistance": 1, "lugre": (1, -1)}, "lugre"),
         ({"type": "dcmotor", "motorconst": 1, "resistance": 1, "thermal": (0,) * 5}, "thermal"),
         ({"type": "pid"}, "input = None"),
-        ({"type": "pid", "input": "vel", "dampratio": 1}, "dampratio"),
         ({"type": "dcmotor", "resistance": 1}, "motorconst = None"),
         ({"type": "dcmotor", "motorconst": 1, "resistance": 0}, "resistance = 0"),
         ({"type": "dcmotor", "motorconst": 1, "resistance": 1, "kp": 2}, "kp = 2"),

@@ -236,3 +236,25 @@ def test_a_motion_that_was_broken_off_leaves_no_rounding(solver, speed):
         sim.forward()
     assert sims[0].qacc == pytest.approx(sims[1].qacc, rel=1e-12)
     assert sims[1].qacc == pytest.approx([250.0], rel=1e-9)
+
+
+def test_a_weld_that_nothing_moves_leaves_others_their_digits():
+    """Its rows hold 1e18 N where a body only slides; from the impulses of the stage before, the
+    limit and the friction beside it are solved as well as from none: to 1e-12 of the velocity."""
+    text = """<mujoco><option timestep=".001" integrator="RK4"/><worldbody>
+      <body pos="0 0 .3"><joint type="slide" axis="1 .2 .3" range="-.1 .1"/>
+        <joint type="slide" axis="0 1 .1"/><geom size=".1"/><site name="s" pos=".1 .2 .1"/>
+        <body pos="0 0 .2"><joint axis="0 1 0" range="-10 10" frictionloss=".4"/>
+          <geom size=".05" pos=".1 0 0"/></body></body>
+      <site name="t" pos=".3 .1 .4" euler="20 40 10"/></worldbody>
+      <equality><weld site1="s" site2="t"/></equality></mujoco>"""
+    rng = np.random.default_rng(1)
+    _, _, warm = pair(text)
+    cold = sc.Sim(warm.model, **(peers.EXACT | {"warm_start": False}))
+    for _ in range(60):
+        warm.qpos[:] = cold.qpos[:] = 0.3 * rng.normal(size=3)
+        warm.qvel[:] = cold.qvel[:] = 60 * rng.normal(size=3)
+        warm.step()
+        cold.step()
+        assert peers.apart(warm.qvel, cold.qvel) < 1e-12
+        assert warm.residual < 1e-9

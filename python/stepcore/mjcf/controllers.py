@@ -74,7 +74,8 @@ def _motor(base: Any, node: Node) -> dict[str, Any]:
     if min(by_torque, by_voltage) < 0:
         raise bad(node, "motorconst", given, ">= 0")
     if "nominal" in values and free != 0:
-        by_nominal = voltage / free
+        known = values.get("resistance", resistance)
+        by_nominal = _without_load(voltage, stall, free, known, base.damping)
         by_torque, by_voltage = by_torque or by_nominal, by_voltage or by_nominal
     both = by_torque > 0 and by_voltage > 0
     constant = math.sqrt(by_torque * by_voltage) if both else max(by_torque, by_voltage)
@@ -109,6 +110,25 @@ def _motor(base: Any, node: Node) -> dict[str, Any]:
         torque, current = (*values["saturation"], 0.0)[:2]
         fields["torque"] = torque if torque > 0 else max(constant * current, 0.0)
     return fields
+
+
+def _without_load(
+    voltage: float, stall: float, free: float, resistance: float, damping: float
+) -> float:
+    """The constant K of a motor that its own damping B lets turn at ω without a load.
+
+    K (V - K ω)/R = B ω; without a resistance, K/R = stall/V. Where no K > 0 does it, MuJoCo takes
+    the one without damping.
+    """
+    whole = voltage / free
+    if damping <= 0:
+        return whole
+    if resistance > 0:
+        square = voltage * voltage - 4.0 * resistance * damping * free * free
+        return (voltage + math.sqrt(square)) / (2.0 * free) if square >= 0 else whole
+    if stall <= damping * free:
+        return whole
+    return whole * (1.0 - damping * free / stall)
 
 
 def _filled(given: Vec, kept: Vec) -> Vec:

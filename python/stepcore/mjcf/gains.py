@@ -44,6 +44,7 @@ class ActuatorGains:
     input, motor, torque: of a controller, what its control is; of a motor its constant and
         resistance, and the bound of its torque, 0 without one, None where nothing is said.
     more: of a controller, its other numbers by name.
+    damping: the first coefficient of the damping that the actuator itself has.
     """
 
     tag: str = "general"
@@ -58,6 +59,7 @@ class ActuatorGains:
     motor: Vec = (0.0, 0.0)
     torque: float | None = None
     more: dict[str, Any] = field(default_factory=dict)
+    damping: float = 0.0
 
     @property
     def is_position(self) -> bool:
@@ -73,6 +75,11 @@ Chain = tuple[ActuatorGains, ...]
 
 def inherited(chain: Chain, node: Node) -> ActuatorGains:
     """The law of an actuator or a default; chain: those of its classes, outermost first."""
+    damping = (*node.values.get("damping", ()), chain[-1].damping)[0]
+    return replace(_law(chain, node, damping), damping=damping)
+
+
+def _law(chain: Chain, node: Node, damping: float) -> ActuatorGains:
     if node.tag not in BUILT:
         return ActuatorGains(node.tag)
     # Only a <general> of the same class uses it.
@@ -83,7 +90,7 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
         return _general(chain[-1], node)
     if start := controllers.START.get(node.tag):
         own = next((g for g in reversed(chain) if g.tag == node.tag), None)
-        own = own or ActuatorGains(node.tag, **start)
+        own = replace(own or ActuatorGains(node.tag, **start), damping=damping)
         scale = _inheritrange(own, node) if node.tag == "pid" else 0.0
         return replace(own, inheritrange=scale, **controllers.law(node.tag, own, node))
     base = next((g for g in reversed(chain) if g.tag in (node.tag, "general")), ActuatorGains())

@@ -14,17 +14,19 @@ def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
     """Adds the geoms that only draw to `Scene.ignored`.
 
     A primitive that only draws stays in the scene, so that geoms keep MuJoCo's order; meshes,
-    primitives fitted to them and height fields leave it, and are then never read. A scene with a
-    rangefinder keeps them all.
+    primitives fitted to them and height fields leave it, and are then never read, but for those of
+    which a sensor tells. A scene with a rangefinder keeps them all.
     """
     scene = world.scene
     if any(sensor.type == "rangefinder" for sensor in scene.sensors):
         # They see what only draws.
         return
+    sensed = {id(end) for sensor in scene.sensors for end in (sensor.object, sensor.reference)}
     gone = set()
     for shape in world.shapes:
         drags = shape.geom.fluidshape != "none" and (scene.density > 0 or scene.viscosity > 0)
-        if shape.collides or drags or weighs(world, layout, shape):
+        told = id(shape.geom) in sensed
+        if shape.collides or drags or told or weighs(world, layout, shape):
             continue
         scene.ignored.append(shape.node.listed("only draws: no collisions, no mass"))
         if shape.geom.mesh is not None or shape.geom.hfield is not None:

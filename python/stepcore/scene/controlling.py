@@ -32,7 +32,10 @@ def described(actuator: Actuator) -> dict[str, Any] | None:
         return None
     given = {word: getattr(actuator, word) or 0.0 for word in (*CONTROL, *MOTOR)}
     more = ("ki", "slewmax", *MOTOR[2:])
-    if len(inputs(actuator)) == 1 and not any(_any(given[word]) for word in more):
+    # What a ratio makes of kv is known to the engine, which is then the gain of a velocity too.
+    by_ratio = inputs(actuator) == ["vel"] and bool(actuator.dampratio)
+    stateless = not any(_any(given[word]) for word in more)
+    if len(inputs(actuator)) == 1 and stateless and not by_ratio:
         return None
     own = {word: given[word] for word in CONTROL}
     if actuator.type == "pid":
@@ -66,8 +69,6 @@ def check(actuator: Actuator) -> None:
         _check_motor(actuator, words)
     elif actuator.input is None or "voltage" in words:
         raise checks.refuse(actuator, "input", actuator.input, "some of pos, vel, ff for a pid")
-    if actuator.dampratio and words == ["vel"]:
-        raise checks.refuse(actuator, "dampratio", actuator.dampratio, "None with the input vel")
     if actuator.ki and "pos" not in words:
         raise checks.refuse(actuator, "ki", actuator.ki, "None without the input pos")
     first = words[0] == "pos" or (actuator.type == "dcmotor" and words[0] != "voltage")

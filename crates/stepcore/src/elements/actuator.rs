@@ -150,7 +150,8 @@ pub(crate) fn tensions<R: Real>(
     }
     for (index, actuator) in model.actuators.iter().enumerate().filter(|(_, a)| a.enabled) {
         if let Some(work) = work(model, index, (qpos, qvel), act, inputs, pulls) {
-            tensions[index] = work.force;
+            let bounded = model.actuators[index].drives_motor() && on_bounded_tendon(model, index);
+            tensions[index] = if bounded { work.driven } else { work.force };
             continue;
         }
         if let Some(turn) = turn(model, index, (qpos, qvel), act, inputs) {
@@ -175,6 +176,46 @@ pub(crate) fn bound<R: Real>(model: &Model, tensions: &mut [R]) {
     let own = tensions.iter_mut().zip(&model.actuators);
     for (tension, actuator) in own.filter(|(_, actuator)| actuator.enabled) {
         *tension = actuator.bounded(*tension);
+    }
+}
+
+/// It pulls at a tendon that bounds the sum of its actuators.
+fn on_bounded_tendon(model: &Model, index: usize) -> bool {
+    let bounds = |tendon: usize| model.tendons[tendon].actuatorfrcrange.is_some();
+    matches!(model.actuators[index].target, Target::Tendon(tendon) if bounds(tendon))
+}
+
+/// Motors at tendons that bound what their currents do.
+fn bounded_motors(model: &Model) -> impl Iterator<Item = usize> + '_ {
+    let runs = |actuator: &scene::Actuator| {
+        model.features.actuation && actuator.enabled && actuator.drives_motor()
+    };
+    let motors = model.actuators.iter().enumerate().filter(move |(_, actuator)| runs(actuator));
+    motors.map(|(index, _)| index).filter(|index| on_bounded_tendon(model, *index))
+}
+
+/// What their currents do, within each motor's own bounds, which come after those of the tendon.
+pub(crate) fn bound_motors<R: Real>(model: &Model, tensions: &mut [R]) {
+    for index in bounded_motors(model) {
+        if let Some([lo, hi]) = model.actuators[index].forcerange {
+            tensions[index] = tensions[index].clamp(R::of(lo), R::of(hi));
+        }
+    }
+}
+
+/// Their cogging and friction, which no bound holds.
+pub(crate) fn finish_motors<R: Real>(
+    model: &Model,
+    at: (&[R], &[R]),
+    act: Activations<R>,
+    inputs: &Inputs<R>,
+    pulls: Pulls<R>,
+    tensions: &mut [R],
+) {
+    for index in bounded_motors(model) {
+        if let Some(work) = work(model, index, at, act, inputs, pulls) {
+            tensions[index] += work.beside;
+        }
     }
 }
 
@@ -356,9 +397,11 @@ impl Forces for Actuator {
         }
         let (along, pulls) = (model.along[index], now.frames.pulls);
         let mut by = [R::of(actuator.bias[1]), R::of(actuator.bias[2])];
+        let mut beside = [R::zero(); 2];
         let at = (now.qpos, now.qvel);
         if let Some(work) = work(model, index, at, now.act, now.inputs, pulls) {
             by = work.slopes.map(|slope| -slope);
+            beside = work.slopes_beside.map(|slope| -slope);
         } else if actuator.gain_varies() {
             let at = Along::of(model, index, now.qpos, now.qvel, pulls);
             let ctrl = now.act.ctrl(model, index, now.inputs);
@@ -369,12 +412,17 @@ impl Forces for Actuator {
             );
             by = [by[0] + own[0] * u, by[1] + own[1] * u];
         }
-        along.pairs(model, now.qpos, pulls, |i, j, product: R| {
-            let slopes = by.map(|slope| -(product * slope));
-            match free(now, index) {
-                None => add(i, j, slopes),
-                Some(free) => add(i, j, slopes.map(|slope| R::select(free, slope, R::zero()))),
+        if let Some(free) = free(now, index) {
+            let held = |slope: R| R::select(free, slope, R::zero());
+            by = by.map(held);
+            // A joint bounds cogging and friction too, a tendon does not.
+            if !matches!(actuator.target, Target::Tendon(_)) {
+                beside = beside.map(held);
             }
+        }
+        let by = [by[0] + beside[0], by[1] + beside[1]];
+        along.pairs(model, now.qpos, pulls, |i, j, product: R| {
+            add(i, j, by.map(|slope| -(product * slope)));
         });
     }
 

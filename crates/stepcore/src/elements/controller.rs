@@ -45,8 +45,14 @@ const SMALLEST: f64 = 1e-15;
 #[derive(Clone, Copy)]
 pub(super) struct Work<R: Real> {
     pub force: R,
-    /// Minus the derivatives of the force by length and velocity.
+    /// Of a motor: what its current does before any bound, and what it has beside that, cogging and
+    /// friction.
+    pub driven: R,
+    pub beside: R,
+    /// Minus the derivatives by length and velocity: those of what bounds of a tendon or a joint hold,
+    /// and those of what is beside that.
     pub slopes: [R; 2],
+    pub slopes_beside: [R; 2],
     /// By kind of activation: its rate, and how fast that fades as it moves.
     rates: [R; KINDS],
     fading: [R; KINDS],
@@ -159,8 +165,15 @@ impl<R: Real> Along<'_, R> {
     /// `reach`: for how long what is early has moved already.
     fn work(&self, states: &[R; KINDS], seconds: f64, reach: f64) -> Work<R> {
         let zero = R::zero();
-        let mut out =
-            Work { force: zero, slopes: [zero; 2], rates: [zero; KINDS], fading: [zero; KINDS] };
+        let mut out = Work {
+            force: zero,
+            driven: zero,
+            beside: zero,
+            slopes: [zero; 2],
+            slopes_beside: [zero; 2],
+            rates: [zero; KINDS],
+            fading: [zero; KINDS],
+        };
         let asked = self.asked(states, seconds, reach, &mut out);
         let [_, kp, kv] = self.actuator.bias.map(|x| R::of(0.0 - x));
         match &self.own.motor {
@@ -242,7 +255,7 @@ impl<R: Real> Along<'_, R> {
         let gains = cold * by_voltage;
         let braked = constant * constant * by_voltage;
         out.slopes = [R::select(free, gains * kp, zero), R::select(free, gains * kv, braked)];
-        out.force = constant * current;
+        (out.driven, out.force) = (constant * current, constant * current);
         if let Some([lo, hi]) = self.actuator.forcerange {
             let within = out.force.gt(R::of(lo)).and(out.force.lt(R::of(hi)));
             out.slopes = out.slopes.map(|slope| R::select(within, slope, zero));
@@ -252,7 +265,8 @@ impl<R: Real> Along<'_, R> {
         if amplitude != 0.0 {
             let (sin, cos) = (R::of(periods) * length + R::of(phase)).sin_cos();
             out.force += R::of(amplitude) * sin;
-            out.slopes[0] -= R::of(amplitude * periods) * cos;
+            out.beside = R::of(amplitude) * sin;
+            out.slopes_beside[0] -= R::of(amplitude * periods) * cos;
         }
         if let Some(lugre) = motor.lugre {
             rub(lugre, velocity, states[BRISTLE], out);
@@ -268,6 +282,8 @@ fn rub<R: Real>(lugre: [f64; 5], velocity: R, z: R, out: &mut Work<R>) {
     let fading = stiffness * velocity.abs() / most.max(R::of(SMALLEST));
     let rate = velocity - fading * z;
     (out.rates[BRISTLE], out.fading[BRISTLE]) = (rate, fading);
-    out.force -= stiffness * z + damping * rate;
-    out.slopes[1] += damping;
+    let friction = stiffness * z + damping * rate;
+    out.force -= friction;
+    out.beside -= friction;
+    out.slopes_beside[1] += damping;
 }

@@ -2,7 +2,9 @@
 
 use super::{Frames, Placed, Pulls};
 use crate::elements::activation::{rates, Activations};
-use crate::elements::actuator::{bound, clamp_joints, clamp_tendons, free_tendons, tensions};
+use crate::elements::actuator::{
+    bound, bound_motors, clamp_joints, clamp_tendons, finish_motors, free_tendons, tensions,
+};
 use crate::elements::force::{Group, Moment, Sum};
 use crate::elements::forces::push;
 use crate::model::Model;
@@ -36,7 +38,9 @@ impl<R: Real> Placed<R> {
             let (tendons, free) = within.split_at_mut(model.tendons.len());
             clamp_tendons(model, &mut self.actuator);
             bound(model, &mut self.actuator);
+            bound_motors(model, &mut self.actuator);
             free_tendons(model, &self.actuator, tendons);
+            finish_motors(model, (qpos, qvel), act, inputs, pulls, &mut self.actuator);
             let Self { xpos, xmat, origin, motion, actuator, .. } = self;
             let frames =
                 Frames { xpos, xmat, origin, motion, tension: actuator, shares: &[], pulls };

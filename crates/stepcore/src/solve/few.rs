@@ -208,9 +208,11 @@ impl<R: Real> Few<R> {
                 x = R::select(self.free[i], self.x[at], x);
             }
             let mask = live.and(self.masks[i]).and(poor.not());
-            let change = (x - self.impulse[i]).abs();
-            moved = R::select(mask, moved.max(change), moved);
-            most = R::select(mask, most.max(x.abs()), most);
+            // By what it does to the velocity along its row: of one that next to nothing moves an
+            // impulse may be 1e14 times that of the others.
+            let effect = self.a[i * self.b.len() + i];
+            moved = R::select(mask, moved.max((x - self.impulse[i]).abs() * effect), moved);
+            most = R::select(mask, most.max(x.abs() * effect), most);
             self.impulse[i] = R::select(mask, x, self.impulse[i]);
         }
         (moved.gt(R::of(8.0 * R::epsilon()) * most), poor)
