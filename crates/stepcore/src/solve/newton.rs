@@ -4,7 +4,8 @@
 //! (`newton/penalty.rs`), possible because every row has a regulariser c > 0. The
 //! gradient is D(u − û) − Σ yλ; the Hessian D + Σ y s″ yᵀ is factored sparsely; the
 //! line search is exact. Where no row changes its zone in a full step the problem
-//! was quadratic along it, and the step was the last.
+//! was quadratic along it, and the step was the last. The first step goes by the zones of the
+//! step before (`newton/recall.rs`).
 
 mod bent;
 mod bundles;
@@ -16,6 +17,7 @@ mod minimise;
 mod nodes;
 mod order;
 mod penalty;
+mod recall;
 mod refine;
 mod system;
 #[cfg(test)]

@@ -164,15 +164,16 @@ impl<R: Real> Bundles<R> {
 pub(super) struct Problem<'a, R: Real> {
     pub pattern: &'a Pattern,
     pub bundles: &'a Bundles<R>,
-    /// As `Rows::y`.
-    pub y: &'a [R],
+    /// Its rows are those of these blocks, one after another.
+    pub rows: &'a Rows<R>,
+    pub blocks: &'a [usize],
 }
 
 impl<'a, R: Real> Problem<'a, R> {
     /// The y of a bundle's rows, one after another.
     #[inline(always)]
     pub fn y(&self, bundle: &Bundle) -> &'a [R] {
-        &self.y[bundle.y..bundle.y + bundle.rows.len * bundle.dofs.len]
+        &self.rows.y[bundle.y..bundle.y + bundle.rows.len * bundle.dofs.len]
     }
 
     /// out = y·x by row; x by dof.
@@ -275,7 +276,8 @@ mod tests {
         assert_eq!((bundles.list.len(), runs), (1, vec![(7, 7), (3, 9), (1, 1)]));
         let mut pattern = Pattern::default();
         pattern.fit(&[0, 1, 2, 3, 4], false, &bundles.list, &mut [0; 5]);
-        let problem = Problem { pattern: &pattern, bundles: &bundles, y: &rows.y };
+        let problem =
+            Problem { pattern: &pattern, bundles: &bundles, rows: &rows, blocks: &[0, 1, 2, 3] };
         let x = [0.3, -0.2, 0.7, 0.1, -0.9];
         let (mut along, mut sums) = ([0.0; 11], [0.5; 5]);
         problem.dots(&x, &mut along);

@@ -231,7 +231,7 @@ impl<R: Real> Hessian<R> {
             for run in problem.bundles.runs_of(bundle) {
                 let len = bundle.dofs.len;
                 let from = bundle.y + (run.rows.start - bundle.rows.start) * len;
-                let y = &problem.y[from..from + run.rows.len * len];
+                let y = &problem.rows.y[from..from + run.rows.len * len];
                 let mask = &problem.bundles.mask[run.rows.range()];
                 let curve = run.curve.of(curve);
                 if run.cone.is_some() {
@@ -439,7 +439,8 @@ mod tests {
             bundles.take(&blocks, &rows);
             let mut pattern = Pattern::default();
             pattern.fit(&lists, false, &bundles.list, &mut vec![0; nv]);
-            let problem = Problem { pattern: &pattern, bundles: &bundles, y: &rows.y };
+            let problem =
+                Problem { pattern: &pattern, bundles: &bundles, rows: &rows, blocks: &blocks };
             let n = pattern.dofs.len();
             let x: Vec<f64> = (0..n).map(|_| random.next()).collect();
             let mut b: Vec<f64> = x.iter().map(|x| 0.5 * x).collect();

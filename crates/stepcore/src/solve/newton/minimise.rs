@@ -38,7 +38,7 @@ impl<R: Real> System<R> {
         self.fresh = full;
         let tiny = |factor: f64| R::of(factor * factor * R::epsilon() * R::epsilon());
         let bound = R::of(limits.tolerance * limits.tolerance) * lightest;
-        for _ in 0..limits.sweeps {
+        for iteration in 0..limits.sweeps {
             self.moved = false;
             let slope = if let Some(begun) = begun.take() {
                 begun
@@ -62,6 +62,8 @@ impl<R: Real> System<R> {
             if live.none() {
                 break;
             }
+            let first = iteration == 0;
+            let recalled = if first { self.recall(problem, live) } else { R::Mask::of(false) };
             self.direction(problem);
             self.fresh = self.fresh.or(live);
             let (mut fall, mut length) = (zero, zero);
@@ -71,10 +73,18 @@ impl<R: Real> System<R> {
             }
             // Among cones Newton may close in slowly: only what no longer falls is rounding.
             let stuck = fall.ge(last).and(fall.lt(R::of(STAGNANT) * R::of(R::epsilon()) * floor));
-            let small = length.le(tiny(ROUNDING) * floor);
+            let small = length.le(tiny(ROUNDING) * floor).and(recalled.not());
             let end = small.or(stuck);
             problem.dots(&self.step, &mut self.rate);
-            let alpha = self.search(problem.bundles, fall, live.and(small.not()));
+            let mut down = live;
+            if recalled.any() {
+                // The gradient at hand is that of the recalled zones.
+                let slope = self.energy_along().0 + self.bend_at(problem.bundles, zero).0;
+                fall = R::select(recalled, -slope, fall);
+                down = live.and(recalled.and(fall.le(zero)).not());
+            }
+            let alpha = self.search(problem.bundles, fall, down.and(small.not()));
+            let alpha = R::select(down, alpha, zero);
             for (u, p) in self.u.iter_mut().zip(&self.step) {
                 *u = R::select(live, *u + alpha * *p, *u);
             }
@@ -87,7 +97,7 @@ impl<R: Real> System<R> {
             report.updates.add_each(live, &count);
             self.decrement = R::select(live, part(fall), self.decrement);
             self.floor = R::select(live, floor, self.floor);
-            last = R::select(live, fall, last);
+            last = R::select(live.and(recalled.not()), fall, last);
             live = live.and(end.not());
         }
         // An unfinished lane has nothing to refine.
@@ -116,9 +126,9 @@ impl<R: Real> System<R> {
 
     /// step = −H⁻¹ g.
     fn direction(&mut self, problem: Problem<R>) {
-        let Problem { pattern, bundles, y } = problem;
+        let Problem { pattern, bundles, rows, .. } = problem;
         if pattern.heap {
-            let curved = Curved { bundles, y, curve: &self.curve };
+            let curved = Curved { bundles, y: &rows.y, curve: &self.curve };
             self.columns.factor(&pattern.nodes, &self.d, curved);
         } else {
             self.hessian.make(problem, &self.d, &self.curve);
@@ -148,11 +158,7 @@ impl<R: Real> System<R> {
         if live.none() {
             return alpha;
         }
-        let (mut first, mut second) = (zero, zero);
-        for (((u, guess), d), p) in self.u.iter().zip(&self.guess).zip(&self.d).zip(&self.step) {
-            first += *d * (*u - *guess) * *p;
-            second += *d * *p * *p;
-        }
+        let (first, second) = self.energy_along();
         let (mut lo, mut hi) = (zero, R::of(f64::INFINITY));
         for _ in 0..TRIALS {
             let (slope, curve) = self.bend_at(bundles, alpha);
@@ -171,6 +177,16 @@ impl<R: Real> System<R> {
             alpha = R::select(live, next, alpha);
         }
         alpha
+    }
+
+    /// Slope and curvature of ½ (u − û)ᵀD(u − û) along the step.
+    fn energy_along(&self) -> (R, R) {
+        let (mut first, mut second) = (R::zero(), R::zero());
+        for (((u, guess), d), p) in self.u.iter().zip(&self.guess).zip(&self.d).zip(&self.step) {
+            first += *d * (*u - *guess) * *p;
+            second += *d * *p * *p;
+        }
+        (first, second)
     }
 
     /// The rows' part of the slope and the curvature at u + α step.

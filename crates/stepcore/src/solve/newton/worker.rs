@@ -98,7 +98,7 @@ impl<R: Real> Worker<R> {
         class.resize(rows.u.len(), NOWHERE);
         bundles.take(present, rows);
         pattern.fit(free.dof_lists, rows.heap, &bundles.list, class);
-        let problem = Problem { pattern, bundles, y: &rows.y };
+        let problem = Problem { pattern, bundles, rows, blocks: present };
         let begun = system.start(problem, (free.inv_d, free.guess, &rows.u), live);
         let scale = (lightest(present, rows), row_count(rows, present));
         let open = system.minimise(problem, (live, begun), limits, scale, report);

@@ -87,3 +87,49 @@ fn newton_needs_softness() {
     assert!(Newton::new().solve(problem.free(&[0]), &mut rows, EVERY).is_ok());
     assert_eq!((rows.u[0], rows.rows[0].impulse), (-1.0, 0.0));
 }
+
+/// Impulses of a step before tell which rows press, even where c is so small that the velocities
+/// that they make do not.
+#[test]
+fn the_first_step_goes_by_the_zones_of_the_last() {
+    const DOFS: usize = 30;
+    let mut random = Random::new(29);
+    let limits =
+        Limits { sweeps: 500, tolerance: 0.0, momentum: false, exact: false, rounding: false };
+    let (mut cold, mut warm) = (0, 0);
+    for _ in 0..40 {
+        let guess: Vec<f64> = (0..DOFS).map(|_| random.next()).collect();
+        let mut problem = Problem::new(&[1.0; DOFS], &guess);
+        for _ in 0..15 {
+            let mut line = || {
+                let y: Vec<f64> = (0..DOFS).map(|_| random.next()).collect();
+                (y, 0.3 * random.next(), 1e-4, 0.0, INF)
+            };
+            problem.blocks.push((Set::Interval, 0.0, (0..4).map(|_| line()).collect()));
+        }
+        let lists = problem.dof_lists();
+        let mut last = problem.rows::<f64>();
+        Newton::new().solve(problem.free(&lists), &mut last, limits).unwrap();
+        for (_, _, rows) in &mut problem.blocks {
+            rows.iter_mut().for_each(|row| row.1 += 0.002 * random.next());
+        }
+        let mut results = [false, true].map(|starts| {
+            let mut rows = problem.rows::<f64>();
+            for (row, last) in rows.rows.iter_mut().zip(&last.rows).filter(|_| starts) {
+                row.impulse = last.impulse;
+                for k in 0..DOFS {
+                    rows.u[k] += rows.y[row.y + k] * row.impulse;
+                }
+            }
+            let report = Newton::new().solve(problem.free(&lists), &mut rows, limits).unwrap();
+            assert!(rows.residual(&lists) < 1e-11, "{}", rows.residual(&lists));
+            (rows, report.sweeps.lane(0))
+        });
+        (cold, warm) = (cold + results[0].1, warm + results[1].1);
+        let [(one, _), (other, _)] = &mut results;
+        for (a, b) in one.u.iter().zip(&other.u) {
+            close(*a, *b, 1e-10);
+        }
+    }
+    assert!(5 * warm < 2 * cold, "{warm} {cold}");
+}
