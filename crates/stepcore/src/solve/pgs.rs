@@ -5,6 +5,7 @@
 //! block. A sweep touches y and u only, never a matrix of rows.
 
 mod cones;
+mod onward;
 mod packed;
 mod side_by_side;
 mod sweep;
@@ -67,11 +68,13 @@ impl<R: Real> Pgs<R> {
             let blocks = islands.of(island);
             let convex = |b: &usize| matches!(rows.blocks[*b].set, Set::Interval | Set::Convex);
             let accelerated = limits.momentum && blocks.iter().all(convex);
-            let mut momentum = accelerated.then_some(&mut *momentum);
+            // Lanes have no sides, and must do as each world alone: heaps found pair by pair have none.
+            sweeps.join(inv_d, rows, blocks, !accelerated || rows.live.is_some());
+            let mut momentum = (accelerated && !sweeps.joined).then_some(&mut *momentum);
             if let Some(momentum) = &mut momentum {
                 momentum.begin(dof_lists, inv_d, rows, blocks);
-            } else {
-                sweeps.join(inv_d, rows, blocks);
+            } else if accelerated {
+                sweeps.accelerate(inv_d);
             }
             let mut live = alive(rows, blocks);
             let single = if limits.exact { rows.alone(blocks) } else { R::Mask::of(false) };
@@ -104,6 +107,10 @@ impl<R: Real> Pgs<R> {
                     }
                     let residual = rows.residual_of(dof_lists, blocks);
                     live = live.and(close.and(residual.le(tolerance)).not());
+                }
+                // Whatever sweep is the last one ends within the sets.
+                if live.any() && sweep + 1 < limits.sweeps {
+                    sweeps.go_on();
                 }
             }
             if momentum.is_none() {

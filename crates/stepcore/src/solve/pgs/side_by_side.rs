@@ -8,6 +8,7 @@
 
 use super::super::free::SIX;
 use super::super::rows::{Rows, NARROW};
+use super::onward::{Found, Onward, Step};
 use super::packed::{Packed, EDGES};
 use crate::real::Real;
 use crate::room::{listed, room, Room};
@@ -40,14 +41,30 @@ struct Four<R> {
     rows: [u32; SIDE],
 }
 
+/// What momentum needs of four contacts: A + C, impulses where the sweep began, and the move before.
+#[repr(align(64))]
+struct Moved<R> {
+    s: [Each<R>; EDGES],
+    from: [Each<R>; EDGES],
+    last: [Each<R>; EDGES],
+}
+
 /// A body's part of u, on a line of the memory by itself.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
-struct Six<R>([R; SIX]);
+pub(super) struct Six<R>(pub [R; SIX]);
+
+impl<R: Real> Six<R> {
+    pub fn zero() -> Self {
+        Self([R::zero(); SIX])
+    }
+}
 
 /// An island of pyramids.
 pub(super) struct SideBySide<R> {
     fours: Vec<Four<R>>,
+    /// By four, with momentum.
+    moved: Vec<Moved<R>>,
     /// The first stands for what no contact moves.
     bodies: Vec<Six<R>>,
     /// The first dof of each.
@@ -59,9 +76,13 @@ pub(super) struct SideBySide<R> {
     places: Vec<([u32; 2], u32)>,
     /// By dof: the body that begins there, where it is one of the island.
     body_at: Vec<u32>,
+    /// Momentum, if there is any, and where it leads before the next sweep.
+    onward: Onward<R>,
+    step: Option<Step<R>>,
+    found: Found<R>,
 }
 
-room!(SideBySide<R>: fours, dofs, free, filled, places, body_at; bodies);
+room!(SideBySide<R>: fours, moved, dofs, free, filled, places, body_at; bodies, onward);
 
 impl<R> Room for Vec<Six<R>> {
     fn room(&self) -> usize {
@@ -73,12 +94,16 @@ impl<R: Real> SideBySide<R> {
     pub fn new() -> Self {
         Self {
             fours: Vec::new(),
+            moved: Vec::new(),
             bodies: Vec::new(),
             dofs: Vec::new(),
             free: Vec::new(),
             filled: Vec::new(),
             places: Vec::new(),
             body_at: Vec::new(),
+            onward: Onward::new(),
+            step: None,
+            found: Found::nothing(),
         }
     }
 
@@ -94,7 +119,7 @@ impl<R: Real> SideBySide<R> {
             return false;
         }
         self.bodies.clear();
-        self.bodies.resize(self.dofs.len(), Six([R::zero(); SIX]));
+        self.bodies.resize(self.dofs.len(), Six::zero());
         self.load(u);
         self.fours.clear();
         self.fours.extend(self.filled.iter().map(|_| Four::empty()));
@@ -104,7 +129,30 @@ impl<R: Real> SideBySide<R> {
             self.fours[*at as usize].set(usize::from(*lane), row, *bodies, packed, inv_d);
             *lane += 1;
         }
+        self.step = None;
         true
+    }
+
+    /// Sweeps of the island at hand will have momentum.
+    pub fn accelerate(&mut self, inv_d: &[R]) {
+        let by_body = self.dofs.iter().map(|dof| match inv_d.get(*dof as usize..) {
+            Some(own) => Six(core::array::from_fn(|k| R::one() / own[k])),
+            None => Six::zero(),
+        });
+        self.step = Some(self.onward.begin(&self.bodies, by_body));
+        self.moved.clear();
+        self.moved.extend(self.fours.iter().map(|four| Moved {
+            s: four.inv_s.map(|each| each.map(R::recip_or_zero)),
+            from: four.impulse,
+            last: [[R::zero(); SIDE]; EDGES],
+        }));
+    }
+
+    /// After a sweep: the next one will begin where momentum leads.
+    pub fn go_on(&mut self) {
+        if self.step.is_some() {
+            self.step = Some(self.onward.step(&mut self.bodies, self.found));
+        }
     }
 
     /// Finds each contact's four; false where most would be half empty.
@@ -175,13 +223,48 @@ impl<R: Real> SideBySide<R> {
     }
 
     /// Updates every contact; the largest change of an impulse [m/s].
-    #[inline(never)]
     pub fn sweep(&mut self) -> R {
+        let most = |each: Each<R>| each.into_iter().fold(R::zero(), |most, own| most.max(own));
+        let Some(step) = self.step else { return most(self.sweep_plain()) };
+        let (largest, sums) = self.sweep_on(&step);
+        let [gain, own, both] = sums.map(|each| (each[0] + each[1]) + (each[2] + each[3]));
+        self.found = Found { gain, own, both };
+        most(largest)
+    }
+
+    #[inline(never)]
+    fn sweep_plain(&mut self) -> Each<R> {
         let mut largest = [R::zero(); SIDE];
         for four in &mut self.fours {
-            four.update(&mut self.bodies, &mut largest);
+            four.update(&mut self.bodies, &mut largest, |_, _, _| {});
         }
-        largest.into_iter().fold(R::zero(), |most, own| most.max(own))
+        largest
+    }
+
+    /// With momentum; beside the largest changes the sums of `Found`.
+    #[inline(never)]
+    fn sweep_on(&mut self, step: &Step<R>) -> (Each<R>, [Each<R>; 3]) {
+        let none = [R::zero(); SIDE];
+        let (mut largest, mut gain, mut own, mut both) = (none, none, none, none);
+        for (four, Moved { s, from, last }) in self.fours.iter_mut().zip(&mut self.moved) {
+            for i in 0..EDGES {
+                step.go(&mut four.impulse[i], &mut from[i], &mut last[i]);
+            }
+            four.update(&mut self.bodies, &mut largest, |i, change, short| {
+                for l in 0..SIDE {
+                    gain[l] += change[l] * (R::of(0.5) * s[i][l] * change[l] - short[l]);
+                }
+            });
+            for i in 0..EDGES {
+                for l in 0..SIDE {
+                    let p = four.impulse[i][l] - from[i][l];
+                    let weighted = four.c[i][l] * p;
+                    own[l] += weighted * p;
+                    both[l] += weighted * last[i][l];
+                }
+            }
+        }
+        (largest, [gain, own, both])
     }
 }
 
@@ -226,9 +309,14 @@ impl<R: Real> Four<R> {
         }
     }
 
-    /// As `Packed::update` of each.
+    /// As `Packed::update` of each; `note` sees edge by edge its changes and what it was short of.
     #[inline(always)]
-    fn update(&mut self, bodies: &mut [Six<R>], largest: &mut Each<R>) {
+    fn update(
+        &mut self,
+        bodies: &mut [Six<R>],
+        largest: &mut Each<R>,
+        mut note: impl FnMut(usize, &Each<R>, &Each<R>),
+    ) {
         let one = gather(bodies, &self.bodies[0]);
         let two = gather(bodies, &self.bodies[1]);
         let n = velocity(&self.y[0][0], &self.y[1][0], &one, &two);
@@ -251,6 +339,7 @@ impl<R: Real> Four<R> {
             for l in 0..SIDE {
                 change[i][l] = (short[i][l] * self.inv_s[i][l]).max(-self.impulse[i][l]);
             }
+            note(i, &change[i], &short[i]);
             for j in i + 1..EDGES {
                 let between = &self.between[j * (j - 1) / 2 + i];
                 for l in 0..SIDE {

@@ -97,8 +97,8 @@ impl<R: Real> Sweeps<R> {
     }
 
     /// Turns to an island whose blocks will be swept in this order, without the gain: pyramids of a
-    /// world by itself stand side by side, where bodies enough are apart.
-    pub fn join(&mut self, inv_d: &[R], rows: &Rows<R>, list: &[usize]) {
+    /// world by itself stand side by side, where bodies enough are apart and that is `allowed`.
+    pub fn join(&mut self, inv_d: &[R], rows: &Rows<R>, list: &[usize], allowed: bool) {
         self.joined = false;
         let pyramid = |at: &usize| match self.how[*at] {
             How::Packed(place) => {
@@ -107,7 +107,7 @@ impl<R: Real> Sweeps<R> {
             }
             _ => None,
         };
-        let single = R::LANES == 1 && list.len() > SEEN;
+        let single = allowed && R::LANES == 1 && list.len() > SEEN;
         if !single || !list.iter().all(|at| pyramid(at).is_some()) {
             return;
         }
@@ -116,6 +116,18 @@ impl<R: Real> Sweeps<R> {
             Some((rows.blocks[*at].rows.start as u32, packed))
         });
         self.joined = self.side_by_side.take(inv_d, &rows.u, contacts);
+    }
+
+    /// Contacts that stand side by side are swept with momentum.
+    pub fn accelerate(&mut self, inv_d: &[R]) {
+        self.side_by_side.accelerate(inv_d);
+    }
+
+    /// The next sweep begins where momentum leads, if what stands side by side has any.
+    pub fn go_on(&mut self) {
+        if self.joined {
+            self.side_by_side.go_on();
+        }
     }
 
     /// Rows of packed blocks get their impulses, and u what stands side by side.

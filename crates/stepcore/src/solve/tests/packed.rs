@@ -6,6 +6,7 @@ use crate::real::{Lanes, Real, WIDTH};
 use crate::solve::limits::Limits;
 use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Rows, Set};
+use crate::solve::Live;
 
 /// Contacts between two free bodies; with `Set::Interval` they are pyramids.
 fn between_two(set: Set, random: &mut Random) -> Problem {
@@ -161,6 +162,50 @@ fn side_by_side_is_one_after_another() {
             for (k, u) in side.u.iter().enumerate() {
                 close(*u, plain.u[k], 1e-11);
                 assert_eq!(u.to_bits(), lanes.u[k].lane(lane).to_bits());
+            }
+        }
+    }
+}
+
+/// With momentum contacts side by side come to the same end in fewer sweeps. Wherever sweeps stop,
+/// impulses are within their sets, and u is their effect.
+#[test]
+fn momentum_side_by_side() {
+    const BODIES: usize = 24;
+    let mut random = Random::new(6);
+    let inv_d: Vec<f64> = (0..6 * BODIES).map(|_| random.next().exp()).collect();
+    for _ in 0..5 {
+        let world = ring_problem(BODIES, &inv_d, &mut random);
+        let solve = |momentum: bool, sweeps: u32, tolerance: f64| {
+            let (mut rows, lists) = ring::<f64>(std::slice::from_ref(&world), BODIES);
+            rows.heap = true;
+            rows.live = Some(Live::default());
+            let limits = Limits { sweeps, tolerance, momentum, exact: false, rounding: false };
+            let mut pgs = Pgs::new();
+            let report = pgs.solve(&lists, &inv_d, &mut rows, limits);
+            assert!(pgs.side_by_side());
+            (rows, lists, report.sweeps.lane(0))
+        };
+        let [(plain, _, many), (fast, lists, few)] =
+            [false, true].map(|momentum| solve(momentum, 100_000, 1e-10));
+        assert!(5 * few < many && many < 100_000, "{few} {many}");
+        for (one, other) in plain.rows.iter().zip(&fast.rows) {
+            close(one.impulse, other.impulse, 1e-7);
+        }
+        for (one, other) in plain.u.iter().zip(&fast.u) {
+            close(*one, *other, 1e-7);
+        }
+        for sweeps in [1, 2, 5, 50] {
+            let (rows, _, _) = solve(true, sweeps, 0.0);
+            let mut u = ring::<f64>(std::slice::from_ref(&world), BODIES).0.u;
+            for row in &rows.rows {
+                assert!(row.impulse >= 0.0);
+                for (k, y) in row.dofs.of(&lists).iter().zip(&rows.y[row.y..]) {
+                    u[*k] += inv_d[*k] * y * row.impulse;
+                }
+            }
+            for (one, other) in u.iter().zip(&rows.u) {
+                close(*one, *other, 1e-11);
             }
         }
     }

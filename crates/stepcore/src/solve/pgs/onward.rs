@@ -1,0 +1,157 @@
+//! Momentum of contacts that stand side by side: a sweep begins further on along what the last one
+//! moved, and along the move before.
+//!
+//! What is minimised, and what a sweep gains of it, is that of `momentum.rs`: f(λ) = ½ λᵀHλ + λ·(J v̂ − t)
+//! with H = A + C. A sweep from y ends at x; p = x − y is its move and e the move from the y before to this
+//! one. The next sweep begins at x + σp + τe, with the σ and τ at which f is least. That may be outside
+//! the sets, but the sweep sees every impulse, and so ends within them: nothing is projected, and
+//! u goes with λ. The slope of f at x along p is Δf + ½ pᵀHp, with Δf what the sweep gained. Along e
+//! it was 0 at y, the least along both moves of which e is made, and so it is eᵀHp at x.
+//!
+//! A sweep that ends higher than the one before shows that the sets turned the step into a detour.
+//! Then there is none for as many sweeps as that has happened, so that in the end sweeps alone lead on.
+
+use super::super::free::SIX;
+use super::side_by_side::Six;
+use crate::real::{Mask, Real};
+use crate::room::room;
+
+/// Moves whose 2 × 2 products have a determinant below this part of the diagonal's are one.
+const APART: f64 = 1e-8;
+
+/// How a place and its moves go on: x + σp + τe, and the whole move from y, (1 + σ)p + τe, or none.
+#[derive(Clone, Copy)]
+pub(super) struct Step<R> {
+    along: [R; 2],
+    keep: [R; 2],
+}
+
+/// What a sweep found: what it gained of f, and pᵀCp and pᵀCe of its moves.
+#[derive(Clone, Copy)]
+pub(super) struct Found<R> {
+    pub gain: R,
+    pub own: R,
+    pub both: R,
+}
+
+impl<R: Real> Found<R> {
+    pub fn nothing() -> Self {
+        Self { gain: R::zero(), own: R::zero(), both: R::zero() }
+    }
+}
+
+/// The method's memory for the island at hand.
+pub(super) struct Onward<R> {
+    /// By body: D, u where the sweep began, and the move e.
+    d: Vec<Six<R>>,
+    from: Vec<Six<R>>,
+    last: Vec<Six<R>>,
+    /// eᵀHe, and how much f fell in the step before the sweep.
+    energy: R,
+    fall: R,
+    /// Sweeps that ended too high, and for how many there is no step.
+    failures: u32,
+    rest: u32,
+}
+
+room!(Onward<R>: ; d, from, last);
+
+impl<R: Real> Step<R> {
+    fn none() -> Self {
+        Self { along: [R::zero(); 2], keep: [R::zero(); 2] }
+    }
+
+    /// From x, the y before it and e: the next y, which takes the places of x and y, and the next e.
+    #[inline(always)]
+    pub fn go<const N: usize>(&self, x: &mut [R; N], y: &mut [R; N], e: &mut [R; N]) {
+        for k in 0..N {
+            let p = x[k] - y[k];
+            x[k] += self.along[0] * p + self.along[1] * e[k];
+            e[k] = self.keep[0] * p + self.keep[1] * e[k];
+            y[k] = x[k];
+        }
+    }
+}
+
+impl<R: Real> Onward<R> {
+    pub fn new() -> Self {
+        Self {
+            d: Vec::new(),
+            from: Vec::new(),
+            last: Vec::new(),
+            energy: R::zero(),
+            fall: R::zero(),
+            failures: 0,
+            rest: 0,
+        }
+    }
+
+    /// Starts on an island with these bodies; each comes with its D.
+    pub fn begin(&mut self, bodies: &[Six<R>], d: impl Iterator<Item = Six<R>>) -> Step<R> {
+        self.d.clear();
+        self.d.extend(d);
+        self.from.clear();
+        self.from.extend_from_slice(bodies);
+        self.last.clear();
+        self.last.resize(bodies.len(), Six::zero());
+        (self.energy, self.fall) = (R::zero(), R::zero());
+        (self.failures, self.rest) = (0, 0);
+        Step::none()
+    }
+
+    /// After a sweep: moves the bodies on, and says how their contacts are to follow.
+    pub fn step(&mut self, bodies: &mut [Six<R>], found: Found<R>) -> Step<R> {
+        let step = self.best(bodies, found);
+        let places = bodies.iter_mut().zip(&mut self.from).zip(&mut self.last);
+        for ((x, y), e) in places {
+            step.go(&mut x.0, &mut y.0, &mut e.0);
+        }
+        step
+    }
+
+    /// The step to where f is least.
+    fn best(&mut self, bodies: &[Six<R>], found: Found<R>) -> Step<R> {
+        let (zero, one, half) = (R::zero(), R::one(), R::of(0.5));
+        let (own, both) = self.products(bodies, found);
+        let too_high = (self.fall + found.gain).gt(zero).any();
+        let (last, slopes) = (self.energy, [found.gain + half * own, both]);
+        (self.energy, self.fall) = (zero, zero);
+        if too_high {
+            self.failures += 1;
+            self.rest = self.failures;
+        }
+        if self.rest > 0 {
+            self.rest -= 1;
+            return Step::none();
+        }
+        let product = own * last;
+        let determinant = product - both * both;
+        let apart = determinant.gt(R::of(APART) * product);
+        let two = [both * slopes[1] - last * slopes[0], both * slopes[0] - own * slopes[1]]
+            .map(|x| x / determinant);
+        let sigma = R::select(apart, two[0], -slopes[0] * own.recip_or_zero());
+        let tau = R::select(apart, two[1], zero);
+        if sigma.is_finite().and(tau.is_finite()).not().any() {
+            return Step::none();
+        }
+        let whole = one + sigma;
+        self.energy = whole * whole * own + R::of(2.0) * whole * tau * both + tau * tau * last;
+        self.fall = half * (sigma * slopes[0] + tau * slopes[1]);
+        Step { along: [sigma, tau], keep: [whole, tau] }
+    }
+
+    /// pᵀHp and pᵀHe: H of impulses is D of what they make of u, and C.
+    fn products(&self, bodies: &[Six<R>], found: Found<R>) -> (R, R) {
+        let (mut own, mut both) = ([R::zero(); SIX], [R::zero(); SIX]);
+        let places = bodies.iter().zip(&self.from).zip(&self.last).zip(&self.d);
+        for (((x, y), e), d) in places {
+            for k in 0..SIX {
+                let p = x.0[k] - y.0[k];
+                own[k] += d.0[k] * p * p;
+                both[k] += d.0[k] * p * e.0[k];
+            }
+        }
+        let sum = |start: R, parts: [R; SIX]| parts.into_iter().fold(start, |sum, x| sum + x);
+        (sum(found.own, own), sum(found.both, both))
+    }
+}
