@@ -156,6 +156,32 @@ impl<R: Real, const N: usize> Side<R, N> {
     }
 }
 
+impl<R: Real, const N: usize> Side<R, N> {
+    /// `jacobian` of each way of the first contact, side by side; the last place is empty.
+    #[inline(always)]
+    fn jacobians(&self, now: &Situation<R>) -> [[R; EDGES]; SIX] {
+        let [n, a, b] = &self.along;
+        let [x, y, z] = self.arm.map(|arm| arm[0]);
+        let d: [[R; EDGES]; 3] = core::array::from_fn(|k| [n[k], a[k], b[k], R::zero()]);
+        let mut torque = [[R::zero(); EDGES]; 3];
+        for i in 0..EDGES {
+            torque[0][i] = y * d[2][i] - z * d[1][i];
+            torque[1][i] = z * d[0][i] - x * d[2][i];
+            torque[2][i] = x * d[1][i] - y * d[0][i];
+        }
+        let mut j = [[R::zero(); EDGES]; SIX];
+        for k in 0..3 {
+            let axis = &now.placed.motion[self.first + 3 + k].ang;
+            for i in 0..EDGES {
+                j[k][i] += d[k][i];
+                j[3 + k][i] +=
+                    (axis.x * torque[0][i] + axis.y * torque[1][i]) + axis.z * torque[2][i];
+            }
+        }
+        j
+    }
+}
+
 impl<R: Real, const N: usize> Pyramids<R, N> {
     /// Adds what a body has of the sums, and sets its y of the edges.
     #[inline(always)]
@@ -166,6 +192,10 @@ impl<R: Real, const N: usize> Pyramids<R, N> {
         mu: R,
         lines: &mut [[[R; N]; SIX]; EDGES],
     ) {
+        // Lanes have vectors of their own.
+        if N == 1 && R::LANES == 1 {
+            return self.add_one(now, side, mu, lines);
+        }
         let metric = &now.placed.metric;
         let Self { ways: own, velocities, edges, .. } = self;
         let mut ways = [[[R::zero(); N]; SIX]; WAYS];
@@ -202,6 +232,45 @@ impl<R: Real, const N: usize> Pyramids<R, N> {
                 }
             }
             edges[i] = a;
+        }
+    }
+    /// The same of one contact, its normal and tangents number by number, and its edges.
+    #[inline(always)]
+    fn add_one(
+        &mut self,
+        now: &Situation<R>,
+        side: &Side<R, N>,
+        mu: R,
+        lines: &mut [[[R; N]; SIX]; EDGES],
+    ) {
+        let metric = &now.placed.metric;
+        let inv_d = &metric.inv_d[side.first..][..SIX];
+        let u = &now.placed.u[side.first..][..SIX];
+        let mut ways = side.jacobians(now);
+        metric.lift_six(side.first, &mut ways);
+        let [mut own, mut velocities, mut edges] = [[R::zero(); EDGES]; 3];
+        for i in 0..WAYS {
+            (own[i], velocities[i]) = (self.ways[i][0], self.velocities[i][0]);
+        }
+        for i in 0..EDGES {
+            edges[i] = self.edges[i][0];
+        }
+        for k in 0..SIX {
+            let way = &ways[k];
+            let (n, p, q) = (way[0], mu * way[1], mu * way[2]);
+            let line = [n + p, n - p, n + q, n - q];
+            for i in 0..EDGES {
+                own[i] += way[i] * way[i] * inv_d[k];
+                velocities[i] += way[i] * u[k];
+                edges[i] += line[i] * line[i] * inv_d[k];
+                lines[i][k][0] = line[i];
+            }
+        }
+        for i in 0..WAYS {
+            (self.ways[i][0], self.velocities[i][0]) = (own[i], velocities[i]);
+        }
+        for i in 0..EDGES {
+            self.edges[i][0] = edges[i];
         }
     }
 }
