@@ -41,7 +41,7 @@ impl Constraint for Contacts {
             Law::SolRef => rows.soft_contacts(now, makings.contacts),
             Law::Penalty => {
                 for contact in &*makings.contacts {
-                    rows.penalty(now, contact, &contact.pair);
+                    rows.penalty(now, contact);
                 }
             }
             Law::Lesson | Law::Relaxed | Law::Rigid => {
@@ -220,7 +220,7 @@ impl<R: Real> Rows<R> {
         }
         let unmoved = R::Mask::of(weight == 0.0).and(self.rows[first].a.le(R::zero()));
         self.pyramid(now, &ways, first);
-        self.soften(now, contact, pair, (first, &ways), (law, r, unmoved, [a, velocity]), mask);
+        self.soften(now, contact, (first, &ways), (law, r, unmoved, [a, velocity]), mask);
     }
 
     /// Fills in the edges from `first` on, at the violation r. `unmoved`: nothing moves the normal,
@@ -229,11 +229,11 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
         (first, ways): (usize, &Ways),
         (law, r, unmoved, [a, velocity]): (SolRef<R>, R, R::Mask, [R; 2]),
         mask: R::Mask,
     ) {
+        let pair = &contact.pair;
         let (dt, mu, still) = (R::of(now.settings.dt), ways.slide, ways.still);
         let edge = pair.invweight * 2.0 * mu * mu / now.settings.impratio * (1.0 + mu * mu);
         let edges = self.rows.len() - first;

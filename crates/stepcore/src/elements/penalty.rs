@@ -22,8 +22,8 @@ const SIDEWAYS: f64 = 0.25;
 impl<R: Real> Rows<R> {
     /// −k φ − b J v along the normal while shapes overlap, b a share of what is critical to the
     /// mass 1/A that the contact moves; then friction along the tangents.
-    pub(super) fn penalty(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
-        let settings = now.settings;
+    pub(super) fn penalty(&mut self, now: &Situation<R>, contact: &Contact<R>) {
+        let (settings, pair) = (now.settings, &contact.pair);
         let mask = contact.mask.and(contact.dist.lt(R::zero()));
         let dt = R::of(settings.dt);
         self.normal_row(now, contact, pair);
