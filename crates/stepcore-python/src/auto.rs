@@ -11,7 +11,7 @@ use stepcore::arrays::{Array, Given, Givens};
 use stepcore::batch::Play;
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
-use stepcore::real::WIDTH;
+use stepcore::real::WIDEST;
 
 use crate::world::{Memo, World};
 use crate::worlds::{Lists, Worlds};
@@ -124,8 +124,8 @@ impl Auto {
     fn try_sample(&mut self) -> Result<()> {
         self.tried();
         let order = self.now.by_model();
-        let spread = order.chunks_exact(WIDTH).step_by(self.worlds / SAMPLE);
-        let some: Vec<usize> = spread.take(SAMPLE / WIDTH).flatten().copied().collect();
+        let spread = order.chunks_exact(WIDEST).step_by(self.worlds / SAMPLE);
+        let some: Vec<usize> = spread.take(SAMPLE / WIDEST).flatten().copied().collect();
         let memos: Vec<Memo> = some.iter().map(|world| self.now.memo(*world)).collect();
         let mut times = [Duration::ZERO; 2];
         for (lanes, time) in [true, false].into_iter().zip(&mut times) {

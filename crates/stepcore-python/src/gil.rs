@@ -1,6 +1,7 @@
 //! The one place where the GIL is released, interrupts are served and panics stop.
 
 use std::panic::{catch_unwind, AssertUnwindSafe};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::{Duration, Instant};
 
@@ -12,6 +13,17 @@ use crate::errors::Raised;
 
 /// How long Python may wait for a Ctrl-C to be seen.
 const PATIENCE: Duration = Duration::from_millis(20);
+/// A portion of steps is at most so many times as long as the one before it.
+const GROWTH: u64 = 16;
+
+/// How many steps were worth a portion when a call last ended: the next one begins with as many.
+pub struct Pace(AtomicU64);
+
+impl Default for Pace {
+    fn default() -> Self {
+        Self(AtomicU64::new(1))
+    }
+}
 
 /// Runs engine code without the GIL.
 pub fn release<T: Send>(
@@ -48,13 +60,14 @@ pub fn steps(
     n: u64,
     advance: impl FnMut(u64) -> Result<(), Error> + Send,
 ) -> PyResult<()> {
-    steps_told(py, n, None, advance)
+    steps_told(py, n, &Pace::default(), None, advance)
 }
 
 /// The same; `told` is called with the count of each portion. What it raises ends the call.
 pub fn steps_told(
     py: Python<'_>,
     n: u64,
+    pace: &Pace,
     told: Option<&Bound<'_, PyAny>>,
     mut advance: impl FnMut(u64) -> Result<(), Error> + Send,
 ) -> PyResult<()> {
@@ -62,22 +75,25 @@ pub fn steps_told(
         // One step is short: nothing to interrupt, nothing to measure.
         return release(py, || advance(n));
     }
-    let (mut left, mut portion) = (n, 1);
+    let (mut left, mut portion) = (n, pace.0.load(Ordering::Relaxed));
     while left > 0 {
         let now = portion.min(left);
         let start = Instant::now();
         release(py, || advance(now))?;
         left -= now;
-        let took = start.elapsed();
-        if took < PATIENCE / 4 {
-            portion = now * 2;
-        } else if took > PATIENCE {
-            portion = (now / 2).max(1);
-        }
+        let most = portion.saturating_mul(GROWTH);
+        portion = fitting(now, start.elapsed()).clamp(1, most);
         py.check_signals()?;
         if let Some(told) = told {
             told.call1((now,))?;
         }
     }
+    pace.0.store(portion, Ordering::Relaxed);
     Ok(())
+}
+
+/// How many steps take half as long as Python has patience, where `steps` took so long.
+fn fitting(steps: u64, took: Duration) -> u64 {
+    let half = (PATIENCE / 2).as_nanos();
+    (u128::from(steps) * half / took.as_nanos().max(1)) as u64
 }

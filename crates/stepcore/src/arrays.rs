@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
-use crate::model::Model;
+use crate::model::{Joint, Model};
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
 use crate::settings::{Precision, Settings};
@@ -266,12 +266,40 @@ impl<'a> Givens<'a> {
         Given(own)
     }
 
+    /// One array of one world.
+    #[inline(always)]
+    fn list(&self, array: Array, world: usize) -> &'a [f64] {
+        let length = self.lengths[array as usize];
+        &self.lists[array as usize][world * length..(world + 1) * length]
+    }
+
     /// Whether all numbers of some worlds are finite in the engine's number: without a branch for
     /// each, so that vectors serve.
     pub(crate) fn all_finite<R: Real>(&self, worlds: Range<usize>) -> bool {
-        let fine = |list: &[f64]| list.iter().fold(true, |all, x| all & R::One::of(*x).is_finite());
-        let own = self.lists.iter().zip(self.lengths);
-        own.fold(true, |all, (list, n)| all & fine(&list[worlds.start * n..worlds.end * n]))
+        Array::ALL
+            .iter()
+            .fold(true, |all, array| all & self.all(*array, &worlds, |x| R::One::of(x).is_finite()))
+    }
+
+    /// Whether no force is applied in some worlds.
+    pub(crate) fn no_forces(&self, worlds: Range<usize>) -> bool {
+        let forces = [Array::QfrcApplied, Array::XfrcApplied];
+        forces.iter().fold(true, |none, array| none & self.all(*array, &worlds, |x| x == 0.0))
+    }
+
+    #[inline(always)]
+    fn all(&self, array: Array, worlds: &Range<usize>, fine: impl Fn(f64) -> bool) -> bool {
+        let (list, n) = (self.lists[array as usize], self.lengths[array as usize]);
+        list[worlds.start * n..worlds.end * n].iter().fold(true, |all, x| all & fine(*x))
+    }
+}
+
+impl Model {
+    /// Whether arrays hold truths or quaternions, which `Given::check_forms` looks at.
+    pub(crate) fn has_forms(&self) -> bool {
+        let turns = |joint: &Joint| matches!(joint.kind, JointType::Ball | JointType::Free);
+        let others = !(self.equalities.is_empty() && self.mocaps.is_empty());
+        others || self.joints.iter().any(turns)
     }
 }
 
@@ -303,6 +331,23 @@ impl<R: Real> State<R> {
         if changed {
             for (to, from) in self.lists_mut().into_iter().zip(given.lists()) {
                 put(to, lane, from);
+            }
+        }
+        changed
+    }
+
+    /// Takes a world's state into one lane; says whether any of it differed.
+    #[inline]
+    pub(crate) fn put_of(&mut self, lane: usize, given: &Givens, world: usize) -> bool {
+        let differs = |now: &[R], new: &[f64]| {
+            now.iter().zip(new).fold(false, |any, (now, new)| any | (now.lane(lane) != *new))
+        };
+        let both = self.lists().into_iter().zip(Array::ALL);
+        let changed =
+            both.fold(false, |any, (now, array)| any | differs(now, given.list(array, world)));
+        if changed {
+            for (to, array) in self.lists_mut().into_iter().zip(Array::ALL) {
+                put(to, lane, given.list(array, world));
             }
         }
         changed
@@ -376,6 +421,12 @@ pub fn lists<R: Real>(state: &State<R>, inputs: &Inputs<R>, lane: usize) -> Vec<
 }
 
 impl<R: Real> Inputs<R> {
+    /// Takes a world's inputs into one lane; no force is applied, here or there.
+    #[inline]
+    pub(crate) fn put_idle(&mut self, lane: usize, given: &Givens, world: usize) {
+        self.set_idle_lane(lane, |array| given.list(array, world));
+    }
+
     /// Takes one world's inputs. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given) {
         let (_, inputs) = given.lists().split_at(Array::CHANGED);

@@ -27,7 +27,7 @@
 //! residuals and names what made a run fail, `batch.rs` steps many worlds over threads,
 //! `arrays.rs` takes a user's numbers in and gives them back.
 //!
-//! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight
+//! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight (`f32`: sixteen)
 //! worlds side by side that equal, bit for bit, the same worlds stepped alone. Two more
 //! accompany a world: [`real::Dual`] carries derivatives through the step
 //! ([`watch::Linearizer`]), [`real::Counted`] counts its operations ([`watch::Counter`]); and

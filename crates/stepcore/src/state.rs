@@ -226,6 +226,18 @@ impl<R: Real> Inputs<R> {
         }
     }
 
+    /// The same of a world in which no force is applied, where none was before.
+    #[inline(always)]
+    pub(crate) fn set_idle_lane<'a>(&mut self, lane: usize, given: impl Fn(Array) -> &'a [f64]) {
+        for (to, array) in self.arrays_mut().into_iter().zip(&Array::ALL[Array::CHANGED..]) {
+            if !matches!(array, Array::QfrcApplied | Array::XfrcApplied) {
+                for (to, from) in to.iter_mut().zip(given(*array)) {
+                    to.set_lane(lane, *from);
+                }
+            }
+        }
+    }
+
     /// Copies into inputs of the same model, whose room is used again.
     pub(crate) fn copy_to(&self, to: &mut Self) {
         for (to, from) in to.arrays_mut().into_iter().zip(self.arrays()) {

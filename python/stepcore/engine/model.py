@@ -99,7 +99,7 @@ class Model(ModelData):
         geom1, geom2: names or indices. The normal points from `geom1` to `geom2`.
         qpos: shape (…, nq), such as (nq,) for one pose or (n, nq) for many.
         precision: the numbers of the computation, as in `Settings`.
-        lanes: computes eight poses at a time, as a `Batch` does; the same bits.
+        lanes: computes eight poses at a time (sixteen in f32), as a `Batch` does; the same bits.
 
         Raises ValueError for an unknown name, for a pair of shapes that is not built, and for a
         qpos that is not finite or has another shape.

@@ -37,6 +37,7 @@ pub struct Batch {
     arrays: Arrays,
     how: How,
     worlds: Mutex<Box<dyn Worlds>>,
+    pace: gil::Pace,
 }
 
 #[pymethods]
@@ -59,7 +60,7 @@ impl Batch {
             gil::release(py, || how.worlds(vec![model.clone()], &of_one_model(&model, n)?))?;
         let arrays = Arrays::new(py, &model, n)?;
         let worlds = Mutex::new(worlds);
-        Ok(Self { model, settings, arrays, how, worlds })
+        Ok(Self { model, settings, arrays, how, worlds, pace: gil::Pace::default() })
     }
 
     /// The arrays that are the user's to write, each with its name.
@@ -100,7 +101,7 @@ impl Batch {
             return self.check(py, worlds);
         }
         self.load(py, worlds)?;
-        let outcome = gil::steps_told(py, n, told, |n| worlds.step(n));
+        let outcome = gil::steps_told(py, n, &self.pace, told, |n| worlds.step(n));
         self.store(py, worlds);
         outcome
     }

@@ -52,7 +52,7 @@ impl Batch {
         let states = states.each_mut().map(|list| &mut list[..]);
         let mut play = Play { steps, ctrl: controls, states };
         let mut from = 0;
-        let outcome = gil::steps_told(py, steps as u64, told, |count| {
+        let outcome = gil::steps_told(py, steps as u64, &self.pace, told, |count| {
             worlds.play(&mut play, from, count as usize)?;
             from += count as usize;
             Ok(())
@@ -76,9 +76,15 @@ impl Batch {
             return Err(PyValueError::new_err(text));
         }
         let single = self.settings.precision == stepcore::settings::Precision::F32;
+        let fine = |x: &f64| x.is_finite() && (!single || (*x as f32).is_finite());
+        let in_order = ctrl.as_slice().ok();
+        // Without a branch for each, so that vectors serve.
+        if let Some(list) = in_order.filter(|list| list.iter().fold(true, |all, x| all & fine(x))) {
+            return Ok(list.to_vec());
+        }
         let mut all = Vec::with_capacity(ctrl.len());
         for ((world, step, k), x) in ctrl.as_array().indexed_iter() {
-            if !x.is_finite() || single && !(*x as f32).is_finite() {
+            if !fine(x) {
                 let text = format!(
                     "ctrl[{world}, {step}, {k}] = {x}: must be finite; nothing was stepped"
                 );

@@ -1,5 +1,6 @@
 //! All worlds' arrays in and out, over the threads of the batch.
 
+use std::ops::Range;
 use std::sync::Mutex;
 
 use super::Batch;
@@ -14,11 +15,13 @@ impl<R: Real> Batch<R> {
     pub fn load(&mut self, given: &Givens) -> Result<()> {
         let Self { worlds, crew, groups, seats, models, .. } = self;
         let refused = Mutex::new(None::<(usize, Error)>);
+        let forms = models[0].has_forms();
         crew.carry(*worlds, groups, 1, |first, portion| {
             let own = seats.of_groups(first..first + portion.len());
-            let (least, most) =
-                own.iter().fold((usize::MAX, 0), |(a, b), w| (a.min(*w), b.max(*w)));
-            let finite = given.all_finite::<R>(least..most + 1);
+            let finite = given.all_finite::<R>(span(own));
+            if finite && !forms {
+                return;
+            }
             for (index, world) in own.iter().map(|world| (seats.of(*world).0, *world)) {
                 let model = &models[seats.model(index)];
                 let given = given.of(world);
@@ -38,11 +41,9 @@ impl<R: Real> Batch<R> {
             return Err(error);
         }
         crew.carry(*worlds, groups, 1, |first, portion| {
+            let idle = given.no_forces(span(seats.of_groups(first..first + portion.len())));
             for (index, group) in (first..).zip(portion) {
-                let own = seats.worlds(index);
-                for (lane, world) in own.iter().enumerate() {
-                    group.put(lane, own.len(), &given.of(*world));
-                }
+                group.put_all(seats.worlds(index), given, idle);
             }
         });
         Ok(())
@@ -52,9 +53,15 @@ impl<R: Real> Batch<R> {
     pub fn store(&self, array: Array, numbers: &mut [f64]) {
         let length = numbers.len() / self.worlds;
         self.crew.carry(self.worlds, numbers, length, |first, portion| {
-            for (world, out) in (first..).zip(portion.chunks_mut(length)) {
+            for (world, out) in (first..).zip(portion.chunks_exact_mut(length)) {
                 self.take(world, array, out);
             }
         });
     }
+}
+
+/// The worlds from the first to the last of some.
+fn span(worlds: &[usize]) -> Range<usize> {
+    let (least, most) = worlds.iter().fold((usize::MAX, 0), |(a, b), w| (a.min(*w), b.max(*w)));
+    least..most + 1
 }

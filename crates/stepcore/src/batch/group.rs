@@ -1,7 +1,7 @@
 //! The worlds of one register of lanes, and their stay in the working space of a thread.
 
 use super::failed::Standing;
-use crate::arrays::Given;
+use crate::arrays::{Given, Givens};
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::program::{Holds, Place};
@@ -103,13 +103,36 @@ impl<R: Real> Group<R> {
         let last = if own + 1 == worlds { R::LANES } else { own + 1 };
         for lane in own..last {
             if self.state.put(lane, given) {
-                if std::mem::take(&mut self.ended[lane]) {
-                    self.state.forget_impulses(lane);
-                }
-                self.ledger.iter_mut().for_each(|ledger| ledger.forget());
+                self.moved(lane);
             }
             self.inputs.put(lane, given);
         }
+    }
+
+    /// Takes the arrays of all its worlds, `own`; idle: no force is applied in them.
+    pub fn put_all(&mut self, own: &[usize], given: &Givens, idle: bool) {
+        if !idle || self.inputs.applied() || self.standing.any() {
+            for (lane, world) in own.iter().enumerate() {
+                self.put(lane, own.len(), &given.of(*world));
+            }
+            return;
+        }
+        for lane in 0..R::LANES {
+            // Lanes to spare repeat the last world.
+            let world = own[lane.min(own.len() - 1)];
+            if self.state.put_of(lane, given, world) {
+                self.moved(lane);
+            }
+            self.inputs.put_idle(lane, given, world);
+        }
+    }
+
+    /// A lane's state did not come from a step.
+    fn moved(&mut self, lane: usize) {
+        if std::mem::take(&mut self.ended[lane]) {
+            self.state.forget_impulses(lane);
+        }
+        self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
     /// Runs `one` up to `n` times on this group's state in a thread's working space; `worlds`: whose

@@ -1,14 +1,14 @@
 //! `Count`: a whole number for each lane.
 
-use super::lanes::WIDTH;
+use super::lanes::WIDEST;
 use super::Mask;
 
 /// A count for each lane; a scalar uses the first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Count([u64; WIDTH]);
+pub struct Count([u64; WIDEST]);
 
 impl Count {
-    pub const ZERO: Self = Self([0; WIDTH]);
+    pub const ZERO: Self = Self([0; WIDEST]);
 
     #[inline(always)]
     pub fn lane(&self, lane: usize) -> u64 {

@@ -13,138 +13,140 @@ use wide::{f32x8, f64x4, CmpLe, CmpLt};
 
 use super::{elementary, Mask, Real};
 
-/// How many worlds stand side by side: of more, a register would make the rows of more worlds that
-/// touch in other places.
+/// How many worlds of `f64` stand side by side: of fewer, a register would ask as often what there is
+/// to do; of more, it would make the rows of more worlds that touch in other places.
 pub const WIDTH: usize = 8;
+/// The same of `f32`, in as many vectors; the most there are.
+pub const WIDEST: usize = 2 * WIDTH;
 
-/// Eight worlds, of `f64` if nothing else is said.
+/// Worlds side by side: eight of `f64` if nothing else is said.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(32))]
-pub struct Lanes<T = f64>(pub [T; WIDTH]);
+pub struct Lanes<T = f64, const W: usize = WIDTH>(pub [T; W]);
 
-/// Eight worlds of `f32`.
-pub type LanesF32 = Lanes<f32>;
+/// Sixteen worlds of `f32`.
+pub type LanesF32 = Lanes<f32, WIDEST>;
 
 /// One truth value for each world: all ones or all zeros.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(32))]
-pub struct LaneMask<B = u64>([B; WIDTH]);
+pub struct LaneMask<B = u64, const W: usize = WIDTH>([B; W]);
 
 /// The bits of a number, and what is done with those of all lanes.
-pub trait Word: Copy + Debug + PartialEq + Send + Sync + 'static {
+pub trait Word<const W: usize>: Copy + Debug + PartialEq + Send + Sync + 'static {
     const NONE: Self;
     const ALL: Self;
-    fn both(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH];
-    fn either(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH];
-    fn other(a: [Self; WIDTH]) -> [Self; WIDTH];
-    fn any(a: [Self; WIDTH]) -> bool;
-    fn all(a: [Self; WIDTH]) -> bool;
+    fn both(a: [Self; W], b: [Self; W]) -> [Self; W];
+    fn either(a: [Self; W], b: [Self; W]) -> [Self; W];
+    fn other(a: [Self; W]) -> [Self; W];
+    fn any(a: [Self; W]) -> bool;
+    fn all(a: [Self; W]) -> bool;
 }
 
 /// A number of which lanes are made, and what is done with all of them.
-pub trait Number: Real<Mask = bool, One = Self> + PartialOrd + Into<f64> {
-    type Bits: Word;
-    fn repeat(x: Self) -> [Self; WIDTH];
-    fn plus(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH];
-    fn subtract(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH];
-    fn multiply(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH];
-    fn divide(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH];
-    fn negative(a: [Self; WIDTH]) -> [Self; WIDTH];
-    fn root(a: [Self; WIDTH]) -> [Self; WIDTH];
-    fn less(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self::Bits; WIDTH];
-    fn at_most(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self::Bits; WIDTH];
-    fn choose(mask: [Self::Bits; WIDTH], yes: [Self; WIDTH], no: [Self; WIDTH]) -> [Self; WIDTH];
+pub trait Number<const W: usize>: Real<Mask = bool, One = Self> + PartialOrd + Into<f64> {
+    type Bits: Word<W>;
+    fn repeat(x: Self) -> [Self; W];
+    fn plus(a: [Self; W], b: [Self; W]) -> [Self; W];
+    fn subtract(a: [Self; W], b: [Self; W]) -> [Self; W];
+    fn multiply(a: [Self; W], b: [Self; W]) -> [Self; W];
+    fn divide(a: [Self; W], b: [Self; W]) -> [Self; W];
+    fn negative(a: [Self; W]) -> [Self; W];
+    fn root(a: [Self; W]) -> [Self; W];
+    fn less(a: [Self; W], b: [Self; W]) -> [Self::Bits; W];
+    fn at_most(a: [Self; W], b: [Self; W]) -> [Self::Bits; W];
+    fn choose(mask: [Self::Bits; W], yes: [Self; W], no: [Self; W]) -> [Self; W];
 }
 
-/// A number and its bits, in vectors of `$vector`: so many of them, by index, are all lanes.
+/// A number and its bits, `$w` of them in vectors of `$vector`: so many of these, by index.
 macro_rules! number {
-    ($number:ty, $bits:ty, $vector:ty, [$($at:literal),*]) => {
+    ($number:ty, $bits:ty, $w:ident, $vector:ty, [$($at:literal),*]) => {
         const _: () = {
             type Vectors = [$vector; [$($at),*].len()];
 
-            impl Word for $bits {
+            impl Word<$w> for $bits {
                 const NONE: Self = 0;
                 const ALL: Self = !0;
                 #[inline(always)]
-                fn both(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH] {
+                fn both(a: [Self; $w], b: [Self; $w]) -> [Self; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at] & b[$at]),*])
                 }
                 #[inline(always)]
-                fn either(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH] {
+                fn either(a: [Self; $w], b: [Self; $w]) -> [Self; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at] | b[$at]),*])
                 }
                 #[inline(always)]
-                fn other(a: [Self; WIDTH]) -> [Self; WIDTH] {
+                fn other(a: [Self; $w]) -> [Self; $w] {
                     let a: Vectors = cast(a);
                     cast([$(!a[$at]),*])
                 }
                 #[inline(always)]
-                fn any(a: [Self; WIDTH]) -> bool {
+                fn any(a: [Self; $w]) -> bool {
                     let a: Vectors = cast(a);
                     false $(|| a[$at].any())*
                 }
                 #[inline(always)]
-                fn all(a: [Self; WIDTH]) -> bool {
+                fn all(a: [Self; $w]) -> bool {
                     let a: Vectors = cast(a);
                     true $(&& a[$at].all())*
                 }
             }
 
-            impl Number for $number {
+            impl Number<$w> for $number {
                 type Bits = $bits;
                 #[inline(always)]
-                fn repeat(x: Self) -> [Self; WIDTH] {
+                fn repeat(x: Self) -> [Self; $w] {
                     cast([$({ let _ = $at; <$vector>::splat(x) }),*])
                 }
                 #[inline(always)]
-                fn plus(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH] {
+                fn plus(a: [Self; $w], b: [Self; $w]) -> [Self; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at] + b[$at]),*])
                 }
                 #[inline(always)]
-                fn subtract(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH] {
+                fn subtract(a: [Self; $w], b: [Self; $w]) -> [Self; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at] - b[$at]),*])
                 }
                 #[inline(always)]
-                fn multiply(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH] {
+                fn multiply(a: [Self; $w], b: [Self; $w]) -> [Self; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at] * b[$at]),*])
                 }
                 #[inline(always)]
-                fn divide(a: [Self; WIDTH], b: [Self; WIDTH]) -> [Self; WIDTH] {
+                fn divide(a: [Self; $w], b: [Self; $w]) -> [Self; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at] / b[$at]),*])
                 }
                 #[inline(always)]
-                fn negative(a: [Self; WIDTH]) -> [Self; WIDTH] {
+                fn negative(a: [Self; $w]) -> [Self; $w] {
                     // Its sign is turned: 0 − a would make 0 of 0.
                     let (a, sign): (Vectors, _) = (cast(a), <$vector>::splat(-0.0));
                     cast([$(a[$at] ^ sign),*])
                 }
                 #[inline(always)]
-                fn root(a: [Self; WIDTH]) -> [Self; WIDTH] {
+                fn root(a: [Self; $w]) -> [Self; $w] {
                     let a: Vectors = cast(a);
                     cast([$(a[$at].sqrt()),*])
                 }
                 #[inline(always)]
-                fn less(a: [Self; WIDTH], b: [Self; WIDTH]) -> [$bits; WIDTH] {
+                fn less(a: [Self; $w], b: [Self; $w]) -> [$bits; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at].cmp_lt(b[$at])),*])
                 }
                 #[inline(always)]
-                fn at_most(a: [Self; WIDTH], b: [Self; WIDTH]) -> [$bits; WIDTH] {
+                fn at_most(a: [Self; $w], b: [Self; $w]) -> [$bits; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at].cmp_le(b[$at])),*])
                 }
                 #[inline(always)]
                 fn choose(
-                    mask: [$bits; WIDTH],
-                    yes: [Self; WIDTH],
-                    no: [Self; WIDTH],
-                ) -> [Self; WIDTH] {
+                    mask: [$bits; $w],
+                    yes: [Self; $w],
+                    no: [Self; $w],
+                ) -> [Self; $w] {
                     // A blend that is stored where it was read would become a masked store, which
                     // takes some processors twenty times as long as a plain one.
                     let (yes, no): (Vectors, Vectors) = (cast(yes), cast(no));
@@ -155,11 +157,11 @@ macro_rules! number {
         };
     };
 }
-number!(f64, u64, f64x4, [0, 1]);
-number!(f32, u32, f32x8, [0]);
+number!(f64, u64, WIDTH, f64x4, [0, 1]);
+number!(f32, u32, WIDEST, f32x8, [0, 1]);
 
 #[inline(always)]
-fn word<B: Word>(value: bool) -> B {
+fn word<B: Word<W>, const W: usize>(value: bool) -> B {
     if value {
         B::ALL
     } else {
@@ -167,12 +169,12 @@ fn word<B: Word>(value: bool) -> B {
     }
 }
 
-impl<B: Word> Mask for LaneMask<B> {
-    const LANES: usize = WIDTH;
+impl<B: Word<W>, const W: usize> Mask for LaneMask<B, W> {
+    const LANES: usize = W;
 
     #[inline(always)]
     fn of(value: bool) -> Self {
-        Self([word(value); WIDTH])
+        Self([word(value); W])
     }
     #[inline(always)]
     fn and(self, other: Self) -> Self {
@@ -204,27 +206,27 @@ impl<B: Word> Mask for LaneMask<B> {
     }
 }
 
-impl<T: Number> Lanes<T> {
+impl<T: Number<W>, const W: usize> Lanes<T, W> {
     #[inline(always)]
-    fn wide(self) -> [f64; WIDTH] {
+    fn wide(self) -> [f64; W] {
         self.0.map(Into::into)
     }
     #[inline(always)]
-    fn narrow(wide: [f64; WIDTH]) -> Self {
+    fn narrow(wide: [f64; W]) -> Self {
         Self(wide.map(T::of))
     }
 }
 
 macro_rules! lane_operator {
     ($op:ident, $f:ident, $assign:ident, $g:ident, $sign:tt, $lanes:ident) => {
-        impl<T: Number> $op for Lanes<T> {
+        impl<T: Number<W>, const W: usize> $op for Lanes<T, W> {
             type Output = Self;
             #[inline(always)]
             fn $f(self, other: Self) -> Self {
                 Self(T::$lanes(self.0, other.0))
             }
         }
-        impl<T: Number> $assign for Lanes<T> {
+        impl<T: Number<W>, const W: usize> $assign for Lanes<T, W> {
             #[inline(always)]
             fn $g(&mut self, other: Self) {
                 *self = *self $sign other;
@@ -237,7 +239,7 @@ lane_operator!(Sub, sub, SubAssign, sub_assign, -, subtract);
 lane_operator!(Mul, mul, MulAssign, mul_assign, *, multiply);
 lane_operator!(Div, div, DivAssign, div_assign, /, divide);
 
-impl<T: Number> Neg for Lanes<T> {
+impl<T: Number<W>, const W: usize> Neg for Lanes<T, W> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
@@ -245,7 +247,7 @@ impl<T: Number> Neg for Lanes<T> {
     }
 }
 
-impl<T: Number> Zero for Lanes<T> {
+impl<T: Number<W>, const W: usize> Zero for Lanes<T, W> {
     #[inline(always)]
     fn zero() -> Self {
         Self(T::repeat(T::zero()))
@@ -255,17 +257,17 @@ impl<T: Number> Zero for Lanes<T> {
     }
 }
 
-impl<T: Number> One for Lanes<T> {
+impl<T: Number<W>, const W: usize> One for Lanes<T, W> {
     #[inline(always)]
     fn one() -> Self {
         Self(T::repeat(T::one()))
     }
 }
 
-impl<T: Number> Real for Lanes<T> {
-    type Mask = LaneMask<T::Bits>;
+impl<T: Number<W>, const W: usize> Real for Lanes<T, W> {
+    type Mask = LaneMask<T::Bits, W>;
     type One = T;
-    const LANES: usize = WIDTH;
+    const LANES: usize = W;
 
     #[inline(always)]
     fn epsilon() -> f64 {
@@ -321,17 +323,17 @@ impl<T: Number> Real for Lanes<T> {
 mod tests {
     use super::*;
 
-    fn a_lane_is_a_scalar<T: Number>() {
+    fn a_lane_is_a_scalar<T: Number<W>, const W: usize>() {
         let ends = [0.0, -0.0, f64::INFINITY, -f64::INFINITY, f64::NAN, 1e-300, -2.5, 0.3];
         let bits = |x: T| Into::<f64>::into(x).to_bits();
-        for turn in 0..WIDTH {
-            let number = |i: usize| T::of(ends[(i * 3 + turn) % WIDTH]);
-            let other = |i: usize| T::of(ends[(i + 2 * turn) % WIDTH]);
+        for turn in 0..W {
+            let number = |i: usize| T::of(ends[(i * 3 + turn) % ends.len()]);
+            let other = |i: usize| T::of(ends[(i + 2 * turn) % ends.len()]);
             let (x, y) = (Lanes(core::array::from_fn(number)), Lanes(core::array::from_fn(other)));
             let chosen = Lanes::select(x.lt(y).or(y.le(x).not()), x, y);
-            for i in 0..WIDTH {
+            for i in 0..W {
                 let (a, b) = (number(i), other(i));
-                let same = |lanes: Lanes<T>, one: T| {
+                let same = |lanes: Lanes<T, W>, one: T| {
                     assert!(
                         bits(lanes.0[i]) == bits(one) || one.into().is_nan(),
                         "{a:?} and {b:?}"
@@ -354,7 +356,7 @@ mod tests {
                 assert_eq!(x.is_finite().lane(i), a.into().is_finite());
                 assert_eq!(x.lt(y).and(y.lt(x).not()).lane(i), a < b);
             }
-            let masks = (0..WIDTH).map(|i| number(i) < other(i));
+            let masks = (0..W).map(|i| number(i) < other(i));
             assert_eq!(x.lt(y).any(), masks.clone().any(|mask| mask));
             assert_eq!(x.lt(y).all(), masks.clone().all(|mask| mask));
         }
@@ -362,7 +364,7 @@ mod tests {
 
     #[test]
     fn lanes_are_scalars() {
-        a_lane_is_a_scalar::<f64>();
-        a_lane_is_a_scalar::<f32>();
+        a_lane_is_a_scalar::<f64, WIDTH>();
+        a_lane_is_a_scalar::<f32, WIDEST>();
     }
 }

@@ -1,7 +1,7 @@
 //! `Real`: the number the engine computes with, and its masks.
 //!
 //! Every stage is written once against this trait. `f64` and `f32` are one
-//! world; `Lanes` is eight worlds side by side; `Dual` is one world whose numbers
+//! world; `Lanes` is eight worlds side by side, or sixteen of `f32`; `Dual` is one world whose numbers
 //! carry derivatives, `Counted` one that counts its operations, `Traced` writes them down. A comparison
 //! gives a mask and `select` chooses where lanes may
 //! differ. With a scalar a mask is a `bool`, so `if mask.none() { continue }` is an
@@ -27,7 +27,7 @@ pub(crate) mod traced;
 pub use count::Count;
 pub use counted::{Counted, FUNCTION};
 pub use dual::{Dual, WAYS};
-pub use lanes::{LaneMask, Lanes, LanesF32, WIDTH};
+pub use lanes::{LaneMask, Lanes, LanesF32, WIDEST, WIDTH};
 pub use stage::Stage;
 
 /// One truth value a lane.

@@ -7,7 +7,7 @@
 
 use super::touch::{Touch, Touches};
 use super::Shape;
-use crate::real::{Mask, Real, WIDTH};
+use crate::real::{Mask, Real, WIDEST};
 use crate::spatial::{Pose, M3, V3};
 
 /// A test of one pair of shapes in one world.
@@ -26,7 +26,7 @@ pub fn by_lane<R: Real, T: OneWorld<N>, const N: usize>(
         return test.touches(one, two);
     }
     let mut out = [empty::<R>(); N];
-    let mut exists = [[false; WIDTH]; N];
+    let mut exists = [[false; WIDEST]; N];
     for lane in 0..R::LANES {
         let (p1, p2) = (pose(one.pose, lane), pose(two.pose, lane));
         let touches = test.touches(&one.at(&p1), &two.at(&p2));

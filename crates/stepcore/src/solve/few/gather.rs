@@ -10,7 +10,7 @@ use super::super::dofs::distinct;
 use super::super::dot::{dot, dots};
 use super::super::rows::{Row, Rows};
 use super::{Few, Island};
-use crate::real::{Mask, Real, WIDTH};
+use crate::real::{Mask, Real, WIDEST};
 use crate::room::room;
 
 /// Rows whose products are taken side by side.
@@ -62,12 +62,12 @@ impl<R: Real> Gathered<R> {
     }
 
     /// How many of them each lane has, if it is worth while to move them.
-    fn worth_moving(&self) -> Option<[usize; WIDTH]> {
+    fn worth_moving(&self) -> Option<[usize; WIDEST]> {
         let all = self.rows.len();
         if R::LANES == 1 || all * all < WORTH {
             return None;
         }
-        let mut counts = [0; WIDTH];
+        let mut counts = [0; WIDEST];
         each_slot(&self.masks, |_, lane, slot| counts[lane] = slot + 1);
         let most = counts.into_iter().max().unwrap_or(0);
         (all * all >= most * most + WORTH).then_some(counts)
@@ -83,7 +83,7 @@ impl<R: Real> Gathered<R> {
 /// Calls `each(row, lane, slot)` for every row of every lane.
 #[inline(always)]
 fn each_slot<M: Mask>(masks: &[M], mut each: impl FnMut(usize, usize, usize)) {
-    let mut next = [0; WIDTH];
+    let mut next = [0; WIDEST];
     for (i, mask) in masks.iter().enumerate() {
         for (lane, slot) in next[..M::LANES].iter_mut().enumerate() {
             if mask.lane(lane) {
@@ -265,7 +265,7 @@ impl<R: Real> Few<R> {
                 u[*k] = R::select(mine, guess[*k], u[*k]);
             }
         }
-        let mut next = [0; WIDTH];
+        let mut next = [0; WIDEST];
         for (i, r) in list.iter().enumerate() {
             let row = &mut rows[*r];
             let mut impulse = row.impulse;
