@@ -21,8 +21,14 @@ impl<R: Real> Rows<R> {
         interval.and(row_count(self, blocks).at_most(1))
     }
 
-    /// Solves rows that are `alone`, each by its one update.
-    pub(super) fn solve_alone(&mut self, free: Unconstrained<R>, blocks: &[usize], alone: R::Mask) {
+    /// Solves rows that are `alone`, each by its one update. `afresh`: from no impulse, where the one
+    /// at hand has lost the digits.
+    pub(super) fn solve_alone(
+        &mut self,
+        free: Unconstrained<R>,
+        blocks: &[usize],
+        (alone, afresh): (R::Mask, bool),
+    ) {
         let Unconstrained { dof_lists, inv_d, guess } = free;
         for b in blocks {
             let block = &self.blocks[*b];
@@ -44,7 +50,7 @@ impl<R: Real> Rows<R> {
             let small = |x: R| (x * R::of(LOSES_DIGITS)).lt(change.abs());
             let asked = (row.velocity.abs() + row.t.abs()) * row.inv_s;
             let lost = mask.and(small(impulse.abs())).and(small(asked));
-            if lost.seldom() {
+            if afresh && lost.seldom() {
                 for k in dofs {
                     self.u[*k] = R::select(lost, guess[*k], self.u[*k]);
                 }
@@ -68,7 +74,8 @@ impl<R: Real> Rows<R> {
             return None;
         }
         let mask = block.mask;
-        self.solve_alone(free, &[0], mask);
+        // As a sweep would, which is made where another lane has more rows.
+        self.solve_alone(free, &[0], (mask, false));
         let mut report = Report::new();
         report.sweeps.add(mask, 1);
         report.updates.add(mask, 1);
