@@ -19,9 +19,10 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_DEFLATED, ZipFile
+from zipfile import ZipFile
 
 import maturin
+import packed
 from maturin import (  # noqa: F401
     build_editable,
     build_sdist,
@@ -116,12 +117,10 @@ def _add_module(wheel: Path, wide: Path, folder: str) -> None:
     digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
     record = f"{entry.filename},sha256={digest},{len(data)}\n"
     both = wheel.with_suffix(".both")
-    with ZipFile(wheel) as old, ZipFile(both, "w") as new:
-        for info in old.infolist():
-            own = old.read(info)
-            if info.filename.endswith(".dist-info/RECORD"):
-                new.writestr(entry, data, ZIP_DEFLATED, 9)
-                own += record.encode()
-            # An entry of another archive brings its own level unless it is told.
-            new.writestr(info, own, ZIP_DEFLATED, 9)
+    with ZipFile(wheel) as old:
+        entries = [(info, old.read(info)) for info in old.infolist()]
+    # The list of files is the last of them.
+    listed, text = entries.pop()
+    assert listed.filename.endswith(".dist-info/RECORD")
+    packed.write(both, [*entries, (entry, data), (listed, text + record.encode())])
     both.replace(wheel)
