@@ -26,6 +26,7 @@ ALIGNED = {
     "one in the groups": FREE.format(
         f'{ON} inertiagrouprange="0 2"', "", BOX + '<geom size="1" group="3"/>'
     ),
+    "moments that a bound makes equal": FREE.format(f'{ON} boundinertia="900"', "", TWO),
     "with a child": FREE.format(ON, "", TWO + '<body name="c"><geom size=".1"/></body>'),
     "moments": FREE.format(
         ON, "", TWO + '<inertial pos="1 2 3" mass="2" diaginertia="1 2 2.5" euler="10 0 0"/>'

@@ -211,6 +211,27 @@ def test_keyframes_come_with_their_activations_and_mocap_bodies(tmp_path: Path) 
     assert sim.act == pytest.approx([0, 7, 8, 9])
 
 
+ALIGNING = """<mujoco><compiler alignfree="true"/>
+  <asset><model name="kid" file="kid.xml"/></asset><worldbody>
+    <body name="a" pos="1 2 3" euler="10 20 30"><freejoint/>
+      <geom type="box" size="1 .2 .3" pos="1 0 0" euler="0 0 40"/><geom size=".3"/></body>
+    <frame pos="0 0 9"><attach model="kid" prefix="K-"/></frame></worldbody></mujoco>"""
+KID = """<mujoco><worldbody><body name="k" pos="0 0 1"><joint type="slide"/><geom size=".1"/></body>
+    <body name="f" pos="0 3 1" euler="0 0 30"><freejoint/><geom size=".1" pos=".2 0 0"/>
+      <geom type="box" size=".1 .2 .3"/></body></worldbody>
+  <keyframe><key name="x" {}/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize("key", ['qpos=".4 1 2 3 0 1 0 0"', 'qvel="1 2 3 4 5 6 7"', 'time="2"'])
+def test_keyframes_leave_other_free_bodies_where_they_are_aligned(key, tmp_path: Path) -> None:
+    (tmp_path / "kid.xml").write_text(KID.format(key))
+    (tmp_path / "main.xml").write_text(ALIGNING)
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "main.xml"))
+    model = load(tmp_path / "main.xml").compile()
+    assert model.qpos0 == pytest.approx(theirs.qpos0, abs=1e-9)
+    assert list(model.keys[0].qpos) == pytest.approx(theirs.key_qpos[0], abs=1e-9)
+
+
 def test_models_are_attached_in_the_order_of_the_file(tmp_path: Path) -> None:
     """Actuators too, whether the <attach> stands in an inner body or in a frame."""
     (tmp_path / "kid.xml").write_text(CHILD.split("<keyframe>")[0] + "</mujoco>")

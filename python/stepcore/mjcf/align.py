@@ -37,7 +37,8 @@ def align(world: WorldReader) -> None:
         shapes.setdefault(id(shape.geom.body), []).append(shape)
     for body in bodies:
         weight = known[id(body)]
-        quat = _axes(world, body, shapes.get(id(body), []))
+        # Those of the inertia before a rule for masses made its moments equal.
+        quat = _axes(world, body, shapes.get(id(body), [])) or weight.iquat
         if quat is None:
             quat = principal_axes(weight.inertia)[0]
         pose = (tuple(map(float, weight.ipos)), quat)

@@ -35,10 +35,12 @@ def read(world: WorldReader, layout: Layout, node: Node) -> None:
         "mquat": [x for body in mocaps for x in body.quat],
     }
     fields: dict[str, Any] = {}
+    said: set[int] = set()
     for name, default in rest.items():
         given = list(values.get(name, ()))
         if node.parts is not None:
             given = _assembled(world, layout, node, name, default)
+            said |= _joints_of(world, node) if name == "qpos" else set()
         if len(given) > len(default):
             raise bad(node, name, tuple(given), f"at most {len(default)} numbers, not {len(given)}")
         if given:
@@ -47,6 +49,26 @@ def read(world: WorldReader, layout: Layout, node: Node) -> None:
         fields["qpos"] = layout.unit_quaternions(fields["qpos"])
     added = world.scene.add_key(values.get("name", ""), time=values.get("time", 0.0), **fields)
     world.keep(node, added)
+    if "qpos" in fields and node.parts is not None:
+        world.open_keys.append((added, said))
+
+
+def _joints_of(world: WorldReader, node: Node) -> set[int]:
+    """The joints of which a keyframe of an attached model tells."""
+    parts = (node.parts or {}).get("qpos", ())
+    return {id(world.elements.get(id(part))) for part, _ in parts}
+
+
+def follow_bodies(world: WorldReader) -> None:
+    """Free joints of which such a keyframe does not tell are where their bodies are by now."""
+    layout = Layout(world.scene)
+    for key, said in world.open_keys:
+        qpos, at = list(key.qpos or ()), 0
+        for joint in layout.joints:
+            if joint.type == "free" and id(joint) not in said:
+                qpos[at : at + 7] = [*joint.body.pos, *joint.body.quat]
+            at += QPOS[joint.type]
+        key.qpos = tuple(qpos)
 
 
 def _assembled(

@@ -171,6 +171,7 @@ def finish(world: WorldReader, root: Node) -> None:
     if world.main.values.get("fusestatic"):
         fuse(world, root)
     align(world)
+    keyframes.follow_bodies(world)
     layout = Layout(scene)
     for node in custom.own_texts(inside(root, "custom")):
         world.refusals.at(node, partial(custom.read, scene))

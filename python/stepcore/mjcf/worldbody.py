@@ -15,7 +15,7 @@ from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema.tree import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
-from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom, Joint, MassRules
+from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom, Joint, Key, MassRules
 from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.frames import Vec
 
@@ -90,6 +90,8 @@ class WorldReader:
         self.written: dict[int, tuple[Vec, Vec]] = {}
         # Free joints whose bodies are to be aligned with their inertia.
         self.aligned: set[int] = set()
+        # Keyframes of attached models, and the joints (their ``id``) of which each tells.
+        self.open_keys: list[tuple[Key, set[int]]] = []
         # Groups of actuators that are left out.
         self.disabled_groups: frozenset[int] = frozenset()
         # Every body has a mass of its own by now (`settle.py`).
