@@ -30,6 +30,17 @@ pub(crate) fn subtract_scaled<R: Real>(from: &mut [R], a: R, x: &[R]) {
     }
 }
 
+/// A unit vector along x, y or z: which, and with which sign.
+#[inline(always)]
+pub fn principal(unit: &Vector3<f64>) -> Option<(usize, f64)> {
+    match [unit.x, unit.y, unit.z] {
+        [x, 0.0, 0.0] => Some((0, x)),
+        [0.0, y, 0.0] => Some((1, y)),
+        [0.0, 0.0, z] => Some((2, z)),
+        _ => None,
+    }
+}
+
 /// m · v, written out so that every number type sums in one order.
 #[inline(always)]
 pub fn rotate<R: Real>(m: &M3<R>, v: &V3<R>) -> V3<R> {
@@ -112,6 +123,22 @@ impl<R: Real> Quat<R> {
     pub fn about(axis: &V3<R>, angle: R) -> Self {
         let (s, c) = (angle * R::of(0.5)).sin_cos();
         Self { w: c, v: V3::new(axis.x * s, axis.y * s, axis.z * s) }
+    }
+    /// This one after a rotation by `angle` about the unit `axis`. About x, y or z it is half of a
+    /// product.
+    #[inline(always)]
+    pub fn turned(&self, axis: &Vector3<f64>, angle: R) -> Self {
+        let Some((k, sign)) = principal(axis) else {
+            return self.mul(&Self::about(&splat(axis), angle));
+        };
+        let (s, c) = (angle * R::of(0.5)).sin_cos();
+        let s = if sign > 0.0 { s } else { -s };
+        let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+        let mut v = V3::zeros();
+        v[k] = self.w * s + self.v[k] * c;
+        v[i] = self.v[i] * c + self.v[j] * s;
+        v[j] = self.v[j] * c - self.v[i] * s;
+        Self { w: self.w * c - self.v[k] * s, v }
     }
     /// Rotation by the vector `r`: angle |r| about r.
     #[inline(always)]

@@ -172,9 +172,24 @@ impl Transmission {
         pulls: Pulls<R>,
         mut each: impl FnMut(usize, usize, R),
     ) {
+        if let Some((dof, arm)) = self.only_arm(model) {
+            return each(dof, dof, R::of(arm) * R::of(arm));
+        }
         self.all_arms(model, qpos, pulls, &mut |i, a: R| {
             self.all_arms(model, qpos, pulls, &mut |j, b: R| each(i, j, a * b));
         });
+    }
+
+    /// The dof and the arm of what follows one dof at all positions alike: of a hinge or a slide.
+    #[inline(always)]
+    fn only_arm(self, model: &Model) -> Option<(usize, f64)> {
+        let (joint, arm) = match self {
+            Self::Joint(joint) => (joint, 1.0),
+            Self::Geared(joint, gear) => (joint, gear[0]),
+            _ => return None,
+        };
+        let joint = &model.joints[joint];
+        (joint.dofs() == 1).then_some((joint.dof, arm))
     }
 
     /// `arms`, as a call: every kind of arm inside every other is much machine code.

@@ -108,6 +108,7 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose]) -> Result<()> {
     heap.solid = solid(model, &heap)?;
     for &geom in &heap.solid {
         model.geoms[geom].collides = true;
+        model.geoms[geom].by_axis = false;
     }
     heap.find_still(model, poses);
     model.heap = Some(heap);

@@ -200,6 +200,8 @@ pub struct Geom {
     pub size: [f64; 3],
     pub pos: Vector3<f64>,
     pub quat: [f64; 4],
+    /// Its z in the body's frame: the axis of a capsule.
+    pub axis: Vector3<f64>,
     /// Radius of the sphere about `pos` that holds the shape; infinite for a plane.
     pub reach: f64,
     /// Half sizes of the box about its frame that holds it [m]; infinite for a plane.
@@ -218,6 +220,8 @@ pub struct Geom {
     pub hidden: bool,
     /// Takes part in some pair, so that its pose is needed.
     pub collides: bool,
+    /// A capsule whose contacts ask for its axis alone, of all that says how it lies.
+    pub by_axis: bool,
     /// Its surface moves, by a velocity and an angular velocity in its frame.
     pub belt: Option<[Vector3<f64>; 2]>,
     /// Of a geom on a tree that moves in a plane.

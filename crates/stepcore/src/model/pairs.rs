@@ -196,9 +196,12 @@ fn add(
     material: Material,
 ) -> Result<()> {
     let pair = pair(scene, model, poses, unions, (a, b), material)?;
+    let axes = pair.test.by_axes();
     model.pairs.push(pair);
-    model.geoms[a].collides = true;
-    model.geoms[b].collides = true;
+    for at in [a, b] {
+        model.geoms[at].collides = true;
+        model.geoms[at].by_axis &= axes;
+    }
     Ok(())
 }
 

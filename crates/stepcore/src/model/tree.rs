@@ -3,7 +3,7 @@
 
 use super::fluid::Fluid;
 use super::meshes::Asset;
-use super::pose::unit_quat;
+use super::pose::{rotation, unit_quat};
 use super::slots::Slots;
 use super::{coupling, Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
 use crate::scene::{self, GeomType, JointType, Scene};
@@ -252,6 +252,7 @@ fn geom(source: &crate::scene::Geom, asset: &Asset) -> Geom {
         size: source.size,
         pos: Vector3::from(source.pos),
         quat: unit_quat(source.quat),
+        axis: rotation(unit_quat(source.quat)).column(2).into_owned(),
         reach: asset.hull.as_ref().map_or(reach, |hull| hull.reach()),
         half: half(source, asset, reach),
         hull: asset.hull.clone(),
@@ -262,6 +263,7 @@ fn geom(source: &crate::scene::Geom, asset: &Asset) -> Geom {
         contype: source.contype,
         conaffinity: source.conaffinity,
         collides: false,
+        by_axis: source.kind == GeomType::Capsule && source.surfacevel == [0.0; 6],
         belt: belt(&source.surfacevel),
         in_plane: None,
     }

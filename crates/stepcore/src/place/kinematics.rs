@@ -4,7 +4,7 @@ use super::Placed;
 use crate::model::{Joint, Model, NONE};
 use crate::real::Real;
 use crate::scene::{GeomType, JointType};
-use crate::spatial::{rotate, splat, Motion, Quat, V3};
+use crate::spatial::{principal, rotate, splat, Motion, Quat, M3, V3};
 use nalgebra::Vector3;
 
 /// A frame that lies like its parent's.
@@ -16,16 +16,26 @@ fn turn_about<R: Real>(
     joint: &Joint,
     pos: &mut V3<R>,
     quat: &mut Quat<R>,
-    turn: &Quat<R>,
+    turned: impl Fn(&Quat<R>) -> Quat<R>,
 ) -> V3<R> {
     if joint.pos == Vector3::zeros() {
-        *quat = quat.mul(turn);
+        *quat = turned(quat);
         return *pos;
     }
     let anchor = *pos + quat.rotate(&splat(&joint.pos));
-    *quat = quat.mul(turn);
+    *quat = turned(quat);
     *pos = anchor - quat.rotate(&splat(&joint.pos));
     anchor
+}
+
+/// A direction of a body's frame in world axes.
+#[inline(always)]
+fn turned<R: Real>(rot: &M3<R>, direction: &Vector3<f64>) -> V3<R> {
+    match principal(direction) {
+        Some((k, 1.0)) => V3::new(rot[(0, k)], rot[(1, k)], rot[(2, k)]),
+        Some((k, _)) => V3::new(-rot[(0, k)], -rot[(1, k)], -rot[(2, k)]),
+        None => rotate(rot, &splat(direction)),
+    }
 }
 
 impl<R: Real> Placed<R> {
@@ -65,24 +75,29 @@ impl<R: Real> Placed<R> {
         if body.quat != IDENTITY {
             quat = quat.mul(&Quat::splat(&body.quat));
         }
-        for joint in joints {
+        let last = joints.len().saturating_sub(1);
+        for (at, joint) in joints.iter().enumerate() {
             let q = qpos[joint.qpos];
-            let axis = quat.rotate(&splat(&joint.axis));
             match joint.kind {
                 JointType::Slide => {
+                    let axis = quat.rotate(&splat(&joint.axis));
                     let along = q - R::of(joint.reference);
                     pos += V3::new(axis.x * along, axis.y * along, axis.z * along);
                     self.motion[joint.dof] = Motion { ang: V3::zeros(), lin: axis };
                 }
                 JointType::Hinge => {
-                    let turn = Quat::about(&splat(&joint.axis), q - R::of(joint.reference));
-                    let anchor = turn_about(joint, &mut pos, &mut quat, &turn);
+                    let angle = q - R::of(joint.reference);
+                    // The last one's is read of the body's matrix.
+                    let before = at < last;
+                    let axis = if before { quat.rotate(&splat(&joint.axis)) } else { V3::zeros() };
+                    let turned = |quat: &Quat<R>| quat.turned(&joint.axis, angle);
+                    let anchor = turn_about(joint, &mut pos, &mut quat, turned);
                     // `lin` holds the anchor until the tree's origin is known.
                     self.motion[joint.dof] = Motion { ang: axis, lin: anchor };
                 }
                 JointType::Ball => {
                     let turn = Quat::of(&qpos[joint.qpos..joint.qpos + 4]).normalized();
-                    let anchor = turn_about(joint, &mut pos, &mut quat, &turn);
+                    let anchor = turn_about(joint, &mut pos, &mut quat, |quat| quat.mul(&turn));
                     let m = quat.matrix();
                     for k in 0..3 {
                         let axis = V3::new(m[(0, k)], m[(1, k)], m[(2, k)]);
@@ -96,6 +111,9 @@ impl<R: Real> Placed<R> {
         self.xpos[index] = pos;
         self.xquat[index] = quat;
         self.xmat[index] = quat.matrix();
+        if let Some(Joint { kind: JointType::Hinge, dof, axis, .. }) = joints.last() {
+            self.motion[*dof].ang = turned(&self.xmat[index], axis);
+        }
         if body.tree != NONE {
             if model.trees[body.tree].bodies.start == index {
                 self.origin[body.tree] = pos;
@@ -153,6 +171,7 @@ impl<R: Real> Placed<R> {
         self.place_geom_centre(model, index);
         match &geom.in_plane {
             Some(flat) if self.placed => self.turn_geom_in_plane(flat, geom.body, index),
+            _ if geom.quat == IDENTITY => self.geom[index].rot = self.xmat[geom.body],
             _ => {
                 let quat = self.xquat[geom.body].mul(&Quat::splat(&geom.quat));
                 self.geom[index].rot = quat.matrix();
@@ -178,6 +197,10 @@ impl<R: Real> Placed<R> {
         let round = geom.kind == GeomType::Sphere && geom.belt.is_none();
         if round || !model.bodies[geom.body].turns {
             self.place_geom_centre(model, index);
+        } else if geom.by_axis && geom.in_plane.is_none() {
+            self.place_geom_centre(model, index);
+            let axis = turned(&self.xmat[geom.body], &geom.axis);
+            self.geom[index].rot.set_column(2, &axis);
         } else {
             self.place_geom(model, index);
         }

@@ -11,6 +11,9 @@ use nalgebra::{Matrix3, Vector3};
 /// From this many vertices on the support function climbs instead of looking at every vertex.
 const CLIMB: usize = 32;
 
+/// Directions fall into so many by so many cells on each side of a cube.
+const CELLS: usize = 8;
+
 /// A convex polytope.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hull {
@@ -27,6 +30,9 @@ pub struct Hull {
     /// Ends of triangles' edges: vertex v's neighbours are `adjacent[starts[v]..starts[v + 1]]`.
     starts: Vec<usize>,
     adjacent: Vec<usize>,
+    /// By cell of directions the vertex furthest along the middle of the cell, from which the others
+    /// of the cell are climbed to; empty where nobody climbs.
+    nearby: Vec<usize>,
     /// Distance of the furthest vertex from the origin [m].
     reach: f64,
 }
@@ -99,13 +105,28 @@ impl Hull {
         let (faces, edges) = facets::merged(&vertices, &surface, half);
         let triangles = surface.triangles;
         let reach = furthest(&vertices);
-        let mut hull = Self { vertices, source, triangles, faces, edges, starts, adjacent, reach };
+        let nearby = Vec::new();
+        let mut hull =
+            Self { vertices, source, triangles, faces, edges, starts, adjacent, nearby, reach };
         for i in 0..hull.faces.len() {
             let normal = hull.faces[i].normal;
             let furthest = hull.support_from(hull.faces[i].corners[0], &normal);
             hull.faces[i].offset = normal.dot(&hull.vertices[furthest]);
         }
+        hull.find_nearby();
         hull
+    }
+
+    fn find_nearby(&mut self) {
+        self.nearby.clear();
+        if self.vertices.len() < CLIMB {
+            return;
+        }
+        let mut last = 0;
+        for index in 0..6 * CELLS * CELLS {
+            last = self.support_from(last, &middle(index));
+            self.nearby.push(last);
+        }
     }
 
     /// The vertices at the other ends of a vertex's edges.
@@ -116,7 +137,7 @@ impl Hull {
     /// The vertex furthest along a direction; the first of several, where there are few.
     pub fn support(&self, direction: &Vector3<f64>) -> usize {
         if self.vertices.len() >= CLIMB {
-            return self.support_from(0, direction);
+            return self.support_from(self.nearby[cell(direction)], direction);
         }
         let mut best = (0, f64::NEG_INFINITY);
         for (i, vertex) in self.vertices.iter().enumerate() {
@@ -136,9 +157,10 @@ impl Hull {
             let before = best.0;
             for &next in self.neighbours(before) {
                 let along = self.vertices[next].dot(direction);
-                if along > best.1 {
-                    best = (next, along);
-                }
+                // Nobody can tell beforehand: two choices, and no branch to be taken wrongly.
+                let further = along > best.1;
+                best.0 = if further { next } else { best.0 };
+                best.1 = if further { along } else { best.1 };
             }
             if best.0 == before {
                 return before;
@@ -156,6 +178,7 @@ impl Hull {
             face.offset += face.normal.dot(shift);
         }
         self.reach = furthest(&self.vertices);
+        self.find_nearby();
         self
     }
 
@@ -169,6 +192,27 @@ impl Hull {
     pub fn reach(&self) -> f64 {
         self.reach
     }
+}
+
+/// The cell of a direction: the side of the cube through which it leaves, and where.
+fn cell(direction: &Vector3<f64>) -> usize {
+    let k = direction.iamax();
+    let scale = 0.5 * CELLS as f64 / direction[k].abs();
+    // Of no direction, and of a number that is none, the first.
+    let grid = |x: f64| ((x * scale + 0.5 * CELLS as f64) as usize).min(CELLS - 1);
+    let side = 2 * k + usize::from(direction[k] < 0.0);
+    (side * CELLS + grid(direction[(k + 1) % 3])) * CELLS + grid(direction[(k + 2) % 3])
+}
+
+/// The direction in the middle of a cell.
+fn middle(cell: usize) -> Vector3<f64> {
+    let (side, row, column) = (cell / (CELLS * CELLS), cell / CELLS % CELLS, cell % CELLS);
+    let grid = |place: usize| (2 * place + 1) as f64 / CELLS as f64 - 1.0;
+    let (k, mut direction) = (side / 2, Vector3::zeros());
+    direction[k] = if side % 2 == 1 { -1.0 } else { 1.0 };
+    direction[(k + 1) % 3] = grid(row);
+    direction[(k + 2) % 3] = grid(column);
+    direction
 }
 
 fn furthest(vertices: &[Vector3<f64>]) -> f64 {
@@ -199,4 +243,19 @@ fn corners(surface: &Surface, places: &[Point]) -> Vec<usize> {
         }
     }
     (0..places.len()).filter(|i| folds[*i] >= 3).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_middle_of_a_cell_lies_in_it() {
+        for index in 0..6 * CELLS * CELLS {
+            assert_eq!(cell(&(3e-5 * middle(index))), index);
+        }
+        assert!(cell(&Vector3::zeros()) < 6 * CELLS * CELLS);
+        assert!(cell(&Vector3::repeat(f64::NAN)) < 6 * CELLS * CELLS);
+        assert!(cell(&Vector3::new(f64::INFINITY, 1.0, 0.0)) < 6 * CELLS * CELLS);
+    }
 }

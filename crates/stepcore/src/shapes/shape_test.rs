@@ -73,6 +73,11 @@ const fn convex(one: GeomType, two: GeomType) -> (GeomType, GeomType, ShapeTest)
 }
 
 impl ShapeTest {
+    /// Of a capsule it reads where its axis is, and nothing else.
+    pub fn by_axes(self) -> bool {
+        matches!(self, Self::PlaneCapsule | Self::SphereCapsule | Self::CapsuleCapsule)
+    }
+
     /// Of two shapes in the order of their types; None: not built yet.
     pub fn of(one: GeomType, two: GeomType) -> Option<Self> {
         TESTS.iter().find(|(a, b, _)| (*a, *b) == (one, two)).map(|(.., test)| *test)
