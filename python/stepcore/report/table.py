@@ -150,7 +150,7 @@ class Table:
 # Numbers stand at the right, in digits of one width; a narrow window scrolls.
 TABLE = """<div class="table" style="overflow-x: auto"><table style="text-align: right;\
  font-variant-numeric: tabular-nums">
-<caption style="text-align: left">{caption}</caption><thead><tr>"""
+<caption style="text-align: left"><span>{caption}</span></caption><thead><tr>"""
 
 
 def jsonable(value: Any) -> Any:
