@@ -52,9 +52,10 @@ class Batch(Stepped):
     threads: how many threads step them; by default one a core, or one in all for a batch so small
         that waking threads costs more than it gains.
     lanes: True steps eight worlds at a time in the processor's vector registers, sixteen in
-        single precision, False one by one. "auto" does what takes less time: now and then, more and more
-        rarely, it takes a step the other way and measures. Where worlds touch different things a
-        register does the work of all of them, so that walkers in contact may be quicker alone.
+        single precision, False one by one. "auto" does what takes less time: now and then, more
+        and more rarely, it takes a step the other way and measures. Where worlds touch different
+        things a register does the work of all of them, so that walkers in contact may be quicker
+        alone.
     on_failure: what happens if a world fails as in `Sim.step`. With "stop", SimulationError names
         it and all worlds are left before the first step in which one failed. With "go on", the
         others continue with the same bits; the failed world stays in its last finite state, its
