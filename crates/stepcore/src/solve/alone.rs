@@ -5,7 +5,7 @@ use super::islands::row_count;
 use super::limits::Report;
 use super::rows::{Rows, Set};
 use super::solver::Unconstrained;
-use crate::real::{Mask, Real};
+use crate::real::{Count, Mask, Real};
 
 /// An impulse that changes by so many times what is left of it, and a velocity by so many times what is
 /// asked of it, lose digits.
@@ -21,46 +21,81 @@ impl<R: Real> Rows<R> {
         interval.and(row_count(self, blocks).at_most(1))
     }
 
-    /// Solves rows that are `alone`, each by its one update. `afresh`: from no impulse, where the one
-    /// at hand has lost the digits.
-    pub(super) fn solve_alone(
-        &mut self,
-        free: Unconstrained<R>,
-        blocks: &[usize],
-        (alone, afresh): (R::Mask, bool),
-    ) {
-        let Unconstrained { dof_lists, inv_d, guess } = free;
+    /// Solves rows that are `alone`, each by its one update.
+    pub(super) fn solve_alone(&mut self, free: Unconstrained<R>, blocks: &[usize], alone: R::Mask) {
         for b in blocks {
-            let block = &self.blocks[*b];
-            let mask = block.mask.and(alone);
+            let mask = self.blocks[*b].mask.and(alone);
             if mask.none() {
                 continue;
             }
-            let row = &mut self.rows[block.rows.start];
-            let dofs = row.dofs.of(dof_lists);
-            let y = &self.y[row.y..row.y + dofs.len()];
-            let update = |u: &[R], impulse: R| {
-                let short = row.t - dot(dofs, y, u) - row.c * impulse;
-                (impulse + short * row.inv_s).clamp(row.lo, row.hi)
-            };
-            let mut impulse = update(&self.u, row.impulse);
-            let mut change = impulse - row.impulse;
-            // The impulse of a motion that was broken off may be so large that u keeps nothing but
-            // its rounding.
-            let small = |x: R| (x * R::of(LOSES_DIGITS)).lt(change.abs());
-            let asked = (row.velocity.abs() + row.t.abs()) * row.inv_s;
-            let lost = mask.and(small(impulse.abs())).and(small(asked));
-            if afresh && lost.seldom() {
-                for k in dofs {
-                    self.u[*k] = R::select(lost, guess[*k], self.u[*k]);
-                }
-                let afresh = update(guess, R::zero());
-                (impulse, change) =
-                    (R::select(lost, afresh, impulse), R::select(lost, afresh, change));
+            let (mut impulse, mut lost) = self.update_alone(free, *b);
+            lost = mask.and(lost);
+            if lost.seldom() {
+                self.begin_afresh(free, *b, lost);
+                (impulse, _) = self.update_alone(free, *b);
             }
+            let row = &mut self.rows[self.blocks[*b].rows.start];
+            let change = impulse - row.impulse;
             row.impulse = R::select(mask, impulse, row.impulse);
-            Self::kick(&mut self.u, inv_d, dofs, y, change, mask);
+            let dofs = row.dofs.of(free.dof_lists);
+            let y = &self.y[row.y..row.y + dofs.len()];
+            Self::kick(&mut self.u, free.inv_d, dofs, y, change, mask);
         }
+    }
+
+    /// The impulse of the row of a block after an update, and where so much of the last one is taken
+    /// away that u keeps nothing but its rounding, as that of a motion which was broken off.
+    fn update_alone(
+        &self,
+        Unconstrained { dof_lists, .. }: Unconstrained<R>,
+        block: usize,
+    ) -> (R, R::Mask) {
+        let row = &self.rows[self.blocks[block].rows.start];
+        let dofs = row.dofs.of(dof_lists);
+        let y = &self.y[row.y..row.y + dofs.len()];
+        let short = row.t - dot(dofs, y, &self.u) - row.c * row.impulse;
+        let impulse = (row.impulse + short * row.inv_s).clamp(row.lo, row.hi);
+        let change = (impulse - row.impulse).abs();
+        let small = |x: R| (x * R::of(LOSES_DIGITS)).lt(change);
+        let asked = (row.velocity.abs() + row.t.abs()) * row.inv_s;
+        (impulse, small(impulse.abs()).and(small(asked)))
+    }
+
+    /// Takes the impulse of a row that is alone away, in some lanes.
+    fn begin_afresh(&mut self, free: Unconstrained<R>, block: usize, lost: R::Mask) {
+        let row = &mut self.rows[self.blocks[block].rows.start];
+        for k in row.dofs.of(free.dof_lists) {
+            self.u[*k] = R::select(lost, free.guess[*k], self.u[*k]);
+        }
+        row.impulse = R::select(lost, R::zero(), row.impulse);
+    }
+
+    /// Sweeps are to leave lanes in which the whole system is one interval row as `solve_single`
+    /// leaves these worlds alone.
+    pub(super) fn begin_singles_afresh(&mut self, free: Unconstrained<R>) {
+        let single = self.single();
+        for b in 0..self.blocks.len() {
+            let mask = self.blocks[b].mask.and(single);
+            if mask.none() {
+                continue;
+            }
+            let lost = mask.and(self.update_alone(free, b).1);
+            if lost.any() {
+                self.begin_afresh(free, b, lost);
+            }
+        }
+    }
+
+    /// Lanes in which all blocks are one interval row.
+    fn single(&self) -> R::Mask {
+        let (mut interval, mut count) = (R::Mask::of(true), Count::ZERO);
+        for block in &self.blocks {
+            count.add(block.mask, block.rows.len as u64);
+            if block.set != Set::Interval {
+                interval = interval.and(block.mask.not());
+            }
+        }
+        interval.and(count.at_most(1))
     }
 
     /// The same where the whole system is one interval row. `exact`: one update solves it.
@@ -74,8 +109,7 @@ impl<R: Real> Rows<R> {
             return None;
         }
         let mask = block.mask;
-        // As a sweep would, which is made where another lane has more rows.
-        self.solve_alone(free, &[0], (mask, false));
+        self.solve_alone(free, &[0], mask);
         let mut report = Report::new();
         report.sweeps.add(mask, 1);
         report.updates.add(mask, 1);

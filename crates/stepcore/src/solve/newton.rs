@@ -116,7 +116,7 @@ impl<R: Real> Newton<R> {
             let present = alive(rows, &own.present);
             let alone = rows.alone(&own.present);
             if alone.any() {
-                rows.solve_alone(free, &own.present, (alone, true));
+                rows.solve_alone(free, &own.present, alone);
                 let mine = alone.and(present);
                 let mut once = Count::ZERO;
                 once.add(mine, 1);

@@ -86,6 +86,9 @@ fn sweep<R: Real>(
         if let Some(report) = rows.solve_single(free, limits.exact) {
             return report;
         }
+        if R::LANES > 1 {
+            rows.begin_singles_afresh(free);
+        }
     }
     pgs.solve(dof_lists, inv_d, rows, limits)
 }
