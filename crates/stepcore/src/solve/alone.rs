@@ -55,6 +55,11 @@ impl<R: Real> Rows<R> {
         let y = &self.y[row.y..row.y + dofs.len()];
         let short = row.t - dot(dofs, y, &self.u) - row.c * row.impulse;
         let impulse = (row.impulse + short * row.inv_s).clamp(row.lo, row.hi);
+        let (old, zero) = (row.impulse, R::zero());
+        if old.lt(zero).or(zero.lt(old)).none() {
+            // There is nothing to take away, which the list of a step knows.
+            return (impulse, R::Mask::of(false));
+        }
         let change = (impulse - row.impulse).abs();
         let small = |x: R| (x * R::of(LOSES_DIGITS)).lt(change);
         let asked = (row.velocity.abs() + row.t.abs()) * row.inv_s;
