@@ -175,6 +175,13 @@ class Model(ModelData):
         shown = ", ".join(f"{key} {count}" for key, count in counts.items())
         return f"<Model{name}: {shown}; {self._settings!r}>"
 
+    def _repr_html_(self) -> str | None:
+        """The model as a notebook shows it, with its picture where one can be drawn."""
+        from stepcore.engine.sim import Sim
+        from stepcore.viewing.notebook import shown
+
+        return shown(self, self.ngeom, lambda: Sim(self))
+
 
 class _CompiledScenes:
     """The last scenes that this process compiled for models sent to it, by their pickle.

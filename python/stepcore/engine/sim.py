@@ -407,6 +407,12 @@ class Sim(Stepped):
         name = f' of "{scene}"' if scene else ""
         return f"<Sim{name}: time {self.time:g} s; {self.settings!r}>"
 
+    def _repr_html_(self) -> str | None:
+        """The present state as a notebook shows it, with its picture where one can be drawn."""
+        from stepcore.viewing.notebook import shown
+
+        return shown(self, self._model.ngeom, lambda: self)
+
 
 def unwatched(sim: Sim) -> Sim:
     """The Sim, which never warns (`EnergyWarning`): for those who judge its motion themselves."""

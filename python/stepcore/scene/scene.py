@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import os
 
     from stepcore.engine.model import Model
+    from stepcore.engine.sim import Sim
     from stepcore.viewing.live import View
 
 
@@ -67,12 +68,16 @@ class Scene(Contents):
 
         Raises what `compile` raises.
         """
+        return self._begun().view(host=host, port=port, wait=wait)
+
+    def _begun(self) -> Sim:
+        """A world of it, at its first keyframe if it has one."""
         from stepcore.engine.sim import Sim
 
         sim = Sim(self)
         if sim.model.keys:
             sim.reset(key=0)
-        return sim.view(host=host, port=port, wait=wait)
+        return sim
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the scene as the engine reads it: plain data, with indices for references.
@@ -173,3 +178,9 @@ class Scene(Contents):
         options = [f"{key}={value!r}" for key, value in self.options.items()]
         name = f' "{self.name}"' if self.name else ""
         return f"<Scene{name}: {', '.join(parts)}{'; ' + ', '.join(options) if options else ''}>"
+
+    def _repr_html_(self) -> str | None:
+        """The scene as a notebook shows it, with its picture where one can be drawn."""
+        from stepcore.viewing.notebook import shown
+
+        return shown(self, len(self.geoms), self._begun)

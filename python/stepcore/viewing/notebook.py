@@ -1,0 +1,42 @@
+"""A scene, a model or a world as a notebook shows it: its words over a picture of it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from stepcore.viewing.needs import need
+
+if TYPE_CHECKING:
+    from stepcore.engine.sim import Sim
+
+# Geoms up to which drawing takes no time that anybody waits for.
+MOST = 1000
+SIZE = 480, 360
+
+
+def shown(value: Any, geoms: int, world: Callable[[], Sim]) -> str | None:
+    """The words of `repr(value)` over a picture of `world()`, as HTML.
+
+    None, so that the words alone are shown, of more than `MOST` geoms and where nothing draws: no
+    renderer works here, or it is a scene that does not compile.
+    """
+    if geoms > MOST:
+        return None
+    from stepcore.viewing.picture import picture
+
+    try:
+        image = need("PIL.Image", "a picture in a notebook", "video")
+        drawn = picture(world(), width=SIZE[0], height=SIZE[1])
+    except (ImportError, RuntimeError, ValueError):
+        return None
+    written = io.BytesIO()
+    image.fromarray(drawn).save(written, format="png")
+    data = base64.b64encode(written.getvalue()).decode()
+    words = html.escape(repr(value))
+    style = "border:1px solid #8884;border-radius:6px;max-width:100%"
+    picture_of = f'<img alt="{words}" style="{style}" src="data:image/png;base64,{data}">'
+    return f"<div><code>{words}</code><br>{picture_of}</div>"
