@@ -18,6 +18,8 @@ const ROOM: usize = 2 * CORNERS;
 /// Over the size of the pair: what lies outside by so little lies on the border, and what is
 /// deeper by so little is not.
 const BORDER: f64 = 1e-10;
+/// Over the size of the pair: places whose depths differ by less may be equally deep.
+const EVEN: f64 = 1e-6;
 /// Sine of the angle below which two edges run side by side.
 const PARALLEL: f64 = 1e-3;
 
@@ -57,6 +59,19 @@ impl<R: Real> Points<R> {
     fn new() -> Self {
         let none = Point { apart: R::one(), at: V3::zeros(), name: 0 };
         Self { list: [none; ROOM], count: 0 }
+    }
+
+    /// Which is the deepest.
+    fn low(&self) -> Option<usize> {
+        let deeper = |low: usize, i: usize| {
+            let lower = self.list[i].apart.lane(0) < self.list[low].apart.lane(0);
+            if lower {
+                i
+            } else {
+                low
+            }
+        };
+        (0..self.count).reduce(deeper)
     }
 
     fn add(&mut self, point: Point<R>) {
@@ -102,6 +117,10 @@ impl<R: Real> Meeting<'_, R> {
                 }
             }
         }
+        if self.strays(found) {
+            let low = points.low().map(|low| points.list[low]);
+            deepest = self.on_both(deepest, low);
+        }
         chosen(&mut points, deepest, BORDER * self.size, most)
     }
 
@@ -133,6 +152,37 @@ impl<R: Real> Meeting<'_, R> {
             Cause::Free => (n.dot(&(q - p)), (p + q) * half),
         };
         Point { apart, at, name: name(0, i, k) }
+    }
+
+    /// A direction that no face or edge gives, as where the corners of a face are even but for
+    /// rounding, of which each core may show a corner of its own.
+    fn strays(&self, found: &Separation) -> bool {
+        if !matches!(found.cause, Cause::Free) {
+            return false;
+        }
+        let n = &self.normal;
+        let way = self.between + self.two.support(&-n).0 - self.one.support(n).0;
+        let aside = way - n * n.dot(&way);
+        aside.dot(&aside).lane(0) > (EVEN * self.size) * (EVEN * self.size)
+    }
+
+    /// The deepest place of those that may be it, at either core's corner or where faces and edges
+    /// overlap: the one that lies on both cores.
+    fn on_both(&self, deepest: Point<R>, low: Option<Point<R>>) -> Point<R> {
+        let n = &self.normal;
+        let half = n * (R::of(0.5) * deepest.apart);
+        let at_one = Point { at: self.one.support(n).0 + half, ..deepest };
+        let at_two = Point { at: self.between + self.two.support(&-n).0 - half, ..deepest };
+        let rise = |low: &Point<R>| low.apart.lane(0) - deepest.apart.lane(0);
+        let even = low.filter(|low| rise(low) < EVEN * self.size);
+        let mut best = (self.outside(&deepest), deepest);
+        for point in [Some(at_one), Some(at_two), even].into_iter().flatten() {
+            let outside = self.outside(&point);
+            if outside < best.0 {
+                best = (outside, point);
+            }
+        }
+        best.1
     }
 
     /// How far a contact's places on the two cores lie outside of them.
@@ -410,15 +460,7 @@ fn chosen<R: Real>(
         let way = p.at - q.at;
         way.dot(&way).lane(0)
     };
-    let mut low = 0;
-    for i in 0..points.count {
-        if points.list[i].apart.lane(0) < points.list[low].apart.lane(0) {
-            low = i;
-        }
-    }
-    if points.count == 0 {
-        return out;
-    }
+    let Some(mut low) = points.low() else { return out };
     // The deepest place is none of the corners: it replaces the one nearest to it, which would
     // otherwise hold what it holds.
     if points.list[low].apart.lane(0) > deepest.apart.lane(0) + border {
