@@ -160,7 +160,8 @@ def kept_geoms(sim: sc.Sim, model: mujoco.MjModel) -> np.ndarray:
     draws &= (model.geom_conaffinity == 0) & (ours != theirs)[model.geom_bodyid]
     # One with a name may be there for a sensor.
     known = set(sim.model.geom_names) - {""}
-    draws &= [model.geom(k).name not in known for k in range(model.ngeom)]
+    named = [model.geom(k).name in known for k in range(model.ngeom)]
+    draws &= ~np.array(named, dtype=bool)
     return np.flatnonzero(~draws)
 
 

@@ -6,20 +6,17 @@ import base64
 import html
 import io
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stepcore.viewing.needs import need
-
-if TYPE_CHECKING:
-    from stepcore.engine.sim import Sim
 
 # Geoms up to which drawing takes no time that anybody waits for.
 MOST = 1000
 SIZE = 480, 360
 
 
-def shown(value: Any, geoms: int, world: Callable[[], Sim]) -> str | None:
-    """The words of `repr(value)` over a picture of `world()`, as HTML.
+def shown(value: Any, geoms: int, world: Callable[[], Any]) -> str | None:
+    """The words of `repr(value)` over a picture of the Sim that `world` makes, as HTML.
 
     None, so that the words alone are shown, of more than `MOST` geoms and where nothing draws: no
     renderer works here, or it is a scene that does not compile.
