@@ -328,3 +328,27 @@ def test_conflicts_and_circles_are_errors(tmp_path: Path) -> None:
     (tmp_path / "kid.xml").write_text(CHILD.replace("<option", '<option foo="1"'))
     with pytest.raises(MJCFError, match=r"kid\.xml:2: unknown attribute"):
         loads(parent(body), base=tmp_path)
+
+
+def test_what_an_attach_tears_apart_is_left_out_with_a_note(tmp_path):
+    """A tendon between what is attached and what is not; what has nothing of it needs no word."""
+    (tmp_path / "kid.xml").write_text(
+        """<mujoco model="kid"><worldbody><site name="post"/>
+        <body name="arm"><joint name="hinge"/><geom size=".1"/><site name="tip"/></body>
+        <body name="leg"><joint name="knee"/><geom size=".1"/></body></worldbody>
+        <tendon><spatial name="rope" stiffness="1"><site site="post"/><site site="tip"/></spatial>
+        <fixed name="both"><joint joint="hinge" coef="1"/></fixed></tendon>
+        <equality><weld body1="leg" body2="world"/></equality>
+        <actuator><motor joint="knee"/><motor tendon="rope"/></actuator></mujoco>"""
+    )
+    (tmp_path / "m.xml").write_text(
+        """<mujoco><asset><model name="kid" file="kid.xml"/></asset><worldbody>
+        <attach model="kid" body="arm" prefix="k_"/></worldbody></mujoco>"""
+    )
+    scene = load(tmp_path / "m.xml")
+    assert [tendon.name for tendon in scene.tendons] == ["k_both"] and not scene.actuators
+    told = [note for note in scene.notes if "leaves out" in note]
+    assert len(told) == 1
+    assert told[0].endswith(
+        'm.xml:2: <attach> leaves out <spatial> "rope", whose site "post" is not attached'
+    )

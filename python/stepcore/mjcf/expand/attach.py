@@ -8,7 +8,7 @@ settings and default classes; and its options follow the compiler's attribute "c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from stepcore.checks import nearest
@@ -86,7 +86,9 @@ class Attacher:
                 raise node.error(f'<attach> prefix = "{prefix}": default classes have these names')
         # Of keyframes the vectors are taken apart while the whole model is there.
         keys = [] if own else key_parts(twin, other.defaults)
-        self._add_sections(twin, tree, prefix, keys, own)
+        where = f"{node.file}:{node.line}: <attach>"
+        torn = self._add_sections(twin, tree, prefix, keys, own)
+        self.notes += [f"{where} leaves out {what}" for what in torn]
         frame = Node("frame", {}, node.file, node.line)
         frame.path, frame.compiler, frame.children = "worldbody/frame", node.compiler, tree
         frame.values = {"childclass": childclass if own else prefix + childclass}
@@ -115,8 +117,11 @@ class Attacher:
 
     def _add_sections(
         self, twin: Node, tree: list[Node], prefix: str, keys: list[Node], own: bool
-    ) -> None:
-        """Adds what belongs to the attached tree to the sections of this model, renamed."""
+    ) -> list[str]:
+        """Adds what belongs to the attached tree to the sections of this model, renamed.
+
+        Returns what belongs to it in part, and is left out for what it names beside.
+        """
         names = names_in(tree)
         names.setdefault("body", set()).add("world")
         if not own:
@@ -127,6 +132,7 @@ class Attacher:
         for kind, more in names_in(assets).items():
             names.setdefault(kind, set()).update(more)
         chosen = _resolved(twin, names, own)
+        torn = list(_torn(twin, names, [node for _, nodes in chosen for node in nodes]))
         names["body"].discard("world")
         parts = {"asset": assets, "keyframe": keys}
         for tag, nodes in [*chosen, *parts.items()]:
@@ -142,6 +148,7 @@ class Attacher:
                 self.model.root.children.append(part)
         for one in tree:
             rename(one, names, lambda name: prefix + name)
+        return torn
 
 
 def _attachments(section: Node) -> list[tuple[Node, Node]]:
@@ -229,10 +236,28 @@ def _resolved(twin: Node, names: Names, own: bool) -> list[tuple[str, list[Node]
     return list(left.items())
 
 
+def _torn(twin: Node, names: Names, kept: list[Node]) -> Iterator[str]:
+    """What names something that is attached and something that is not."""
+    known = {id(node) for node in kept}
+    for section in twin.children:
+        for node in section.children if section.tag in SECTIONS else ():
+            if id(node) in known:
+                continue
+            named = list(_named(node))
+            missing = [(kind, name) for kind, name in named if name not in names.get(kind, ())]
+            if any(one not in missing and one != ("body", "world") for one in named):
+                kind, name = missing[0]
+                own = f' "{node.attrs["name"]}"' if node.attrs.get("name") else ""
+                yield f'<{node.tag}>{own}, whose {kind} "{name}" is not attached'
+
+
 def _holds(node: Node, names: Names) -> bool:
-    return all(
-        name in names.get(kind, ())
-        for one in below(node)
-        for _, kind, name in references(one)
-        if kind not in ("default", "material")
-    )
+    return all(name in names.get(kind, ()) for kind, name in _named(node))
+
+
+def _named(node: Node) -> Iterator[tuple[str, str]]:
+    """What an element refers to, by kind and name."""
+    for one in below(node):
+        for _, kind, name in references(one):
+            if kind not in ("default", "material"):
+                yield kind, name
