@@ -95,3 +95,21 @@ def test_the_work_of_a_belt_is_no_gained_energy(law, cone, speed):
     own |= {"penalty_stiffness": 2e4} if law == "penalty" else {}
     sim = run(text, 1.0, ledger=True, **own)
     assert sim.energy.kinetic > 0.3 * speed
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("surfacevel", ["0 .5 0 0 0 0", "1 0 0 0 0 0"])
+@pytest.mark.parametrize("axes", ["001", "100 001"])
+def test_a_belt_asks_for_friction_where_nothing_moves(cone, surfacevel, axes):
+    """Along tangents that no joint has its rows have a target, and so a share of the force."""
+    joints = "".join(f'<joint type="slide" axis="{" ".join(axis)}"/>' for axis in axes.split())
+    joints += '<joint axis="0 1 0"/>' if len(axes) > 3 else ""
+    text = f"""<mujoco><option cone="{cone}"/><worldbody>
+    <geom type="plane" size="1 1 1" surfacevel="{surfacevel}"/>
+    <body pos="0 0 .09">{joints}<geom size=".1"/></body></worldbody></mujoco>"""
+    theirs = peers.strict(mujoco.MjModel.from_xml_string(text))
+    data, sim = mujoco.MjData(theirs), sc.Sim(sc.loads(text), **peers.EXACT)
+    mujoco.mj_forward(theirs, data)
+    sim.forward()
+    assert abs(data.qacc[-1 if len(axes) == 3 else 1]) > 20
+    assert np.abs(sim.qacc - data.qacc).max() < 1e-9 * np.abs(data.qacc).max()

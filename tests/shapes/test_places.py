@@ -4,6 +4,7 @@ Law: the depth is how far the origin lies inside the hull of all differences of 
 point, half the depth to either side along the normal, is on both hulls to 1e-9 of their size.
 """
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
@@ -45,3 +46,18 @@ def test_the_deepest_point_is_on_both_meshes(meshes):
         planes = ConvexHull(mesh).equations
         point = contact["pos"] + side * contact["dist"] * contact["normal"]
         assert (planes[:, :3] @ point + planes[:, 3]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "turn", ["0 0 159.658", "0 0 20", "0 0 -77.1", "180 0 33", "90 0 0", "0 -90 0"]
+)
+def test_a_capsule_turned_about_itself_keeps_the_order_of_its_ends(turn):
+    """Its axis is z, up to rounding: contacts with a plane come in MuJoCo's order."""
+    text = f"""<mujoco><worldbody><geom type="plane" size="5 5 1"/>
+    <body pos="0 0 .03" euler="90 0 10"><freejoint/>
+    <geom type="capsule" size=".05 .2" euler="{turn}" margin="1"/></body></worldbody></mujoco>"""
+    theirs = mujoco.MjModel.from_xml_string(text)
+    data, sim = mujoco.MjData(theirs), sc.Sim(sc.loads(text))
+    mujoco.mj_forward(theirs, data)
+    sim.forward()
+    assert np.abs(sim.contacts["pos"] - data.contact.pos).max() < 1e-12

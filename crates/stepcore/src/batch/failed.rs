@@ -85,7 +85,10 @@ impl Standing {
             }
         };
         state.lists_mut().into_iter().for_each(|list| copy(list));
-        state.warm.iter_mut().for_each(|warm| copy(&mut warm.impulse));
+        for warm in &mut state.warm {
+            copy(core::slice::from_mut(&mut warm.feature));
+            copy(&mut warm.impulse);
+        }
         inputs.edit(|arrays| arrays.into_iter().for_each(copy));
         true
     }
@@ -96,5 +99,38 @@ impl Standing {
         self.mirror(&mut watched.sim.state, &mut watched.sim.inputs);
         watched.repeat(from, self.mask::<R>());
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::Model;
+    use crate::real::Lanes;
+    use crate::scene::{Body, Geom, Joint, JointType, Scene};
+    use crate::state::{Warm, WARM_ROWS};
+
+    /// A copy that kept what touched in its own world would start from other impulses, go astray and
+    /// fail by itself.
+    #[test]
+    fn a_copy_has_all_that_its_world_has() {
+        let mut scene = Scene::default();
+        scene.bodies.push(Body::default());
+        scene.joints.push(Joint { body: 1, kind: JointType::Slide, ..Joint::default() });
+        scene.geoms.push(Geom { body: 1, size: [0.1, 0.0, 0.0], ..Geom::default() });
+        let model = Model::compile(&scene).unwrap();
+        let (mut state, mut inputs) = (State::<Lanes>::new(&model), Inputs::new(&model));
+        let by_lane = |scale: f64| Lanes(core::array::from_fn(|lane| scale * lane as f64));
+        state.qvel[0] = by_lane(2.0);
+        let impulse = [by_lane(3.0); WARM_ROWS];
+        state.warm.push(Warm { slot: 0, feature: by_lane(1.0), impulse });
+        let mut standing = Standing::new(3);
+        let error = Error::value("a world", 0, "well");
+        for lane in [0, 2] {
+            standing.take(&state, lane, 1, error.clone());
+        }
+        assert!(standing.mirror(&mut state, &mut inputs));
+        let (warm, all) = (&state.warm[0], |scale| [scale; Lanes::<f64>::LANES]);
+        assert_eq!([state.qvel[0].0, warm.feature.0, warm.impulse[0].0], [2.0, 1.0, 3.0].map(all));
     }
 }

@@ -36,6 +36,10 @@ pub fn still(
     if model.bodies[plane.body].carried || model.bodies[other.body].carried {
         return [false; 2];
     }
+    // A surface that moves asks for friction, moved or not.
+    if plane.belt.is_some() || other.belt.is_some() {
+        return [false; 2];
+    }
     if plane.kind != GeomType::Plane {
         return between_round_shapes(model, poses, plane, other);
     }

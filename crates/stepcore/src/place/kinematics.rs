@@ -32,7 +32,7 @@ fn turn_about<R: Real>(
 #[inline(always)]
 fn turned<R: Real>(rot: &M3<R>, direction: &Vector3<f64>) -> V3<R> {
     match principal(direction) {
-        Some((k, 1.0)) => V3::new(rot[(0, k)], rot[(1, k)], rot[(2, k)]),
+        Some((k, sign)) if sign > 0.0 => V3::new(rot[(0, k)], rot[(1, k)], rot[(2, k)]),
         Some((k, _)) => V3::new(-rot[(0, k)], -rot[(1, k)], -rot[(2, k)]),
         None => rotate(rot, &splat(direction)),
     }
