@@ -56,7 +56,10 @@ def serve(pipe) -> None:
     """Makes batches from (text, settings, states, controls), and runs that of a number."""
     batches = []
     while True:
-        what = pipe.recv()
+        try:
+            what = pipe.recv()
+        except EOFError:  # The bench is over.
+            return
         try:
             if isinstance(what, int):
                 pipe.send(run(*batches[what]))
