@@ -91,7 +91,8 @@ class World(checks.KnownNames, ABC):
     # Of the last step or forward().
     qacc = Readout("Accelerations of the last solve [m/s² or rad/s²], shape (nv,).")
     constraint_force = Readout(
-        "Force of all constraint rows on the dofs, Jᵀλ/dt [N or N·m], shape (nv,)."
+        "Force of all constraint rows on the dofs, Jᵀλ/dt, and of contacts under the law penalty "
+        "[N or N·m], shape (nv,)."
     )
     cacc = Readout(
         "Acceleration of each body in the last solve, written as `cvel` is [rad/s², m/s²], shape "

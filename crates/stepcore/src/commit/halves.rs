@@ -38,10 +38,10 @@ impl<R: Real> Sim<R> {
             self.adhere(dt);
         }
         self.make_rows(At::Start, Part::End);
-        if self.model.pulls_beside_rows(self.settings.law) {
+        if !self.rows.pushes.is_empty() {
             self.changed();
             self.add_change(1.0, 0.5);
-            self.placed.guess.copy_from_slice(&self.rows.u);
+            self.take_pushes();
         }
         R::enter(Stage::Impulses);
         // Equalities that the stages held have nothing to answer to but other rows.

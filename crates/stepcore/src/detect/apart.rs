@@ -27,10 +27,7 @@ pub(super) fn far<R: Real>(
 ) -> bool {
     let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
     let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
-    let listed = || {
-        let material = model.material(pair);
-        material.margin + material.gap
-    };
+    let listed = || model.material(pair).listed();
     let between = p2.pos - p1.pos;
     if g1.kind == GeomType::Plane {
         let height = between.x * p1.rot.m13 + between.y * p1.rot.m23 + between.z * p1.rot.m33;

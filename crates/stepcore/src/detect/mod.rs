@@ -135,17 +135,16 @@ impl<R: Real> Detected<R> {
 
     /// The contacts of a pair that its spheres do not keep apart.
     fn meet_fixed(&mut self, model: &Model, placed: &Placed<R>, pair: &Pair, on_guess: bool) {
-        let more = on_guess.then(|| self.swept.of(pair));
+        let more = on_guess.then(|| self.swept.of(model, pair));
         let far = far(model, placed, pair, more);
         #[cfg(test)]
         let far = far && !self.exhaustive;
         if far {
             return;
         }
-        let material = model.material(pair);
-        let listed = if on_guess { f64::INFINITY } else { material.margin + material.gap };
-        meet(model, placed, pair, listed, |part, touch| {
-            let mask = touch.exists.and(touch.dist.lt(R::of(listed)));
+        let (within, listed) = listed(model, pair, more);
+        meet(model, placed, pair, within, |part, touch| {
+            let mask = touch.exists.and(touch.dist.lt(listed));
             if mask.any() {
                 push(&mut self.contacts, &mut self.grown, Contact::of(pair, part, touch, mask));
             }
@@ -162,6 +161,18 @@ impl<R: Real> Detected<R> {
 fn rests(model: &Model, asleep: &[bool], geom: usize) -> bool {
     let tree = model.bodies[model.geoms[geom].body].tree;
     tree == NONE || asleep.get(tree).is_some_and(|asleep| *asleep)
+}
+
+/// Below which distance the contacts of a pair are listed [m], for the exact test and by lane. `more`:
+/// how far a law on the guess looks, and no farther in a lane whose neighbour is faster.
+fn listed<R: Real>(model: &Model, pair: &Pair, more: Option<R>) -> (f64, R) {
+    match more {
+        Some(more) => (f64::INFINITY, more),
+        None => {
+            let listed = model.material(pair).listed();
+            (listed, R::of(listed))
+        }
+    }
 }
 
 /// Lists a contact.

@@ -4,7 +4,7 @@ use super::apart::far;
 use super::broad::Bounds;
 use super::kept::Kept;
 use super::swept::Swept;
-use super::{meet, push, rests, Contact, Detected};
+use super::{listed, meet, push, rests, Contact, Detected};
 use crate::model::{Heap, Model, Pair};
 use crate::place::Placed;
 use crate::pool::{inside, lock, Pool, WORTH_SHARING};
@@ -29,7 +29,9 @@ impl<R: Real> Detected<R> {
         let on_guess = settings.law.on_guess();
         let (swept, asleep) = (&self.swept, &self.asleep);
         let boxes = heap.solid.iter().map(|&geom| {
-            let more = if on_guess { swept.geom(geom).lane(0) } else { heap.listed[geom] };
+            let guessed = if on_guess { swept.geom(geom).lane(0) } else { 0.0 };
+            let listed = if on_guess && !model.adheres { 0.0 } else { heap.listed[geom] };
+            let more = guessed.max(listed);
             Bounds { fixed: rests(model, asleep, geom), ..bounds(model, placed, geom, more) }
         });
         self.kept.refresh(model, heap, &mut self.lists, boxes);
@@ -61,14 +63,13 @@ impl<R: Real> Near<'_, R> {
     fn meet(&self, pairs: &[Pair], mut take: impl FnMut(Contact<R>)) {
         let Self { model, placed, kept, swept } = *self;
         for pair in pairs.iter().filter(|pair| kept.overlap(pair)) {
-            if far(model, placed, pair, swept.map(|swept| swept.of(pair))) {
+            let more = swept.map(|swept| swept.of(model, pair));
+            if far(model, placed, pair, more) {
                 continue;
             }
-            let material = model.material(pair);
-            let listed = material.margin + material.gap;
-            let listed = if swept.is_some() { f64::INFINITY } else { listed };
-            meet(model, placed, pair, listed, |part, touch| {
-                let mask = touch.exists.and(touch.dist.lt(R::of(listed)));
+            let (within, listed) = listed(model, pair, more);
+            meet(model, placed, pair, within, |part, touch| {
+                let mask = touch.exists.and(touch.dist.lt(listed));
                 if mask.any() {
                     take(Contact::of(pair, part, touch, mask));
                 }

@@ -80,10 +80,15 @@ impl<R: Real> Swept<R> {
         }
     }
 
-    /// By how much the spheres of a pair are fattened, together.
+    /// By how much the spheres of a pair are fattened, together: adhesion pulls through the whole gap.
     #[inline(always)]
-    pub fn of(&self, pair: &Pair) -> R {
-        self.more[pair.geom1] + self.more[pair.geom2]
+    pub fn of(&self, model: &Model, pair: &Pair) -> R {
+        let more = self.more[pair.geom1] + self.more[pair.geom2];
+        if model.adheres {
+            more.max(R::of(model.material(pair).listed()))
+        } else {
+            more
+        }
     }
 
     /// By how much a geom's sphere is fattened.

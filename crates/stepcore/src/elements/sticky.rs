@@ -40,7 +40,7 @@ impl Material {
     /// Below which distance a contact has rows [m].
     pub(super) fn reach(&self) -> f64 {
         if self.adhesion > 0.0 {
-            self.margin + self.gap
+            self.listed()
         } else {
             self.margin
         }

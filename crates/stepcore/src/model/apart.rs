@@ -200,7 +200,7 @@ impl<'a> Search<'a> {
             pair: index,
             geoms,
             bodies,
-            least: material.margin + material.gap + ROUNDING * size,
+            least: material.listed() + ROUNDING * size,
             qpos: model.qpos0.clone(),
         }
     }

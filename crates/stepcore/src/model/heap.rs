@@ -205,7 +205,7 @@ impl Heap {
     fn take_explicit(&mut self, scene: &Scene, model: &mut Model) {
         for pair in &scene.pairs {
             let material = Material::of_pair(scene, pair);
-            let listed = 0.5 * (material.margin + material.gap);
+            let listed = 0.5 * material.listed();
             for geom in [pair.geom1, pair.geom2] {
                 self.listed[geom] = self.listed[geom].max(listed);
             }

@@ -22,6 +22,11 @@ pub struct Material {
 }
 
 impl Material {
+    /// Below which distance contacts are listed [m].
+    pub fn listed(&self) -> f64 {
+        self.margin + self.gap
+    }
+
     /// Of two geoms of a scene that no explicit pair names.
     pub fn of_geoms(scene: &Scene, a: usize, b: usize) -> Self {
         Self::mixed(&scene.geoms[a], &scene.geoms[b]).overridden(scene)

@@ -65,14 +65,9 @@ pub fn fill(model: &mut Model) {
     model.meetings = meetings;
 }
 
-fn listed(model: &Model, pair: &Pair) -> f64 {
-    let material = model.material(pair);
-    material.margin + material.gap
-}
-
 fn of_pair(model: &Model, pair: &Pair) -> Spheres {
     let reach = model.geoms[pair.geom1].reach + model.geoms[pair.geom2].reach;
-    let least = reach + listed(model, pair);
+    let least = reach + model.material(pair).listed();
     let geoms = [pair.geom1, pair.geom2].map(|geom| geom as u32);
     Spheres { geoms, square: least * least, apart: pair.apart }
 }
@@ -80,7 +75,7 @@ fn of_pair(model: &Model, pair: &Pair) -> Spheres {
 fn of_bodies(model: &Model, pairs: Span, bodies: [usize; 2]) -> Spheres {
     let own = pairs.of(&model.pairs);
     let [one, two] = bodies.map(|body| sphere(model, own, body));
-    let listed = own.iter().map(|pair| listed(model, pair)).fold(0.0, f64::max);
+    let listed = own.iter().map(|pair| model.material(pair).listed()).fold(0.0, f64::max);
     let least = (one.1 + two.1 + listed) * (1.0 + SURE);
     let apart = own.iter().all(|pair| pair.apart);
     Spheres { geoms: [one.0 as u32, two.0 as u32], square: least * least, apart }

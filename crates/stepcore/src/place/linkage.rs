@@ -142,7 +142,7 @@ impl<R: Real> Placed<R> {
     ) {
         let near = |contact: &Contact<R>| {
             let material = model.material(&contact.pair);
-            contact.mask.and(contact.dist.lt(R::of(material.margin + material.gap)))
+            contact.mask.and(contact.dist.lt(R::of(material.listed())))
         };
         let bodies = |contact: &Contact<R>| {
             [contact.pair.geom1, contact.pair.geom2].map(|geom| model.geoms[geom].body)

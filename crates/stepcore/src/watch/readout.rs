@@ -8,6 +8,7 @@ use crate::elements::friction::{Axis, Ways, MOST_WAYS};
 use crate::elements::{Element, Kind};
 use crate::model::NONE;
 use crate::real::{Mask, Real};
+use crate::settings::Law;
 use crate::sim::Sim;
 use crate::solve::{Block, Push, Row, Set};
 use crate::spatial::{rotate, splat, Quat, M3, V3};
@@ -62,17 +63,19 @@ impl<R: Real> Sim<R> {
         (placed.xpos[body] + rotate(&placed.xmat[body], &splat(pos)), turn)
     }
 
-    /// Generalised force of every row together, Jᵀλ/dt = Lᵀ Σ yλ / dt.
+    /// Generalised force of every row and penalty contact together, Jᵀλ/dt = Lᵀ Σ yλ / dt.
     pub fn constraint_force(&self, lane: usize) -> Vec<f64> {
         let model = &*self.model;
         let mut force = vec![R::zero(); model.nv];
-        if !self.rows.any() {
-            return vec![0.0; model.nv];
-        }
-        for (_, row) in self.live_rows(lane) {
-            let dofs = row.dofs.of(self.detected.dof_lists(model));
-            for (k, y) in dofs.iter().zip(&self.rows.y[row.y..]) {
-                force[*k] += *y * row.total();
+        // What adhesion pulls beside rows is a passive force, as MuJoCo counts it.
+        let penalty = self.settings.law == Law::Penalty;
+        let pushes = self.rows.pushes.iter().filter(|_| penalty);
+        let pushes = pushes.map(|push| (push.dofs, push.y, push.impulse));
+        let rows = self.live_rows(lane).map(|(_, row)| (row.dofs, row.y, row.total()));
+        for (dofs, y, impulse) in rows.chain(pushes) {
+            let dofs = dofs.of(self.detected.dof_lists(model));
+            for (k, y) in dofs.iter().zip(&self.rows.y[y..]) {
+                force[*k] += *y * impulse;
             }
         }
         self.placed.metric.lower(&mut force);

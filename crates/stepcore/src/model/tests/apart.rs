@@ -62,7 +62,7 @@ fn pairs_that_are_apart_meet_in_no_configuration() {
             for pair in &model.pairs {
                 let distance = detect::distance(&model, &placed, pair);
                 let material = model.material(pair);
-                let meets = distance < material.margin + material.gap;
+                let meets = distance < material.listed();
                 met += usize::from(meets);
                 assert!(!(pair.apart && meets), "{pair:?} at {qpos:?}");
             }
