@@ -167,8 +167,8 @@ pub trait World: Send {
     /// Of every tendon.
     fn tendon_paths(&mut self, given: &Given) -> Result<Vec<TendonPath>>;
     fn contacts(&self) -> Contacts;
-    /// The generalised force of every element that pushes.
-    fn element_forces(&self) -> BTreeMap<Element, Vec<f64>>;
+    /// The generalised force of every element that pushes, at the state of the last solve.
+    fn element_forces(&mut self, given: &Given) -> Result<BTreeMap<Element, Vec<f64>>>;
     fn rows(&self) -> Rows;
     fn coupling(&self) -> Coupling;
     fn residual(&self) -> f64;
@@ -355,8 +355,8 @@ impl<R: Real> World for One<R> {
         Ok(readings::tendon_paths(self.reader(given)?))
     }
 
-    fn element_forces(&self) -> BTreeMap<Element, Vec<f64>> {
-        self.watched.element_forces(0)
+    fn element_forces(&mut self, given: &Given) -> Result<BTreeMap<Element, Vec<f64>>> {
+        Ok(self.last.again(&self.watched.sim, given, true)?.element_forces(0))
     }
 
     fn contacts(&self) -> Contacts {

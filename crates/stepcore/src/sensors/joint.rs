@@ -6,7 +6,6 @@ use crate::real::{Mask, Real};
 use crate::scene::{Sensor, SensorType, Target};
 use crate::solve::Row;
 use crate::transmission::Transmission;
-use crate::watch::element_forces;
 
 impl<R: Real> Reading<'_, R> {
     pub(super) fn of_joint(&mut self, sensor: &Sensor, out: &mut Vec<f64>) {
@@ -61,7 +60,7 @@ impl<R: Real> Reading<'_, R> {
 
     /// Force of all actuators on a dof, with what holds up weight through them.
     fn actuated(&self, dof: usize) -> f64 {
-        let (forces, model) = (element_forces(self.sim, self.lane), &self.sim.model);
+        let (forces, model) = (self.sim.element_forces(self.lane), &self.sim.model);
         let holds = model.joints[model.dofs[dof].joint].actuatorgravcomp;
         let forces = forces.iter().filter(|(element, _)| match element.kind {
             Kind::GravityCompensation => holds,

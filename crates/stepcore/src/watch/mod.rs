@@ -31,7 +31,6 @@ pub(crate) use ledger::{Care, Ledger};
 pub use linearize::Linearizer;
 pub use rays::{first_hit, RayFilter};
 pub use readout::Coupling;
-pub(crate) use tape::element_forces;
 pub use tape::StepGains;
 pub use tendon_path::{tendon_path, Way};
 pub use watched::Watched;

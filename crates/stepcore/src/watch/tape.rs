@@ -104,19 +104,19 @@ pub(crate) fn taped<R: Real>(
     Ok(StepGains { saturated, ..gains(&model, &impulses, &bias, &mean, &before, &after) })
 }
 
-/// The generalised force of every element that pushes at the state of the last solve, in one
-/// lane: impulses of a step over its length.
-pub(crate) fn element_forces<R: Real>(sim: &Sim<R>, lane: usize) -> BTreeMap<Element, Vec<f64>> {
-    let mut tape = Tape::new(lane, sim.model.nv);
-    tape.placed(sim, At::State, 1.0);
-    tape.solved(sim, At::State, 1.0);
-    for impulse in tape.impulses.values_mut() {
-        impulse.iter_mut().for_each(|x| *x /= sim.clock.seconds);
-    }
-    tape.impulses
-}
-
 impl<R: Real> Sim<R> {
+    /// The generalised force of every element that pushes, after `forward`, in one lane [N or N·m]:
+    /// impulses of a step over its length.
+    pub fn element_forces(&self, lane: usize) -> BTreeMap<Element, Vec<f64>> {
+        let mut tape = Tape::new(lane, self.model.nv);
+        tape.placed(self, At::State, 1.0);
+        tape.solved(self, At::State, 1.0);
+        for impulse in tape.impulses.values_mut() {
+            impulse.iter_mut().for_each(|x| *x /= self.clock.seconds);
+        }
+        tape.impulses
+    }
+
     /// Stiffness and damping that the integrator takes at the end of a step from the state of which
     /// the levels were taken.
     fn late_slopes(&self, lane: usize) -> Vec<LateSlope> {
