@@ -385,6 +385,8 @@ class Batch(_World):
     def rollout(
         self, ctrl: _Floats, told: Callable[[int], object] | None = None
     ) -> list[_Floats]: ...
+    def unwatch(self) -> None:
+        """Energies are not looked at, but by the ledger of the settings."""
     def failures(self, known: list[int]) -> tuple[list[int], list[SimulationError]]:
         """The worlds that failed while the others went on; errors of those that are not known."""
     def restart(self, time: float) -> None:

@@ -116,6 +116,14 @@ def test_forces_of_a_kind_at_many_states_are_those_of_a_step(sim):
         model.element_force("limit", ctrl, act, qpos, qvel)
 
 
+def test_a_model_that_cannot_move_has_no_forces():
+    scene = sc.Scene()
+    scene.add_geom(scene.add_body("shelf"), "box", (1, 1, 1))
+    model, none = scene.compile(), np.zeros((3, 0))
+    for kind in ("spring", "damper", "actuator"):
+        assert model.element_force(kind, none, none, none, none).shape == (3, 0)
+
+
 def test_a_penalty_contact_tells_its_force():
     """k·overlap at rest, along the normal, although it has no row."""
     scene = sc.Scene()

@@ -2,6 +2,7 @@
 
 import warnings
 
+import numpy as np
 import pytest
 from violent import play
 
@@ -126,3 +127,41 @@ def test_a_thousand_violent_runs_raise_no_false_alarm(part):
     """Dropped, pressed, spun, driven by servos and motors, pushed, sprung, in loops."""
     seeds = range(1000 + 250 * part, 1250 + 250 * part)
     assert [seed for seed in seeds if not told_rightly(seed)] == []
+
+
+@pytest.mark.parametrize("lanes", [False, True, "auto"])
+@pytest.mark.parametrize("how", ["step", "steps", "rollout"])
+def test_a_batch_says_it_once_and_names_the_world(lanes, how):
+    """ω dt = 2.5 in one world, which alone moves: E grows 16-fold a step."""
+    batch = sc.Batch(sc.lesson.spring(), 20, lanes=lanes, dt=0.25, integrator="semi-implicit")
+    batch.qpos[13, 0] = 1e-60
+    with pytest.warns(sc.EnergyWarning, match="world 13: by step .*`spring`.*goes on") as said:
+        for _ in range(3 if how == "steps" else 1):
+            if how == "rollout":
+                batch.rollout(np.zeros((20, 200, 0)))
+            else:
+                batch.step(70)
+        batch.step(70)
+    assert len(said) == 1
+
+
+def test_a_batch_of_many_is_looked_at_here_and_there():
+    """Of 400 worlds 32, evenly spread: what is wrong in all of them is found."""
+    batch = sc.Batch(sc.lesson.spring(), 400, dt=0.25, integrator="semi-implicit")
+    batch.qpos[:, 0] = 1e-60
+    with pytest.warns(sc.EnergyWarning, match="world"):
+        batch.step(64)
+        batch.step(64)
+
+
+def test_a_batch_that_is_watched_has_the_bits_of_one_that_is_not():
+    model = sc.load("gymnasium:half_cheetah").compile()
+    runs = []
+    for watched in (True, False):
+        batch = sc.Batch(model, 24)
+        if not watched:
+            batch._core.unwatch()
+        batch.qvel[:] = np.random.default_rng(0).normal(size=batch.qvel.shape)
+        batch.rollout(np.random.default_rng(1).uniform(-1, 1, (24, 300, model.nu)))
+        runs.append(b"".join(batch.state()))
+    assert runs[0] == runs[1]

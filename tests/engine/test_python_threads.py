@@ -80,3 +80,28 @@ def test_one_object_in_many_threads_is_busy_or_does_what_it_is_asked(kind):
     assert np.isfinite(world.qpos).all() and np.isfinite(world.qvel).all()
     world.restore(start)
     assert world.state() == start
+
+
+def test_what_was_checked_is_what_is_stepped():
+    """Numpy writes without the GIL while others step: no number that was refused is ever used."""
+    batch = sc.Batch(ball(), 64, threads=1)
+    good, bad = np.array(batch.qvel), np.full(batch.qvel.shape, np.nan)
+    done = threading.Event()
+
+    def write():
+        while not done.is_set():
+            np.copyto(batch.qvel, bad)
+            np.copyto(batch.qvel, good)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        for _ in range(2000):
+            try:
+                batch.step()
+            except ValueError as error:
+                assert "qvel" in str(error) and "finite" in str(error)
+            assert np.isfinite(batch.qpos).all()
+    finally:
+        done.set()
+        writer.join()

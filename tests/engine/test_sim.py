@@ -225,3 +225,45 @@ def test_an_interrupt_stops_a_long_call_between_two_steps_and_a_second_thread_is
     other = sc.Sim(model, dt=1e-4)
     other.step(steps)
     assert other.state() == sim.state()
+
+
+STACK = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+<body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>
+<body pos="0 0 .3"><freejoint/><geom type="box" size=".1 .1 .1" mass="900"/></body></worldbody>
+</mujoco>"""
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("settings", [{"sweeps": 10**9}, {"sweeps": 5}], ids=["sweeps", "noslip"])
+def test_an_interrupt_ends_a_step_of_a_billion_sweeps_which_is_not_taken(settings):
+    scene = sc.loads(STACK)
+    noslip = {"noslip_iterations": 10**9} if settings["sweeps"] == 5 else {}
+    sim = sc.Sim(scene, solver="pgs", tolerance=0.0, **settings, **noslip)
+    before = sim.state()
+    started = threading.Timer(0.2, signal.raise_signal, (signal.SIGINT,))
+    with pytest.raises(KeyboardInterrupt):
+        started.start()
+        sim.step()
+    started.join()
+    assert sim.state() == before and sim.time == 0
+    other = sc.Sim(scene)
+    sim = sc.Sim(sim.model.with_settings(sweeps=100, noslip_iterations=0, solver="newton"))
+    for one in (sim, other):
+        one.step(3)
+    assert np.isfinite(sim.qpos).all()
+
+
+def test_forces_of_elements_after_a_step_are_those_at_its_begin():
+    """Not those of the velocity that it gave: the damper of a body at rest gives none."""
+    scene = sc.Scene(gravity=(0, 0, -9.81))
+    body = scene.add_body("load", mass=1.0, inertia=(1.0, 1.0, 1.0))
+    scene.add_joint(body, "slide", axis=(0, 0, 1), damping=50.0, stiffness=300.0)
+    sim = sc.Sim(scene, integrator="semi-implicit", dt=0.01)
+    sim.qpos[0] = 0.1
+    for _ in range(3):
+        before = sim.qpos[0], sim.qvel[0]
+        sim.step()
+        forces = {kind: float(force[0]) for (kind, _), force in sim.element_forces().items()}
+        expected = {"spring": -300.0 * before[0], "damper": -50.0 * before[1], "gravity": -9.81}
+        assert {kind: forces.get(kind, 0.0) for kind in expected} == pytest.approx(expected)
+        assert sum(forces.values()) * 0.01 == pytest.approx(sim.qvel[0] - before[1])

@@ -249,6 +249,15 @@ impl Worlds for Auto {
     fn forget(&mut self, worlds: &[usize]) {
         self.now.forget(worlds);
     }
+    fn take_warning(&mut self) -> Option<String> {
+        let said = self.now.take_warning()?;
+        self.other.iter_mut().for_each(|other| other.unwatch());
+        Some(said)
+    }
+    fn unwatch(&mut self) {
+        self.now.unwatch();
+        self.other.iter_mut().for_each(|other| other.unwatch());
+    }
     fn in_lanes(&self) -> bool {
         self.in_lanes
     }

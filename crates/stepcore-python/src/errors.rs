@@ -1,6 +1,10 @@
 //! One map from the engine's errors to Python's.
 
-use pyo3::exceptions::{PyBaseException, PyRuntimeError, PyUserWarning, PyValueError};
+use std::ffi::CString;
+
+use pyo3::exceptions::{
+    PyBaseException, PyKeyboardInterrupt, PyRuntimeError, PyUserWarning, PyValueError,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use stepcore::arrays::{Array, Given};
@@ -31,10 +35,18 @@ pyo3::create_exception!(
     stepcore,
     EnergyWarning,
     PyUserWarning,
-    "Without the setting ledger: a Sim has far more energy than its scene can have gained.\n\n\
+    "Without the setting ledger: a world has far more energy than its scene can have gained.\n\n\
      The text says by which step, which element it came from and which dt would have been stable.\n\
-     The run goes on. It is said once a Sim: its energies are not looked at after that."
+     The run goes on. It is said once a Sim or Batch, whose energies are not looked at after that."
 );
+
+/// Says what there is to say of a world's energies.
+pub fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
+    // Names of a scene may hold a zero byte.
+    let text = CString::new(text.replace('\0', "")).unwrap_or_default();
+    // Python's own caller of `step`.
+    PyErr::warn(py, &py.get_type::<EnergyWarning>(), &text, 2)
+}
 
 /// Whatever the engine refuses is raised in Python.
 pub trait Raised<T> {
@@ -60,6 +72,8 @@ pub fn raise(py: Python<'_>, error: Error) -> PyErr {
             let attribute = raised.value(py).setattr("mentions", mentions);
             attribute.err().unwrap_or(raised)
         }
+        // By whoever asked for it: see `gil::release`.
+        Error::Interrupted => PyKeyboardInterrupt::new_err(()),
         Error::Diverged(divergence) => {
             let raised = SimulationError::new_err(text);
             let attached = attach(raised.value(py), &divergence);

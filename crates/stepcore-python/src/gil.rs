@@ -1,5 +1,6 @@
 //! The one place where the GIL is released, interrupts are served and panics stop.
 
+use std::cell::{Cell, RefCell};
 use std::panic::{catch_unwind, AssertUnwindSafe};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, TryLockError};
@@ -8,6 +9,7 @@ use std::time::{Duration, Instant};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use stepcore::error::Error;
+use stepcore::interrupt::while_asking;
 
 use crate::errors::Raised;
 
@@ -25,12 +27,41 @@ impl Default for Pace {
     }
 }
 
-/// Runs engine code without the GIL.
+thread_local! {
+    /// When solvers last asked for signals, and what a signal raised.
+    static ASKED: Cell<Option<Instant>> = const { Cell::new(None) };
+    static RAISED: RefCell<Option<PyErr>> = const { RefCell::new(None) };
+}
+
+/// Whether a signal wants a long step to end: served as often as between steps.
+fn interrupted() -> bool {
+    if RAISED.with_borrow(Option::is_some) {
+        return true;
+    }
+    let now = Instant::now();
+    let since = ASKED.get().unwrap_or(now);
+    if now - since < PATIENCE {
+        ASKED.set(Some(since));
+        return false;
+    }
+    ASKED.set(Some(now));
+    let raised = Python::attach(|py| py.check_signals()).err();
+    RAISED.with_borrow_mut(|to| *to = raised);
+    RAISED.with_borrow(Option::is_some)
+}
+
+/// Runs engine code without the GIL. What a signal raises within a long step ends it, and the step is
+/// not committed.
 pub fn release<T: Send>(
     py: Python<'_>,
     run: impl FnOnce() -> Result<T, Error> + Send,
 ) -> PyResult<T> {
-    match py.detach(|| catch_unwind(AssertUnwindSafe(run))) {
+    let run = || catch_unwind(AssertUnwindSafe(|| while_asking(interrupted, run)));
+    let done = py.detach(run);
+    if let Some(raised) = RAISED.take() {
+        return Err(raised);
+    }
+    match done {
         Ok(outcome) => outcome.raised(py),
         Err(panic) => {
             let text = panic.downcast_ref::<String>().map(String::as_str);
@@ -72,7 +103,7 @@ pub fn steps_told(
     mut advance: impl FnMut(u64) -> Result<(), Error> + Send,
 ) -> PyResult<()> {
     if n <= 1 && told.is_none() {
-        // One step is short: nothing to interrupt, nothing to measure.
+        // Nothing to do between steps, nothing to measure.
         return release(py, || advance(n));
     }
     let (mut left, mut portion) = (n, pace.0.load(Ordering::Relaxed));

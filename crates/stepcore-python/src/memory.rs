@@ -5,6 +5,7 @@
 
 use std::cell::UnsafeCell;
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use numpy::ndarray::{ArrayViewMut, IxDyn};
@@ -34,14 +35,14 @@ impl Arrays {
         let arrays = Self { lengths, shapes, worlds, memory };
         for array in Array::ALL {
             let start = arrays.range(array).start;
-            arrays.memory.get().write(py, start, &array.initial(model).repeat(worlds));
+            arrays.memory.get().write(start, &array.initial(model).repeat(worlds));
         }
         Ok(arrays)
     }
 
     /// Memory [bytes].
     pub fn bytes(&self) -> usize {
-        size_of::<f64>() * self.worlds * self.lengths.iter().sum::<usize>()
+        2 * size_of::<f64>() * self.worlds * self.lengths.iter().sum::<usize>()
     }
 
     /// All worlds' part of one array.
@@ -58,27 +59,40 @@ impl Arrays {
         world: usize,
         read: impl FnOnce(&Given) -> T + Send,
     ) -> T {
-        self.read_all(py, |all| read(&all.of(world)))
+        let ranges = Array::ALL.into_iter().map(|array| {
+            let (start, length) = (self.range(array).start, self.lengths[array as usize]);
+            start + world * length..start + (world + 1) * length
+        });
+        self.see(py, ranges, |all| read(&all.of(world)))
     }
 
     /// Lets `read` see all worlds' arrays, from as many threads as it likes.
     pub fn read_all<T>(&self, py: Python<'_>, read: impl FnOnce(&Givens) -> T + Send) -> T {
-        self.memory.get().read(py, |numbers| {
+        self.see(py, Array::ALL.into_iter().map(|array| self.range(array)), read)
+    }
+
+    fn see<T>(
+        &self,
+        _py: Python<'_>,
+        ranges: impl Iterator<Item = Range<usize>>,
+        read: impl FnOnce(&Givens) -> T + Send,
+    ) -> T {
+        self.memory.get().read(ranges, |numbers| {
             read(&Givens::new(self.worlds, |array| &numbers[self.range(array)]))
         })
     }
 
     /// Lets `take(array, numbers)` overwrite what a step changes, an array of all worlds at a time.
-    pub fn store(&self, py: Python<'_>, mut take: impl FnMut(Array, &mut [f64]) + Send) {
+    pub fn store(&self, _py: Python<'_>, mut take: impl FnMut(Array, &mut [f64]) + Send) {
         for array in &Array::ALL[..Array::CHANGED] {
-            self.memory.get().edit(py, self.range(*array), |numbers| take(*array, numbers));
+            self.memory.get().edit(self.range(*array), |numbers| take(*array, numbers));
         }
     }
 
     /// Overwrites one world's part of one array.
-    pub fn write(&self, py: Python<'_>, array: Array, world: usize, values: &[f64]) {
+    pub fn write(&self, _py: Python<'_>, array: Array, world: usize, values: &[f64]) {
         let start = self.range(array).start + world * self.lengths[array as usize];
-        self.memory.get().write(py, start, values);
+        self.memory.get().write(start, values);
     }
 
     /// Overwrites all of one world's arrays with numbers that stand one after the other.
@@ -104,22 +118,19 @@ impl Arrays {
 #[pyclass(module = "stepcore._core", frozen)]
 pub struct Memory {
     numbers: Box<[UnsafeCell<f64>]>,
-    sliced: Mutex<()>,
+    /// What the engine reads and writes: what was checked is what is used, whoever writes meanwhile.
+    copy: Mutex<Box<[f64]>>,
 }
 
-// SAFETY: the numbers are reached through `read` and `edit`, of which one runs at a time, and
-// through numpy views. Those need the GIL, where there is one; without it, to write to a view
-// while another thread steps is a race as it is for every numpy array. What it can spoil is
-// numbers, and no index into the engine's memory goes unchecked because of one.
+// SAFETY: here the numbers are reached one by one, as atomics; no slice of them exists. Numpy reads and
+// writes them through its views, also where it has released the GIL: a race, as it is for every numpy
+// array, of which each number is one that was written.
 unsafe impl Sync for Memory {}
 
-/// Slices of the numbers exist only while a closure of `read` or `edit` runs. The closure is
-/// `Send`, so it cannot hold what Python code is run by (`Python`, `Bound`): with the GIL nothing
-/// else reaches the numbers while there is a slice, and whoever holds `sliced` waits for no one.
 impl Memory {
     fn new(count: usize) -> Self {
         let numbers = (0..count).map(|_| UnsafeCell::new(0.0)).collect();
-        Self { numbers, sliced: Mutex::new(()) }
+        Self { numbers, copy: Mutex::new(vec![0.0; count].into()) }
     }
 
     /// Where a range starts. The pointer may be written through: it comes from the cells, not
@@ -128,31 +139,46 @@ impl Memory {
         UnsafeCell::raw_get(self.numbers[range.clone()].as_ptr())
     }
 
-    /// Held while there is a slice of the numbers: a Python without the GIL has several threads
-    /// in here at once. Where there is a GIL, that is enough, and costs nothing.
-    fn alone(&self) -> Option<MutexGuard<'_, ()>> {
-        cfg!(Py_GIL_DISABLED).then(|| self.sliced.lock().unwrap_or_else(PoisonError::into_inner))
+    /// The numbers of a range, for this thread and all others.
+    fn cells(&self, range: Range<usize>) -> impl Iterator<Item = &AtomicU64> {
+        let cells = self.numbers[range].iter();
+        // SAFETY: a cell has the size and the alignment of eight bytes, lives as long as `self`, and is
+        // reached here as an atomic alone.
+        cells.map(|cell| unsafe { AtomicU64::from_ptr(UnsafeCell::raw_get(cell).cast()) })
     }
 
-    /// Lets `read` see all numbers.
-    fn read<T>(&self, _py: Python<'_>, read: impl FnOnce(&[f64]) -> T + Send) -> T {
-        let count = self.numbers.len();
-        let _alone = self.alone();
-        // SAFETY: the cells are `count` numbers in a row, and nobody writes: see `Sync`.
-        read(unsafe { std::slice::from_raw_parts(self.start(&(0..count)), count) })
+    fn own(&self) -> MutexGuard<'_, Box<[f64]>> {
+        self.copy.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets `write` overwrite the numbers of a range.
-    fn edit(&self, _py: Python<'_>, range: Range<usize>, write: impl FnOnce(&mut [f64]) + Send) {
-        let start = self.start(&range);
-        let _alone = self.alone();
-        // SAFETY: as for `read`; nobody else reads or writes.
-        write(unsafe { std::slice::from_raw_parts_mut(start, range.len()) });
+    /// Lets `read` see the numbers of some ranges as they are now; of the others nothing is said.
+    fn read<T>(
+        &self,
+        ranges: impl Iterator<Item = Range<usize>>,
+        read: impl FnOnce(&[f64]) -> T + Send,
+    ) -> T {
+        let mut copy = self.own();
+        for range in ranges {
+            for (to, from) in copy[range.clone()].iter_mut().zip(self.cells(range)) {
+                *to = f64::from_bits(from.load(Ordering::Relaxed));
+            }
+        }
+        read(&copy)
+    }
+
+    /// Lets `write` overwrite the numbers of a range, all of them.
+    fn edit(&self, range: Range<usize>, write: impl FnOnce(&mut [f64]) + Send) {
+        let mut copy = self.own();
+        let own = &mut copy[range.clone()];
+        write(own);
+        for (to, from) in self.cells(range).zip(own) {
+            to.store(from.to_bits(), Ordering::Relaxed);
+        }
     }
 
     /// Overwrites the numbers from `start` on.
-    fn write(&self, py: Python<'_>, start: usize, values: &[f64]) {
-        self.edit(py, start..start + values.len(), |numbers| numbers.copy_from_slice(values));
+    fn write(&self, start: usize, values: &[f64]) {
+        self.edit(start..start + values.len(), |numbers| numbers.copy_from_slice(values));
     }
 
     /// A numpy view of a range.

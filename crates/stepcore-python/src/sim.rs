@@ -1,7 +1,6 @@
 //! `Sim` as Python sees it: one world, its arrays, and what can be read of it.
 
 use std::collections::BTreeMap;
-use std::ffi::CString;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use numpy::PyArrayDyn;
@@ -15,7 +14,7 @@ use stepcore::sleep::Sleep;
 
 use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
 use crate::element::{id, Id};
-use crate::errors::{EnergyWarning, Raised};
+use crate::errors::{warn, Raised};
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::{Arrays, Named};
@@ -30,15 +29,6 @@ use crate::world::{world, Memo, Placed, World};
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// Energy before and after, and gains by element.
 type TapedStep = (f64, f64, Vec<(Id, f64)>);
-
-/// Says what there is to say of a world's energies.
-fn warn(py: Python<'_>, world: &mut dyn World) -> PyResult<()> {
-    let Some(text) = world.take_warning() else { return Ok(()) };
-    // Names of a scene may hold a zero byte.
-    let text = CString::new(text.replace('\0', "")).unwrap_or_default();
-    // Python's own caller of `Sim.step`.
-    PyErr::warn(py, &py.get_type::<EnergyWarning>(), &text, 2)
-}
 
 /// One world.
 #[pyclass(module = "stepcore._core", frozen)]
@@ -133,7 +123,7 @@ impl Sim {
         }
         self.store(py, world);
         outcome?;
-        warn(py, world)
+        world.take_warning().map_or(Ok(()), |text| warn(py, &text))
     }
 
     /// Energies are not looked at, but by the ledger of the settings.
@@ -150,7 +140,7 @@ impl Sim {
         let outcome = gil::release(py, || world.balance_at_end(u64::MAX));
         self.store(py, world);
         outcome?;
-        warn(py, world)
+        world.take_warning().map_or(Ok(()), |text| warn(py, &text))
     }
 
     /// Steps once; returns the kinetic and spring energy before and after, and the energy that
@@ -315,7 +305,9 @@ impl Sim {
     }
     /// Elements that push, and the generalised force of each.
     fn element_forces<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Id>, Array<'py>)> {
-        let forces = self.lock()?.element_forces();
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        let forces = self.arrays.read(py, 0, |given| world.element_forces(given)).raised(py)?;
         let shape = [forces.len(), self.model.nv];
         let elements = forces.keys().map(|element| id(*element)).collect();
         Ok((elements, shaped(py, forces.into_values().flatten().collect(), &shape)?))

@@ -1,6 +1,7 @@
 //! Many worlds of either precision, in lanes or one by one, behind one interface:
 //! what `Batch` in Python holds.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given, Givens};
@@ -55,6 +56,10 @@ pub trait Worlds: Send + Sync {
     fn unsolved(&mut self);
     /// Some worlds begin anew; see `Batch::forget`.
     fn forget(&mut self, worlds: &[usize]);
+    /// What there is to say of a world's energies, once; see `unwatch`.
+    fn take_warning(&mut self) -> Option<String>;
+    /// Energies are not looked at any more, but by the ledger of the settings.
+    fn unwatch(&mut self);
     /// In lanes now.
     fn in_lanes(&self) -> bool;
     /// Memory [bytes]; models are not in it.
@@ -76,6 +81,8 @@ pub struct How {
     pub lanes: Option<bool>,
     /// A world that fails stands still, and the others go on.
     pub goes_on: bool,
+    /// Energies are not looked at, in whatever worlds are made.
+    pub unwatched: Arc<AtomicBool>,
 }
 
 impl How {
@@ -143,6 +150,9 @@ impl How {
         let Self { settings, threads, .. } = self;
         let mut batch = Batch::<R>::with_list(models, model_of, settings, *threads, list)?;
         batch.goes_on = self.goes_on;
+        if self.unwatched.load(Ordering::Relaxed) {
+            batch.unwatch();
+        }
         Ok(Box::new(batch))
     }
 }
@@ -260,6 +270,12 @@ impl<R: Real> Worlds for Batch<R> {
     }
     fn forget(&mut self, worlds: &[usize]) {
         Batch::forget(self, worlds);
+    }
+    fn take_warning(&mut self) -> Option<String> {
+        Batch::take_warning(self)
+    }
+    fn unwatch(&mut self) {
+        Batch::unwatch(self);
     }
     fn in_lanes(&self) -> bool {
         R::LANES > 1

@@ -14,6 +14,8 @@ pub enum Error {
     Scene(Text),
     /// A step that cannot be committed.
     Diverged(Box<Divergence>),
+    /// A step that was to end before it was solved; it is not committed. See `interrupt.rs`.
+    Interrupted,
 }
 
 /// A step that cannot be committed; the last finite state is kept.
@@ -69,7 +71,7 @@ impl Error {
         match self {
             Self::Value { field, .. } => field.mentions(),
             Self::Scene(text) => text.mentions(),
-            Self::Diverged { .. } => &[],
+            Self::Diverged { .. } | Self::Interrupted => &[],
         }
     }
 }
@@ -80,6 +82,7 @@ impl fmt::Display for Error {
             Self::Value { field, value, limit } => write!(f, "{field} = {value}: must be {limit}"),
             Self::Scene(text) => f.write_str(text.words()),
             Self::Diverged(divergence) => divergence.fmt(f),
+            Self::Interrupted => f.write_str("the step was interrupted"),
         }
     }
 }

@@ -56,6 +56,7 @@ pub mod commit;
 pub mod detect;
 pub mod elements;
 pub mod error;
+pub mod interrupt;
 pub mod model;
 pub mod observer;
 pub mod place;

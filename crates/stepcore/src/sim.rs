@@ -33,6 +33,8 @@ pub struct Effort {
     pub most_rows: usize,
     /// How often forces were evaluated since the start: once a step or once a stage.
     pub evaluations: u64,
+    /// How often the distance of two convex shapes was searched since the start.
+    pub separations: u64,
     /// Newton's last decrement, relative; 0 under PGS.
     pub decrement: f64,
 }
@@ -191,10 +193,13 @@ impl<R: Real> Sim<R> {
         let dof_lists = self.detected.dof_lists(model);
         let free = Unconstrained { dof_lists, inv_d, guess: &self.placed.guess };
         let report = self.solver.solve(&self.settings, free, &mut self.rows)?;
+        if report.interrupted {
+            return Err(Error::Interrupted);
+        }
         self.effort.note(&report, self.rows.rows.len());
         let sweeps = self.settings.noslip_iterations;
         if sweeps > 0 && self.settings.law == Law::SolRef {
-            self.rows.noslip(dof_lists, inv_d, sweeps);
+            self.rows.noslip(dof_lists, inv_d, sweeps)?;
         }
         Ok(())
     }

@@ -10,6 +10,7 @@ use crate::elements::force::Moment;
 use crate::error::Result;
 use crate::observer::Observer;
 use crate::real::{Mask, Real, Stage};
+use crate::shapes::searched;
 use crate::sim::{At, Sim};
 use crate::sleep::last_impulses;
 use crate::solve::{Choice, Part, Situation};
@@ -93,6 +94,7 @@ impl<R: Real> Sim<R> {
         if self.settings.sleep {
             self.hold_asleep();
         }
+        let before = searched();
         self.detect(at);
         if self.model.adheres {
             let act = at.activations(&self.state, &self.next, self.clock);
@@ -101,8 +103,13 @@ impl<R: Real> Sim<R> {
             self.placed.make_guess(&self.model, self.clock.dt);
         }
         self.make_rows(at, Part::Whole);
-        if self.model.pulls_beside_rows(self.settings.law) {
-            // What contacts pull beside their rows is part of what those start from.
+        self.effort.separations += searched() - before;
+        self.take_pushes();
+    }
+
+    /// What contacts push beside their rows is part of what the rows start from.
+    pub(crate) fn take_pushes(&mut self) {
+        if !self.rows.pushes.is_empty() {
             self.placed.guess.copy_from_slice(&self.rows.u);
         }
     }

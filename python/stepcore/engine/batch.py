@@ -412,8 +412,9 @@ class Batch(Stepped):
 
 
 def unwatched(batch: Batch) -> Batch:
-    """The batch, which never warns of residuals: for those who judge its motion themselves."""
+    """The batch, which never warns: for those who judge its motion themselves."""
     batch._residuals.told = True
+    batch._core.unwatch()
     return batch
 
 

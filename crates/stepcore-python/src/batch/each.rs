@@ -1,6 +1,7 @@
 //! What a batch does with each of its worlds: its arrays in and out, and readings of one at a time.
 
 use std::panic::resume_unwind;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, MutexGuard};
 
 use pyo3::prelude::*;
@@ -10,7 +11,7 @@ use stepcore::model::Model;
 use stepcore::settings::Settings;
 
 use super::{Array, Batch};
-use crate::errors::Raised;
+use crate::errors::{warn, Raised};
 use crate::gil;
 use crate::model::result;
 use crate::world::{world, Placed, World};
@@ -22,6 +23,13 @@ const WORTH_A_THREAD: usize = 16;
 impl Batch {
     pub(super) fn lock(&self) -> PyResult<MutexGuard<'_, Box<dyn Worlds>>> {
         gil::lock(&self.worlds, "Batch")
+    }
+
+    /// Says, once, what there is to say of the energies.
+    pub(super) fn warn(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
+        let Some(text) = worlds.take_warning() else { return Ok(()) };
+        self.how.unwatched.store(true, Ordering::Relaxed);
+        warn(py, &text)
     }
 
     /// Refuses arrays with which a world cannot be stepped; of all worlds the first.

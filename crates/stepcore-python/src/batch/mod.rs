@@ -3,6 +3,7 @@
 mod each;
 mod rollout;
 
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
 use numpy::{PyArrayDyn, PyReadonlyArray3};
@@ -55,7 +56,8 @@ impl Batch {
         let n = usize::read(n, &At::Root.field("n"))?;
         let threads = usize::read(threads, &At::Root.field("threads"))?;
         let (model, settings) = (model.0.clone(), settings.0.clone());
-        let how = How { settings: settings.clone(), threads, lanes, goes_on };
+        let unwatched = Arc::default();
+        let how = How { settings: settings.clone(), threads, lanes, goes_on, unwatched };
         let worlds =
             gil::release(py, || how.worlds(vec![model.clone()], &of_one_model(&model, n)?))?;
         let arrays = Arrays::new(py, &model, n)?;
@@ -103,7 +105,15 @@ impl Batch {
         self.load(py, worlds)?;
         let outcome = gil::steps_told(py, n, &self.pace, told, |n| worlds.step(n));
         self.store(py, worlds);
-        outcome
+        outcome?;
+        self.warn(py, worlds)
+    }
+
+    /// Energies are not looked at, but by the ledger of the settings.
+    fn unwatch(&self) -> PyResult<()> {
+        self.how.unwatched.store(true, Ordering::Relaxed);
+        self.lock()?.unwatch();
+        Ok(())
     }
 
     /// Place, detect and solve at the present states.

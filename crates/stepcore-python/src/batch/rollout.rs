@@ -64,7 +64,8 @@ impl Batch {
                 self.arrays.write(py, arrays::Array::Ctrl, world, last);
             }
         }
-        outcome
+        outcome?;
+        self.warn(py, worlds)
     }
 
     /// The controls of a play, checked.

@@ -2,7 +2,7 @@
 
 use super::failed::Standing;
 use crate::arrays::{Given, Givens};
-use crate::error::{Error, Result};
+use crate::error::{Divergence, Error, Result};
 use crate::model::Model;
 use crate::program::{Holds, Place};
 use crate::real::Real;
@@ -56,7 +56,7 @@ impl<R: Real> Group<R> {
     }
 
     /// `worlds` of a model, at qpos0 and at rest.
-    pub fn new(model: &Model, worlds: usize, ledger: bool) -> Self {
+    pub fn new(model: &Model, worlds: usize, care: Option<Care>) -> Self {
         Self {
             state: State::new(model),
             inputs: Inputs::new(model),
@@ -67,16 +67,33 @@ impl<R: Real> Group<R> {
             failed: None,
             standing: Standing::new(worlds),
             ended: vec![false; R::LANES],
-            ledger: ledger.then(|| Box::new(Ledger::new(model, Care::Full))),
+            ledger: care.map(|care| Box::new(Ledger::new(model, care))),
         }
     }
 
     /// No list can step it as it is.
     pub fn is_special(&self) -> bool {
-        self.ledger.is_some()
+        self.ledger.as_ref().is_some_and(|ledger| ledger.is_full())
             || self.standing.any()
             || self.inputs.applied()
             || self.state.carries()
+    }
+
+    /// A list has stepped it; true if somebody looks at its energies.
+    pub fn listed(&mut self) -> bool {
+        self.ledger.iter_mut().for_each(|ledger| ledger.went_on(&self.state));
+        self.ledger.is_some()
+    }
+
+    /// Of a world whose energies cannot be: its lane, and what there is to say. Unless the settings ask
+    /// for the account, energies are not looked at any more.
+    pub fn take_said(&mut self) -> Option<Box<Divergence>> {
+        self.ledger.as_mut()?.take_said()
+    }
+
+    /// Unless the settings ask for it, there is no account of energies any more.
+    pub fn unwatch(&mut self) {
+        self.ledger = self.ledger.take().filter(|ledger| ledger.is_full());
     }
 
     /// Some world of it failed in this call.
@@ -155,6 +172,10 @@ impl<R: Real> Group<R> {
         }
         let copies = standing.mask::<R>();
         let guest = Guest::new(watched, state, inputs, ledger, copies);
+        if n == 0 {
+            self.failed = guest.watched.look().err().map(|error| (0, error));
+            return;
+        }
         self.failed = (0..n).find_map(|k| {
             if k + 1 == n {
                 guest.watched.sim.state.copy_to(before);
@@ -171,10 +192,8 @@ impl<R: Real> Group<R> {
             }
         });
         self.failed = self.failed.take().filter(|(k, _)| *k != u64::MAX);
-        if n > 0 {
-            self.last.fill(last);
-            qacc.copy_from_slice(&guest.watched.sim.qacc);
-        }
+        self.last.fill(last);
+        qacc.copy_from_slice(&guest.watched.sim.qacc);
     }
 }
 

@@ -16,7 +16,8 @@ pub(super) fn each<R: Real>(
     groups.iter_mut().enumerate().for_each(|(index, group)| run(index, group, n));
 }
 
-/// `n` steps of all groups, in which `run` makes those that the list does not.
+/// `n` steps of all groups, in which `run` makes those that the list does not; with none to make it looks
+/// at a group's energies.
 pub(super) fn step_listed<R: Real>(
     list: &Blocks<R>,
     groups: &mut [Group<R>],
@@ -63,5 +64,10 @@ fn step_block<R: Real>(
             }
         }
         left -= now;
+    }
+    for (index, group) in block.iter_mut().enumerate() {
+        if group.listed() {
+            run(index, group, 0);
+        }
     }
 }

@@ -36,7 +36,11 @@ use crate::room::Room;
 use crate::settings::{Settings, Solver};
 use crate::solve::dofs::any_heap;
 use crate::state::{Inputs, State};
-use crate::watch::Watched;
+use crate::watch::{Care, Watched};
+
+/// Without `Settings::ledger`, of about so many worlds the energies are looked at, evenly spread: each keeps
+/// some of its states and of its inputs.
+const WATCHED: usize = 32;
 
 pub struct Batch<R: Real> {
     pub worlds: usize,
@@ -138,7 +142,10 @@ impl<R: Real> Batch<R> {
         let seats = Seats::new(R::LANES, model_of);
         let group = |index: usize| {
             let model = &models[seats.model(index)];
-            Group::new(model, seats.worlds(index).len(), settings.ledger)
+            let watched = index.is_multiple_of(seats.groups().div_ceil(WATCHED.div_ceil(R::LANES)));
+            let least = watched.then_some(Care::Least);
+            let care = if settings.ledger { Some(Care::Full) } else { least };
+            Group::new(model, seats.worlds(index).len(), care)
         };
         let crew = Crew::new(&models, settings, &seats, worlds, threads)?;
         Ok(Self {
@@ -255,6 +262,24 @@ impl<R: Real> Batch<R> {
     /// before the first step in which one did.
     pub fn step(&mut self, n: u64) -> Result<()> {
         self.advance(n, true, |_, _, watched| watched.step(1))
+    }
+
+    /// Without `Settings::ledger`: that a world gained more energy than can be, and where from. It is
+    /// said once, and nothing is looked for after that.
+    pub fn take_warning(&mut self) -> Option<String> {
+        let Self { groups, seats, .. } = self;
+        let said = groups.iter_mut().enumerate().find_map(|(index, group)| {
+            let said = group.take_said()?;
+            let worlds = seats.worlds(index);
+            Some(format!("world {}: {}", worlds[said.world.min(worlds.len() - 1)], said.warning()))
+        })?;
+        self.unwatch();
+        Some(said)
+    }
+
+    /// Without `Settings::ledger`, energies are not looked at any more.
+    pub fn unwatch(&mut self) {
+        self.groups.iter_mut().for_each(Group::unwatch);
     }
 
     /// Place, detect and solve in every world. Nothing is committed.

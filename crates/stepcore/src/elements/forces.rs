@@ -192,6 +192,9 @@ pub fn joint_forces(
     let (mut inputs, mut placed) = (Inputs::<f64>::new(model), Placed::new(model));
     let nu = model.actuators.len();
     let mut all = Vec::with_capacity(qvel.len());
+    if model.nv == 0 {
+        return Some(all);
+    }
     for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
         inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
         let act = &act[n * model.na..(n + 1) * model.na];

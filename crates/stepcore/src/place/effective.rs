@@ -91,8 +91,14 @@ impl<R: Real> Placed<R> {
         act: Activations<R>,
         inputs: &Inputs<R>,
     ) {
-        let Some(mut effective) = self.effective.take() else { return };
+        let Some(dt) = self.late else { return };
         R::enter(Stage::Factor);
+        // Gone only after a panic, which whoever caught it may have survived.
+        let mut effective = self.effective.take().unwrap_or_else(|| {
+            let mut anew = Effective::new(model, &self.metric, dt);
+            anew.start(&self.mass, &mut self.metric);
+            anew
+        });
         let now = Moment { model, frames: self.frames(), qpos, qvel, act, inputs };
         effective.assemble(&now, &self.mass, &self.metric);
         for part in &effective.parts {

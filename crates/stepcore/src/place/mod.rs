@@ -65,6 +65,8 @@ pub struct Placed<R: Real> {
     /// M = LᵀDL; under `discrete` the factors of M̂, and M̂ itself.
     pub metric: Metric<R>,
     pub effective: Option<Effective<R>>,
+    /// The step in whose M̂ rows are solved [s].
+    late: Option<R>,
     /// Velocity by body.
     pub velocity: Vec<Motion<R>>,
     acceleration: Vec<Motion<R>>,
@@ -168,6 +170,7 @@ impl<R: Real> Placed<R> {
             in_space,
             mass: vec![zero; model.row_dofs.len()],
             effective: effective.map(|dt| Effective::new(model, &metric, dt)),
+            late: effective,
             metric,
             velocity: vec![Motion::zero(); nbody],
             acceleration: vec![Motion::zero(); nbody],

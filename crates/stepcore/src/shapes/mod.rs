@@ -43,6 +43,7 @@ pub(crate) mod touch;
 #[cfg(test)]
 mod trial;
 
+pub(crate) use separation::searched;
 pub use shape_test::ShapeTest;
 pub use touch::{Touch, Touches};
 

@@ -16,6 +16,16 @@ use crate::real::Real;
 use crate::spatial::V3;
 use core::cell::Cell;
 
+thread_local! {
+    static SEARCHED: Cell<u64> = const { Cell::new(0) };
+}
+
+/// How often this thread has searched a distance: of a height field that is once a cell, so that what a
+/// step costs cannot be told by its pairs.
+pub(crate) fn searched() -> u64 {
+    SEARCHED.get()
+}
+
 /// What fixes the direction. Vectors are in the axes of the shape that they belong to.
 #[derive(Clone, Copy, Debug)]
 pub enum Cause {
@@ -99,6 +109,7 @@ impl<'a> Pairing<'a> {
 
     /// None of shapes that are proven `within` [m] apart: no contact of theirs is nearer.
     pub fn separation(&self, within: f64) -> Option<Separation> {
+        SEARCHED.set(SEARCHED.get() + 1);
         let enough = within + self.one.radius + self.two.radius + SURE * self.size;
         self.search(enough.max(0.0))
     }

@@ -11,6 +11,8 @@ use super::exact::Tangents;
 use super::rows::{Block, Row, Rows, Set, CONE};
 use super::wide::Wide;
 use crate::elements::Kind;
+use crate::error::{Error, Result};
+use crate::interrupt::ends_after;
 use crate::real::{Mask, Real};
 
 /// What friction rows hold beside others.
@@ -37,11 +39,14 @@ fn friction<R: Real>(block: &Block<R>) -> Friction {
 impl<R: Real> Rows<R> {
     /// Sweeps over the friction rows, from the impulses that the rows hold; `u` must hold their
     /// effect, and does so again afterwards. What the main solve gave is kept for the next start.
-    pub fn noslip(&mut self, dof_lists: &[usize], inv_d: &[R], sweeps: u32) {
+    pub fn noslip(&mut self, dof_lists: &[usize], inv_d: &[R], sweeps: u32) -> Result<()> {
         self.main.clear();
         self.main.extend(self.rows.iter().map(|row| row.impulse));
         let Self { rows, blocks, y, u, .. } = self;
-        for _ in 0..sweeps {
+        for sweep in 0..sweeps {
+            if ends_after(sweep) {
+                return Err(Error::Interrupted);
+            }
             for block in blocks.iter().filter(|block| block.mask.any()) {
                 let kind = friction(block);
                 let mut sweep = Hard { dof_lists, inv_d, y, u, mask: block.mask };
@@ -59,6 +64,7 @@ impl<R: Real> Rows<R> {
                 }
             }
         }
+        Ok(())
     }
 }
 

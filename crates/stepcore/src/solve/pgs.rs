@@ -14,6 +14,7 @@ use super::islands::{alive, row_count, Islands};
 use super::limits::{Limits, Report};
 use super::momentum::Momentum;
 use super::rows::{Rows, Set};
+use crate::interrupt::ends_after;
 use crate::real::{Count, Mask, Real};
 use crate::room::room;
 use sweep::Sweeps;
@@ -107,6 +108,10 @@ impl<R: Real> Pgs<R> {
                     }
                     let residual = rows.residual_of(dof_lists, blocks);
                     live = live.and(close.and(residual.le(tolerance)).not());
+                }
+                if ends_after(sweep) {
+                    report.interrupted = true;
+                    return report;
                 }
                 // Whatever sweep is the last one ends within the sets.
                 if live.any() && sweep + 1 < limits.sweeps {

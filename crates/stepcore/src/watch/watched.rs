@@ -1,14 +1,12 @@
 //! A `Sim` and those who watch it: its recent past, its ledger, and the post-mortem of a failure.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::ledger::{Care, Ledger};
 use super::past::Past;
 use super::post_mortem::{look_into, Run};
-use super::tape::{element_forces, taped, StepGains, Tape};
+use super::tape::{taped, StepGains, Tape};
 use crate::arrays::Given;
-use crate::elements::Element;
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::Real;
@@ -93,6 +91,15 @@ impl<R: Real> Watched<R> {
         outcome.map_err(|error| self.failed(error))
     }
 
+    /// Balances the account of energies, if it is due, of a world that was stepped elsewhere.
+    pub(crate) fn look(&mut self) -> Result<()> {
+        let Self { sim, past, ledger, others, .. } = self;
+        let Some(ledger) = ledger else { return Ok(()) };
+        ledger.look(sim, |ledger, sim, lane, gained| {
+            suspect(*others, ledger, sim, past, lane, gained)
+        })
+    }
+
     /// Takes one step and writes down what each element did in it, in one lane.
     pub fn taped_step(&mut self, lane: usize) -> Result<StepGains> {
         let Self { sim, past, ledger, others, .. } = self;
@@ -108,12 +115,6 @@ impl<R: Real> Watched<R> {
             }
         });
         outcome.map_err(|error| self.failed(error))
-    }
-
-    /// The generalised force of every element that pushes at the state of the last solve, in one
-    /// lane [N or N·m].
-    pub fn element_forces(&self, lane: usize) -> BTreeMap<Element, Vec<f64>> {
-        element_forces(&self.sim, lane)
     }
 
     /// Place, detect and solve at the present state. Nothing is committed.
@@ -154,6 +155,11 @@ impl<R: Real> Watched<R> {
 
     /// A step failed.
     fn failed(&mut self, error: Error) -> Error {
+        if error == Error::Interrupted {
+            // What was solved last is no solution.
+            self.sim.clear_solve();
+            return error;
+        }
         self.failed = true;
         let error = self.explained(error);
         // What was solved last led nowhere: what can be read is that of the last finite state.

@@ -113,6 +113,8 @@ pub(crate) struct Ledger<R: Real> {
     expected: Option<(u64, f64)>,
     /// Balanced since it was opened.
     balanced: bool,
+    /// Lanes whose verdicts have been asked about: all but where a failure came in between.
+    asked: usize,
     /// What the user has not been told yet; nothing more is looked for.
     said: Option<Box<Divergence>>,
     /// Where a call's last state is looked at: what was solved last stays readable.
@@ -143,6 +145,7 @@ impl<R: Real> Ledger<R> {
             seen: Inputs::new(model),
             expected: None,
             balanced: false,
+            asked: R::LANES,
             said: None,
             aside: None,
         }
@@ -251,11 +254,34 @@ impl<R: Real> Ledger<R> {
         outcome
     }
 
+    /// The world was stepped by who does not look, with the inputs as they are.
+    pub fn went_on(&mut self, state: &State<R>) {
+        if let Some(expected) = &mut self.expected {
+            *expected = (state.steps, state.start);
+        }
+    }
+
+    /// Balances the accounts if a milestone is due.
+    pub fn look(
+        &mut self,
+        sim: &mut Sim<R>,
+        suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
+    ) -> Result<()> {
+        self.open(sim);
+        self.work.begin(sim);
+        self.balance(sim, suspect).map(|_| ())
+    }
+
+    /// The account that the settings ask for.
+    pub fn is_full(&self) -> bool {
+        self.care == Care::Full
+    }
+
     /// Before a call's first step: is this still the run that the ledger knows?
     fn open(&mut self, sim: &Sim<R>) {
         if self.expected != Some((sim.state.steps, sim.state.start)) {
             self.expected = None;
-            self.len = 0;
+            (self.len, self.asked) = (0, R::LANES);
         } else if self.len > 0 {
             self.note_inputs(sim);
         }
@@ -286,8 +312,10 @@ impl<R: Real> Ledger<R> {
     fn balance(
         &mut self,
         sim: &mut Sim<R>,
-        suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
+        mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
     ) -> Result<u64> {
+        // Of the last balance: the lanes after one that failed.
+        self.ask(sim, &mut suspect)?;
         if let Some(newest) = self.newest_first().next() {
             let stride = self.care.stride(newest.state.steps - self.opened);
             let since = sim.state.steps - newest.state.steps;
@@ -309,15 +337,11 @@ impl<R: Real> Ledger<R> {
             self.verdicts.fill(Verdict::default());
             self.balanced = false;
         } else {
-            outcome = self.judge(sim, suspect);
+            outcome = self.judge(sim, &mut suspect);
         }
         self.work.done = R::zero();
         self.keep(&sim.state, &sim.inputs);
         sim.inputs.copy_to(&mut self.seen);
-        if outcome.is_err() {
-            // Whoever goes on from here opens a new account.
-            self.forget();
-        }
         outcome.map(|()| self.care.stride(sim.state.steps - self.opened))
     }
 
@@ -325,7 +349,7 @@ impl<R: Real> Ledger<R> {
     fn judge(
         &mut self,
         sim: &Sim<R>,
-        mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
+        suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
     ) -> Result<()> {
         self.balanced = true;
         let before = self.newest_first().next().map_or(self.opened, |newest| newest.state.steps);
@@ -334,10 +358,27 @@ impl<R: Real> Ledger<R> {
             let work = self.work.done.lane(lane);
             self.verdicts[lane] = self.accounts[lane].judge::<R>(&self.levels[lane], work, steps);
         }
-        for lane in 0..R::LANES {
+        self.asked = 0;
+        self.ask(sim, suspect)
+    }
+
+    /// Asks about the verdicts that nobody has been asked about. Whoever goes on after an error opens
+    /// a new account, unless other lanes `go_on` with this one.
+    fn ask(
+        &mut self,
+        sim: &Sim<R>,
+        mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
+    ) -> Result<()> {
+        while self.asked < R::LANES {
+            let lane = self.asked;
+            self.asked += 1;
             let Verdict { gained, limit } = self.verdicts[lane];
             if gained > limit && self.said.is_none() {
-                suspect(self, sim, lane, gained)?;
+                let outcome = suspect(self, sim, lane, gained);
+                if outcome.is_err() {
+                    self.forget();
+                    return outcome;
+                }
             }
         }
         Ok(())
@@ -363,9 +404,6 @@ impl<R: Real> Ledger<R> {
         }
         let outcome = self.judge(sim, suspect);
         self.work.done = R::zero();
-        if outcome.is_err() {
-            self.forget();
-        }
         outcome
     }
 

@@ -13,6 +13,8 @@ pub(super) struct Budget {
 
 /// What explaining one failure may cost, and looking into one suspicion.
 const WHOLE: u64 = 80_000_000;
+/// The search of a distance, with the contacts that are made of it.
+const SEPARATION: u64 = 3_000;
 /// A failure of a batch is explained for this at least: its element is found.
 const LEAST: u64 = 500_000;
 
@@ -66,7 +68,10 @@ impl<R: Real> Sim<R> {
         let updates = (self.effort.row_updates - before.row_updates) / R::LANES as u64;
         // A row touches the dofs of its chain.
         let chain = self.rows.y.len() / self.rows.rows.len().max(1);
-        evaluations * self.evaluation() + updates * (8 + 4 * chain as u64)
+        let separations = self.effort.separations - before.separations;
+        evaluations * self.evaluation()
+            + updates * (8 + 4 * chain as u64)
+            + separations * SEPARATION
     }
 
     /// The least work of a step.

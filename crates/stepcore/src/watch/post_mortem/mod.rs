@@ -63,9 +63,8 @@ pub(super) fn look_into<R: Real>(
     // The whole of it, or the newest part of it if that would take too long.
     let stretches = [Segment::since_well, Segment::since_last].iter();
     let stretches = stretches.filter_map(|since| since(ledger, lane, sim.state.steps));
-    let less = stretches
-        .filter_map(|stretch| stretch.smaller_steps_gain_less(sim, lane, &Budget::whole()))
-        .next();
+    let less =
+        stretches.filter_map(|stretch| stretch.smaller_steps_gain_less(sim, lane, &budget)).next();
     if less != Some(true) {
         if let Some(account) = ledger.account(lane) {
             account.allow(gained, 0.0);

@@ -11,6 +11,9 @@ use crate::watch::ledger::{Care, Ledger, Milestone};
 const WELL: f64 = 0.1;
 /// The most halvings of dt that are tried.
 const HALVINGS: u32 = 8;
+/// The halvings in steps of which a gain is looked for at the most: a spring a million times too stiff
+/// for dt is stable with a thousandth of it.
+const FINEST: u32 = 16;
 
 /// What came of running a stretch again.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -234,12 +237,17 @@ impl<R: Real> Segment<R> {
             Trial::Diverged => return Some(true),
             Trial::Untried => return None,
         };
-        let mut known = None;
-        for parts in [4.0, 16.0] {
-            match self.gain(of, dt / parts, lane, 0, budget) {
+        let (mut known, mut last) = (None, f64::INFINITY);
+        for halvings in (2..=FINEST).step_by(2) {
+            match self.gain(of, dt / f64::from(1_u32 << halvings), lane, 0, budget) {
                 Trial::Gained { gained, .. } if gained < 0.5 * now => return Some(true),
+                // Converged: it is the scene's own.
+                Trial::Gained { gained, .. } if gained > 0.5 * last && gained < 2.0 * last => {
+                    return Some(false)
+                }
+                Trial::Gained { gained, .. } => (known, last) = (Some(false), gained),
+                Trial::Diverged => (known, last) = (Some(false), f64::INFINITY),
                 Trial::Untried => break,
-                _ => known = Some(false),
             }
         }
         known

@@ -1,0 +1,29 @@
+//! Whether somebody wants a long computation to end: solvers ask now and then, within a step.
+
+use std::cell::Cell;
+
+thread_local! {
+    static ASK: Cell<Option<fn() -> bool>> = const { Cell::new(None) };
+}
+
+/// Sweeps between two questions.
+const SWEEPS: u32 = 256;
+
+/// Runs `work`, whose solvers ask `ask` now and then, in this thread, whether to end.
+pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> T) -> T {
+    /// Puts back what was asked before, after a panic too.
+    struct Before(Option<fn() -> bool>);
+    impl Drop for Before {
+        fn drop(&mut self) {
+            ASK.set(self.0);
+        }
+    }
+    let _before = Before(ASK.replace(Some(ask)));
+    work()
+}
+
+/// After this sweep the solver is to end.
+#[inline]
+pub(crate) fn ends_after(sweep: u32) -> bool {
+    sweep % SWEEPS == SWEEPS - 1 && ASK.get().is_some_and(|ask| ask())
+}
