@@ -31,7 +31,7 @@ impl Model {
         tendons::fill(scene, &mut model);
         linkages::fill(scene, &mut model);
         linkages::reflect(&mut model);
-        invweight::fill(&mut model, &poses, &aligned)?;
+        invweight::fill(scene, &mut model, &poses, &aligned)?;
         auto_spring::fill(scene, &mut model);
         fluid::fill(scene, &axes, &mut model);
         let mut unions = tree::Unions::default();

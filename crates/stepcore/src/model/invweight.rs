@@ -3,10 +3,10 @@
 //! damping ratio means is decided by the same factors.
 
 use super::pose::Pose;
-use super::{Body, Dof, Model, Span, Tendon, Tree, NONE};
+use super::{tendons, Body, Dof, Model, Span, Tendon, Tree, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
-use crate::scene::JointType;
+use crate::scene::{JointType, Scene};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// A pivot this small, relative to its diagonal, is rounding: a dof that adds no
@@ -174,7 +174,7 @@ fn share_axes(model: &Model, pulled: &mut [[f64; 2]]) {
 /// A body: the mean over three directions of J M⁻¹ Jᵀ at its centre of mass, for
 /// translation and for rotation. A dof: its entry of M⁻¹'s diagonal, the mean over
 /// a ball's three, or a free joint's three and three.
-pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
+pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
     let motions = motions(model, poses);
     let mut bodies = vec![[0.0; 2]; model.bodies.len()];
     let mut dofs = vec![0.0; model.nv];
@@ -227,7 +227,7 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
             three.fill(three.iter().sum::<f64>() / 3.0);
         }
     }
-    for i in plain(model, aligned) {
+    for i in plain(scene, model, aligned) {
         let body = &model.bodies[i];
         bodies[i] = [1.0 / body.mass, 0.0];
         dofs[body.dofs.range()].fill(1.0 / body.mass);
@@ -269,14 +269,24 @@ fn body_weight(factor: &Factor, motions: &[Motion], body: &Body, com: Vector3<f6
     [mean(&|m| m.velocity(com)), mean(&|m| m.turn)]
 }
 
-/// Bodies that MuJoCo weighs by their mass alone, whatever their armature and the
+/// Bodies that MuJoCo weighs by their mass alone, whatever the armature of their joints and the
 /// number of their axes: slides through the origin along coordinate axes, the
-/// inertia's frame the body's own, no child, and above it the world or one fixed
-/// child of the world.
-fn plain<'a>(model: &'a Model, aligned: &'a [bool]) -> impl Iterator<Item = usize> + use<'a> {
+/// inertia's frame the body's own, no child, above it the world or one fixed
+/// child of the world, and no tendon with armature that has it in its path.
+fn plain<'a>(
+    scene: &Scene,
+    model: &'a Model,
+    aligned: &'a [bool],
+) -> impl Iterator<Item = usize> + use<'a> {
     let mut leaf = vec![true; model.bodies.len()];
     for body in &model.bodies[1..] {
         leaf[body.parent] = false;
+    }
+    let mut drawn = vec![false; model.bodies.len()];
+    let heavy = scene.tendons.iter().filter(|tendon| tendon.armature > 0.0);
+    for body in heavy.flat_map(|tendon| &tendon.path).filter_map(|stop| tendons::body(model, stop))
+    {
+        drawn[body] = true;
     }
     let straight = |i: usize| {
         model.bodies[i].joints.of(&model.joints).iter().all(|j| {
@@ -293,6 +303,7 @@ fn plain<'a>(model: &'a Model, aligned: &'a [bool]) -> impl Iterator<Item = usiz
         body.tree != NONE
             && body.joints.len > 0
             && leaf[i]
+            && !drawn[i]
             && aligned[i]
             && grounded(i)
             && straight(i)

@@ -152,13 +152,13 @@ fn lay_out(scene: &Scene, model: &mut Model) {
     }
 }
 
-/// The bodies that a stop of a spatial tendon lies on.
-fn bodies(model: &Model, stop: &Stop) -> Vec<usize> {
+/// The body of a stop's joint, site or geom.
+pub(super) fn body(model: &Model, stop: &Stop) -> Option<usize> {
     match *stop {
-        Stop::Joint { joint, .. } => vec![model.joints[joint].body],
-        Stop::Site { site } => vec![model.sites[site].body],
-        Stop::Geom { geom, .. } => vec![model.geoms[geom].body],
-        Stop::Pulley { .. } => vec![],
+        Stop::Joint { joint, .. } => Some(model.joints[joint].body),
+        Stop::Site { site } => Some(model.sites[site].body),
+        Stop::Geom { geom, .. } => Some(model.geoms[geom].body),
+        Stop::Pulley { .. } => None,
     }
 }
 
@@ -172,7 +172,7 @@ fn dofs(model: &mut Model, source: &scene::Tendon) -> Span {
                 union.extend_from_slice(chain.of(&model.dof_lists));
             }
             _ => {
-                for body in bodies(model, stop) {
+                if let Some(body) = body(model, stop) {
                     union.extend_from_slice(model.bodies[body].chain.of(&model.dof_lists));
                 }
             }
