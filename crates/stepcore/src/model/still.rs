@@ -10,7 +10,9 @@
 //!
 //! The contact's frame must be known for that. Against a plane its normal is
 //! constant. Two spheres that slide along their common line have it as normal;
-//! round shapes whose axes lie in one plane of motion have their normal in it.
+//! a sphere and a sphere or a capsule whose axis lies in the plane of motion have their normal in it,
+//! unless a centre stays where the other's centre or axis is: then it may stand across the plane. So it
+//! does where the axes of two capsules cross, which they can anywhere: they keep both tangents.
 
 use super::pose::{rotation, Pose};
 use super::{Geom, Model};
@@ -128,10 +130,13 @@ fn along_hint(motion: &Motion, normal: &Vector3<f64>, axis: &Vector3<f64>) -> [b
     }
 }
 
-/// Spheres and capsules.
+/// A sphere and a sphere or a capsule.
 fn between_round_shapes(model: &Model, poses: &[Pose], first: &Geom, second: &Geom) -> [bool; 2] {
-    let round = |kind| matches!(kind, GeomType::Sphere | GeomType::Capsule);
-    if !(round(first.kind) && round(second.kind)) {
+    let (sphere, other) =
+        if second.kind == GeomType::Sphere { (second, first) } else { (first, second) };
+    if sphere.kind != GeomType::Sphere
+        || !matches!(other.kind, GeomType::Sphere | GeomType::Capsule)
+    {
         return [false; 2];
     }
     let (Some(one), Some(two)) =
@@ -141,21 +146,28 @@ fn between_round_shapes(model: &Model, poses: &[Pose], first: &Geom, second: &Ge
     };
     let apart = poses[second.body].point(second.pos) - poses[first.body].point(first.pos);
     let tiny = ROUNDING * (first.reach + second.reach);
-    let spheres = first.kind == GeomType::Sphere && second.kind == GeomType::Sphere;
-    if let (Motion::Slides(a), Motion::Slides(b), true) = (&one, &two, spheres) {
-        let mut axes = a.iter().chain(b);
-        return [axes.all(|axis| axis.cross(&apart).norm() <= tiny); 2];
+    let capsule = (other.kind == GeomType::Capsule).then(|| -> Vector3<f64> {
+        (poses[other.body].rot * rotation(other.quat)).column(2).into()
+    });
+    if let (Motion::Slides(a), Motion::Slides(b), None) = (&one, &two, capsule) {
+        let axes = || a.iter().chain(b);
+        let line = |along: &Vector3<f64>| {
+            along.cross(&apart).norm() <= tiny && axes().all(|a| a.cross(along).norm() <= ROUNDING)
+        };
+        return [axes().next().is_some_and(line); 2];
+    }
+    // Where they are in one place in the first configuration, they may be in every one.
+    let beside = capsule.map_or(apart, |axis| apart - axis * axis.dot(&apart));
+    if beside.norm() <= tiny {
+        return [false; 2];
     }
     let across = |n: &Vector3<f64>| {
-        let lies = |geom: &Geom| {
-            let axis: Vector3<f64> = (poses[geom.body].rot * rotation(geom.quat)).column(2).into();
-            geom.kind == GeomType::Sphere || axis.dot(n).abs() <= ROUNDING
-        };
+        let lies = capsule.is_none_or(|axis| axis.dot(n).abs() <= ROUNDING);
         let moves = |motion: &Motion| match motion {
             Motion::Slides(axes) => axes.iter().all(|axis| axis.dot(n).abs() <= ROUNDING),
             Motion::Planar(m) => m.cross(n).norm() <= ROUNDING,
         };
-        apart.dot(n).abs() <= tiny && lies(first) && lies(second) && moves(&one) && moves(&two)
+        apart.dot(n).abs() <= tiny && lies && moves(&one) && moves(&two)
     };
     // Where the normal is across the usual tangent, that is the first one.
     [across(&usual()), across(&spare())]
