@@ -139,3 +139,19 @@ def test_a_step_counts_as_many_operations_a_body_in_a_large_heap(law, high):
     few, some, many = (np.array(cost(count)) for count in (128, 256, 1024))
     assert np.all(many - some <= 1.01 * 6 * (some - few))
     assert np.all(many / 1024 <= 1.05 * few / 128)
+
+
+@pytest.mark.parametrize("count", [3, 80])
+def test_fixed_geoms_that_have_no_test_together_never_meet(count):
+    """A plane, two height fields and an explicit pair of these, at any number of geoms."""
+    scene = balls(count)
+    for name in ("hill", "dale"):
+        scene.add_hfield(name, np.eye(3), size=(2, 2, 0.1, 0.1))
+        scene.add_geom(scene.add_body(name, pos=(0, 0, -9)), "hfield", hfield=name, name=name)
+    scene.add_pair("hill", "floor")
+    model = scene.compile()
+    assert model.is_heap == (count == 80)
+    sim = sc.Sim(model)
+    sim.step(20)
+    names = set(sim.contacts["name1"]) | set(sim.contacts["name2"])
+    assert "floor" in names and not names & {"hill", "dale"}

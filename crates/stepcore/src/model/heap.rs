@@ -8,9 +8,10 @@
 //! by two classes of geoms. A pair is known by a number that counts up in the order of the list: by
 //! the two bodies, then by the geoms.
 
+use super::pairs::explicit;
 use super::pose::Pose;
 use super::still::{loose, still};
-use super::{Material, Model, Pair, Span};
+use super::{Material, Model, Pair, Span, NONE};
 use crate::elements::text;
 use crate::error::{Error, Result};
 use crate::scene::{Geom, GeomType, Scene};
@@ -153,11 +154,14 @@ fn listed(scene: &Scene, geom: &Geom) -> f64 {
     geom.gap + scene.contact_override.as_ref().map_or(geom.margin, |by| 0.5 * by.margin)
 }
 
-/// Geoms that share a bit with a geom of another body; every two kinds that can meet have a test.
+/// Geoms that share a bit with a geom of another body, unless both are of bodies that never move;
+/// every two kinds that can meet have a test.
 fn solid(model: &Model, heap: &Heap) -> Result<Vec<usize>> {
-    // One geom for each kind and set of bits stands for all of them.
-    let mut groups: HashMap<(GeomType, u32, u32), (usize, bool)> = HashMap::new();
-    let bits = |geom: &super::Geom| (geom.kind, geom.contype, geom.conaffinity);
+    // One geom for each kind and set of bits, of what moves and of what does not, stands for all of
+    // them.
+    let mut groups: HashMap<(GeomType, u32, u32, bool), (usize, bool)> = HashMap::new();
+    let moves = |geom: &super::Geom| model.bodies[geom.body].tree != NONE;
+    let bits = |geom: &super::Geom| (geom.kind, geom.contype, geom.conaffinity, moves(geom));
     for (index, geom) in model.geoms.iter().enumerate() {
         let group = groups.entry(bits(geom)).or_insert((index, false));
         group.1 |= model.geoms[group.0].body != geom.body;
@@ -167,7 +171,8 @@ fn solid(model: &Model, heap: &Heap) -> Result<Vec<usize>> {
     let mut meets = HashMap::new();
     for &(one, several) in &heads {
         for &(two, _) in heads.iter().filter(|(two, _)| one != *two || several) {
-            if model.never_by_kind(one, two).is_none() {
+            let [first, second] = [one, two].map(|geom| &model.geoms[geom]);
+            if (moves(first) || moves(second)) && model.never_by_kind(one, two).is_none() {
                 meets.insert(bits(&model.geoms[one]), ());
                 let (a, b) = model.ordered(one, two);
                 if heap.test(model, a, b).is_none() {
@@ -203,7 +208,8 @@ impl Heap {
 
     /// Explicit pairs, whose own parameters count.
     fn take_explicit(&mut self, scene: &Scene, model: &mut Model) {
-        for pair in &scene.pairs {
+        for (_, index) in explicit(scene, model) {
+            let pair = &scene.pairs[index];
             let material = Material::of_pair(scene, pair);
             let listed = 0.5 * material.listed();
             for geom in [pair.geom1, pair.geom2] {

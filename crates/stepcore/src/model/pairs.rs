@@ -154,7 +154,7 @@ pub fn fill(
 
 /// Explicit pairs by their bodies, which decide their place among the others; without those whose
 /// geoms cannot move against each other.
-fn explicit(scene: &Scene, model: &Model) -> Vec<([usize; 2], usize)> {
+pub(super) fn explicit(scene: &Scene, model: &Model) -> Vec<([usize; 2], usize)> {
     if !(model.features.contact && model.features.constraint) {
         return vec![];
     }
