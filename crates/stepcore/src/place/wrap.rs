@@ -11,6 +11,9 @@
 //! Where s lies within r of the centre the path goes *through* the geom: it passes the disc, and
 //! where the straight line misses it, it bends at the point t of the circle with the least
 //! |a − t| + |t − b|.
+//!
+//! Of points on the surface rounding decides on which side they are. So that it decides as in MuJoCo,
+//! the same numbers are compared: |s|, A and B with r, and A² and B² with r² for a way round.
 
 use crate::real::{Mask, Real};
 use crate::spatial::{Pose, V3};
@@ -60,7 +63,7 @@ pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
     let touch = match side.map(local) {
         None => outside(a, b, angle(a, b), radius),
         Some(s) => {
-            let within = s.dot(&s).lt(radius * radius);
+            let within = s.dot(&s).sqrt().lt(radius);
             let past = flat(&s);
             let around = outside(a, b, angle(a, past) + angle(past, b), radius);
             if within.none() {
@@ -116,9 +119,12 @@ fn plane_of<R: Real>(p: &V3<R>, q: &V3<R>) -> [V3<R>; 2] {
     let other = along.cross(&V3::new(but(first), but(second), but(third)));
     let pick = square.gt(least);
     let normal = V3::from_fn(|k, _| R::select(pick, across[k], other[k]));
-    let normal = normal * normal.dot(&normal).sqrt().recip_or_zero();
-    [along, normal.cross(&along)]
+    let unit = |v: V3<R>| v * v.dot(&v).sqrt().recip_or_zero();
+    [along, unit(unit(normal).cross(&along))]
 }
+
+/// Squared distance, over the squared radius, below which two points are one.
+const SAME_POINT: f64 = 1e-15;
 
 /// Round the circle by the signed angle `turn` from a to b.
 fn outside<R: Real>(a: Flat<R>, b: Flat<R>, turn: R, radius: R) -> Touch<R> {
@@ -128,7 +134,10 @@ fn outside<R: Real>(a: Flat<R>, b: Flat<R>, turn: R, radius: R) -> Touch<R> {
     let (left, right) = ((aa - square).max(zero).sqrt(), (bb - square).max(zero).sqrt());
     let sign = R::select(turn.lt(zero), -R::one(), R::one());
     let angle = turn * sign - left.atan2(radius) - right.atan2(radius);
-    let mask = aa.ge(square).and(bb.ge(square)).and(angle.gt(zero));
+    // Of two points in one place the angle may be a whole turn by rounding.
+    let apart = [b[0] - a[0], b[1] - a[1]];
+    let two = dot(apart, apart).gt(R::of(SAME_POINT) * square);
+    let mask = aa.ge(square).and(bb.ge(square)).and(two).and(angle.gt(zero));
     // r/A of the way from the centre, turned by ±α: cos α = r/A, sin α = l/A.
     let tangent = |v: Flat<R>, vv: R, l: R, sign: R| {
         let k = radius * vv.recip_or_zero();
@@ -144,18 +153,17 @@ const STEPS: usize = 100;
 /// Through the circle: the point of it with the shortest way from a to b.
 fn inside<R: Real>(a: Flat<R>, b: Flat<R>, radius: R) -> Touch<R> {
     let (zero, one) = (R::zero(), R::one());
-    let square = radius * radius;
-    let (aa, bb) = (dot(a, a), dot(b, b));
+    let far = [a, b].map(|v| dot(v, v).sqrt());
     // The point of the straight line that is nearest to the centre.
     let apart = [b[0] - a[0], b[1] - a[1]];
     let share = -dot(apart, a) * dot(apart, apart).recip_or_zero();
     let near = [a[0] + share * apart[0], a[1] + share * apart[1]];
     let within = share.gt(zero).and(share.lt(one));
-    let crosses = within.and(dot(near, near).le(square));
-    let mask = aa.gt(square).and(bb.gt(square)).and(crosses.not());
+    let crosses = within.and(dot(near, near).sqrt().le(radius));
+    let mask = far[0].gt(radius).and(far[1].gt(radius)).and(crosses.not());
     let turn = angle(a, b);
     let sign = R::select(turn.lt(zero), -one, one);
-    let bend = Bend { far: [aa.sqrt(), bb.sqrt()], radius, whole: turn * sign };
+    let bend = Bend { far, radius, whole: turn * sign };
     let at = if mask.any() { bend.solve(mask) } else { zero };
     let (sin, cos) = at.sin_cos();
     let (k, sin) = (radius * bend.far[0].recip_or_zero(), sin * sign);
