@@ -22,8 +22,10 @@ WITH_MODELS = ("gymnasium", "dm_control")
 LESSON = ("spring", "drop", "stack", "grasp")
 
 
-def find_scene(source: str | os.PathLike[str], without: Iterable[str] = ()) -> Scene:
-    """The scene that `source` names; without: kinds of elements of its file that are left out.
+def find_scene(
+    source: str | os.PathLike[str], without: Iterable[str] = (), fuse: bool | None = None
+) -> Scene:
+    """The scene that `source` names; without, fuse: see `stepcore.load`.
 
     "lesson:stack" is one of the lesson's scenes. "package:name" is the MJCF file name.xml among
     the files of an installed package, such as "gymnasium:half_cheetah"; the package is found but
@@ -36,10 +38,10 @@ def find_scene(source: str | os.PathLike[str], without: Iterable[str] = ()) -> S
     text = os.fsdecode(source)
     package, _, name = text.partition(":")
     if not _is_name(text):
-        return _read(text, without)
+        return _read(text, without, fuse)
     if package == "lesson":
         return _lesson(name)
-    scene = _read(find_asset(package, name), without)
+    scene = _read(find_asset(package, name), without, fuse)
     scene.name = scene.name or name
     return scene
 
@@ -79,9 +81,9 @@ def find_asset(package: str, name: str) -> Path:
     return matches[0]
 
 
-def _read(path: str | Path, without: Iterable[str]) -> Scene:
+def _read(path: str | Path, without: Iterable[str], fuse: bool | None) -> Scene:
     scene = Scene()
-    read_file(scene, path, without)
+    read_file(scene, path, without, fuse)
     return scene
 
 

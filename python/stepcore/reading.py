@@ -12,12 +12,14 @@ from stepcore.mjcf.reader import read_text
 from stepcore.scene.scene import Scene
 
 
-def load(path: str | os.PathLike[str], *, without: Iterable[str] = ()) -> Scene:
+def load(
+    path: str | os.PathLike[str], *, without: Iterable[str] = (), fuse: bool | None = None
+) -> Scene:
     """Reads a scene from an MJCF or a URDF file.
 
     A URDF becomes the scene that MuJoCo makes of it: its root link stands on the world, efforts
-    clamp what actuators put on joints, mimic joints are joint equalities, visuals are never read.
-    Links joined by fixed joints stay bodies of their own.
+    clamp what actuators put on joints, mimic joints are joint equalities, visuals are never read,
+    and a link on a fixed joint is part of the body that it is fixed to.
 
     path: the path of a file, "package:name" for a model among the files of an installed package
         (such as "gymnasium:ant"), or "lesson:name" for a scene of the lesson. The file's
@@ -27,6 +29,10 @@ def load(path: str | os.PathLike[str], *, without: Iterable[str] = ()) -> Scene:
         them: an element ("weld", "actuator/muscle"), an attribute ("geom/surfacevel"), a section
         ("contact", "tendon", "equality", "actuator", "sensor", "keyframe"), "flex" or "plugin".
         `Scene.notes` says what that changes, and every result that of the scene it ran.
+    fuse: whether bodies that nothing moves against their parent become part of it, as by MJCF's
+        ``fusestatic``; by default as the file says, which for a URDF without a word about it is
+        True. False keeps every link a body with a name, and the root link one that a free joint
+        can set free. `Scene.fused` says what became of which name.
 
     Raises FileNotFoundError if there is no such file, IsADirectoryError for a folder, ValueError
     for a name or a kind that does not exist, and MJCFError (a ValueError whose text begins with
@@ -40,7 +46,7 @@ def load(path: str | os.PathLike[str], *, without: Iterable[str] = ()) -> Scene:
     if not isinstance(path, (str, bytes, os.PathLike)):
         limit = 'the path of an MJCF file, or "package:name"'
         raise checks.refuse("load", "path", path, limit)
-    scene = find_scene(os.fsdecode(path), without)
+    scene = find_scene(os.fsdecode(path), without, fuse)
     warn_of_stiffness(scene)
     return scene
 
@@ -51,11 +57,12 @@ def loads(
     base: str | os.PathLike[str] | None = None,
     name: str = "<string>",
     without: Iterable[str] = (),
+    fuse: bool | None = None,
 ) -> Scene:
     """Reads a scene from a text in MJCF or URDF.
 
     text: the XML. base: the folder in which its includes are looked for. name: what error
-        messages call the text. without: see `load`.
+        messages call the text. without, fuse: see `load`.
 
     Raises and warns as `load` does.
 
@@ -67,6 +74,6 @@ def loads(
     stepcore.mjcf.nodes.MJCFError: <string>:1: unknown element <wordbody> in <mujoco>; nearest: ...
     """
     scene = Scene()
-    read_text(scene, text, base=base, name=name, without=without)
+    read_text(scene, text, base=base, name=name, without=without, fuse=fuse)
     warn_of_stiffness(scene)
     return scene

@@ -272,7 +272,8 @@ WORLDS = {
         <body name="b"><joint name="j"/><geom size="1" material="red"/>
           <geom type="mesh" mesh="tetra" contype="0" conaffinity="0" mass="0"/>
           <geom name="decal" size="1" contype="0" conaffinity="0" density="0"/></body>
-        <body name="static"><geom type="mesh" mesh="tetra" contype="0" conaffinity="0"/></body>
+        <body name="static"><geom type="mesh" mesh="tetra" contype="0" conaffinity="0"
+          mass="0"/></body>
       </worldbody>
       <sensor><jointpos joint="j"/></sensor><custom><numeric name="n" data="1"/></custom>
       </mujoco>""",
@@ -320,7 +321,7 @@ def test_what_is_ignored_or_translated_is_listed() -> None:
         "m.xml:7: <geom> (only draws: no collisions, no mass)",
         'm.xml:8: <geom> "decal" (only draws: no collisions, no mass)',
         "m.xml:9: <geom> (only draws: no collisions, no mass)",
-        'm.xml:11: <numeric> "n" (data that the simulation does not use)',
+        'm.xml:12: <numeric> "n" (data that the simulation does not use)',
     ]
     text = (
         '<mujoco>\n<option solver="CG" tolerance="1"><flag midphase="disable"/></option></mujoco>'

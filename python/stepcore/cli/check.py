@@ -32,5 +32,5 @@ def add(command: argparse.ArgumentParser) -> None:
 def call(args: argparse.Namespace) -> Result:
     # What would be warned of is what the result says in full.
     model = model_of(args, warn=False)
-    source = model if args.without else args.file
+    source = model if args.without or args.fuse is False else args.file
     return check(source, depth=args.depth, **motion_of(args, model))

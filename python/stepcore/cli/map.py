@@ -56,7 +56,7 @@ def add(command: argparse.ArgumentParser) -> None:
 def call(args: argparse.Namespace) -> Result:
     model = model_of(args)
     return stability_map(
-        model if args.without else args.file,
+        model if args.without or args.fuse is False else args.file,
         args.path,
         None if args.values is None else numbers("--values", args.values),
         None if args.dts is None else numbers("--dts", args.dts),

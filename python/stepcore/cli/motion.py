@@ -66,6 +66,14 @@ def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
         help="a kind of thing that is left out of the file on purpose, such as flex, plugin, "
         "equality/weld or geom/surfacevel; may be given several times",
     )
+    command.add_argument(
+        "--no-fuse",
+        dest="fuse",
+        action="store_const",
+        const=False,
+        help="bodies that nothing moves against their parent, such as links of a URDF on fixed "
+        "joints, stay bodies of their own",
+    )
 
 
 def add_key(command: argparse.ArgumentParser) -> None:
@@ -100,7 +108,7 @@ def add_motion(
 def model_of(args: argparse.Namespace, warn: bool = True) -> Model:
     """The compiled model of FILE; warn: of stiffness, as `stepcore.load` does."""
     read = load if warn else find_scene
-    return read(args.file, without=args.without).compile()
+    return read(args.file, without=args.without, fuse=args.fuse).compile()
 
 
 def key_of(args: argparse.Namespace, model: Model) -> str | int | None:

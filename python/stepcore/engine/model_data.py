@@ -255,9 +255,7 @@ class ModelData(ABC):
         if isinstance(name, str):
             if name and name in names:
                 return names.index(name)
-            raise ValueError(
-                f"no {kind} is named {checks.quoted(name)}{checks.nearest(name, names)}"
-            )
+            raise ValueError(self.scene._no_such(kind, name, names))
         try:
             index = range(len(names))[operator.index(name)]
         except (TypeError, IndexError):

@@ -7,18 +7,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from stepcore.checks import cut
 from stepcore.mjcf.expand.naming import references
 from stepcore.mjcf.masses import Weight, give, weights
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import below
 from stepcore.scene import frames
 from stepcore.scene.elements import Body, Geom, Site
+from stepcore.scene.frames import Vec
+from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import WorldReader
 
-# What stands on each body.
-Held = dict[int, list[Geom | Site | Body]]
 # Rules under which the bodies alone and the fused one would not weigh the same.
 BOUNDS = ("boundmass", "boundinertia", "balanceinertia")
 
@@ -33,44 +34,39 @@ def fuse(world: WorldReader, root: Node) -> None:
     options = [section.values for section in root.children if section.tag == "option"]
     fluid = any(o.get(name, 0.0) > 0 for o in options for name in ("density", "viscosity"))
     known = weights(scene)
-    held: Held = {}
-    placed: list[Geom | Site] = [*scene.geoms, *scene.sites]
-    for element in placed:
-        held.setdefault(id(element.body), []).append(element)
-    for body in scene.bodies[1:]:
-        held.setdefault(id(body.parent), []).append(body)
-    gone = set()
-    moved: dict[int, int] = {}
-    order = _innermost_first(scene.bodies)
-    for body in reversed(order):
+    layout = Layout(scene)
+    # Of a fused body: the one that it is part of, and its pose there.
+    whole: dict[int, Body] = {}
+    poses: dict[int, tuple[Vec, Vec]] = {}
+    for body in layout.bodies[1:]:
+        carrier = body.parent
+        assert carrier is not None
+        if id(carrier) in whole:
+            body.pos, body.quat = frames.composed(poses[id(carrier)], body.pos, body.quat)
+            body.parent = carrier = whole[id(carrier)]
         kept = id(body) in jointed or id(body) in sites or (body.name and body.name in named)
-        above = body.parent
-        while above is not None and id(above) in gone:
-            above = above.parent
-        if not kept and above is not None and _may(world, body, above, known, fluid):
-            gone.add(id(body))
-    for body in order:
-        if id(body) in gone:
-            _fuse(world, body, known, held)
-    for elements in held.values():
-        moved |= {id(element): place for place, element in enumerate(elements)}
-    scene.bodies = [body for body in scene.bodies if id(body) not in gone]
-    scene.geoms.sort(key=lambda geom: moved[id(geom)])
-    scene.sites.sort(key=lambda site: moved[id(site)])
-
-
-def _innermost_first(bodies: list[Body]) -> list[Body]:
-    """The bodies but the world, each after those that it carries, else in the order of the file."""
-    inside: dict[int, list[Body]] = {}
-    for body in bodies[1:]:
-        inside.setdefault(id(body.parent), []).append(body)
-    order: list[Body] = []
-    pending = [bodies[0]]
-    while pending:
-        body = pending.pop()
-        order.append(body)
-        pending += inside.get(id(body), [])
-    return order[:0:-1]
+        if kept or not _may(world, body, carrier, known, fluid):
+            continue
+        whole[id(body)], poses[id(body)] = carrier, (body.pos, body.quat)
+        if body.name:
+            scene.fused[body.name] = carrier.name
+        if carrier is not scene.world:
+            _add_weight(world, body, carrier, known)
+    placed: list[Geom | Site] = [*layout.geoms, *layout.sites]
+    for element in placed:
+        own = id(element.body)
+        if own in whole:
+            element.pos, element.quat = frames.composed(poses[own], element.pos, element.quat)
+            element.body = whole[own]
+    scene.bodies = [body for body in layout.bodies if id(body) not in whole]
+    # The elements of a body come before those of the bodies that are part of it.
+    scene.geoms, scene.sites = layout.geoms, layout.sites
+    if scene.fused:
+        names = cut(", ".join(scene.fused), 200)
+        scene.notes.append(
+            f"{root.file}:{root.line}: bodies that nothing moves against their parent are part of "
+            f"it (load(..., fuse=False) keeps them): {names}"
+        )
 
 
 def _referred(root: Node) -> set[str]:
@@ -100,22 +96,6 @@ def _may(
         return True
     there = world.nodes[id(above)].values.get("gravcomp", 0.0)
     return not fluid and bool(values.get("gravcomp", 0.0) == there)
-
-
-def _fuse(world: WorldReader, body: Body, known: dict[int, Weight], held: Held) -> None:
-    scene, parent = world.scene, body.parent
-    assert parent is not None
-    if parent is not scene.world:
-        _add_weight(world, body, parent, known)
-    # Elements come after all of the parent's own.
-    for element in held.pop(id(body), []):
-        pose = frames.composed((body.pos, body.quat), element.pos, element.quat)
-        element.pos, element.quat = pose
-        if isinstance(element, Body):
-            element.parent = parent
-        else:
-            element.body = parent
-        held.setdefault(id(parent), []).append(element)
 
 
 def _add_weight(world: WorldReader, body: Body, parent: Body, known: dict[int, Weight]) -> None:

@@ -61,7 +61,7 @@ class Source:
     """The text that a scene was read from.
 
     data: the text. urdf: that of a URDF, which leaves `data` empty. directory: the folder of its
-    includes.
+    includes. fuse: what the reader was told about bodies that cannot move against their parent.
     files: the files that were read, the main one first.
     unread: files that the text names but that only draw; they are never opened.
     read_bytes: the size of the files of meshes and height fields that were read, and asset_bytes:
@@ -71,6 +71,7 @@ class Source:
     data: bytes
     directory: str | None
     urdf: bytes = b""
+    fuse: bool | None = None
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     read_bytes: int = 0

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stepcore.checks import ElementError
+from stepcore.checks import ElementError, flag
 from stepcore.mjcf import (
     actuators,
     contacts,
@@ -62,14 +62,19 @@ SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
 
 
 @collector.held()
-def read_file(scene: Contents, path: str | os.PathLike[str], without: Iterable[str] = ()) -> None:
+def read_file(
+    scene: Contents,
+    path: str | os.PathLike[str],
+    without: Iterable[str] = (),
+    fuse: bool | None = None,
+) -> None:
     """Fills an empty scene from an MJCF file; see `stepcore.load`."""
     shown = os.fsdecode(path)
     main = Path(shown)
     data = read_bytes(shown)
     root = parse(data, shown)
     scene.notes += expand(root, main.parent, main)
-    _fill(scene, root, Source(data, os.path.abspath(main.parent)), without)
+    _fill(scene, root, Source(data, os.path.abspath(main.parent), fuse=fuse), without)
 
 
 @collector.held()
@@ -80,6 +85,7 @@ def read_text(
     base: str | os.PathLike[str] | None = None,
     name: str = "<string>",
     without: Iterable[str] = (),
+    fuse: bool | None = None,
 ) -> None:
     """Fills an empty scene from an MJCF text; see `stepcore.loads`."""
     if not isinstance(text, (str, bytes)):
@@ -87,11 +93,14 @@ def read_text(
     root = parse(text, name)
     scene.notes += expand(root, None if base is None else Path(base), None)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
-    _fill(scene, root, Source(data, None if base is None else os.path.abspath(base)), without)
+    directory = None if base is None else os.path.abspath(base)
+    _fill(scene, root, Source(data, directory, fuse=fuse), without)
 
 
 def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -> None:
     """Fills the scene from a whole model whose includes are expanded."""
+    if source.fuse is not None:
+        flag("load", "fuse", source.fuse)
     if root.tag == "robot":
         root, ignored, notes = urdf.to_mjcf(root, source.directory)
         scene.ignored += ignored
@@ -111,7 +120,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     assert world is not None
     scene._source = source.of(root)
     try:
-        finish(world, root)
+        finish(world, root, source.fuse)
     except ElementError as error:
         # The check of the whole scene names an element, whose line is known.
         node = world.nodes.get(id(error.owner), root)
@@ -153,8 +162,11 @@ def read_sections(
     return world
 
 
-def finish(world: WorldReader, root: Node) -> None:
-    """Reads what needs the whole scene: keyframes, and the files of assets that are used."""
+def finish(world: WorldReader, root: Node, chosen: bool | None) -> None:
+    """Reads what needs the whole scene: keyframes, and the files of assets that are used.
+
+    chosen: whether bodies that cannot move against their parent are fused; None: as the file says.
+    """
     scene = world.scene
     layout = Layout(scene)
     for node in inside(root, "keyframe"):
@@ -162,13 +174,14 @@ def finish(world: WorldReader, root: Node) -> None:
     world.refusals.raise_all()
     keyframes.add_empty_keys(scene, sections(root, "size"))
     check_references(world, root)
-    leave_out_visual_geoms(world, layout)
+    leave_out_visual_geoms(world)
     world.assets.read_used(scene)
     place_weightless(world)
     settle_masses(world)
     if world.main.values.get("discardvisual"):
         discard_visual(world, root)
-    if world.main.values.get("fusestatic"):
+    asked = world.main.values.get("fusestatic", False)
+    if asked if chosen is None else chosen:
         fuse(world, root)
     align(world)
     keyframes.follow_bodies(world)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from stepcore.mjcf.worldbody import Shape, WorldReader
 from stepcore.scene.contents import Contents
-from stepcore.scene.layout import Layout
 
 # Sensors that tell of the masses of bodies, of those that cannot move too.
 OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
 
 
-def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
+def leave_out_visual_geoms(world: WorldReader) -> None:
     """Adds the geoms that only draw to `Scene.ignored`.
 
     A primitive that only draws stays in the scene, so that geoms keep MuJoCo's order; meshes,
@@ -26,7 +25,7 @@ def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
     for shape in world.shapes:
         drags = shape.geom.fluidshape != "none" and (scene.density > 0 or scene.viscosity > 0)
         told = id(shape.geom) in sensed
-        if shape.collides or drags or told or weighs(world, layout, shape):
+        if shape.collides or drags or told or weighs(world, shape):
             continue
         scene.ignored.append(shape.node.listed("only draws: no collisions, no mass"))
         if shape.geom.mesh is not None or shape.geom.hfield is not None:
@@ -37,8 +36,11 @@ def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
     scene.geoms = [geom for geom in scene.geoms if id(geom) not in gone]
 
 
-def weighs(world: WorldReader, layout: Layout, shape: Shape) -> bool:
-    """Whether the geom contributes to the mass of a body whose mass can matter."""
+def weighs(world: WorldReader, shape: Shape) -> bool:
+    """Whether the geom contributes to the mass of its body.
+
+    That of a body that cannot move counts too: a joint that is added to it sets it free.
+    """
     body = shape.geom.body
     rules = world.rules_of(body)
     low, high = rules.inertiagrouprange
@@ -46,9 +48,7 @@ def weighs(world: WorldReader, layout: Layout, shape: Shape) -> bool:
         return False
     if rules.inertiafromgeom is None and body.mass is not None:
         return False
-    # The mass of a body that cannot move matters to sensors, and as a share of a prescribed total.
-    matters = world.scene.mass_rules.settotalmass > 0 or senses_mass(world.scene)
-    return layout.moving(body) or (matters and body is not world.scene.world)
+    return body is not world.scene.world
 
 
 def senses_mass(scene: Contents) -> bool:

@@ -52,7 +52,7 @@ class Holdings(checks.KnownNames):
         *("name", "bodies", "joints", "geoms", "sites", "tendons", "actuators", "equalities"),
         *("sensors", "keys", "meshes", "hfields", "excludes", "pairs", "contact_override"),
         *("mass_rules", "lengthrange", "features", "density", "viscosity", "wind", "magnetic"),
-        *("options", "ignored", "notes", "without"),
+        *("options", "ignored", "notes", "without", "fused"),
     )
 
     def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
@@ -83,6 +83,7 @@ class Holdings(checks.KnownNames):
         self.ignored: list[str] = []
         self.notes: list[str] = []
         self.without: list[str] = []
+        self.fused: dict[str, str] = {}
         # The text that the scene was read from, so that saving can keep it.
         self._source: Source | None = None
         # By kind, so that what an element refers to is found without looking at all of them.
@@ -192,8 +193,29 @@ class Holdings(checks.KnownNames):
         """The element of this name, or the element itself if it is one of these."""
         found: E | None = self._names_of(kind).find(elements, name)
         if found is None:
-            raise _unknown(elements, kind, name)
+            raise self._unknown(elements, kind, name)
         return found
+
+    def _unknown(self, elements: Sequence[Element], kind: str, name: object) -> ValueError:
+        if isinstance(name, str):
+            names = [e.name for e in elements]  # type: ignore[attr-defined]
+            return ValueError(self._no_such(kind, name, names))
+        if isinstance(name, Element):
+            return ValueError(f"{name} is not a {kind} of this scene")
+        limit = f"a name or a {kind.capitalize()}"
+        return ValueError(f"{kind} = {checks.shown(name)}: must be {limit}")
+
+    def _no_such(self, what: str, name: str, names: Sequence[str]) -> str:
+        """That nothing has this name: with the body that a fused one is part of, or the nearest."""
+        said = f"no {what} is named {checks.quoted(name)}"
+        if "body" not in what.split() or name not in self.fused:
+            return said + checks.nearest(name, names)
+        into = self.fused[name]
+        whole = f"body {checks.quoted(into)}" if into else "a body without a name"
+        return (
+            f"{said}: nothing moves it against {whole}, of which it is a part; "
+            "load(..., fuse=False) keeps it a body of its own"
+        )
 
     def _names_of(self, kind: str) -> Names:
         return self._names.setdefault(kind, Names())
@@ -241,13 +263,3 @@ class Holdings(checks.KnownNames):
         scene.options.update(fields)
         _ = scene.settings  # Raises for what settings do not take.
         return scene
-
-
-def _unknown(elements: Sequence[Element], kind: str, name: object) -> ValueError:
-    if isinstance(name, str):
-        near = checks.nearest(name, [e.name for e in elements])  # type: ignore[attr-defined]
-        return ValueError(f"no {kind} is named {checks.quoted(name)}{near}")
-    if isinstance(name, Element):
-        return ValueError(f"{name} is not a {kind} of this scene")
-    limit = f"a name or a {kind.capitalize()}"
-    return ValueError(f"{kind} = {checks.shown(name)}: must be {limit}")

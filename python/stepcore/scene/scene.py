@@ -47,6 +47,8 @@ class Scene(Contents):
     notes: what the reader translated, one line each.
     without: kinds of elements of the file that were left out on purpose, with how many; see
         `stepcore.load`.
+    fused: the names of bodies of the file that reading it made part of another (fixed links of a
+        URDF, MJCF's ``fusestatic``), each with the name of that body; see `stepcore.load`.
 
     >>> scene = Scene()
     >>> ball = scene.add_body("ball", pos=(0, 0, 1))

@@ -44,5 +44,4 @@ def find(scene: Holdings, kinds: Sequence[str], what: str, name: object) -> Elem
         raise ValueError(f"{checks.shown(name)} is the name of a {what}: give the object itself")
     if not isinstance(name, str):
         raise ValueError(f"{what} = {checks.shown(name)}: must be the name of a {words}, or one")
-    near = checks.nearest(name, [element.name for element in every])
-    raise ValueError(f"no {words} is named {checks.quoted(name)}{near}")
+    raise ValueError(scene._no_such(words, name, [element.name for element in every]))

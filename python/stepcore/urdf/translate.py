@@ -3,9 +3,9 @@
 A link is a body, a joint the joint of its child, a collision a geom, an inertial an inertial. What
 MuJoCo makes of a URDF is made here: `effort` clamps what actuators put on a joint
 (actuatorfrcrange), `mimic` is a joint equality, a planar joint is two slides and a hinge (named
-_TX, _TY, _RZ), and the root link stands on the world. Other than in MuJoCo, links joined by fixed
-joints stay bodies of their own (as with fusestatic="false"), and what a planar joint moves in is
-the plane of its axis, as URDF says.
+_TX, _TY, _RZ), the root link stands on the world, and links on fixed joints are fused with what
+carries them unless the file says fusestatic="false". Other than in MuJoCo, what a planar joint
+moves in is the plane of its axis, as URDF says.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class Robot:
         if lost is not None:
             raise self.links[lost].error(f'link "{cut(lost, 80)}" is in a circle of links')
         model = mjcf_node("mujoco", self.root, model=self.root.attrs.get("name", ""))
-        compiler = mjcf_node("compiler", self.root, angle="radian")
+        compiler = mjcf_node("compiler", self.root, angle="radian", fusestatic="true")
         asset = mjcf_node("asset", self.root)
         asset.children = list(self.meshes.values())
         own = [child for node in self.extension for child in node.children]
@@ -318,9 +318,10 @@ class Robot:
                 f"{place}: joints whose lower limit is not below the upper have none: {names}"
             )
         if not any(joint.values["type"] == "floating" for joint in self.joints.values()):
+            root = next(name for name in self.links if name not in self.above)
             found.append(
-                f"{place}: the root link is fixed to the world; "
-                'scene.add_joint(scene.bodies[1], "free") sets it free'
+                f"{place}: the root link is fixed to the world; load(..., fuse=False) keeps it a "
+                f'body, which scene.add_joint("{cut(root, 80)}", "free") sets free'
             )
         return found
 
