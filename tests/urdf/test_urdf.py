@@ -259,3 +259,49 @@ def test_what_extends_urdf_is_listed():
     assert "acceleration is no attribute of URDF" in ignored
     assert "concave is no attribute of URDF" in ignored
     assert "<xacro:property>" in ignored
+
+
+def hinged(limit='lower="-1" upper="1" effort="3"', end="") -> str:
+    text = HINGED.format(robot="", limit=limit, dynamics="", end=end)
+    return text.replace("<link", '<mujoco><compiler fusestatic="false"/></mujoco><link', 1)
+
+
+THIRD = link("c", HEAVY)
+STUCK = link("d") + joint("stuck", "fixed", "a", "d")
+SPHERE = '<collision name="x"><geometry><sphere radius=".1"/>{}</geometry></collision>'
+# What MuJoCo passes over: the file, and what a note says of it.
+PASSED_OVER = {
+    "inertia twice": (hinged().replace('iyz="0"', 'iyz="0" iyx="0" izx="0" izy="0"'), "izy is no"),
+    "friction": (hinged().replace("<mass", '<friction value=".3"/><mass', 1), "<friction>"),
+    "in an origin": (hinged().replace("<axis", "<origin><foo/></origin><axis"), "<foo>"),
+    "in a limit": (hinged().replace("<dynamics", "<dynamics><foo/></dynamics><bar"), "<foo>"),
+    "beside a shape": (hinged().replace("<inertial", SPHERE.format("<foo/>") + "<inertial"), "foo"),
+    "a name twice": (hinged().replace("<inertial", SPHERE.format("") * 2 + "<inertial"), '"x"'),
+    "a fixed joint that follows": (
+        hinged(end=THIRD + joint("k", "fixed", "b", "c", '<mimic joint="j"/>')),
+        '<mimic> does nothing where a joint neither turns nor slides: "k" ("k" is fixed)',
+    ),
+    "one that follows a fixed joint": (
+        hinged(end=THIRD + STUCK + joint("k", "revolute", "b", "c", '<mimic joint="stuck"/>')),
+        '"k" ("stuck" is fixed)',
+    ),
+    "a negative effort": (hinged(limit='lower="-1" upper="1" effort="-3"'), ""),
+}
+
+
+@pytest.mark.parametrize("what", PASSED_OVER)
+def test_what_mujoco_passes_over_is_passed_over_with_a_note(what):
+    text, said = PASSED_OVER[what]
+    sim, theirs, data = compared(text)
+    scene = sc.loads(text)
+    assert said in "\n".join([*scene.ignored, *scene.notes])
+    assert sim.model.body_mass == pytest.approx(theirs.body_mass)
+    assert sim.model.nq == theirs.nq and len(scene.geoms) == theirs.ngeom
+    names = [theirs.geom(i).name for i in range(theirs.ngeom)]
+    assert [geom.name for geom in scene.geoms] == names
+    forces = [j.actuatorfrcrange for j in scene.joints if j.actuatorfrcrange]
+    assert forces == [tuple(pair) for pair in theirs.jnt_actfrcrange[theirs.jnt_actfrclimited == 1]]
+    sim.qpos[:] = data.qpos[:] = np.linspace(0.3, 0.5, theirs.nq)
+    sim.forward()
+    mujoco.mj_forward(theirs, data)
+    assert sim.qacc == pytest.approx(data.qacc, rel=1e-8, abs=1e-9)

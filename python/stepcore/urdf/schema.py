@@ -59,11 +59,9 @@ ROBOT = spec("name version", {"link": LINK, "joint": JOINT})
 # With what only draws.
 DRAWN_ROBOT = spec("name version", {"link": DRAWN_LINK, "joint": JOINT, "material": MATERIAL})
 
-# Inside which elements only what the schema has may stand; elsewhere URDF is extended freely, and
-# what the schema does not have is listed as ignored.
-CLOSED = ("geometry", "inertial", "limit", "dynamics", "mimic", "origin")
-# Attributes that other simulators add, however near their names are to URDF's.
-FOREIGN = ("concave",)
+# Attributes that other programs add, however near their names are to URDF's; the last three are
+# entries of a symmetric matrix that are given already.
+FOREIGN = ("concave", "iyx", "izx", "izy")
 # What only draws.
 DRAWS = ("visual", "material")
 # What the program xacro may leave in the URDF that it makes: nothing depends on it any more.

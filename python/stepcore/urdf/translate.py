@@ -21,7 +21,7 @@ from stepcore.mjcf.schema.notation import Spec
 from stepcore.mjcf.validation import bad, values_of
 from stepcore.scene import frames
 from stepcore.urdf.file_paths import mesh_path
-from stepcore.urdf.schema import CLOSED, DRAWS, FOREIGN, ROBOT, XACRO_ONLY
+from stepcore.urdf.schema import DRAWS, FOREIGN, ROBOT, XACRO_ONLY
 
 # A joint without an axis turns or slides along the first.
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -78,7 +78,7 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
             elif child.tag.startswith("xacro:"):
                 text = f"<{child.tag}>: this is xacro, from which the program xacro makes URDF"
                 refusals.add(child.error(text))
-            elif inner is None and node.tag in CLOSED:
+            elif inner is None and _lacks_shape(node, spec):
                 near = nearest(child.tag, spec.children)
                 refusals.add(child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}"))
             elif inner is None:
@@ -93,6 +93,11 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
                 refusals.add(same[1].error(f"a second <{tag}> in the same <{node.tag}>"))
         node.children = kept
     return ignored
+
+
+def _lacks_shape(node: Node, spec: Spec) -> bool:
+    """URDF is extended freely, but the shape of a geom must be one that is known."""
+    return node.tag == "geometry" and not any(child.tag in spec.children for child in node.children)
 
 
 def _strip(node: Node, spec: Spec) -> list[str]:
@@ -136,6 +141,9 @@ class Robot:
         # What is noted: limits of velocity, and joints whose range is empty.
         self.with_velocity = 0
         self.unlimited: list[str] = []
+        self.unfollowed: list[str] = []
+        self.unnamed: list[str] = []
+        self.shape_names: set[str] = set()
 
     def _place(self, joint: Node) -> None:
         for end in ("parent", "child"):
@@ -242,9 +250,8 @@ class Robot:
             found["range"] = written((low, high))
         elif kind != "continuous":
             self.unlimited.append(joint.values["name"])
-        effort = values.get("effort", 0.0)
-        if effort < 0:
-            raise bad(limit, "effort", effort, ">= 0")
+        # MuJoCo takes the size of a negative one too.
+        effort = abs(values.get("effort", 0.0))
         if effort > 0:
             found["actuatorfrcrange"] = written((-effort, effort))
         return found
@@ -258,9 +265,11 @@ class Robot:
             near = nearest(other, sorted(self.joints))
             raise mimic.error(f'<mimic joint="{cut(other, 80)}">: no such joint{near}')
         for node in (joint, self.joints[other]):
-            if MOVES.get(node.values["type"]) not in ("hinge", "slide"):
-                text = f'joint "{cut(node.values["name"], 80)}" is {node.values["type"]}'
-                raise mimic.error(f"<mimic>: {text}: must be one that turns or slides")
+            kind = node.values["type"]
+            if MOVES.get(kind) not in ("hinge", "slide"):
+                text = f'"{joint.values["name"]}" ("{node.values["name"]}" is {kind})'
+                self.unfollowed.append(text)
+                return []
         line = (mimic.values.get("offset", 0.0), mimic.values.get("multiplier", 1.0), 0.0, 0.0, 0.0)
         ends = {"joint1": joint.values["name"], "joint2": other}
         return [mjcf_node("joint", mimic, **ends, polycoef=written(line))]
@@ -285,8 +294,12 @@ class Robot:
             raise shape.error(f"<{shape.tag}> = {size}: sizes must be > 0")
         if size:
             more["size"] = written(size)
-        if collision.values.get("name"):
-            more["name"] = collision.values["name"]
+        name = collision.values.get("name", "")
+        if name in self.shape_names:
+            self.unnamed.append(f'"{name}"')
+        elif name:
+            self.shape_names.add(name)
+            more["name"] = name
         return mjcf_node("geom", collision, type=shape.tag, **more, **_pose(collision))
 
     def _mesh(self, node: Node) -> str:
@@ -317,6 +330,14 @@ class Robot:
             found.append(
                 f"{place}: joints whose lower limit is not below the upper have none: {names}"
             )
+        if self.unfollowed:
+            names = cut(", ".join(self.unfollowed), 200)
+            found.append(
+                f"{place}: <mimic> does nothing where a joint neither turns nor slides: {names}"
+            )
+        if self.unnamed:
+            names = cut(", ".join(self.unnamed), 200)
+            found.append(f"{place}: of collisions with one name only the first has it: {names}")
         if not any(joint.values["type"] == "floating" for joint in self.joints.values()):
             root = next(name for name in self.links if name not in self.above)
             found.append(
