@@ -48,6 +48,14 @@ REPLICATED = {
     <replicate count="4" euler="0 0 90"><geom name="h" pos="1 0 0"/>
       <body name="in" pos="2 0 0"><joint name="hinge"/><geom mass="1"/></body></replicate>
     <geom name="k"/></body></worldbody>""",
+    "of a class, and with attributes that do nothing": """
+  <default><default class="a"><geom size=".3"/><joint damping="2"/></default>
+    <default class="b"><geom size=".4"/></default></default>
+  <worldbody><replicate count="2" childclass="a" class="b" name="r" pos="9 9 9" mocap="true">
+    <body name="b"><joint name="j"/><geom name="g"/></body></replicate>
+    <replicate count="3" class="b"><geom name="h" size=".1"/><geom name="i"/></replicate>
+    <frame class="a" count="2"><body name="f"><joint name="k"/><geom/></body></frame></worldbody>
+  """,
     "a copy named in its new name": """
   <worldbody><replicate count="2" offset="1 0 0"><body name="c"><joint name="j"/>
     <geom size=".1"/></body></replicate></worldbody>
@@ -145,6 +153,51 @@ def test_attached_models_are_mujocos(what: str, tmp_path: Path) -> None:
     gears = [actuator.gear[0] for actuator in scene.actuators]
     assert gears == list(theirs.actuator_gear[:, 0])
     assert [j.damping for j in scene.joints] == list(theirs.dof_damping)
+
+
+CLASSES = """<default><geom size="{0}"/><motor gear="{0}"/>
+  <default class="a"><geom size="{1}"/><joint damping="{1}"/><motor gear="{1}"/></default>
+</default>"""
+WITH_CLASSES = """<mujoco model="kid">{}<worldbody>
+  <body name="k"><geom name="k0"/><geom name="ka" class="a"/><joint name="kj" class="a"/></body>
+  <body name="m" childclass="a"><geom name="ma"/><joint name="mj"/></body></worldbody>
+  <actuator><motor name="ka" joint="kj" class="a"/><motor name="k0" joint="kj"/></actuator>
+  <keyframe><key name="h" qpos=".1 .2"/></keyframe></mujoco>"""
+ATTACHING = """<mujoco>{}<asset><model name="kid" file="kid.xml"/></asset><worldbody>
+  <body name="p"><geom name="p0"/><geom name="pa" class="{}a"/><joint name="pj"/>
+    {}</body><body name="q"><geom name="qa" class="{}a"/></body></worldbody>
+  <actuator><motor name="pm" joint="pj" class="{}a"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("part", ("", 'body="m"'))
+@pytest.mark.parametrize("prefix", ("", "K-"))
+@pytest.mark.parametrize("main", (0.1, 0.3))
+def test_classes_of_the_same_name_stay_those_of_their_models(main, prefix, part, tmp_path):
+    """Each element keeps its own model's, where attaching gives two classes one name."""
+    (tmp_path / "kid.xml").write_text(WITH_CLASSES.format(CLASSES.format(0.3, 0.4)))
+    own = CLASSES.format(main, 0.2).replace('class="a"', f'class="{prefix}a"')
+    attach = f'<attach model="kid" {part} prefix="{prefix}"/>'
+    text = ATTACHING.format(own, prefix, attach, prefix, prefix)
+    (tmp_path / "m.xml").write_text(text)
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    scene = load(tmp_path / "m.xml")
+    for one in (scene, loads(scene.to_mjcf())):
+        ours = compiled.compare(one, theirs)
+        assert [g.size[0] for g in one.geoms] == list(theirs.geom_size[:, 0])
+        assert [j.damping for j in one.joints] == list(theirs.dof_damping)
+        gears = {actuator.name: actuator.gear[0] for actuator in one.actuators}
+        assert gears == {
+            theirs.actuator(i).name: theirs.actuator_gear[i, 0] for i in range(ours.nu)
+        }
+
+
+def test_attributes_that_do_nothing_are_listed() -> None:
+    text = """<mujoco><worldbody><replicate count="2" foo="1"><geom size=".1"/></replicate>
+  <frame name="f" mocap="true"><geom size=".1"/></frame></worldbody></mujoco>"""
+    assert loads(text).ignored == [
+        "<string>:1: <replicate> (foo does nothing in replicate)",
+        '<string>:2: <frame> "f" (mocap does nothing in frame)',
+    ]
 
 
 RULES = {
@@ -296,7 +349,6 @@ WRONG = {
     'no such frame; nearest: "fr"': '<attach model="kid" frame="frr" prefix="a"/>',
     "has both body and frame": '<attach model="kid" frame="fr" body="b" prefix="a"/>',
     "needs body or frame": '<attach prefix="a"/>',
-    "default classes have these names": '<attach model="kid" prefix=""/>',
     "direct child of <replicate>": '<replicate count="2"><joint/></replicate>',
     "more than 1000000 elements": '<replicate count="2000000000"><geom/></replicate>',
     "count = -1: must be >= 0": '<replicate count="-1"><geom/></replicate>',

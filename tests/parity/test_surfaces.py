@@ -51,6 +51,25 @@ def test_a_box_sticks_to_a_belt_as_it_would_to_a_body_that_moves():
     assert np.linalg.norm(sim.qvel[:2]) == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("numbers", ["1", ".5 1", ".5 1 2", "0 0 0 3", ".5 1 0 0 3"])
+@pytest.mark.parametrize("of_class", [False, True])
+def test_of_fewer_numbers_the_rest_is_that_of_the_class(numbers, of_class):
+    """Or zero."""
+    own = '<default><geom surfacevel="9 8 7 6 5 4"/></default>' if of_class else ""
+    text = BELT.format(f'surfacevel="{numbers}"', 0).replace("<worldbody>", own + "<worldbody>")
+    theirs = mujoco.MjModel.from_xml_string(text)
+    sim = sc.Sim(sc.loads(text), solver="newton", tolerance=0.0, sweeps=100)
+    assert [
+        list(geom.surfacevel) for geom in sc.loads(text).geoms
+    ] == theirs.geom_surfacevel.tolist()
+    theirs.opt.tolerance, theirs.opt.iterations = 0.0, 100
+    data = mujoco.MjData(theirs)
+    sim.qpos[2] = data.qpos[2] = 0.099
+    sim.forward()
+    mujoco.mj_forward(theirs, data)
+    assert sim.qacc == pytest.approx(data.qacc, rel=1e-8, abs=1e-8)
+
+
 MESH = '<mesh name="m" vertex="0 0 0 .4 0 0 0 .6 0 0 0 .3" refquat="1 .2 .3 .1"/>'
 SHAPES = {
     "mesh": 'type="mesh" mesh="m"',

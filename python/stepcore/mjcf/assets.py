@@ -201,12 +201,15 @@ class Assets:
         compiler = node.compiler or self.compiler
         values, directory = compiler.values, compiler.directory
         name = name.replace("\\", "/")
-        if values.get("strippath"):
-            name = name.rpartition("/")[2]
         folder = values.get(own, values.get("assetdir", ""))
+        stripped = bool(values.get("strippath"))
+        if stripped:
+            name = name.rpartition("/")[2]
         if directory is None and not os.path.isabs(os.path.join(folder, name)):
             return None
-        return os.path.normpath(os.path.join(directory or "", folder, name))
+        # With strippath the folder of an included file does not count either.
+        path = os.path.join(directory or "", folder, name)
+        return os.path.normpath(path if stripped else compiler.path(node, name, folder))
 
     def _count(self, node: Node, path: str) -> None:
         self.sizes[path] = os.path.getsize(path)

@@ -134,7 +134,7 @@ def _supertorus(params: _Params) -> Surface:
 def _wedge(params: _Params) -> Surface:
     """Cell centres of a slice of the unit sphere below the origin."""
     counts = [params.whole(1, MOST, word) for word in ("res_phi", "res_theta")]
-    fields = params.real(1e-6, 180, "fov_phi"), params.real(1e-6, 90 - 1e-9, "fov_theta")
+    fields = params.real(1e-6, 180, "fov_phi"), params.real(1e-6, 90, "fov_theta")
     gamma = params.real(0, 1, "gamma")
     angles = []
     for count, field in zip(counts, fields, strict=True):

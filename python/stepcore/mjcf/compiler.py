@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable
 from typing import Any
 
@@ -18,10 +19,14 @@ class Compiler:
     """All compiler sections of a file together; a later value replaces an earlier one.
 
     directory: the folder of the model's main file, or None for a text without one.
+    file: the name of that file, by which elements of included files are known.
     """
 
-    def __init__(self, sections: Iterable[Node], directory: str | None = None) -> None:
+    def __init__(
+        self, sections: Iterable[Node], directory: str | None = None, file: str = ""
+    ) -> None:
         self.directory = directory
+        self.file = file
         self.values: dict[str, Any] = {}
         self.ranges: dict[str, Any] = {}
         for node in sections:
@@ -39,6 +44,21 @@ class Compiler:
         sequence = node.values.get("eulerseq", "xyz")
         if len(sequence) != 3 or sequence.lower().strip("xyz"):
             raise bad(node, "eulerseq", sequence, "three letters of x, y, z, X, Y, Z")
+
+    def path(self, node: Node, name: str, folder: str = "") -> str:
+        """The path of the file that an element names.
+
+        As in MuJoCo, it is looked for in `folder` of the model's own, and for an element of an
+        included file then in the folder of that file: the one of that name within `folder`, and
+        the one that holds it.
+        """
+        home = os.path.join(self.directory or "", folder)
+        places = [os.path.join(home, name)]
+        if node.file != self.file:
+            beside = os.path.abspath(os.path.dirname(node.file))
+            within = os.path.relpath(beside, self.directory)
+            places += [os.path.join(home, within, name), os.path.join(beside, name)]
+        return next((place for place in places if os.path.isfile(place)), places[0])
 
     def mass_rules(self) -> MassRules:
         """The rules for masses."""

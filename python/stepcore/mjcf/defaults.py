@@ -77,20 +77,22 @@ class Defaults:
                 self.chains[inner_name] = (*self.chains[name], self.chains[name][-1])
             pending += [(child, child.attrs["class"]) for child in reversed(inner)]
 
-    def adopt(self, other: Defaults, prefix: str) -> bool:
+    def adopt(self, other: Defaults, prefix: str) -> dict[str, str]:
         """Adds the classes of an attached model, whose names and assets get the prefix.
 
-        Returns False, without a change, if that gives classes of this model another meaning.
+        Returns the names that they have here by those that they have there: another one where
+        a class of this model has the name and means something else.
         """
-        new = {
-            prefix + name: {tag: _prefixed(values, prefix) for tag, values in own.items()}
-            for name, own in other.classes.items()
-        }
-        if any(name in self.classes and self.classes[name] != new[name] for name in new):
-            return False
-        self.classes |= new
-        self.chains |= {prefix + name: chain for name, chain in other.chains.items()}
-        return True
+        names = {}
+        for name, own in other.classes.items():
+            new = {tag: _prefixed(values, prefix) for tag, values in own.items()}
+            both = new, other.chains[name]
+            here = prefix + name
+            while here in self.classes and (self.classes[here], self.chains[here]) != both:
+                here += "'"
+            names[name] = here
+            self.classes[here], self.chains[here] = both
+        return names
 
     def known(self, node: Node, attribute: str) -> str | None:
         """The class that an attribute of a node names, which must exist; None for none."""

@@ -33,22 +33,22 @@ class Models:
     def prepared(self, root: Node, directory: str | None) -> Model:
         """The model of a root whose includes are expanded; directory: of its main file."""
         self.scene.ignored += validate(root, self.refusals, self.left_out)
-        compiler = Compiler(sections(root, "compiler"), directory)
+        compiler = Compiler(sections(root, "compiler"), directory, root.file)
         model = Model(root, compiler, Defaults(sections(root, "default")))
-        attacher = Attacher(model, lambda node: self._load(node, directory))
+        attacher = Attacher(model, lambda node: self._load(node, compiler))
         attacher.run()
         self.scene.notes += attacher.notes
         expand_replicates(root, compiler)
         return model
 
-    def _load(self, node: Node, directory: str | None) -> Model:
+    def _load(self, node: Node, compiler: Compiler) -> Model:
         """The model that an <asset><model> names."""
         name = node.values["file"]
         if not name or "\0" in name:
             raise node.error('<model> needs a file="…"')
-        if directory is None and not os.path.isabs(name):
+        if compiler.directory is None and not os.path.isabs(name):
             raise node.error(f'<model file="{name}"> in a text needs loads(text, base=folder)')
-        path = Path(directory or "") / name
+        path = Path(compiler.path(node, name))
         here = os.path.realpath(path)
         if here in (*self.open, os.path.realpath(node.file)):
             raise node.error(f'<model file="{name}">: the file attaches itself')

@@ -14,6 +14,7 @@ from stepcore.mjcf.nodes import MJCFError, Node
 from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema import ROOT
 from stepcore.mjcf.schema.notation import Spec
+from stepcore.mjcf.schema.tree import UNCHECKED
 from stepcore.mjcf.schema.visual import SEEN
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
@@ -62,6 +63,7 @@ def validate(root: Node, refusals: Refusals, left_out: LeftOut) -> list[str]:
                     left_out.take(kind, child)
                     continue
                 left_out.strip(child)
+                ignored += _strip(child, inner)
                 _read(child, inner, node, role, ignored)
             except MJCFError as error:
                 refusals.add(error, child)
@@ -72,6 +74,22 @@ def validate(root: Node, refusals: Refusals, left_out: LeftOut) -> list[str]:
         pending += reversed(deeper)
     left_out.follow(root)
     return ignored
+
+
+def _strip(node: Node, spec: Spec) -> list[str]:
+    """Drops what MuJoCo does not look at; returns the lines about it.
+
+    The class of a frame is that of what it holds, as its childclass is, which goes before it.
+    """
+    if node.tag not in UNCHECKED:
+        return []
+    if "class" in node.attrs:
+        node.attrs.setdefault("childclass", node.attrs["class"])
+        del node.attrs["class"]
+    unknown = [name for name in node.attrs if name not in spec.attrs]
+    for name in unknown:
+        del node.attrs[name]
+    return [node.listed(f"{name} does nothing in {node.tag}") for name in unknown]
 
 
 def _read(node: Node, spec: Spec, parent: Node, above: str, ignored: list[str]) -> None:

@@ -82,16 +82,18 @@ class Attacher:
         if not own:
             self._mark(twin, other)
             _name_assets(twin)
-            if not self.model.defaults.adopt(other.defaults, prefix):
-                raise node.error(f'<attach> prefix = "{prefix}": default classes have these names')
         # Of keyframes the vectors are taken apart while the whole model is there.
         keys = [] if own else key_parts(twin, other.defaults)
+        if not own:
+            classes = self.model.defaults.adopt(other.defaults, prefix)
+            _rename_classes(twin, classes)
+            childclass = classes.get(childclass, childclass)
         where = f"{node.file}:{node.line}: <attach>"
         torn = self._add_sections(twin, tree, prefix, keys, own)
         self.notes += [f"{where} leaves out {what}" for what in torn]
         frame = Node("frame", {}, node.file, node.line)
         frame.path, frame.compiler, frame.children = "worldbody/frame", node.compiler, tree
-        frame.values = {"childclass": childclass if own else prefix + childclass}
+        frame.values = {"childclass": childclass}
         frame.attrs = dict(frame.values)
         return [frame]
 
@@ -124,9 +126,6 @@ class Attacher:
         """
         names = names_in(tree)
         names.setdefault("body", set()).add("world")
-        if not own:
-            classes = {word for word in self.model.defaults.classes if word.startswith(prefix)}
-            names["default"] = {word[len(prefix) :] for word in classes}
         assets = [] if own else [n for s in twin.children if s.tag == "asset" for n in s.children]
         assets = [node for node in assets if node.tag != "model"]
         for kind, more in names_in(assets).items():
@@ -138,8 +137,6 @@ class Attacher:
         for tag, nodes in [*chosen, *parts.items()]:
             for one in nodes:
                 rename(one, names, lambda name: prefix + name)
-                if not own and tag != "keyframe":
-                    _give_class(one, prefix)
                 if tag == "keyframe":
                     one.attrs["name"] = one.values["name"] = prefix + twin_name(one, prefix)
             if nodes:
@@ -168,12 +165,20 @@ def twin_name(node: Node, prefix: str) -> str:
     return node.attrs.get("name", prefix).removeprefix(prefix)
 
 
-def _give_class(node: Node, prefix: str) -> None:
-    """An element without a class is of the other model's outermost class."""
-    section, _, tag = node.path.partition("/")
-    has = ROOT.children[section].children[tag].attrs
-    if "class" in has and "class" not in node.attrs:
-        node.attrs["class"] = node.values["class"] = prefix + MAIN
+def _rename_classes(twin: Node, classes: dict[str, str]) -> None:
+    """Gives references to the other model's classes the names that these have in this model.
+
+    An element outside of the tree that has no class is of the outermost.
+    """
+    for section in twin.children:
+        for node in section.children if section.tag in (*SECTIONS, "asset") else ():
+            if "class" in ROOT.children[section.tag].children[node.tag].attrs:
+                node.attrs.setdefault("class", MAIN)
+    for node in below(twin):
+        for attribute in ("class", "childclass"):
+            name = node.attrs.get(attribute)
+            if name in classes:
+                node.attrs[attribute] = node.values[attribute] = classes[name]
 
 
 def _name_assets(twin: Node) -> None:

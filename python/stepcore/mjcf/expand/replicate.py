@@ -81,6 +81,8 @@ def _replicas(root: Node, node: Node, compiler: Compiler) -> list[Node]:
         frame = Node("frame", {}, node.file, node.line)
         frame.path, frame.compiler, frame.children = "worldbody/frame", node.compiler, inside
         frame.values = {"pos": poses[index][0], "quat": poses[index][1]} if index else {}
+        frame.attrs = {name: node.attrs[name] for name in ("childclass",) if name in node.attrs}
+        frame.values |= frame.attrs
         _append(root, after)
         replicas.append(frame)
     return replicas

@@ -16,7 +16,7 @@ _JOINT = (
 _GEOM = (
     "name class type:plane|hfield|sphere|capsule|ellipsoid|cylinder|box|mesh|sdf contype:int "
     "conaffinity:int condim:int group:int priority:int size:1-3 material friction:1-3 mass:1 "
-    f"density:1 shellinertia:{BOOL} solmix:1 solref:1-2 solimp:1-5 margin:1 gap:1 surfacevel:6 "
+    f"density:1 shellinertia:{BOOL} solmix:1 solref:1-2 solimp:1-5 margin:1 gap:1 surfacevel:1-6 "
     f"adhesion:1 fromto:6 {POSE} hfield mesh fitscale:1 rgba:4 castshadow:{BOOL} "
     "fluidshape:none|ellipsoid fluidcoef:1-5 user:*"
 )
@@ -45,7 +45,9 @@ _BODY = spec(
     once=("inertial",),
 )
 _FRAME = spec(f"name childclass {POSE} scale:1-3 scaling:similar|geometry massscale:1")
-_REPLICATE = spec("count!:int sep offset:3 euler:3")
+_REPLICATE = spec("count!:int sep offset:3 euler:3 childclass")
+# Where MuJoCo checks no attributes: those that it does not know do nothing.
+UNCHECKED = ("frame", "replicate")
 for _parent in (_BODY, _FRAME, _REPLICATE):
     _parent.children = _CHILDREN
 _CHILDREN |= {"body": _BODY, "frame": _FRAME, "replicate": _REPLICATE}
