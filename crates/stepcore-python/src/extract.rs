@@ -6,7 +6,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use numpy::{PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyString};
 
@@ -160,8 +160,12 @@ impl Row<f64> for f64 {
         value: &Bound<'_, PyAny>,
         at: &At,
     ) -> PyResult<Vec<Self>> {
-        match array.shape() {
-            [_] => Ok(array.as_array().iter().copied().collect()),
+        match *array.shape() {
+            [count] => {
+                let mut rows = room(count)?;
+                rows.extend(array.as_array().iter().copied());
+                Ok(rows)
+            }
             _ => Err(refuse(value, at, "an array of one axis")),
         }
     }
@@ -180,7 +184,18 @@ impl<T: Copy> Row<T> for [T; 3] {
             return Err(refuse(value, at, "an array of shape (n, 3)"));
         };
         let view = array.as_array();
-        Ok((0..count).map(|i| std::array::from_fn(|k| view[[i, k]])).collect())
+        let mut rows = room(count)?;
+        rows.extend((0..count).map(|i| std::array::from_fn(|k| view[[i, k]])));
+        Ok(rows)
+    }
+}
+
+/// An empty list with room for so many; a MemoryError where the memory has none.
+fn room<T>(count: usize) -> PyResult<Vec<T>> {
+    let mut rows = Vec::new();
+    match rows.try_reserve_exact(count) {
+        Ok(()) => Ok(rows),
+        Err(_) => Err(PyMemoryError::new_err(format!("an array of {count} rows"))),
     }
 }
 

@@ -302,7 +302,7 @@ impl<R: Real> World for One<R> {
     }
 
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>> {
-        Ok(read_placed(self.reader(given)?, what))
+        read_placed(self.reader(given)?, what)
     }
 
     fn solved(&self, what: Solved) -> Vec<f64> {
@@ -429,11 +429,11 @@ fn numbers<R: Real>(values: &[R]) -> Vec<f64> {
     values.iter().map(|x| x.lane(0)).collect()
 }
 
-fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
+fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Result<Vec<f64>> {
     let model = sim.model().clone();
     let matrix =
         |m: &stepcore::spatial::M3<R>| m.transpose().iter().map(|x| x.lane(0)).collect::<Vec<_>>();
-    match what {
+    Ok(match what {
         Placed::BodyPos => sim.placed.xpos.iter().flat_map(flat).collect(),
         Placed::BodyQuat => sim
             .placed
@@ -463,7 +463,7 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
         }
         Placed::TendonLength => numbers(&sim.placed.tendon_length[..model.tendons.len()]),
         Placed::TendonVelocity => numbers(&sim.tendon_velocity()),
-        Placed::TendonJacobian => sim.tendon_jacobian(0),
+        Placed::TendonJacobian => sim.tendon_jacobian(0)?,
         Placed::TendonForce => numbers(&sim.tendon_force()),
         Placed::SiteMat => model
             .sites
@@ -473,7 +473,7 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
         Placed::SubtreeCom | Placed::Inertias | Placed::Velocities => {
             readings::bodies(&sim.bodies(0), what)
         }
-        Placed::MassMatrix => sim.mass_matrix(0),
+        Placed::MassMatrix => sim.mass_matrix(0)?,
         Placed::Bias => numbers(&sim.placed.bias),
         Placed::Passive => {
             sim.add_forces_through_contacts();
@@ -495,5 +495,5 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
             sim.jacobian_at(site.body, &point, 0)
         }
         Placed::PointJacobian(body, point) => sim.jacobian_at(body, &V3::from(point.map(R::of)), 0),
-    }
+    })
 }

@@ -12,6 +12,7 @@ use crate::detect::Detected;
 use crate::elements::activation::Activations;
 use crate::elements::{Element, Kind};
 use crate::error::{Divergence, Error, Fault, Result};
+use crate::model::memory::check_spaces;
 use crate::model::Model;
 use crate::place::Placed;
 use crate::pool::Pool;
@@ -137,6 +138,7 @@ impl<R: Real> Sim<R> {
             let limit = "1 with sleep: each world sleeps by itself";
             return Err(Error::value("lanes", R::LANES, limit));
         }
+        check_spaces(&model, R::LANES, "lanes")?;
         Ok(Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),

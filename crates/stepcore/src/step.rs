@@ -72,19 +72,19 @@ impl<R: Real> Sim<R> {
 
     pub(crate) fn place_detect_solve(&mut self, at: At) -> Result<()> {
         if !self.settings.sleep {
-            self.place_and_make_rows(at);
+            self.place_and_make_rows(at)?;
             return self.solve_placed(at);
         }
         self.begin_sleep();
         loop {
-            self.place_and_make_rows(at);
+            self.place_and_make_rows(at)?;
             if !self.wake_touched() {
                 return self.solve_placed(at);
             }
         }
     }
 
-    fn place_and_make_rows(&mut self, at: At) {
+    fn place_and_make_rows(&mut self, at: At) -> Result<()> {
         if self.settings.sleep {
             self.rest_asleep(at);
         }
@@ -95,7 +95,7 @@ impl<R: Real> Sim<R> {
             self.hold_asleep();
         }
         let before = searched();
-        self.detect(at);
+        self.detect(at)?;
         if self.model.adheres {
             let act = at.activations(&self.state, &self.next, self.clock);
             let (at, contacts) = (at.of(&self.state, &self.next), &self.detected.contacts);
@@ -105,6 +105,7 @@ impl<R: Real> Sim<R> {
         self.make_rows(at, Part::Whole);
         self.effort.separations += searched() - before;
         self.take_pushes();
+        Ok(())
     }
 
     /// What contacts push beside their rows is part of what the rows start from.
@@ -114,11 +115,11 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    pub(crate) fn detect(&mut self, at: At) {
+    pub(crate) fn detect(&mut self, at: At) -> Result<()> {
         R::enter(Stage::Detect);
         self.effort.evaluations += 1;
         let (qpos, _) = at.of(&self.state, &self.next);
-        self.detected.detect(&self.model, &self.placed, &self.settings, qpos);
+        self.detected.detect(&self.model, &self.placed, &self.settings, qpos)
     }
 
     /// Rows of the contacts at hand.
@@ -145,7 +146,8 @@ impl<R: Real> Sim<R> {
     /// The contacts of the placement at hand, for reading: those of the last solve stay.
     pub(crate) fn detected_aside(&self) -> Detected<R> {
         let mut detected = Detected::new(&self.model, 0);
-        detected.detect(&self.model, &self.placed, &self.settings, &self.state.qpos);
+        // Where a step found room there is room again; else it has refused already.
+        let _ = detected.detect(&self.model, &self.placed, &self.settings, &self.state.qpos);
         detected
     }
 

@@ -60,7 +60,11 @@ class Scene(Contents):
     """
 
     def compile(self) -> Model:
-        """Compiles the scene; ValueError, naming the element, if it cannot be compiled."""
+        """Compiles the scene.
+
+        Raises ValueError, naming the element, if it cannot be compiled, and naming what asks for
+        most if the memory does not hold the model and a world of it.
+        """
         from stepcore.engine.model import Model
 
         return Model(self)

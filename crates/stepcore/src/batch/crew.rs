@@ -7,6 +7,7 @@ use std::time::Instant;
 use super::group::Group;
 use super::seats::Seats;
 use crate::error::Result;
+use crate::model::memory::check_spaces;
 use crate::model::Model;
 use crate::pool::{lock, Pool};
 use crate::program::Blocks;
@@ -42,6 +43,9 @@ impl<R: Real> Crew<R> {
         (0..seats.groups()).for_each(|group| groups[seats.model(group)] += 1);
         let space =
             |model: &Arc<Model>| Ok(Watched::new(model.clone(), settings.clone())?.among(worlds));
+        for (model, groups) in models.iter().zip(&groups) {
+            check_spaces(model, R::LANES * threads.min(*groups), "threads × lanes")?;
+        }
         let spaces = models.iter().zip(groups).map(|(model, groups)| {
             let own = (0..threads.min(groups)).map(|_| space(model));
             Ok(Mutex::new(own.collect::<Result<Vec<_>>>()?))

@@ -17,7 +17,6 @@ pub use failed::Failed;
 pub use group::Last;
 pub use play::Play;
 
-use std::hint::black_box;
 use std::sync::{Arc, Mutex};
 
 use crew::{Crew, Desk};
@@ -32,7 +31,7 @@ use crate::model::Model;
 use crate::pool::{check_threads, lock};
 use crate::program::{Blocks, Program};
 use crate::real::Real;
-use crate::room::Room;
+use crate::room::{can_be_had, Room};
 use crate::settings::{Settings, Solver};
 use crate::solve::dofs::any_heap;
 use crate::state::{Inputs, State};
@@ -85,13 +84,6 @@ pub fn of_one_model(model: &Model, worlds: usize) -> Result<Vec<usize>> {
         return Err(Error::value("n", worlds, "a number of worlds that the memory can hold"));
     }
     Ok(vec![0; worlds])
-}
-
-/// Whether the memory has so many bytes. The black box has them used: the optimiser may leave out
-/// memory that nobody uses, and then never asks for it.
-fn can_be_had(bytes: usize) -> bool {
-    let mut room = Vec::<u8>::new();
-    room.try_reserve_exact(bytes).is_ok() && black_box(&mut room).capacity() >= bytes
 }
 
 /// A little more than a world's numbers take here and in its user's arrays.

@@ -33,7 +33,7 @@ impl<R: Real> Sim<R> {
         let on_guess = self.settings.law.on_guess();
         let judged = if on_guess { &self.next.mean } else { &self.next.qvel };
         self.placed.metric.to_factored(judged, &mut self.placed.guess);
-        self.detect(At::Start);
+        self.detect(At::Start)?;
         if self.model.adheres {
             self.adhere(dt);
         }

@@ -72,11 +72,38 @@ pub struct Broad {
     cells: Vec<u32>,
     inside: Vec<u32>,
     listed: Vec<u32>,
-    /// Pairs of geoms, the smaller one first; in no order, and one may be there twice.
-    pub found: Vec<(u32, u32)>,
+    pub found: Overlaps,
 }
 
-room!(Broad: boxes, sizes, grids, size, cells, inside, listed, found);
+room!(Broad: boxes, sizes, grids, size, cells, inside, listed; found);
+
+/// Pairs of geoms, the smaller one first; in no order, and one may be there twice.
+#[derive(Default)]
+pub struct Overlaps {
+    pub pairs: Vec<(u32, u32)>,
+    /// There are more than the memory holds.
+    pub full: bool,
+}
+
+room!(Overlaps: pairs);
+
+impl Overlaps {
+    fn clear(&mut self) {
+        self.pairs.clear();
+        self.full = false;
+    }
+
+    fn note(&mut self, one: &Bounds, two: &Bounds) {
+        if !one.overlaps(two) {
+            return;
+        }
+        let Self { pairs, full } = self;
+        *full |= pairs.len() == pairs.capacity() && pairs.try_reserve(1).is_err();
+        if !*full {
+            pairs.push((one.geom.min(two.geom), one.geom.max(two.geom)));
+        }
+    }
+}
 
 impl Broad {
     /// Finds all pairs of `boxes` that overlap.
@@ -161,11 +188,11 @@ impl Broad {
         for (k, &one) in self.listed.iter().enumerate() {
             let bounds = self.boxes[one as usize];
             for &two in &self.listed[k + 1..] {
-                note(&mut self.found, &bounds, &self.boxes[two as usize]);
+                self.found.note(&bounds, &self.boxes[two as usize]);
             }
             for (other, _) in self.boxes.iter().zip(&self.size).filter(|(_, s)| **s < SIZES as u32)
             {
-                note(&mut self.found, &bounds, other);
+                self.found.note(&bounds, other);
             }
         }
     }
@@ -208,7 +235,7 @@ impl Broad {
         let inside = self.cells[cell] as usize..self.cells[cell + 1] as usize;
         for &other in &self.inside[inside] {
             if takes(other as usize) {
-                note(&mut self.found, one, &self.boxes[other as usize]);
+                self.found.note(one, &self.boxes[other as usize]);
             }
         }
     }
@@ -221,10 +248,4 @@ fn place(x: f64, size: usize) -> i64 {
     let x = x * reciprocal;
     let whole = x as i64;
     whole.saturating_sub(i64::from((whole as f64) > x))
-}
-
-fn note(found: &mut Vec<(u32, u32)>, one: &Bounds, two: &Bounds) {
-    if one.overlaps(two) {
-        found.push((one.geom.min(two.geom), one.geom.max(two.geom)));
-    }
 }

@@ -6,13 +6,17 @@
 //! exactly are those that a search in every detection would find, in the same order.
 
 use super::broad::{Bounds, Broad};
+use crate::error::{Error, Result};
 use crate::model::{Heap, Model, Pair, Span};
-use crate::room::room;
+use crate::room::{can_be_had, room};
 
 /// Of a geom's reach: by how much its box is larger on each side.
 const SPARE: f64 = 1.0 / 32.0;
 /// Where things move so fast that a list served once, so many searches keep to the boxes at hand.
 const PLAIN: u32 = 8;
+/// Bytes of a near pair in these lists and of its contacts, and so many pairs that need no asking.
+const NEAR: usize = 1000;
+const FEW: usize = 50_000;
 
 /// What the spans of rows point into: the model's lists, in a heap followed by the dofs of each
 /// two bodies that are near.
@@ -81,44 +85,60 @@ pub(super) struct Kept {
     pub served: bool,
     /// So many searches to come keep to the boxes at hand.
     plain: u32,
+    /// So many pairs were found to fit into the memory.
+    fitting: usize,
 }
 
 room!(Kept: boxes, spare, places, numbers, pairs; broad);
 
 impl Kept {
-    /// Takes the boxes of all solid geoms, in their order, and brings the pairs up to date.
+    /// Takes the boxes of all solid geoms, in their order, and brings the pairs up to date; refuses
+    /// more pairs than the memory holds.
     pub fn refresh(
         &mut self,
         model: &Model,
         heap: &Heap,
         lists: &mut Lists,
         boxes: impl Iterator<Item = Bounds>,
-    ) {
+    ) -> Result<()> {
         self.boxes.clear();
         self.boxes.extend(boxes);
         let holds = |(now, spare): (&Bounds, &Bounds)| now.within(spare);
         if self.spare.len() == self.boxes.len() && self.boxes.iter().zip(&self.spare).all(holds) {
             self.served = true;
-            return;
+            return Ok(());
         }
         self.widen(model);
         self.broad.find(self.spare.iter().copied());
         self.numbers.clear();
-        for &(a, b) in &self.broad.found {
+        lists.clear();
+        self.pairs.clear();
+        let near = self.broad.found.pairs.len();
+        let fits = near <= self.fitting.max(FEW) || can_be_had(near.saturating_mul(NEAR));
+        if self.broad.found.full || !fits {
+            // The next detection searches anew.
+            self.spare.clear();
+            return Err(Error::value(
+                "near pairs of geoms",
+                near,
+                "as many as the memory can hold",
+            ));
+        }
+        self.fitting = self.fitting.max(near);
+        for &(a, b) in &self.broad.found.pairs {
             if let Some(number) = model.number(heap, a as usize, b as usize) {
                 self.numbers.push((number, a, b));
             }
         }
         self.numbers.sort_unstable();
         self.numbers.dedup();
-        lists.clear();
-        self.pairs.clear();
         for &(number, a, b) in &self.numbers {
             let mut pair = model.near_pair(heap, number, a as usize, b as usize);
             let bodies = [pair.geom1, pair.geom2].map(|geom| model.geoms[geom].body);
             pair.dofs = lists.union(model, bodies);
             self.pairs.push(pair);
         }
+        Ok(())
     }
 
     /// Makes the boxes within which a search is to hold.

@@ -23,11 +23,12 @@ pub use touches::PosedTouches;
 use frame::hint;
 
 use crate::elements::{Element, Kind};
+use crate::error::{Error, Result};
 use crate::model::{Model, Pair, NONE};
 use crate::place::Placed;
 use crate::pool::Pool;
 use crate::real::{Mask, Real};
-use crate::room::room;
+use crate::room::{can_be_had, room};
 use crate::settings::Settings;
 use crate::shapes::{self, Touch};
 use crate::spatial::{Pose, V3};
@@ -58,6 +59,10 @@ pub struct Contact<R: Real> {
     pub ahead: V3<R>,
 }
 
+/// Bytes of a contact, of its rows, and of what solves them; and so many that need no asking.
+const CONTACT: usize = 3500;
+const FEW: usize = 20_000;
+
 /// What this stage writes.
 pub struct Detected<R: Real> {
     pub contacts: Vec<Contact<R>>,
@@ -67,6 +72,8 @@ pub struct Detected<R: Real> {
     pub(crate) lists: Lists,
     /// By tree: it sleeps, and is not tested against what does not move; empty where nobody does.
     pub(crate) asleep: Vec<bool>,
+    /// So many contacts were found to fit into the memory, with their rows.
+    fitting: usize,
     /// Of a heap.
     kept: Kept,
     /// By part of the near pairs, where threads share the work.
@@ -90,16 +97,23 @@ impl<R: Real> Detected<R> {
             found: vec![],
             pool: None,
             asleep: vec![],
+            fitting: FEW,
             #[cfg(test)]
             exhaustive: false,
         }
     }
 
-    /// Lists the contacts of the present positions.
-    pub fn detect(&mut self, model: &Model, placed: &Placed<R>, settings: &Settings, qpos: &[R]) {
+    /// Lists the contacts of the present positions; refuses more than the memory holds.
+    pub fn detect(
+        &mut self,
+        model: &Model,
+        placed: &Placed<R>,
+        settings: &Settings,
+        qpos: &[R],
+    ) -> Result<()> {
         self.contacts.clear();
         if !(model.features.contact && model.features.constraint) {
-            return;
+            return Ok(());
         }
         // Laws that look at the guess need every distance that it may close; the row maker drops
         // what stays apart.
@@ -108,8 +122,28 @@ impl<R: Real> Detected<R> {
             self.swept.sweep(model, placed, settings.dt);
         }
         if let Some(heap) = &model.heap {
-            return self.detect_near(model, heap, placed, settings);
+            self.detect_near(model, heap, placed, settings)?;
+        } else {
+            self.detect_fixed(model, placed, qpos, on_guess);
         }
+        self.check_room()
+    }
+
+    /// The rows of the contacts, and what solves them, fit into the memory.
+    fn check_room(&mut self) -> Result<()> {
+        let count = self.contacts.len();
+        if count > self.fitting {
+            if !can_be_had(count.saturating_mul(CONTACT * R::LANES)) {
+                self.contacts.clear();
+                return Err(Error::value("contacts", count, "as many as the memory can hold"));
+            }
+            self.fitting = count;
+        }
+        Ok(())
+    }
+
+    /// Those of pairs that were listed when the model was compiled.
+    fn detect_fixed(&mut self, model: &Model, placed: &Placed<R>, qpos: &[R], on_guess: bool) {
         let inside = !beyond(model, qpos);
         let sleeps = self.asleep.contains(&true);
         let asks = !on_guess;

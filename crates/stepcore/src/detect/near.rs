@@ -5,6 +5,7 @@ use super::broad::Bounds;
 use super::kept::Kept;
 use super::swept::Swept;
 use super::{listed, meet, push, rests, Contact, Detected};
+use crate::error::Result;
 use crate::model::{Heap, Model, Pair};
 use crate::place::Placed;
 use crate::pool::{inside, lock, Pool, WORTH_SHARING};
@@ -25,7 +26,7 @@ impl<R: Real> Detected<R> {
         heap: &Heap,
         placed: &Placed<R>,
         settings: &Settings,
-    ) {
+    ) -> Result<()> {
         let on_guess = settings.law.on_guess();
         let (swept, asleep) = (&self.swept, &self.asleep);
         let boxes = heap.solid.iter().map(|&geom| {
@@ -34,7 +35,7 @@ impl<R: Real> Detected<R> {
             let more = guessed.max(listed);
             Bounds { fixed: rests(model, asleep, geom), ..bounds(model, placed, geom, more) }
         });
-        self.kept.refresh(model, heap, &mut self.lists, boxes);
+        self.kept.refresh(model, heap, &mut self.lists, boxes)?;
         let Self { kept, found, contacts, grown, pool, .. } = self;
         let near = Near { model, placed, kept, swept: on_guess.then_some(swept) };
         match pool {
@@ -43,6 +44,7 @@ impl<R: Real> Detected<R> {
             }
             _ => near.meet(&kept.pairs, |contact| push(contacts, grown, contact)),
         }
+        Ok(())
     }
 }
 

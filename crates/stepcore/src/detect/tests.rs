@@ -136,8 +136,8 @@ fn the_broad_phase_finds_what_comparing_all_boxes_finds() {
             })
             .collect();
         broad.find(boxes.iter().copied());
-        broad.found.sort_unstable();
-        broad.found.dedup();
+        broad.found.pairs.sort_unstable();
+        broad.found.pairs.dedup();
         let mut all = vec![];
         for (k, one) in boxes.iter().enumerate() {
             all.extend(
@@ -147,7 +147,7 @@ fn the_broad_phase_finds_what_comparing_all_boxes_finds() {
                     .map(|two| (one.geom, two.geom)),
             );
         }
-        assert_eq!(broad.found, all, "case {case}");
+        assert_eq!(broad.found.pairs, all, "case {case}");
     }
 }
 

@@ -3,7 +3,7 @@
 use super::slots::Slots;
 use super::{
     apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages, meetings,
-    meshes, pairs, plane, pose, tendons, ties, tree, Model, NONE,
+    memory, meshes, pairs, plane, pose, tendons, ties, tree, Model, NONE,
 };
 use crate::error::Result;
 use crate::scene::Scene;
@@ -22,6 +22,7 @@ impl Model {
     fn compiled(scene: &Scene, most_fixed: impl Fn(&Self) -> usize) -> Result<Self> {
         check::scene(scene)?;
         crate::sensors::check::sensors(scene)?;
+        memory::check_scene(scene)?;
         let (geoms, assets) = meshes::placed(scene)?;
         let scene = &Scene { geoms, ..scene.clone() };
         let mut model = tree::lay_out(scene, &assets);

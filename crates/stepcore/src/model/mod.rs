@@ -16,6 +16,7 @@ mod kept;
 mod linkages;
 mod material;
 mod meetings;
+pub(crate) mod memory;
 mod meshes;
 mod pairs;
 mod plan;

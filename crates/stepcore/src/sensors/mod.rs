@@ -41,7 +41,7 @@ impl Sensor {
         use SensorType as T;
         let fields: usize = self.data.iter().map(|field| field.size()).sum();
         match self.kind {
-            T::Contact => fields * self.num,
+            T::Contact => fields.saturating_mul(self.num),
             T::Rangefinder => fields,
             T::FrameQuat | T::BallQuat => 4,
             T::FromTo => 6,

@@ -40,7 +40,7 @@ impl<R: Real> Sim<R> {
             }
         }
         self.placed.metric.lower(&mut held);
-        let mass = self.mass_matrix(lane);
+        let mass = self.mass_matrix(lane)?;
         let force = |k: usize| {
             let row = &mass[k * nv..(k + 1) * nv];
             let inertial: f64 = row.iter().zip(qacc).map(|(m, a)| m * a).sum();

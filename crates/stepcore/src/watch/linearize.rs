@@ -14,6 +14,7 @@ use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::{Dual, Real, WAYS};
+use crate::room::zeros;
 use crate::scene::JointType;
 use crate::sim::Sim;
 use crate::solve::Differentiated;
@@ -58,7 +59,7 @@ impl Linearizer {
             ctrl: sim.inputs.ctrl.clone(),
             sim,
             done: 0,
-            matrix: vec![0.0; rows * width],
+            matrix: zeros("linearize", rows, width)?,
         })
     }
 

@@ -6,8 +6,10 @@
 use crate::detect::Contact;
 use crate::elements::friction::{Axis, Ways, MOST_WAYS};
 use crate::elements::{Element, Kind};
+use crate::error::Result;
 use crate::model::NONE;
 use crate::real::{Mask, Real};
+use crate::room::zeros;
 use crate::settings::Law;
 use crate::sim::Sim;
 use crate::solve::{Block, Push, Row, Set};
@@ -16,9 +18,10 @@ use nalgebra::Vector3;
 
 impl<R: Real> Sim<R> {
     /// The mass matrix, armature included, row by row (nv × nv).
-    pub fn mass_matrix(&self, lane: usize) -> Vec<f64> {
+    /// Refuses one that the memory does not hold.
+    pub fn mass_matrix(&self, lane: usize) -> Result<Vec<f64>> {
         let model = &*self.model;
-        let mut full = vec![0.0; model.nv * model.nv];
+        let mut full = zeros("mass_matrix", model.nv, model.nv)?;
         for (k, dof) in model.dofs.iter().enumerate() {
             for at in dof.row.range() {
                 let j = model.row_dofs[at];
@@ -27,7 +30,7 @@ impl<R: Real> Sim<R> {
                 full[j * model.nv + k] = value;
             }
         }
-        full
+        Ok(full)
     }
 
     /// How a body's frame moves with every dof: linear velocity of its origin in 3 rows

@@ -2,8 +2,10 @@
 
 use crate::elements::tendon_spring::tendon_force;
 use crate::elements::Kind;
+use crate::error::Result;
 use crate::model::Tie;
 use crate::real::{Mask, Real};
+use crate::room::zeros;
 use crate::scene::Target;
 use crate::sim::{At, Sim};
 use crate::transmission::Transmission;
@@ -19,15 +21,16 @@ impl<R: Real> Sim<R> {
     }
 
     /// Arms of each tendon by dof, in a lane: tendons × nv.
-    pub fn tendon_jacobian(&self, lane: usize) -> Vec<f64> {
-        let mut all = vec![0.0; self.model.tendons.len() * self.model.nv];
-        for (row, tendon) in all.chunks_mut(self.model.nv).zip(&self.model.tendons) {
+    /// Refuses them if the memory does not hold them.
+    pub fn tendon_jacobian(&self, lane: usize) -> Result<Vec<f64>> {
+        let mut all = zeros("ten_J", self.model.tendons.len(), self.model.nv)?;
+        for (row, tendon) in all.chunks_mut(self.model.nv.max(1)).zip(&self.model.tendons) {
             let arms = tendon.arms.of(&self.placed.tendon_arms);
             for (dof, arm) in tendon.dofs.of(&self.model.dof_lists).iter().zip(arms) {
                 row[*dof] = arm.lane(lane);
             }
         }
-        all
+        Ok(all)
     }
 
     /// Force of each tendon's spring and damper, positive where it lengthens it [N].
