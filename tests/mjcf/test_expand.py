@@ -298,7 +298,7 @@ WRONG = {
     "needs body or frame": '<attach prefix="a"/>',
     "default classes have these names": '<attach model="kid" prefix=""/>',
     "direct child of <replicate>": '<replicate count="2"><joint/></replicate>',
-    "more than 1000000 elements": '<replicate count="2000000000"><geom/></replicate>',
+    "at most 1000000 copied elements": '<replicate count="2000000000"><geom/></replicate>',
     "count = -1: must be >= 0": '<replicate count="-1"><geom/></replicate>',
     "used twice": '<attach model="kid" body="b" prefix="a"/>' * 2,
 }

@@ -5,7 +5,7 @@ import os
 import pytest
 
 import stepcore as sc
-from stepcore import checks
+from stepcore import files
 
 BODY = '<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
 INERTIA = """<mujoco><compiler balanceinertia="{0}"/><worldbody><body><freejoint/>
@@ -48,7 +48,7 @@ def test_a_file_beyond_the_limit_is_refused(monkeypatch, tmp_path):
     path = tmp_path / "large.xml"
     path.write_text(BODY)
     assert sc.load(path).bodies
-    monkeypatch.setattr(checks, "LARGEST_FILE", len(BODY) - 1)
+    monkeypatch.setattr(files, "LARGEST", len(BODY) - 1)
     with pytest.raises(ValueError, match="MiB"):
         sc.load(path)
 

@@ -109,21 +109,24 @@ class Assets:
                     scene.ignored.append(node.listed("only draws"))
                     continue
                 asset.__dict__["place"] = f"{node.file}:{node.line}"
-                try:
-                    self._fill(scene, node, asset)
-                except MJCFError:
-                    raise
-                except ValueError as error:
-                    raise node.error(str(error)) from None
+                self._fill(scene, node, asset)
         self._note(scene)
 
     def _fill(self, scene: Contents, node: Node, asset: Mesh | HField) -> None:
-        if isinstance(asset, Mesh):
-            self._mesh(scene, node, asset)
-            scene.meshes.append(asset)
-        else:
-            self._hfield(scene, node, asset)
-            scene.hfields.append(asset)
+        """Fills an asset; what is wrong with its file has the line that names the file."""
+        try:
+            if isinstance(asset, Mesh):
+                self._mesh(scene, node, asset)
+                scene.meshes.append(asset)
+            else:
+                self._hfield(scene, node, asset)
+                scene.hfields.append(asset)
+        except MJCFError:
+            raise
+        except FileNotFoundError as error:
+            raise FileNotFoundError(f"{node.file}:{node.line}: {error}") from None
+        except (IsADirectoryError, ValueError) as error:
+            raise node.error(str(error)) from None
 
     def _mesh(self, scene: Contents, node: Node, mesh: Mesh) -> None:
         values = self.defaults.of(node)
@@ -189,8 +192,6 @@ class Assets:
                 f"{node.file}:{node.line}: <{node.tag}> reads {path}, which is outside the folder "
                 "of the main file"
             )
-        if not os.path.exists(path):
-            raise FileNotFoundError(f"{node.file}:{node.line}: {path}: no such file")
         return path
 
     def _place(self, node: Node, name: str, own: str = "meshdir") -> str | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 from xml.parsers import expat
 
-from stepcore.checks import cut
+from stepcore.checks import brief
 from stepcore.mjcf.effects import effect
 from stepcore.mjcf.mended import mended
 
@@ -23,7 +23,7 @@ class MJCFError(ValueError):
     """
 
     def __init__(self, file: str, line: int, text: str, kind: str = "") -> None:
-        super().__init__(f"{cut(file, 300)}:{line}: {cut(' '.join(text.split()))}")
+        super().__init__(f"{brief(file)}:{line}: {brief(' '.join(text.split()))}")
         self.file = file
         self.line = line
         self.text = text

@@ -32,7 +32,7 @@ from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.discard import discard_visual
 from stepcore.mjcf.expand.attach import Model
 from stepcore.mjcf.fuse import fuse
-from stepcore.mjcf.include import expand, read_bytes
+from stepcore.mjcf.include import expand, read_main
 from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.models import Models, inside, sections
 from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
@@ -66,7 +66,7 @@ def read_file(scene: Contents, path: str | os.PathLike[str], without: Iterable[s
     """Fills an empty scene from an MJCF file; see `stepcore.load`."""
     shown = os.fsdecode(path)
     main = Path(shown)
-    data = read_bytes(shown)
+    data = read_main(shown)
     root = parse(data, shown)
     scene.notes += expand(root, main.parent, main)
     _fill(scene, root, Source(data, os.path.abspath(main.parent)), without)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore.scene.png_files import png
 
 CONTENT = {"image/png": True, "image/vnd.mujoco.hfield": False}
@@ -30,8 +30,8 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
     if content_type and content_type not in CONTENT:
         near = checks.nearest(content_type, CONTENT)
         text = f"no height field has the content type {checks.quoted(content_type)}{near}"
-        raise ValueError(f"{name}: {text}")
-    data = checks.file_bytes(name, "a height field")
+        raise ValueError(f"{checks.brief(name)}: {text}")
+    data = files.read(name, "a height field")
     image = CONTENT.get(content_type, name.lower().endswith(".png"))
     try:
         heights = png(data, MOST) if image else binary(data)
@@ -39,7 +39,7 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
             raise ValueError("a height is not a finite number")
     except ValueError as error:
         word = "PNG file" if image else "height-field file"
-        raise ValueError(f"{checks.cut(name, 300)}: not a whole {word}: {error}") from None
+        raise ValueError(f"{checks.brief(name)}: not a whole {word}: {error}") from None
     return heights
 
 
