@@ -38,7 +38,8 @@ def cut(text: str, width: int = LONGEST) -> str:
 
 # No name of an element is longer in an error, and no word or path [characters].
 LONGEST_NAME, LONGEST_WORD = 80, 300
-_LONG = re.compile(rf'"[^"\n]{{{LONGEST_NAME + 1},}}"|\S{{{LONGEST_WORD + 1},}}')
+_NAME = re.compile(rf'"[^"\n]{{{LONGEST_NAME + 1},}}"')
+_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def brief(text: str) -> str:
@@ -47,19 +48,19 @@ def brief(text: str) -> str:
     What an error says stands after the names of what it is about, so that these are shortened
     first. Every error about a file or an element passes through here.
     """
-    return cut(_LONG.sub(_without_middle, text))
+    return cut(_WORD.sub(_shortened, _NAME.sub(_shortened, text)))
 
 
-def _without_middle(match: re.Match[str]) -> str:
+def _shortened(match: re.Match[str]) -> str:
     word = match.group()
-    width = LONGEST_WORD if word[0] != '"' or _is_path(word) else LONGEST_NAME
-    if len(word) <= width:
-        return word
-    return f"{word[: width // 2]}…{word[-(width // 2) :]}"
+    name = word[0] == '"' and "/" not in word and os.sep not in word
+    return without_middle(word, LONGEST_NAME if name else LONGEST_WORD)
 
 
-def _is_path(word: str) -> bool:
-    return "/" in word or os.sep in word
+def without_middle(word: str, width: int = LONGEST_WORD) -> str:
+    """A path or another word, at most `width` long: its beginning and its end tell most."""
+    half = width // 2
+    return word if len(word) <= width else f"{word[: half - 1]}…{word[-half:]}"
 
 
 def quoted(name: str) -> str:
@@ -100,7 +101,7 @@ class KnownNames:
         kind = type(self)
         if not name.startswith("_") and name not in self._attributes and not hasattr(kind, name):
             known = [*self._attributes, *(n for n in dir(kind) if not n.startswith("_"))]
-            raise AttributeError(f'a {kind.__name__} has no "{name}"{nearest(name, known)}')
+            raise AttributeError(f"a {kind.__name__} has no {quoted(name)}{nearest(name, known)}")
         object.__setattr__(self, name, value)
 
 

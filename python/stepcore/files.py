@@ -21,7 +21,7 @@ def read(path: str | os.PathLike[str], expected: str) -> bytes:
     cannot be read.
     """
     name = os.fsdecode(path)
-    called = checks.brief(name)
+    called = checks.without_middle(name)
     if "\0" in name:
         raise ValueError(f"{checks.shown(name)}: cannot be read: no file has a NUL in its name")
     try:

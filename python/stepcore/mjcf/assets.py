@@ -124,7 +124,7 @@ class Assets:
         except MJCFError:
             raise
         except FileNotFoundError as error:
-            raise FileNotFoundError(f"{node.file}:{node.line}: {error}") from None
+            raise node.missing(error) from None
         except (IsADirectoryError, ValueError) as error:
             raise node.error(str(error)) from None
 

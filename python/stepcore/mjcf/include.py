@@ -22,7 +22,7 @@ def read_named(node: Node, shown: str) -> Node:
     try:
         data = files.read(shown, "an MJCF or URDF file")
     except FileNotFoundError as error:
-        raise FileNotFoundError(f"{node.file}:{node.line}: {error}") from None
+        raise node.missing(error) from None
     except (IsADirectoryError, ValueError) as error:
         raise node.error(str(error)) from None
     return parse(data, shown)

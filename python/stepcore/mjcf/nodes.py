@@ -116,6 +116,10 @@ class Node:
         """Returns the error about this element, with its file and line."""
         return MJCFError(self.file, self.line, text)
 
+    def missing(self, error: FileNotFoundError) -> FileNotFoundError:
+        """Returns the error about a file that this element names, with the element's place."""
+        return FileNotFoundError(f"{brief(self.file)}:{self.line}: {error}")
+
     def unbuilt(self, what: str, attribute: str = "") -> MJCFError:
         """Returns the error for a feature that would change the motion and is not built yet.
 

@@ -30,7 +30,7 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
     if content_type and content_type not in CONTENT:
         near = checks.nearest(content_type, CONTENT)
         text = f"no height field has the content type {checks.quoted(content_type)}{near}"
-        raise ValueError(f"{checks.brief(name)}: {text}")
+        raise ValueError(f"{checks.without_middle(name)}: {text}")
     data = files.read(name, "a height field")
     image = CONTENT.get(content_type, name.lower().endswith(".png"))
     try:
@@ -39,7 +39,7 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
             raise ValueError("a height is not a finite number")
     except ValueError as error:
         word = "PNG file" if image else "height-field file"
-        raise ValueError(f"{checks.brief(name)}: not a whole {word}: {error}") from None
+        raise ValueError(f"{checks.without_middle(name)}: not a whole {word}: {error}") from None
     return heights
 
 

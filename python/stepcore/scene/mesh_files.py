@@ -42,17 +42,19 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> Surface:
     if content_type and content_type not in CONTENT:
         near = checks.nearest(content_type, CONTENT)
         text = f"no mesh has the content type {checks.quoted(content_type)}{near}"
-        raise ValueError(f"{checks.brief(name)}: {text}")
+        raise ValueError(f"{checks.without_middle(name)}: {text}")
     kind = CONTENT.get(content_type) or os.path.splitext(name)[1][1:].lower()
     if kind not in FORMATS:
         endings = ", ".join("." + each for each in FORMATS)
-        raise ValueError(f"{checks.brief(name)}: the name of a mesh file ends with {endings}")
+        raise ValueError(
+            f"{checks.without_middle(name)}: the name of a mesh file ends with {endings}"
+        )
     data = files.read(name, "a mesh file")
     try:
         surface = {"stl": stl, "obj": obj, "msh": msh}[kind](data)
         _check(surface.vertices, surface.faces)
     except ValueError as error:
-        text = f"{checks.brief(name)}: not a whole {kind.upper()} file: {error}"
+        text = f"{checks.without_middle(name)}: not a whole {kind.upper()} file: {error}"
         raise ValueError(text) from None
     return surface
 
