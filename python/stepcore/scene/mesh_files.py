@@ -120,7 +120,8 @@ def _text_corners(data: bytes) -> NDArray[Any]:
     while facet := _FACET.match(text, at):
         loops.append(facet.group(1))
         at = facet.end()
-    if not re.fullmatch(rb"\s*endsolid[^\n]*\s*", text[at:]):
+    end = text[at:].strip()
+    if not end.startswith(b"endsolid") or b"\n" in end:
         line = text.count(b"\n", 0, at) + 1
         raise ValueError(f"after line {line} stands neither a facet nor the end of the solid")
     return _numbers(b" ".join(loops).replace(b"vertex", b" "), 3)
