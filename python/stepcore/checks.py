@@ -229,7 +229,6 @@ def whole(low: int, high: int) -> Check:
 
 def one_of(*allowed: object) -> Check:
     """One of a few values."""
-    text = ", ".join(shown(a) for a in allowed)
 
     def check(owner: Any, field: str, value: object) -> object:
         for candidate in allowed:
@@ -240,7 +239,7 @@ def one_of(*allowed: object) -> Check:
         near = ""
         if isinstance(value, str):
             near = nearest(value, [a for a in allowed if isinstance(a, str)], listed=0)
-        raise refuse(owner, field, value, f"one of {text}{near}")
+        raise refuse(owner, field, value, f"one of {', '.join(map(shown, allowed))}{near}")
 
     return check
 

@@ -157,8 +157,9 @@ def finish(world: WorldReader, root: Node) -> None:
     """Reads what needs the whole scene: keyframes, and the files of assets that are used."""
     scene = world.scene
     layout = Layout(scene)
+    rest = keyframes.default_state(layout)
     for node in inside(root, "keyframe"):
-        world.refusals.at(node, partial(keyframes.read, world, layout))
+        world.refusals.at(node, partial(keyframes.read, world, layout, rest))
     world.refusals.raise_all()
     keyframes.add_empty_keys(scene, sections(root, "size"))
     check_references(world, root)

@@ -13,6 +13,8 @@ T = TypeVar("T")
 LINES = 20
 LINE = 600
 PLACES = 4
+# After so many errors elements are read no more.
+MOST = 100
 
 
 class Refusals:
@@ -25,6 +27,9 @@ class Refusals:
 
     def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
         """What `read` gives for a node; an error is kept, with the node's file and line."""
+        # To look up the nearest name of each of thousands takes minutes.
+        if len(self.errors) >= MOST:
+            return None
         try:
             return read(node)
         except MJCFError as error:

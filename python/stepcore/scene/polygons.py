@@ -16,8 +16,8 @@ Place = tuple[Any, Any]
 # A corner is compared with all others before it is cut off, so that the work grows with the square
 # of their number. This much takes seconds, and is enough for a face of 10,000 corners.
 MOST_WORK = 10**8
-# What each corner of a file may take beside, so that there may be any number of small faces, and what
-# a comparison takes with however few.
+# What each corner of a file may take beside, so that there may be any number of small faces, and
+# what a comparison takes with however few.
 PER_CORNER, LEAST = 1000, 500
 
 

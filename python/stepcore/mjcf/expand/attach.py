@@ -24,6 +24,9 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import below
 from stepcore.mjcf.schema import ROOT
 
+# Bodies and frames by tag and name, each with the childclass around it.
+Parts = dict[tuple[str, str], tuple[Node, str]]
+
 
 @dataclass
 class Model:
@@ -32,6 +35,11 @@ class Model:
     root: Node
     compiler: Compiler
     defaults: Defaults
+
+    @cached_property
+    def parts(self) -> Parts:
+        """Its bodies and frames."""
+        return _by_name({}, _tree(self.root), MAIN)
 
     @cached_property
     def assets(self) -> list[Node]:
@@ -64,6 +72,10 @@ class Attacher:
         self.assets: dict[str, Node] = {}
         # What refers to this model's own tree, as far as it is there by now.
         self.own: Referring | None = None
+        # Its bodies and frames, likewise.
+        self.parts: Parts = {}
+        # By tag, what comes along with what is attached.
+        self.sections: dict[str, Node] = {}
         for section in model.root.children:
             if section.tag == "asset":
                 for node in [child for child in section.children if child.tag == "model"]:
@@ -78,6 +90,7 @@ class Attacher:
         found = [node for section in worlds for node in _attachments(section)]
         if any("model" not in node.attrs for node in found):
             self.own = Referring(self.model.root)
+            self.parts = _by_name({}, _tree(self.model.root), MAIN)
         for node in found:
             self._attach(node)
 
@@ -91,7 +104,7 @@ class Attacher:
             if other.compiler.mass_rules().fitaabb != self.model.compiler.mass_rules().fitaabb:
                 raise node.unbuilt("an attached model with another fitaabb than this one")
             self.notes += merge(self.model.root, other.root, node, policy)
-        tree, childclass = _part(node, other.root, own)
+        tree, childclass = _part(node, other.root, self.parts if own else other.parts, own)
         assets, keys = ([], []) if own else (other.assets, other.keys)
         referring = self.own if own and self.own is not None else other.referring
         names, sections, torn = _resolved(referring, [*tree, *assets], own)
@@ -118,6 +131,8 @@ class Attacher:
         node.tag, node.path, node.children = "frame", "worldbody/frame", twins
         node.attrs = {"childclass": childclass if own else prefix + childclass}
         node.values = dict(node.attrs)
+        if self.own is not None:
+            _by_name(self.parts, twins, node.attrs["childclass"])
 
     def _other(self, node: Node) -> Model:
         if "body" in node.attrs and "frame" in node.attrs:
@@ -135,15 +150,17 @@ class Attacher:
 
     def _add(self, parts: list[tuple[str, Node]], names: Names, prefix: str, own: bool) -> None:
         """Adds what comes along to the sections of this model, renamed."""
-        sections: dict[str, list[Node]] = {}
         for tag, one in parts:
             rename(one, names, lambda name: prefix + name)
             if tag == "keyframe":
                 one.attrs["name"] = one.values["name"] = prefix + twin_name(one, prefix)
             elif not own:
                 _give_class(one, prefix)
-            sections.setdefault(tag, []).append(one)
-        self.model.root.children += [section_of(tag, nodes) for tag, nodes in sections.items()]
+            if tag in self.sections:
+                self.sections[tag].children.append(one)
+            else:
+                self.sections[tag] = section_of(tag, [one])
+                self.model.root.children.append(self.sections[tag])
         if self.own is not None:
             self.own.append([part for part in parts if part[0] in SECTIONS])
 
@@ -184,26 +201,37 @@ def _named_assets(root: Node) -> list[Node]:
     return assets
 
 
-def _part(node: Node, twin: Node, own: bool) -> tuple[list[Node], str]:
+def _tree(root: Node) -> list[Node]:
+    """What stands in the world."""
+    sections = [section for section in root.children if section.tag == "worldbody"]
+    return [node for section in sections for node in section.children]
+
+
+def _by_name(parts: Parts, nodes: list[Node], childclass: str) -> Parts:
+    """Adds the bodies and frames among these nodes and in them, with the childclass of each."""
+    pending = [(one, childclass) for one in reversed(nodes)]
+    while pending:
+        one, around = pending.pop()
+        if one.tag in ("body", "frame") and one.attrs.get("name"):
+            parts.setdefault((one.tag, one.attrs["name"]), (one, around))
+        inner = one.attrs.get("childclass", around)
+        pending += [(child, inner) for child in reversed(one.children)]
+    return parts
+
+
+def _part(node: Node, root: Node, parts: Parts, own: bool) -> tuple[list[Node], str]:
     """The nodes that are attached, and the childclass under which they stand."""
-    trees = [section for section in twin.children if section.tag == "worldbody"]
     kind = next((word for word in ("body", "frame") if word in node.attrs), "")
     if not kind:
-        return [child for tree in trees for child in tree.children], MAIN
-    pending = [(child, MAIN) for tree in reversed(trees) for child in reversed(tree.children)]
-    while pending:
-        one, childclass = pending.pop()
-        if one.tag == kind and one.attrs.get("name") == node.attrs[kind]:
-            if own and any(inner.tag == "attach" for inner in below(one)):
-                raise node.error(f'<attach {kind}="{node.attrs[kind]}"> holds an <attach> itself')
-            return [one], childclass
-        inner = one.attrs.get("childclass", childclass)
-        pending += [(child, inner) for child in reversed(one.children)]
-    known = [
-        o.attrs["name"] for t in trees for o in below(t) if o.tag == kind and "name" in o.attrs
-    ]
-    near = nearest(node.attrs[kind], known)
-    raise node.error(f'<attach {kind}="{node.attrs[kind]}">: no such {kind}{near}')
+        return _tree(root), MAIN
+    name = node.attrs[kind]
+    if (kind, name) not in parts:
+        near = nearest(name, [known for tag, known in parts if tag == kind])
+        raise node.error(f'<attach {kind}="{name}">: no such {kind}{near}')
+    one, childclass = parts[kind, name]
+    if own and any(inner.tag == "attach" for inner in below(one)):
+        raise node.error(f'<attach {kind}="{name}"> holds an <attach> itself')
+    return [one], childclass
 
 
 def _resolved(
