@@ -65,11 +65,11 @@ def image_levels(data: bytes) -> NDArray[Any]:
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     if not 0 < width * height <= MOST:
         raise ValueError(f"it is {width} × {height} pixels; 1 to {MOST} of them are read")
-    _check_chunks(data)
+    needed = _needed(data)
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+        with Image.open(io.BytesIO(needed), formats=["PNG"]) as image:
             # As the file has it: once the pixels are there, it is filled up.
             colours = image.palette.getdata()[1] if image.palette is not None else b""
             levels = np.asarray(image)
@@ -83,9 +83,13 @@ def image_levels(data: bytes) -> NDArray[Any]:
     return np.asarray(levels // 256 if levels.dtype.itemsize > 1 else levels, float)
 
 
-def _check_chunks(data: bytes) -> None:
-    """Compares the checksum of each part of an image (5.3), which pillow does of some alone."""
+def _needed(data: bytes) -> bytes:
+    """The image without the chunks that are not needed for its levels, as their names say (5.4).
+
+    The checksums of all are compared (5.3), which pillow does of some.
+    """
     view, at, kind = memoryview(data), 8, b""
+    parts = [view[:8]]
     while kind != b"IEND":
         if at >= len(data):
             raise ValueError("its end is missing")
@@ -93,7 +97,10 @@ def _check_chunks(data: bytes) -> None:
         kind, check = bytes(view[at + 4 : at + 8]), view[end : end + 4]
         if len(check) != 4 or int.from_bytes(check, "big") != zlib.crc32(view[at + 4 : end]):
             raise ValueError("a part of it is cut off or damaged")
+        if kind[:1].isupper():
+            parts.append(view[at : end + 4])
         at = end + 4
+    return b"".join(parts)
 
 
 def _red(indices: NDArray[Any], reds: NDArray[Any]) -> NDArray[Any]:
