@@ -229,3 +229,29 @@ def test_heights_of_an_image_name_pillow_where_it_is_missing(monkeypatch, tmp_pa
     <worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>"""
     with pytest.raises(sc.MJCFError, match=r"^<string>:2: .*pillow: pip install 'stepcore"):
         sc.loads(text, base=tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["mesh", "hfield"])
+def test_a_file_that_several_assets_name_is_read_once(kind, tmp_path, monkeypatch):
+    (tmp_path / "h.png").write_bytes(grey(np.arange(12).reshape(3, 4)))
+    (tmp_path / "m.obj").write_bytes(ring(6))
+    (tmp_path / "n.obj").write_bytes(ring(6))
+    own = {"mesh": ('file="{}.obj"', "mn"), "hfield": ('file="{}.png" size="1 1 1 1"', "h")}
+    attributes, names = own[kind]
+    assets = "".join(
+        f'<{kind} name="{name}{i}" {attributes.format(name)}/>' for name in names for i in range(5)
+    )
+    geoms = "".join(f'<geom type="{kind}" {kind}="{name}{i}"/>' for name in names for i in range(5))
+    reader, read = sys.modules[f"stepcore.scene.{kind}_files"], []
+    first = reader.read
+    monkeypatch.setattr(reader, "read", lambda *path: read.append(path[0]) or first(*path))
+    text = f"<mujoco><asset>{assets}</asset><worldbody>{geoms}</worldbody></mujoco>"
+    scene = sc.loads(text, base=tmp_path)
+    assert len(read) == len(names)
+    held = scene.meshes if kind == "mesh" else scene.hfields
+    field = "vertices" if kind == "mesh" else "elevation"
+    assert len(held) == 5 * len(names)
+    arrays = {id(getattr(asset, field)) for asset in held}
+    assert len(arrays) == len(names)
+    assert {asset.file for asset in held} == set(read)
+    assert scene.compile().ngeom == len(held)
