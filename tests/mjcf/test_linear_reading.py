@@ -236,7 +236,10 @@ def test_a_file_that_several_assets_name_is_read_once(kind, tmp_path, monkeypatc
     (tmp_path / "h.png").write_bytes(grey(np.arange(12).reshape(3, 4)))
     (tmp_path / "m.obj").write_bytes(ring(6))
     (tmp_path / "n.obj").write_bytes(ring(6))
-    own = {"mesh": ('file="{}.obj"', "mn"), "hfield": ('file="{}.png" size="1 1 1 1"', "h")}
+    own = {
+        "mesh": ('file="{}.obj" inertia="shell"', "mn"),
+        "hfield": ('file="{}.png" size="1 1 1 1"', "h"),
+    }
     attributes, names = own[kind]
     assets = "".join(
         f'<{kind} name="{name}{i}" {attributes.format(name)}/>' for name in names for i in range(5)

@@ -84,8 +84,11 @@ class Layout:
         """Where an element stands among those of its kind; None if it is not in the scene."""
         kind = type(element).__name__.lower()
         if kind not in self._places:
-            assets = {"mesh": self.scene.meshes, "hfield": self.scene.hfields}
-            listed = assets[kind] if kind in assets else self.elements[kind]
+            assets: dict[str, Sequence[Element]] = {
+                "mesh": self.scene.meshes,
+                "hfield": self.scene.hfields,
+            }
+            listed = (assets | self.elements)[kind]
             self._places[kind] = {id(one): at for at, one in enumerate(listed)}
         return self._places[kind].get(id(element))
 
