@@ -7,6 +7,13 @@ import zlib
 
 import numpy as np
 
+# Numbers of a pixel, by colour type: grey, RGB, palette, grey with alpha, RGB with alpha.
+CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+# The passes of an interlaced image (8.2): first column and row, steps of columns and rows.
+ADAM7 = (
+    *((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4)),
+    *((0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)),
+)
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 

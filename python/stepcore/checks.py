@@ -10,7 +10,7 @@ import difflib
 import inspect
 import math
 import os
-import stat
+import re
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -34,6 +34,33 @@ def shown(value: object, width: int = 80) -> str:
 def cut(text: str, width: int = LONGEST) -> str:
     """The text, cut to `width` characters."""
     return text if len(text) <= width else text[: width - 1] + "…"
+
+
+# No name of an element is longer in an error, and no word or path [characters].
+LONGEST_NAME, LONGEST_WORD = 80, 300
+_NAME = re.compile(rf'"[^"\n]{{{LONGEST_NAME + 1},}}"')
+_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
+
+
+def brief(text: str) -> str:
+    """The text of an error, at most `LONGEST` long, without the middle of long names and words.
+
+    What an error says stands after the names of what it is about, so that these are shortened
+    first. Every error about a file or an element passes through here.
+    """
+    return cut(_WORD.sub(_shortened, _NAME.sub(_shortened, text)))
+
+
+def _shortened(match: re.Match[str]) -> str:
+    word = match.group()
+    name = word[0] == '"' and "/" not in word and os.sep not in word
+    return without_middle(word, LONGEST_NAME if name else LONGEST_WORD)
+
+
+def without_middle(word: str, width: int = LONGEST_WORD) -> str:
+    """A path or another word, at most `width` long: its beginning and its end tell most."""
+    half = width // 2
+    return word if len(word) <= width else f"{word[: half - 1]}…{word[-half:]}"
 
 
 def quoted(name: str) -> str:
@@ -74,7 +101,7 @@ class KnownNames:
         kind = type(self)
         if not name.startswith("_") and name not in self._attributes and not hasattr(kind, name):
             known = [*self._attributes, *(n for n in dir(kind) if not n.startswith("_"))]
-            raise AttributeError(f'a {kind.__name__} has no "{name}"{nearest(name, known)}')
+            raise AttributeError(f"a {kind.__name__} has no {quoted(name)}{nearest(name, known)}")
         object.__setattr__(self, name, value)
 
 
@@ -82,43 +109,12 @@ class ElementError(ValueError):
     """An error about one element of a scene, `owner`."""
 
     def __init__(self, owner: object, text: str) -> None:
-        super().__init__(f"{cut(str(owner), 200)}: {cut(text)}")
+        super().__init__(f"{cut(brief(str(owner)), 200)}: {brief(text)}")
         self.owner = owner
         self.text = text
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (str(self.owner), self.text)
-
-
-# No model and no replay is larger [bytes]; a file that is would fill the memory.
-LARGEST_FILE = 2**28
-
-
-def file_bytes(path: str | os.PathLike[str], expected: str) -> bytes:
-    """Reads a regular file of at most `LARGEST_FILE` bytes.
-
-    expected: what it should be, such as "an MJCF file".
-
-    An error in one line names the file: FileNotFoundError, IsADirectoryError; ValueError for a
-    device, a pipe or a socket, which are not opened, and for a file that is too large.
-    """
-    name = os.fsdecode(path)
-    try:
-        status = os.stat(name)
-        if stat.S_ISDIR(status.st_mode):
-            raise IsADirectoryError
-        if not stat.S_ISREG(status.st_mode):
-            raise ValueError(f"{cut(name, 300)}: is not a regular file, so it is not read")
-        with open(name, "rb") as file:
-            data = file.read(LARGEST_FILE + 1)
-        if len(data) > LARGEST_FILE:
-            limit = f"has more than {LARGEST_FILE // 2**20} MiB"
-            raise ValueError(f"{cut(name, 300)}: {limit}, which {expected} never has")
-        return data
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{name}: no such file") from None
-    except IsADirectoryError:
-        raise IsADirectoryError(f"{name}: is a folder, not {expected}") from None
 
 
 def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:
@@ -233,7 +229,6 @@ def whole(low: int, high: int) -> Check:
 
 def one_of(*allowed: object) -> Check:
     """One of a few values."""
-    text = ", ".join(shown(a) for a in allowed)
 
     def check(owner: Any, field: str, value: object) -> object:
         for candidate in allowed:
@@ -244,7 +239,7 @@ def one_of(*allowed: object) -> Check:
         near = ""
         if isinstance(value, str):
             near = nearest(value, [a for a in allowed if isinstance(a, str)], listed=0)
-        raise refuse(owner, field, value, f"one of {text}{near}")
+        raise refuse(owner, field, value, f"one of {', '.join(map(shown, allowed))}{near}")
 
     return check
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stepcore.checks import nearest
+from stepcore.checks import brief, nearest
 from stepcore.mjcf.reader import read_file
 from stepcore.scene.scene import Scene
 
@@ -61,23 +61,25 @@ def find_model(source: Model | Scene | str | os.PathLike[str]) -> Model:
 def find_asset(package: str, name: str) -> Path:
     """The MJCF file called `name` among a package's files; the package is not imported."""
     if not package.isidentifier():
-        raise ValueError(f"{package}:{name}: '{package}' is not the name of a package")
+        raise ValueError(brief(f"{package}:{name}: '{package}' is not the name of a package"))
     spec = importlib.util.find_spec(package)
     roots = list(spec.submodule_search_locations or ()) if spec else []
     if not roots:
         how = f" (pip install {package})" if package in WITH_MODELS else ""
-        raise ValueError(f"{package}:{name}: no package '{package}' is installed{how}")
+        raise ValueError(brief(f"{package}:{name}: no package '{package}' is installed{how}"))
     wanted = Path(name if name.endswith(".xml") else name + ".xml")
     files = sorted(file for root in roots for file in Path(root).rglob("*.xml"))
     matches = [file for file in files if file.parts[-len(wanted.parts) :] == wanted.parts]
     if not matches:
         near = nearest(wanted.stem, [file.stem for file in files])
-        raise ValueError(f"{package}:{name}: the package has no {wanted}{near}")
+        raise ValueError(brief(f"{package}:{name}: the package has no {wanted}{near}"))
     if len(matches) > 1:
         matches = [file for file in matches if not _is_test(file, roots)] or matches
     if len(matches) > 1:
         several = ", ".join(str(file.relative_to(roots[0]).with_suffix("")) for file in matches[:6])
-        raise ValueError(f"{package}:{name}: several files have this name; give more: {several}")
+        raise ValueError(
+            brief(f"{package}:{name}: several files have this name; give more: {several}")
+        )
     return matches[0]
 
 
@@ -97,7 +99,7 @@ def _lesson(name: str) -> Scene:
     from stepcore.lesson import scenes
 
     if name not in LESSON:
-        raise ValueError(f"lesson:{name}: the lesson's scenes are {', '.join(LESSON)}")
+        raise ValueError(brief(f"lesson:{name}: the lesson's scenes are {', '.join(LESSON)}"))
     scene: Scene = getattr(scenes, name)()
     scene.name = name
     return scene

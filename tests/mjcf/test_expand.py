@@ -350,7 +350,7 @@ WRONG = {
     "has both body and frame": '<attach model="kid" frame="fr" body="b" prefix="a"/>',
     "needs body or frame": '<attach prefix="a"/>',
     "direct child of <replicate>": '<replicate count="2"><joint/></replicate>',
-    "more than 1000000 elements": '<replicate count="2000000000"><geom/></replicate>',
+    "at most 1000000 copied elements": '<replicate count="2000000000"><geom/></replicate>',
     "count = -1: must be >= 0": '<replicate count="-1"><geom/></replicate>',
     "used twice": '<attach model="kid" body="b" prefix="a"/>' * 2,
 }

@@ -8,10 +8,9 @@ import zlib
 import mujoco
 import numpy as np
 import pytest
-from png_writer import SIGNATURE, chunk, data, grey, packed
+from png_writer import ADAM7, CHANNELS, SIGNATURE, chunk, data, grey, packed
 
 from stepcore.scene import hfield_files
-from stepcore.scene.png_files import ADAM7, CHANNELS
 
 KINDS = {
     **{f"grey{depth}": (0, depth) for depth in (1, 2, 4, 8, 16)},
@@ -55,9 +54,9 @@ def test_images_and_binary_height_fields(tmp_path):
     (tmp_path / "h.bin").write_bytes(heights)
     assert (hfield_files.read(tmp_path / "h.bin") == pixels[::-1]).all()
     broken = {
-        "b.png": (grey(pixels, colour=5), "colour type 5, 8 bits"),
-        "c.png": (grey(pixels, depth=16), "take 117 bytes; it has 63"),
-        "f.png": (grey(pixels, colour=3), "a pixel has the colour"),
+        "b.png": (grey(pixels, colour=5), "its head is damaged"),
+        "c.png": (grey(pixels, depth=16), "its pixels are damaged"),
+        "f.png": (grey(pixels, colour=3), "one has the colour 2[0-9]*, of 0"),
         "d.png": (grey(pixels)[:-20], "cut off"),
         "e.png": (b"GIF89a", "does not begin"),
         "a.bin": (heights[:-1], "it has 223"),

@@ -5,7 +5,7 @@ import os
 import pytest
 
 import stepcore as sc
-from stepcore import checks
+from stepcore import files
 
 BODY = '<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
 INERTIA = """<mujoco><compiler balanceinertia="{0}"/><worldbody><body><freejoint/>
@@ -48,7 +48,7 @@ def test_a_file_beyond_the_limit_is_refused(monkeypatch, tmp_path):
     path = tmp_path / "large.xml"
     path.write_text(BODY)
     assert sc.load(path).bodies
-    monkeypatch.setattr(checks, "LARGEST_FILE", len(BODY) - 1)
+    monkeypatch.setattr(files, "LARGEST", len(BODY) - 1)
     with pytest.raises(ValueError, match="MiB"):
         sc.load(path)
 
@@ -90,3 +90,134 @@ def test_an_inherited_range_is_mujocos_also_where_the_joint_is_not_limited(angle
     theirs = mujoco.MjModel.from_xml_string(text).actuator_ctrlrange[0]
     assert scene.actuators[0].ctrlrange == pytest.approx(theirs, rel=1e-15)
     assert bool(scene.notes) == ((angle, limited) == ("degree", "false"))
+
+
+def scene_of(asset):
+    """A text whose fourth line names a file."""
+    kind = "hfield" if asset.startswith("<hfield") else "mesh"
+    geom = f'<geom type="{kind}" {kind}="a" mass="1"/>'
+    return f"<mujoco>\n<worldbody>{geom}</worldbody>\n<asset>\n{asset}\n</asset></mujoco>"
+
+
+KINDS = {
+    "mesh": '<mesh name="a" content_type="model/stl" file="{}"/>',
+    "hfield": '<hfield name="a" size="1 1 1 1" file="{}"/>',
+    "image": '<hfield name="a" size="1 1 1 1" content_type="image/png" file="{}"/>',
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_asset_that_cannot_be_read_is_an_error_of_its_line(kind, tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "empty").write_bytes(b"")
+    (tmp_path / "denied").write_bytes(b"1")
+    opened = os.open
+
+    def refusing(name, *rest):
+        if str(name).endswith("denied"):
+            raise PermissionError(13, "Permission denied")
+        return opened(name, *rest)
+
+    monkeypatch.setattr(os, "open", refusing)
+    cases = {
+        "pipe": "not a regular file",
+        "/dev/zero": "not a regular file",
+        "folder": "is a folder",
+        "empty": "not a whole",
+        "denied": "cannot be read: Permission denied",
+        "b" * 3000: "cannot be read: File name too long",
+        # Files of the system: of no size, whatever they would give, or wait to give.
+        "/proc/self/mem": "not a whole",
+        "/proc/kmsg": "not a whole|cannot be read",
+        "/proc/self/status": "not a whole",
+    }
+    for name, says in cases.items():
+        if name.startswith("/proc") and not os.path.exists(name):
+            continue
+        with pytest.raises(sc.MJCFError, match=rf"^<string>:4: .*({says})") as caught:
+            sc.loads(scene_of(KINDS[kind].format(name)), base=tmp_path)
+        assert len(str(caught.value)) < 1000
+    with pytest.raises(FileNotFoundError, match=r"^<string>:4: .*gone: no such file"):
+        sc.loads(scene_of(KINDS[kind].format("gone")), base=tmp_path)
+
+
+@pytest.mark.parametrize("what", ["include", "model"])
+def test_a_folder_or_a_file_that_is_denied_has_the_line_that_names_it(what, tmp_path):
+    texts = {
+        "include": '<mujoco>\n<include file="{}"/></mujoco>',
+        "model": '<mujoco><asset>\n<model name="m" file="{}"/></asset>'
+        '<worldbody><attach model="m" prefix="a"/></worldbody></mujoco>',
+    }
+    (tmp_path / "folder").mkdir()
+    for name in ("folder", "/proc/self/mem"):
+        with pytest.raises(sc.MJCFError, match=r":(2|1): "):
+            sc.loads(texts[what].format(name), base=tmp_path)
+    with pytest.raises(sc.MJCFError, match=r"^<string>:2: .*is a folder"):
+        sc.loads(texts[what].format("folder"), base=tmp_path)
+
+
+def test_a_file_that_grows_is_read_as_far_as_it_said(tmp_path, monkeypatch):
+    path = tmp_path / "m.xml"
+    path.write_text(BODY + "<")
+    status = os.fstat
+
+    class Shorter:
+        def __init__(self, whole):
+            self.st_mode, self.st_size = whole.st_mode, whole.st_size - 1
+
+    monkeypatch.setattr(os, "fstat", lambda number: Shorter(status(number)))
+    assert files.read(path, "a model") == BODY.encode()
+
+
+LONG = "n" * 6000
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('<mujoco><worldbody><geom type="mesh" mesh="{}"/></worldbody></mujoco>', "no such mesh"),
+        ('<mujoco><worldbody><geom class="{}" size="1"/></worldbody></mujoco>', "class"),
+        ('<mujoco><worldbody><geom type="{}"/></worldbody></mujoco>', "must be one of"),
+        ('<mujoco><include file="{}"/></mujoco>', "too long"),
+        ('<mujoco><sensor><jointpos joint="{}"/></sensor></mujoco>', "no joint|no such joint"),
+        ('<mujoco><worldbody><body name="{0}"/><body name="{0}"/></worldbody></mujoco>', "twice"),
+        ('<robot name="r"><link name="{}"/><link name="b"/></robot>', "both have no parent"),
+    ],
+)
+@pytest.mark.parametrize("name", [LONG, "two words " * 600])
+def test_a_long_name_leaves_room_for_what_is_wrong(text, says, name, tmp_path):
+    with pytest.raises(sc.MJCFError, match=says) as caught:
+        sc.loads(text.format(name), base=tmp_path)
+    assert len(str(caught.value)) < 1100
+
+
+def test_many_errors_with_long_names_are_a_message_that_can_be_read():
+    geoms = "".join(f'<geom mesh="{i}{LONG}" type="mesh"/>' for i in range(100))
+    with pytest.raises(sc.MJCFError) as caught:
+        sc.loads(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>", name=LONG)
+    lines = str(caught.value).split("\n")
+    assert len(lines) == 21
+    assert max(map(len, lines)) <= 600
+    assert "no such mesh" in lines[0]
+
+
+def test_a_missing_file_of_a_long_name_is_a_short_message(tmp_path):
+    path = "/".join(["n" * 200] * 15)
+    with pytest.raises(FileNotFoundError, match=r"no such file$") as caught:
+        sc.loads(f'<mujoco><include file="{path}"/></mujoco>', base=tmp_path, name=LONG)
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_length_that_diverges_is_an_error_of_the_muscle():
+    text = """<mujoco><worldbody>
+    <body><body pos="-0.2875 0.2990 0.1862"><body><site name="one"/></body></body><body>
+      <joint name="j" axis="0.4452 0.2213 0.9821"/><joint type="slide"/>
+      <geom size="0.1204"/><site name="two"/></body></body></worldbody>
+    <equality><connect site1="two" site2="one"/></equality>
+    <actuator>
+      <muscle joint="j"/>
+    </actuator></mujoco>"""
+    says = r"<string>:7: actuator 0: its range of lengths was not found: the motion diverged"
+    with pytest.raises(ValueError, match=says):
+        sc.loads(text).compile()

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, digest
 from stepcore.engine.postmortem import PostMortem, run_again
@@ -109,7 +109,7 @@ class Replay:
         another version; FileNotFoundError for a missing file, IsADirectoryError for a folder.
         """
         shown = os.fsdecode(path)
-        text = checks.file_bytes(path, "a replay file")
+        text = files.read(path, "a replay file")
         try:
             data = json.loads(text)
         except (ValueError, RecursionError):

@@ -48,6 +48,8 @@ class Assets:
         self.defaults = defaults
         self.nodes: dict[str, dict[str, Node]] = {"mesh": {}, "hfield": {}}
         self.known: dict[tuple[str, str], Mesh | HField] = {}
+        # By path and content type, the first asset that holds the numbers of that file.
+        self.read: dict[tuple[str, str], Mesh | HField] = {}
         # Of the files that are read: their sizes [bytes], and their names in the text.
         self.sizes: dict[str, int] = {}
         self.named: set[str] = set()
@@ -109,21 +111,24 @@ class Assets:
                     scene.ignored.append(node.listed("only draws"))
                     continue
                 asset.__dict__["place"] = f"{node.file}:{node.line}"
-                try:
-                    self._fill(scene, node, asset)
-                except MJCFError:
-                    raise
-                except ValueError as error:
-                    raise node.error(str(error)) from None
+                self._fill(scene, node, asset)
         self._note(scene)
 
     def _fill(self, scene: Contents, node: Node, asset: Mesh | HField) -> None:
-        if isinstance(asset, Mesh):
-            self._mesh(scene, node, asset)
-            scene.meshes.append(asset)
-        else:
-            self._hfield(scene, node, asset)
-            scene.hfields.append(asset)
+        """Fills an asset; what is wrong with its file has the line that names the file."""
+        try:
+            if isinstance(asset, Mesh):
+                self._mesh(scene, node, asset)
+                scene.meshes.append(asset)
+            else:
+                self._hfield(scene, node, asset)
+                scene.hfields.append(asset)
+        except MJCFError:
+            raise
+        except FileNotFoundError as error:
+            raise node.missing(error) from None
+        except (IsADirectoryError, ValueError) as error:
+            raise node.error(str(error)) from None
 
     def _mesh(self, scene: Contents, node: Node, mesh: Mesh) -> None:
         values = self.defaults.of(node)
@@ -136,9 +141,15 @@ class Assets:
             raise node.error(f"<mesh> needs one of file, vertex and builtin; it has {what}")
         if "file" in values:
             path = self._path(scene, node, values["file"])
-            surface = mesh_files.read(path, values.get("content_type", ""))
-            mesh.vertices, mesh.faces, mesh.file = surface.vertices, surface.faces, path
-            scene.notes += mesh_files.notes(f"{node.file}:{node.line}: {values['file']}", surface)
+            key = path, values.get("content_type", "")
+            if key in self.read:
+                _share(self.read[key], mesh)
+            else:
+                surface = mesh_files.read(*key)
+                mesh.vertices, mesh.faces, mesh.file = surface.vertices, surface.faces, path
+                self.read[key] = mesh
+                place = f"{node.file}:{node.line}: {values['file']}"
+                scene.notes += mesh_files.notes(place, surface)
             self._count(node, path)
         elif "builtin" in values:
             builtin_meshes.fill(mesh, node, values)
@@ -160,8 +171,12 @@ class Assets:
             if any(counts) or "elevation" in values:
                 raise node.error("<hfield> has a file, and so no nrow, ncol or elevation")
             path = self._path(scene, node, values["file"])
-            hfield.elevation = hfield_files.read(path, values.get("content_type", ""))
-            hfield.file = path
+            key = path, values.get("content_type", "")
+            if key in self.read:
+                _share(self.read[key], hfield)
+            else:
+                hfield.elevation, hfield.file = hfield_files.read(*key), path
+                self.read[key] = hfield
             self._count(node, path)
         else:
             nrow, ncol = counts
@@ -189,8 +204,6 @@ class Assets:
                 f"{node.file}:{node.line}: <{node.tag}> reads {path}, which is outside the folder "
                 "of the main file"
             )
-        if not os.path.exists(path):
-            raise FileNotFoundError(f"{node.file}:{node.line}: {path}: no such file")
         return path
 
     def _place(self, node: Node, name: str, own: str = "meshdir") -> str | None:
@@ -212,7 +225,8 @@ class Assets:
         return os.path.normpath(path if stripped else compiler.path(node, name, folder))
 
     def _count(self, node: Node, path: str) -> None:
-        self.sizes[path] = os.path.getsize(path)
+        if path not in self.sizes:
+            self.sizes[path] = os.path.getsize(path)
         self.named.add(node.attrs["file"])
 
     def _note(self, scene: Contents) -> None:
@@ -245,6 +259,13 @@ class Assets:
             if node.attrs["file"] not in self.named
         }
         return sum(os.path.getsize(path) for path in places if path and os.path.isfile(path))
+
+
+def _share(first: Mesh | HField, asset: Mesh | HField) -> None:
+    """Gives an asset the arrays of another of the same file: they are constant."""
+    for field in ("vertices", "faces", "elevation", "file"):
+        if field in first.__dict__ and field in asset.__dict__:
+            asset.__dict__[field] = first.__dict__[field]
 
 
 def _faces(node: Node, face: tuple[int, ...]) -> Any:

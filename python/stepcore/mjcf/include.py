@@ -5,24 +5,27 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from stepcore import checks
-from stepcore.mjcf.nodes import MJCFError, Node, parse
+from stepcore import files
+from stepcore.mjcf.nodes import DEPTH, MJCFError, Node, parse
 
 
-def read_file(shown: str) -> Node:
-    """Parses the XML file of this name."""
-    return parse(read_bytes(shown), shown)
-
-
-def read_bytes(shown: str) -> bytes:
-    """Reads the file of this name."""
+def read_main(shown: str) -> bytes:
+    """Reads the main file of a model."""
     try:
-        return checks.file_bytes(shown, "an MJCF or URDF file")
-    except (FileNotFoundError, IsADirectoryError):
-        raise
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise MJCFError(shown, 1, f"cannot be read: {reason}") from None
+        return files.read(shown, "an MJCF or URDF file")
+    except ValueError as error:
+        raise MJCFError(shown, 1, str(error)) from None
+
+
+def read_named(node: Node, shown: str) -> Node:
+    """Parses the XML file that an element names; errors of reading it name that element's line."""
+    try:
+        data = files.read(shown, "an MJCF or URDF file")
+    except FileNotFoundError as error:
+        raise node.missing(error) from None
+    except (IsADirectoryError, ValueError) as error:
+        raise node.error(str(error)) from None
+    return parse(data, shown)
 
 
 def expand(root: Node, base: Path | None, main: Path | None) -> list[str]:
@@ -34,9 +37,9 @@ def expand(root: Node, base: Path | None, main: Path | None) -> list[str]:
     """
     seen = {_identity(main)} if main is not None else set()
     included_by: dict[str, str] = {}
-    pending = [root]
+    pending = [(root, 1)]
     while pending:
-        node = pending.pop()
+        node, depth = pending.pop()
         waiting = node.children[::-1]
         node.children = []
         while waiting:
@@ -44,8 +47,10 @@ def expand(root: Node, base: Path | None, main: Path | None) -> list[str]:
             if child.tag == "include":
                 waiting.extend(reversed(_included(child, base, seen, included_by)))
             else:
+                if depth >= DEPTH:
+                    raise child.error(f"elements are nested deeper than {DEPTH}, with includes")
                 node.children.append(child)
-                pending.append(child)
+                pending.append((child, depth + 1))
     return [
         f"{by}: <include> reads {file}, which is outside the folder of the main file"
         for file, by in included_by.items()
@@ -76,10 +81,7 @@ def _included(
     seen.add(_identity(path))
     shown = str(path)
     included_by[shown] = node.file
-    try:
-        root = read_file(shown)
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"{node.file}:{node.line}: {error}") from None
+    root = read_named(node, shown)
     if not root.children:
         raise node.error(f'<include file="{name}">: the file has no elements')
     return root.children

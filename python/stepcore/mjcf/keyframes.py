@@ -20,20 +20,24 @@ MOCAP = {"mpos": 3, "mquat": 4}
 MAX_KEYS = 100_000
 
 
-def read(world: WorldReader, layout: Layout, node: Node) -> None:
-    """Reads a keyframe; missing values are those of the default state."""
-    values = node.values
-    if values.get("plastic"):
-        raise bad(node, "plastic", values["plastic"], "empty: the model has no plastic")
+def default_state(layout: Layout) -> dict[str, list[float]]:
+    """The state whose values are those that a keyframe leaves out."""
     mocaps = [body for body in layout.bodies if body.mocap]
-    rest = {
+    return {
         "qpos": layout.qpos0(),
         "qvel": [0.0] * layout.nv,
-        "act": [0.0] * actuation.na(world.scene),
-        "ctrl": [0.0] * len(world.scene.actuators),
+        "act": [0.0] * actuation.na(layout.scene),
+        "ctrl": [0.0] * len(layout.scene.actuators),
         "mpos": [x for body in mocaps for x in body.pos],
         "mquat": [x for body in mocaps for x in body.quat],
     }
+
+
+def read(world: WorldReader, layout: Layout, rest: dict[str, list[float]], node: Node) -> None:
+    """Reads a keyframe; rest: the default state, of which missing values are."""
+    values = node.values
+    if values.get("plastic"):
+        raise bad(node, "plastic", values["plastic"], "empty: the model has no plastic")
     fields: dict[str, Any] = {}
     said: set[int] = set()
     for name, default in rest.items():

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from stepcore.checks import cut, nearest, refuse
+from stepcore.checks import cut, nearest, refuse, shown
 from stepcore.mjcf.effects import GROUPS, SECTIONS, effect
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.schema import ROOT
@@ -68,7 +68,9 @@ class LeftOut:
             one = word.strip()
             kind = next((known[w] for w in (one, one.removesuffix("s")) if w in known), None)
             if kind is None:
-                raise ValueError(f"load: without = {word!r}: no such kind{nearest(one, known)}")
+                raise ValueError(
+                    f"load: without = {shown(word)}: no such kind{nearest(one, known)}"
+                )
             self.nodes[kind] = []
             self.kinds = list(self.nodes)
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 import re
 from typing import cast
 
-# A comment, up to the first "-->"; XML allows no "--" within it.
-_COMMENT = re.compile(rb"<!--(.*?)-->", re.DOTALL)
 # An "&" that begins no reference.
 _AMPERSAND = re.compile(rb"&(?!(?:\w+|#\d+|#x[0-9a-fA-F]+);)", re.ASCII)
 _BLANKS = re.compile(rb"(?:\xef\xbb\xbf)?(\s+)(<\?xml[^>]*>)")
@@ -22,7 +20,7 @@ _ATTRIBUTE = re.compile(rb"""(\s*)([^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))""")
 def mended(data: str | bytes) -> str | bytes:
     """The text with these things put right; the same text where there are none."""
     raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
-    raw = _COMMENT.sub(_comment, raw)
+    raw = _plain_comments(raw)
     raw = _AMPERSAND.sub(b"&amp;", raw)
     if blanks := _BLANKS.match(raw):
         raw = blanks[2] + blanks[1] + raw[blanks.end() :]
@@ -32,8 +30,14 @@ def mended(data: str | bytes) -> str | bytes:
     return raw
 
 
-def _comment(found: re.Match[bytes]) -> bytes:
-    return b"<!--" + found[1].replace(b"-", b" ") + b"-->"
+def _plain_comments(raw: bytes) -> bytes:
+    """The text without the "--" within comments, which XML does not allow."""
+    parts: list[bytes] = []
+    at = 0
+    while (start := raw.find(b"<!--", at)) >= 0 and (end := raw.find(b"-->", start + 4)) >= 0:
+        parts += [raw[at : start + 4], raw[start + 4 : end].replace(b"-", b" ")]
+        at = end
+    return b"".join([*parts, raw[at:]])
 
 
 def _parted(found: re.Match[bytes]) -> bytes:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.expand.attach import Attacher, Model
+from stepcore.mjcf.expand.copies import Copies
 from stepcore.mjcf.expand.replicate import expand_replicates
-from stepcore.mjcf.include import expand, read_file
+from stepcore.mjcf.include import expand, read_named
 from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import Refusals
@@ -18,6 +19,10 @@ from stepcore.mjcf.validation import validate
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
+
+
+# The most models that attach each other in turn.
+MOST_NESTED = 50
 
 
 class Models:
@@ -29,16 +34,19 @@ class Models:
         self.left_out = left_out
         # The files of the models that are being made, the outermost first.
         self.open: list[str] = []
+        # Those that are made, by their files; they stay as they are.
+        self.made: dict[str, Model] = {}
+        self.copies = Copies()
 
     def prepared(self, root: Node, directory: str | None) -> Model:
         """The model of a root whose includes are expanded; directory: of its main file."""
         self.scene.ignored += validate(root, self.refusals, self.left_out)
         compiler = Compiler(sections(root, "compiler"), directory, root.file)
         model = Model(root, compiler, Defaults(sections(root, "default")))
-        attacher = Attacher(model, lambda node: self._load(node, compiler))
+        attacher = Attacher(model, lambda node: self._load(node, compiler), self.copies)
         attacher.run()
         self.scene.notes += attacher.notes
-        expand_replicates(root, compiler)
+        expand_replicates(root, compiler, self.copies)
         return model
 
     def _load(self, node: Node, compiler: Compiler) -> Model:
@@ -52,15 +60,16 @@ class Models:
         here = os.path.realpath(path)
         if here in (*self.open, os.path.realpath(node.file)):
             raise node.error(f'<model file="{name}">: the file attaches itself')
-        shown = str(path)
-        try:
-            root = read_file(shown)
-        except FileNotFoundError as error:
-            raise FileNotFoundError(f"{node.file}:{node.line}: {error}") from None
+        if here in self.made:
+            return self.made[here]
+        if len(self.open) >= MOST_NESTED:
+            raise node.error(f"attached models are nested deeper than {MOST_NESTED}")
+        root = read_named(node, str(path))
         self.scene.notes += expand(root, path.parent, path)
         self.open.append(here)
         model = self.prepared(root, os.path.abspath(path.parent))
         self.open.pop()
+        self.made[here] = model
         return model
 
 

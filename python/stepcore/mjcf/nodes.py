@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 from xml.parsers import expat
 
-from stepcore.checks import cut
+from stepcore.checks import brief
 from stepcore.mjcf.effects import effect
 from stepcore.mjcf.mended import mended
 
@@ -23,7 +23,7 @@ class MJCFError(ValueError):
     """
 
     def __init__(self, file: str, line: int, text: str, kind: str = "") -> None:
-        super().__init__(f"{cut(file, 300)}:{line}: {cut(' '.join(text.split()))}")
+        super().__init__(f"{brief(file)}:{line}: {brief(' '.join(text.split()))}")
         self.file = file
         self.line = line
         self.text = text
@@ -116,6 +116,10 @@ class Node:
     def error(self, text: str) -> MJCFError:
         """Returns the error about this element, with its file and line."""
         return MJCFError(self.file, self.line, text)
+
+    def missing(self, error: FileNotFoundError) -> FileNotFoundError:
+        """Returns the error about a file that this element names, with the element's place."""
+        return FileNotFoundError(f"{brief(self.file)}:{self.line}: {error}")
 
     def unbuilt(self, what: str, attribute: str = "") -> MJCFError:
         """Returns the error for a feature that would change the motion and is not built yet.

@@ -32,7 +32,7 @@ from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.discard import discard_visual
 from stepcore.mjcf.expand.attach import Model
 from stepcore.mjcf.fuse import fuse
-from stepcore.mjcf.include import expand, read_bytes
+from stepcore.mjcf.include import expand, read_main
 from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.models import Models, inside, sections
 from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
@@ -71,7 +71,7 @@ def read_file(
     """Fills an empty scene from an MJCF file; see `stepcore.load`."""
     shown = os.fsdecode(path)
     main = Path(shown)
-    data = read_bytes(shown)
+    data = read_main(shown)
     root = parse(data, shown)
     scene.notes += expand(root, main.parent, main)
     _fill(scene, root, Source(data, os.path.abspath(main.parent), fuse=fuse), without)
@@ -169,8 +169,9 @@ def finish(world: WorldReader, root: Node, chosen: bool | None) -> None:
     """
     scene = world.scene
     layout = Layout(scene)
+    rest = keyframes.default_state(layout)
     for node in inside(root, "keyframe"):
-        world.refusals.at(node, partial(keyframes.read, world, layout))
+        world.refusals.at(node, partial(keyframes.read, world, layout, rest))
     world.refusals.raise_all()
     keyframes.add_empty_keys(scene, sections(root, "size"))
     check_references(world, root)

@@ -9,9 +9,12 @@ from stepcore.checks import cut
 from stepcore.mjcf.nodes import MJCFError, Node
 
 T = TypeVar("T")
-# The most lines of a message, and lines of the file that one of them lists.
+# The most lines of a message, their length, and the lines of the file that one of them lists.
 LINES = 20
+LINE = 600
 PLACES = 4
+# After so many errors elements are read no more.
+MOST = 100
 
 
 class Refusals:
@@ -24,6 +27,9 @@ class Refusals:
 
     def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
         """What `read` gives for a node; an error is kept, with the node's file and line."""
+        # To look up the nearest name of each of thousands takes minutes.
+        if len(self.errors) >= MOST:
+            return None
         try:
             return read(node)
         except MJCFError as error:
@@ -75,7 +81,7 @@ def _message(errors: list[MJCFError]) -> str:
     groups: dict[tuple[str, str], list[MJCFError]] = {}
     for error in errors:
         groups.setdefault((error.file, error.text), []).append(error)
-    lines = [_line(group) for group in groups.values()]
+    lines = [cut(_line(group), LINE) for group in groups.values()]
     if len(lines) > LINES:
         lines[LINES:] = [f"… and {len(lines) - LINES} more"]
     kinds = list(dict.fromkeys(error.kind for error in errors))

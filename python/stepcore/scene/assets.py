@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -47,13 +48,14 @@ def half_size(geom: Geom) -> float:
     return max(geom.size)
 
 
-def plain_hfield(hfield: HField) -> dict[str, Any]:
-    """A height field with its rows from −y to y."""
-    nrow, ncol = hfield.elevation.shape
-    return {
-        "name": hfield.name,
-        "nrow": nrow,
-        "ncol": ncol,
-        "size": list(hfield.size),
-        "data": hfield.elevation[::-1].ravel(),
-    }
+def plain_hfields(hfields: Iterable[HField]) -> list[dict[str, Any]]:
+    """Height fields with their rows from −y to y; those of one file share their heights."""
+    heights: dict[int, NDArray[Any]] = {}
+    records = []
+    for hfield in hfields:
+        (nrow, ncol), key = hfield.elevation.shape, id(hfield.elevation)
+        if key not in heights:
+            heights[key] = hfield.elevation[::-1].ravel()
+        own = {"name": hfield.name, "nrow": nrow, "ncol": ncol, "size": list(hfield.size)}
+        records.append(own | {"data": heights[key]})
+    return records

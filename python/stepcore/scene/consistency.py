@@ -156,19 +156,18 @@ def _check_spatial(tendon: Tendon) -> None:
 
 def _check_asset(layout: Layout, geom: Geom) -> None:
     """What a geom refers to is in the scene and fits its type."""
-    scene = layout.scene
-    listed: tuple[tuple[str, Any, Sequence[Any], bool, bool], ...] = (
-        ("mesh", geom.mesh, scene.meshes, geom.type == "mesh", geom.type in ("plane", "hfield")),
-        ("hfield", geom.hfield, scene.hfields, geom.type == "hfield", geom.type != "hfield"),
+    listed: tuple[tuple[str, Any, bool, bool], ...] = (
+        ("mesh", geom.mesh, geom.type == "mesh", geom.type in ("plane", "hfield")),
+        ("hfield", geom.hfield, geom.type == "hfield", geom.type != "hfield"),
     )
-    for field, asset, known, needed, barred in listed:
+    for field, asset, needed, barred in listed:
         if needed and asset is None:
             raise checks.ElementError(geom, f"a geom of type {geom.type} needs a {field}")
         if asset is None:
             continue
         if barred:
             raise checks.ElementError(geom, f"a geom of type {geom.type} has no {field}")
-        if not any(asset is each for each in known):
+        if layout.place(asset) is None:
             raise checks.ElementError(geom, f"refers to {asset}, which is not in this scene")
     if geom.type == "mesh" and geom.shellinertia:
         limit = 'False for a mesh, whose own inertia can be "shell"'

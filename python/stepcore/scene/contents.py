@@ -196,7 +196,7 @@ class Contents(Holdings):
         name: unique among height fields; without it, that of the file.
         elevation: heights of any scale, shape (rows, columns), the first row at the largest y.
         size: half sizes along x and y, height of the highest point, depth of the base [m].
-        file: in place of the elevation: a PNG of 8-bit grey, or MuJoCo's binary format.
+        file: in place of the elevation: a PNG image (read with pillow), or MuJoCo's binary format.
 
         Raises what `add_mesh` raises.
         """

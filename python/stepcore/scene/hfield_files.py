@@ -1,4 +1,4 @@
-"""Readers of height-field files: MuJoCo's binary format, and PNG images.
+"""Readers of height-field files: MuJoCo's binary format, and PNG images (with pillow).
 
 Each takes the bytes of a file and returns heights, shape (rows, columns), the first row at the
 largest y. Anything that is not what the format says is a ValueError.
@@ -6,14 +6,17 @@ largest y. Anything that is not what the format says is a ValueError.
 
 from __future__ import annotations
 
+import importlib.util
+import io
 import os
+import struct
+import zlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import checks
-from stepcore.scene.png_files import png
+from stepcore import checks, files
 
 CONTENT = {"image/png": True, "image/vnd.mujoco.hfield": False}
 # No field has more points: 128 MiB of double precision.
@@ -30,17 +33,80 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
     if content_type and content_type not in CONTENT:
         near = checks.nearest(content_type, CONTENT)
         text = f"no height field has the content type {checks.quoted(content_type)}{near}"
-        raise ValueError(f"{name}: {text}")
-    data = checks.file_bytes(name, "a height field")
+        raise ValueError(f"{checks.without_middle(name)}: {text}")
+    data = files.read(name, "a height field")
     image = CONTENT.get(content_type, name.lower().endswith(".png"))
+    if image and importlib.util.find_spec("PIL") is None:
+        text = "heights of an image are read with pillow: pip install 'stepcore[view]'"
+        raise ValueError(f"{checks.without_middle(name)}: {text}")
     try:
-        heights = png(data, MOST) if image else binary(data)
+        heights = image_levels(data) if image else binary(data)
         if not np.isfinite(heights).all():
             raise ValueError("a height is not a finite number")
     except ValueError as error:
         word = "PNG file" if image else "height-field file"
-        raise ValueError(f"{checks.cut(name, 300)}: not a whole {word}: {error}") from None
+        raise ValueError(f"{checks.without_middle(name)}: not a whole {word}: {error}") from None
     return heights
+
+
+# What pillow raises for bytes that are no image; it tells no more than that.
+DAMAGED = (OSError, SyntaxError, ValueError, EOFError, LookupError, struct.error, zlib.error)
+
+
+def image_levels(data: bytes) -> NDArray[Any]:
+    """The levels of a PNG image: the grey, or the red of coloured images, as MuJoCo takes them.
+
+    Of 16 bits the first 8 count. Opacity says nothing.
+    """
+    # W3C, Portable Network Graphics (PNG) Specification, 5.2 and 11.2.1: the first chunk is the
+    # head, which is looked at before anything is unpacked.
+    if data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
+        raise ValueError("it does not begin as one")
+    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    if not 0 < width * height <= MOST:
+        raise ValueError(f"it is {width} × {height} pixels; 1 to {MOST} of them are read")
+    needed = _needed(data)
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(io.BytesIO(needed), formats=["PNG"]) as image:
+            # As the file has it: once the pixels are there, it is filled up.
+            colours = image.palette.getdata()[1] if image.palette is not None else b""
+            levels = np.asarray(image)
+            if image.mode == "P":
+                levels = _red(levels, np.frombuffer(colours, np.uint8)[::3])
+    except UnidentifiedImageError:
+        raise ValueError("its head is damaged") from None
+    except DAMAGED as error:
+        raise ValueError(f"its pixels are damaged: {checks.one_line(error)}") from None
+    levels = levels[..., 0] if levels.ndim == 3 else levels
+    return np.asarray(levels // 256 if levels.dtype.itemsize > 1 else levels, float)
+
+
+def _needed(data: bytes) -> bytes:
+    """The image without the chunks that are not needed for its levels, as their names say (5.4).
+
+    The checksums of all are compared (5.3), which pillow does of some.
+    """
+    view, at, kind = memoryview(data), 8, b""
+    parts = [view[:8]]
+    while kind != b"IEND":
+        if at >= len(data):
+            raise ValueError("its end is missing")
+        end = at + 8 + int.from_bytes(view[at : at + 4], "big")
+        kind, check = bytes(view[at + 4 : at + 8]), view[end : end + 4]
+        if len(check) != 4 or int.from_bytes(check, "big") != zlib.crc32(view[at + 4 : end]):
+            raise ValueError("a part of it is cut off or damaged")
+        if kind[:1].isupper():
+            parts.append(view[at : end + 4])
+        at = end + 4
+    return b"".join(parts)
+
+
+def _red(indices: NDArray[Any], reds: NDArray[Any]) -> NDArray[Any]:
+    if indices.max() >= len(reds):
+        raise ValueError(f"one has the colour {indices.max()}, of {len(reds)}")
+    return reds[indices]
 
 
 def binary(data: bytes) -> NDArray[Any]:

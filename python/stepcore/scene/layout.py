@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
@@ -35,6 +36,8 @@ class Layout:
         self.joints_of: dict[int, list[Joint]] = {}
         for joint in self.joints:
             self.joints_of.setdefault(id(joint.body), []).append(joint)
+        # By kind: where the elements stand, by their ``id``.
+        self._places: dict[str, dict[int, int]] = {"body": self.index}
 
     def _by_body(self, elements: Iterable[Any]) -> list[Any]:
         return sorted(elements, key=lambda e: self.body(e, e.body))
@@ -77,13 +80,30 @@ class Layout:
     def nv(self) -> int:
         return sum(DOFS[joint.type] for joint in self.joints)
 
+    def place(self, element: Element) -> int | None:
+        """Where an element stands among those of its kind; None if it is not in the scene."""
+        kind = type(element).__name__.lower()
+        if kind not in self._places:
+            assets: dict[str, Sequence[Element]] = {
+                "mesh": self.scene.meshes,
+                "hfield": self.scene.hfields,
+            }
+            listed = (assets | self.elements)[kind]
+            self._places[kind] = {id(one): at for at, one in enumerate(listed)}
+        return self._places[kind].get(id(element))
+
+    @cached_property
+    def _moving(self) -> set[int]:
+        """The bodies that move; a body comes after the one that carries it."""
+        moving: set[int] = set()
+        for body in self.bodies:
+            if id(body) in self.joints_of or id(body.parent) in moving:
+                moving.add(id(body))
+        return moving
+
     def moving(self, body: Body | None) -> bool:
         """Whether there is a joint between this body and the world."""
-        while body is not None:
-            if id(body) in self.joints_of:
-                return True
-            body = body.parent
-        return False
+        return id(body) in self._moving
 
     def qpos0(self) -> list[float]:
         """The positions in the pose in which the scene is described, length nq."""

@@ -84,7 +84,7 @@ def _simulated(scene: Contents, data: dict[str, Any], asked: list[int]) -> list[
     timestep = rules.timestep or scene.settings.dt
     key = hashlib.sha256(pickle.dumps((bare, rules.record(), timestep, asked))).digest()
     if key not in _found:
-        lengths = _extremes(bare, rules, timestep, asked)
+        lengths = _extremes(bare, rules, timestep, asked, scene.actuators)
         ranges = [
             _settled(scene.actuators[index], rules, *each)
             for index, each in zip(asked, lengths, strict=True)
@@ -119,7 +119,11 @@ Lengths = list[tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]]
 
 
 def _extremes(
-    bare: dict[str, Any], rules: LengthRange, timestep: float, asked: list[int]
+    bare: dict[str, Any],
+    rules: LengthRange,
+    timestep: float,
+    asked: list[int],
+    actuators: Sequence[Actuator],
 ) -> Lengths:
     """By actuator: its least and greatest length at the end, of each when pulled either way."""
     model = _core.compile(bare)
@@ -144,7 +148,11 @@ def _extremes(
             size = np.linalg.norm(force, axis=1, keepdims=True)
             force *= np.minimum(1.0, rules.maxforce / np.maximum(LEAST, size))
         arrays["qfrc_applied"][...] = force
-        batch.step(1)
+        try:
+            batch.step(1)
+        except _core.SimulationError as error:
+            text = f"the motion diverged after {time:g} s of pulling it"
+            raise _not_found(actuators[pulled[error.world]], text) from None
         time += timestep
         if time > rules.inttotal - rules.interval:
             least, greatest = np.minimum(least, length), np.maximum(greatest, length)
@@ -160,10 +168,11 @@ def _settled(
     low, high = float(least[0]), float(greatest[1])
     for one, other in zip(least, greatest, strict=True):
         if not (low < high and other - one <= rules.tolrange * (high - low)):
-            text = (
-                f"its range of lengths was not found: after {rules.inttotal:g} s of pulling it "
-                f"went from {one:g} to {other:g}, of {low:g} to {high:g}. Give its lengthrange, "
-                "limit what it moves, or change Scene.lengthrange"
-            )
-            raise checks.ElementError(actuator, text)
+            text = f"after {rules.inttotal:g} s of pulling it went from {one:g} to {other:g}"
+            raise _not_found(actuator, f"{text}, of {low:g} to {high:g}")
     return [low, high]
+
+
+def _not_found(actuator: Actuator, why: str) -> checks.ElementError:
+    cure = "Give its lengthrange, limit what it moves, or change Scene.lengthrange"
+    return checks.ElementError(actuator, f"its range of lengths was not found: {why}. {cure}")

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore.scene.polygons import triangles
 
 
@@ -41,19 +41,20 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> Surface:
     name = os.fsdecode(path)
     if content_type and content_type not in CONTENT:
         near = checks.nearest(content_type, CONTENT)
-        raise ValueError(
-            f"{name}: no mesh has the content type {checks.quoted(content_type)}{near}"
-        )
+        text = f"no mesh has the content type {checks.quoted(content_type)}{near}"
+        raise ValueError(f"{checks.without_middle(name)}: {text}")
     kind = CONTENT.get(content_type) or os.path.splitext(name)[1][1:].lower()
     if kind not in FORMATS:
         endings = ", ".join("." + each for each in FORMATS)
-        raise ValueError(f"{checks.cut(name, 300)}: the name of a mesh file ends with {endings}")
-    data = checks.file_bytes(name, "a mesh file")
+        raise ValueError(
+            f"{checks.without_middle(name)}: the name of a mesh file ends with {endings}"
+        )
+    data = files.read(name, "a mesh file")
     try:
         surface = {"stl": stl, "obj": obj, "msh": msh}[kind](data)
         _check(surface.vertices, surface.faces)
     except ValueError as error:
-        text = f"{checks.cut(name, 300)}: not a whole {kind.upper()} file: {error}"
+        text = f"{checks.without_middle(name)}: not a whole {kind.upper()} file: {error}"
         raise ValueError(text) from None
     return surface
 
@@ -119,7 +120,8 @@ def _text_corners(data: bytes) -> NDArray[Any]:
     while facet := _FACET.match(text, at):
         loops.append(facet.group(1))
         at = facet.end()
-    if not re.fullmatch(rb"\s*endsolid[^\n]*\s*", text[at:]):
+    end = text[at:].strip()
+    if not end.startswith(b"endsolid") or b"\n" in end:
         line = text.count(b"\n", 0, at) + 1
         raise ValueError(f"after line {line} stands neither a facet nor the end of the solid")
     return _numbers(b" ".join(loops).replace(b"vertex", b" "), 3)

@@ -20,6 +20,7 @@ class Names:
         self._count = self._renamed = 0
         self._by_name: dict[str, int] = {}
         self._by_id: dict[int, int] = {}
+        self._last: Any = None
 
     def find(self, elements: Sequence[Any], name: object) -> Any:
         """The element of this name, or the element itself if it is in the list; else None."""
@@ -54,15 +55,22 @@ class Names:
         self._by_name.setdefault(element.name, self._count)
         self._by_id[id(element)] = self._count
         self._count += 1
+        self._last = element
 
     def _read(self, elements: Sequence[Any]) -> None:
         now = renamed()
         if self._elements is elements and (self._count, self._renamed) == (len(elements), now):
             return
-        self._elements, self._count, self._renamed = elements, 0, now
-        self._by_name, self._by_id = {}, {}
-        for element in elements:
-            self._note(element)
+        # What was added at the end of a list leaves the rest as it is.
+        grown = self._elements is elements and self._renamed == now
+        grown = (
+            grown and 0 < self._count < len(elements) and elements[self._count - 1] is self._last
+        )
+        if not grown:
+            self._elements, self._count, self._renamed = elements, 0, now
+            self._by_name, self._by_id = {}, {}
+        for at in range(self._count, len(elements)):
+            self._note(elements[at])
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy of the scene has elements of its own.

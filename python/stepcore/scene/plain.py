@@ -65,7 +65,7 @@ def plain(layout: Layout) -> dict[str, Any]:
         **records.whole(),
         **lists,
         "meshes": [assets.plain_mesh(mesh) for mesh in scene.meshes],
-        "hfields": [assets.plain_hfield(hfield) for hfield in scene.hfields],
+        "hfields": assets.plain_hfields(scene.hfields),
         "sensors": [sensing.plain(layout, sensor) for sensor in scene.sensors],
         "excludes": [[layout.body("exclude", b) for b in pair] for pair in scene.excludes],
         "contact_override": _record(override, "enable") if override.enable else None,

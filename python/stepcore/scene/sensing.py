@@ -18,7 +18,7 @@ from stepcore.scene.elements.sensor import (
     RAY_DATA,
     REFERENCE,
 )
-from stepcore.scene.sensor_ends import ADHERES, LISTS
+from stepcore.scene.sensor_ends import ADHERES
 
 if TYPE_CHECKING:
     from stepcore.scene.layout import Layout
@@ -67,7 +67,7 @@ def _check_end(
     elif kind not in kinds:
         limit = f"{words} for a sensor of type {sensor.type}"
         raise checks.ElementError(sensor, f"{field} = {element}: must be {limit}")
-    elif not any(element is each for each in getattr(layout.scene, LISTS[kind])):
+    elif layout.place(element) is None:
         raise checks.ElementError(sensor, f"refers to {element}, which is not in this scene")
     word = getattr(sensor, "objtype" if field == "object" else "reftype")
     if word and kind != "body":
@@ -113,8 +113,7 @@ def _end(
     if element is None:
         return None
     kind = type(element).__name__.lower()
-    where = getattr(layout, LISTS[kind], None) or getattr(layout.scene, LISTS[kind])
-    index = next(i for i, each in enumerate(where) if each is element)
+    index = layout.place(element)
     if kind == "body":
         alone = sensor.type in ("contact", "distance", "normal", "fromto")
         kind = {"subtree": "xbody"}.get(word, word) or ("body" if alone else "xbody")

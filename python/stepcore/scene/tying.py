@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 from stepcore import checks
-from stepcore.scene.elements import Element, Equality, Joint
+from stepcore.scene.elements import Equality, Joint
 from stepcore.scene.elements.tendon import Tendon
 from stepcore.scene.frames import IDENTITY
 from stepcore.scene.layout import Layout
@@ -52,9 +51,8 @@ def check(layout: Layout, equality: Equality) -> None:
         raise checks.ElementError(equality, f"a {kind} needs body1, or site1 and site2")
     ends = [getattr(equality, field) for field in (by_site or ("body1", "body2"))]
     one, two = (layout.body(equality, body) for body in _bodies(layout, equality))
-    listed = {id(site) for site in layout.sites}
     for site in ends if by_site else ():
-        if id(site) not in listed:
+        if layout.place(site) is None:
             raise checks.ElementError(equality, f"refers to {site}, which is not in this scene")
     if one == two:
         what = f"{ends[0]} to {ends[1]}, of the same body" if by_site else f"{ends[0]} to itself"
@@ -66,11 +64,10 @@ def _check_lengths(layout: Layout, equality: Equality) -> None:
     first, second = _lengths(equality)
     if first is None:
         raise checks.ElementError(equality, f"a {kind} equality needs {kind}1")
-    listed = {id(element) for element in _listed(layout, kind)}
     for element in (first, second):
         if element is None:
             continue
-        if id(element) not in listed:
+        if layout.place(element) is None:
             raise checks.ElementError(equality, f"refers to {element}, which is not in this scene")
         if isinstance(element, Joint) and element.type not in ("hinge", "slide"):
             limit = "must be a hinge or a slide"
@@ -86,10 +83,6 @@ def _lengths(equality: Equality) -> tuple[Joint | Tendon | None, Joint | Tendon 
     return equality.tendon1, equality.tendon2
 
 
-def _listed(layout: Layout, kind: str) -> Sequence[Element]:
-    return layout.joints if kind == "joint" else layout.scene.tendons
-
-
 def plain(layout: Layout, equality: Equality) -> dict[str, Any]:
     """An equality as the engine takes it; sites have become frames on their bodies."""
     record = {
@@ -103,9 +96,7 @@ def plain(layout: Layout, equality: Equality) -> dict[str, Any]:
         "frame2": None,
     }
     if equality.type in LENGTHS:
-        index = {id(element): i for i, element in enumerate(_listed(layout, equality.type))}
-        tied = _lengths(equality)
-        ends = [None if element is None else index.get(id(element), -1) for element in tied]
+        ends = [None if one is None else layout.place(one) for one in _lengths(equality)]
     else:
         ends = [layout.body(equality, body) for body in _bodies(layout, equality)]
         record |= _frames(equality)

@@ -138,6 +138,8 @@ class Robot:
         for joint in self.joints.values():
             self._place(joint)
         self.meshes: dict[tuple[str, tuple[float, ...]], Node] = {}
+        # The names of these, and the last number behind each.
+        self.mesh_names: dict[str, int] = {}
         # What is noted: limits of velocity, and joints whose range is empty.
         self.with_velocity = 0
         self.unlimited: list[str] = []
@@ -308,14 +310,19 @@ class Robot:
         path = mesh_path(node, self.directory, bool(self.extension))
         if (path, scale) not in self.meshes:
             stem = os.path.splitext(os.path.basename(path))[0] or "mesh"
-            taken = {one.attrs["name"] for one in self.meshes.values()}
-            name, count = stem, 1
-            while name in taken:
-                count += 1
-                name = f"{stem}_{count}"
+            name = self._unused(stem)
             own = {"name": name, "file": path, "scale": written(scale)}
             self.meshes[path, scale] = mjcf_node("mesh", node, **own)
         return self.meshes[path, scale].attrs["name"]
+
+    def _unused(self, stem: str) -> str:
+        """A name that no mesh has: the stem, or the stem with a number."""
+        name = stem
+        while name in self.mesh_names:
+            self.mesh_names[stem] = self.mesh_names.get(stem, 1) + 1
+            name = f"{stem}_{self.mesh_names[stem]}"
+        self.mesh_names.setdefault(name, 1)
+        return name
 
     def notes(self) -> list[str]:
         """What else a user should know of the translation."""

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from functools import lru_cache
 
 from stepcore.engine.linear_maps import amplification
 from stepcore.measure.diagnosis.growth import DAMPED, largest_stable, neutral_growth
@@ -95,11 +96,17 @@ def _jury(omega: float, damping: float) -> float:
 
 def _rk4(s: complex) -> float:
     size = abs(s)
+    return _rk4_along(s / size) / size
+
+
+@lru_cache(maxsize=256)
+def _rk4_along(way: complex) -> float:
+    """The limit of a rate of length 1; joints of one kind, and all without ω, share theirs."""
 
     def stable(h: float) -> bool:
-        return bool(abs(amplification("rk4", h * (s / size))) <= 1 + 1e-9)
+        return bool(abs(amplification("rk4", h * way)) <= 1 + 1e-9)
 
-    return largest_stable(stable, 1e-2, 4.0) / size
+    return largest_stable(stable, 1e-2, 4.0)
 
 
 def _in_range(rate: float) -> float:

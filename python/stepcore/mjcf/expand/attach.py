@@ -8,19 +8,24 @@ settings and default classes; and its options follow the compiler's attribute "c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 from stepcore.checks import nearest
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import MAIN, Defaults
 from stepcore.mjcf.expand.conflict import merge
-from stepcore.mjcf.expand.keys import key_parts, twin_of
-from stepcore.mjcf.expand.naming import Names, kind_of, names_in, references, rename
-from stepcore.mjcf.expand.replicate import SECTIONS
+from stepcore.mjcf.expand.copies import Copies
+from stepcore.mjcf.expand.keys import copied_key, key_parts
+from stepcore.mjcf.expand.naming import Names, copied, kind_of, names_in, rename
+from stepcore.mjcf.expand.referring import SECTIONS, Referring, named_by, section_of
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import below
 from stepcore.mjcf.schema import ROOT
+
+# Bodies and frames by tag and name, each with the childclass around it.
+Parts = dict[tuple[str, str], tuple[Node, str]]
 
 
 @dataclass
@@ -31,6 +36,26 @@ class Model:
     compiler: Compiler
     defaults: Defaults
 
+    @cached_property
+    def parts(self) -> Parts:
+        """Its bodies and frames."""
+        return _by_name({}, _tree(self.root), MAIN)
+
+    @cached_property
+    def assets(self) -> list[Node]:
+        """Its assets, each with a name."""
+        return _named_assets(self.root)
+
+    @cached_property
+    def keys(self) -> list[Node]:
+        """Its keyframes, whose vectors are taken apart while the whole model is there."""
+        return key_parts(self.root, self.defaults)
+
+    @cached_property
+    def referring(self) -> Referring:
+        """What refers to its tree, as it is when first asked."""
+        return Referring(self.root)
+
 
 # The model that an <asset><model> names.
 Load = Callable[[Node], Model]
@@ -39,63 +64,75 @@ Load = Callable[[Node], Model]
 class Attacher:
     """Replaces the <attach> elements of a model. notes: on options of attached models."""
 
-    def __init__(self, model: Model, load: Load) -> None:
+    def __init__(self, model: Model, load: Load, copies: Copies) -> None:
         self.model = model
         self.load = load
+        self.copies = copies
         self.notes: list[str] = []
         self.assets: dict[str, Node] = {}
-        self.loaded: dict[int, Model] = {}
+        # What refers to this model's own tree, as far as it is there by now.
+        self.own: Referring | None = None
+        # Its bodies and frames, likewise.
+        self.parts: Parts = {}
+        # By tag, what comes along with what is attached.
+        self.sections: dict[str, Node] = {}
         for section in model.root.children:
             if section.tag == "asset":
                 for node in [child for child in section.children if child.tag == "model"]:
-                    name = node.attrs.get("name") or self._load(node).root.attrs.get("model", "")
+                    name = node.attrs.get("name") or self.load(node).root.attrs.get("model", "")
                     if name in self.assets:
                         raise node.error(f'model "{name}": the name is used twice')
                     self.assets[name] = node
 
-    def _load(self, node: Node) -> Model:
-        if id(node) not in self.loaded:
-            self.loaded[id(node)] = self.load(node)
-        return self.loaded[id(node)]
-
     def run(self) -> None:
         """Replaces every <attach>, in the order of the file."""
-        # What is attached from this model itself is the tree as it is written.
         worlds = [section for section in self.model.root.children if section.tag == "worldbody"]
-        found = [pair for section in worlds for pair in _attachments(section)]
-        for parent, node in found:
-            at = next(i for i, child in enumerate(parent.children) if child is node)
-            parent.children[at : at + 1] = self._attached(node)
+        found = [node for section in worlds for node in _attachments(section)]
+        if any("model" not in node.attrs for node in found):
+            self.own = Referring(self.model.root)
+            self.parts = _by_name({}, _tree(self.model.root), MAIN)
+        for node in found:
+            self._attach(node)
 
-    def _attached(self, node: Node) -> list[Node]:
-        """What takes the place of an <attach>."""
+    def _attach(self, node: Node) -> None:
+        """Makes an <attach> the frame that holds what it attaches."""
         other = self._other(node)
         own = other is self.model
         policy = self.model.compiler.values.get("conflict", "warning")
+        prefix = node.values["prefix"]
         if not own:
             if other.compiler.mass_rules().fitaabb != self.model.compiler.mass_rules().fitaabb:
                 raise node.unbuilt("an attached model with another fitaabb than this one")
             self.notes += merge(self.model.root, other.root, node, policy)
-        twin = twin_of(other.root)
-        tree, childclass = _part(node, twin, own)
-        prefix = node.values["prefix"]
+        tree, childclass = _part(node, other.root, self.parts if own else other.parts, own)
+        assets, keys = ([], []) if own else (other.assets, other.keys)
+        referring = self.own if own and self.own is not None else other.referring
+        names, sections, torn = _resolved(referring, [*tree, *assets], own)
+        classes = 0 if own else len(other.defaults.classes)
+        everything = [*tree, *assets, *keys, *(one for _, one in sections)]
+        self.copies.take(node, everything, 1, 1 + classes)
+        self.notes += [f"{node.file}:{node.line}: <attach> leaves out {what}" for what in torn]
+
+        made: dict[int, Node] = {}
+        twins = [copied(one, made) for one in tree]
+        parts = [(tag, copied(one, made)) for tag, one in sections]
+        parts += [("asset", copied(one, made)) for one in assets]
+        parts += [("keyframe", copied_key(key, made)) for key in keys]
         if not own:
-            self._mark(twin, other)
-            _name_assets(twin)
-        # Of keyframes the vectors are taken apart while the whole model is there.
-        keys = [] if own else key_parts(twin, other.defaults)
-        if not own:
-            classes = self.model.defaults.adopt(other.defaults, prefix)
-            _rename_classes(twin, classes)
-            childclass = classes.get(childclass, childclass)
-        where = f"{node.file}:{node.line}: <attach>"
-        torn = self._add_sections(twin, tree, prefix, keys, own)
-        self.notes += [f"{where} leaves out {what}" for what in torn]
-        frame = Node("frame", {}, node.file, node.line)
-        frame.path, frame.compiler, frame.children = "worldbody/frame", node.compiler, tree
-        frame.values = {"childclass": childclass}
-        frame.attrs = dict(frame.values)
-        return [frame]
+            here = self.model.defaults.adopt(other.defaults, prefix)
+            _rename_classes(parts, made, here)
+            childclass = here.get(childclass, childclass)
+            # Its elements are read with its own compiler settings.
+            for one in made.values():
+                one.compiler = one.compiler or other.compiler
+        self._add(parts, names, prefix)
+        for one in twins:
+            rename(one, names, lambda name: prefix + name)
+        node.tag, node.path, node.children = "frame", "worldbody/frame", twins
+        node.attrs = {"childclass": childclass}
+        node.values = dict(node.attrs)
+        if self.own is not None:
+            _by_name(self.parts, twins, node.attrs["childclass"])
 
     def _other(self, node: Node) -> Model:
         if "body" in node.attrs and "frame" in node.attrs:
@@ -109,54 +146,32 @@ class Attacher:
         if asset is None:
             near = nearest(name, sorted(self.assets))
             raise node.error(f'<attach model="{name}">: no such model{near}')
-        return self._load(asset)
+        return self.load(asset)
 
-    def _mark(self, twin: Node, other: Model) -> None:
-        """Elements of the other model are read with its own compiler settings."""
-        for one in below(twin):
-            if one.compiler is None:
-                one.compiler = other.compiler
-
-    def _add_sections(
-        self, twin: Node, tree: list[Node], prefix: str, keys: list[Node], own: bool
-    ) -> list[str]:
-        """Adds what belongs to the attached tree to the sections of this model, renamed.
-
-        Returns what belongs to it in part, and is left out for what it names beside.
-        """
-        names = names_in(tree)
-        names.setdefault("body", set()).add("world")
-        assets = [] if own else [n for s in twin.children if s.tag == "asset" for n in s.children]
-        assets = [node for node in assets if node.tag != "model"]
-        for kind, more in names_in(assets).items():
-            names.setdefault(kind, set()).update(more)
-        chosen = _resolved(twin, names, own)
-        torn = list(_torn(twin, names, [node for _, nodes in chosen for node in nodes]))
-        names["body"].discard("world")
-        parts = {"asset": assets, "keyframe": keys}
-        for tag, nodes in [*chosen, *parts.items()]:
-            for one in nodes:
-                rename(one, names, lambda name: prefix + name)
-                if tag == "keyframe":
-                    one.attrs["name"] = one.values["name"] = prefix + twin_name(one, prefix)
-            if nodes:
-                part = Node(tag, {}, nodes[0].file, nodes[0].line)
-                part.path, part.children = tag, nodes
-                self.model.root.children.append(part)
-        for one in tree:
+    def _add(self, parts: list[tuple[str, Node]], names: Names, prefix: str) -> None:
+        """Adds what comes along to the sections of this model, renamed."""
+        for tag, one in parts:
             rename(one, names, lambda name: prefix + name)
-        return torn
+            if tag == "keyframe":
+                one.attrs["name"] = one.values["name"] = prefix + twin_name(one, prefix)
+            if tag in self.sections:
+                self.sections[tag].children.append(one)
+            else:
+                self.sections[tag] = section_of(tag, [one])
+                self.model.root.children.append(self.sections[tag])
+        if self.own is not None:
+            self.own.append([part for part in parts if part[0] in SECTIONS])
 
 
-def _attachments(section: Node) -> list[tuple[Node, Node]]:
-    """The <attach> elements below a node, in the order of the file, each after its parent."""
+def _attachments(section: Node) -> list[Node]:
+    """The <attach> elements below a node, in the order of the file."""
     found = []
-    pending = [(section, child) for child in reversed(section.children)]
+    pending = [section]
     while pending:
-        parent, node = pending.pop()
+        node = pending.pop()
         if node.tag == "attach":
-            found.append((parent, node))
-        pending += [(node, child) for child in reversed(node.children)]
+            found.append(node)
+        pending += reversed(node.children)
     return found
 
 
@@ -165,104 +180,111 @@ def twin_name(node: Node, prefix: str) -> str:
     return node.attrs.get("name", prefix).removeprefix(prefix)
 
 
-def _rename_classes(twin: Node, classes: dict[str, str]) -> None:
+def _rename_classes(
+    parts: list[tuple[str, Node]], made: dict[int, Node], here: dict[str, str]
+) -> None:
     """Gives references to the other model's classes the names that these have in this model.
 
-    An element outside of the tree that has no class is of the outermost.
+    parts: what stands outside of the tree; what has no class there is of the outermost. made: all
+    copies.
     """
-    for section in twin.children:
-        for node in section.children if section.tag in (*SECTIONS, "asset") else ():
-            if "class" in ROOT.children[section.tag].children[node.tag].attrs:
-                node.attrs.setdefault("class", MAIN)
-    for node in below(twin):
+    for tag, one in parts:
+        if tag in (*SECTIONS, "asset") and "class" in ROOT.children[tag].children[one.tag].attrs:
+            one.attrs.setdefault("class", MAIN)
+    for one in made.values():
         for attribute in ("class", "childclass"):
-            name = node.attrs.get(attribute)
-            if name in classes:
-                node.attrs[attribute] = node.values[attribute] = classes[name]
+            name = one.attrs.get(attribute)
+            if name in here:
+                one.attrs[attribute] = one.values[attribute] = here[name]
 
 
-def _name_assets(twin: Node) -> None:
-    """Assets of the other model get the names that their files give them."""
-    for section in twin.children:
-        for node in section.children if section.tag == "asset" else ():
-            file = node.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
-            if "name" not in node.attrs and file:
-                node.attrs["name"] = node.values["name"] = file.rpartition(".")[0] or file
+def _named_assets(root: Node) -> list[Node]:
+    """The assets of a model, under the names that their files give those without one."""
+    assets = [node for s in root.children if s.tag == "asset" for node in s.children]
+    assets = [node for node in assets if node.tag != "model"]
+    for node in assets:
+        file = node.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
+        if "name" not in node.attrs and file:
+            node.attrs["name"] = node.values["name"] = file.rpartition(".")[0] or file
+    return assets
 
 
-def _part(node: Node, twin: Node, own: bool) -> tuple[list[Node], str]:
+def _tree(root: Node) -> list[Node]:
+    """What stands in the world."""
+    sections = [section for section in root.children if section.tag == "worldbody"]
+    return [node for section in sections for node in section.children]
+
+
+def _by_name(parts: Parts, nodes: list[Node], childclass: str) -> Parts:
+    """Adds the bodies and frames among these nodes and in them, with the childclass of each."""
+    pending = [(one, childclass) for one in reversed(nodes)]
+    while pending:
+        one, around = pending.pop()
+        if one.tag in ("body", "frame") and one.attrs.get("name"):
+            parts.setdefault((one.tag, one.attrs["name"]), (one, around))
+        inner = one.attrs.get("childclass", around)
+        pending += [(child, inner) for child in reversed(one.children)]
+    return parts
+
+
+def _part(node: Node, root: Node, parts: Parts, own: bool) -> tuple[list[Node], str]:
     """The nodes that are attached, and the childclass under which they stand."""
-    trees = [section for section in twin.children if section.tag == "worldbody"]
     kind = next((word for word in ("body", "frame") if word in node.attrs), "")
     if not kind:
-        return [child for tree in trees for child in tree.children], MAIN
-    pending = [(child, MAIN) for tree in reversed(trees) for child in reversed(tree.children)]
+        return _tree(root), MAIN
+    name = node.attrs[kind]
+    if (kind, name) not in parts:
+        near = nearest(name, [known for tag, known in parts if tag == kind])
+        raise node.error(f'<attach {kind}="{name}">: no such {kind}{near}')
+    one, childclass = parts[kind, name]
+    if own and any(inner.tag == "attach" for inner in below(one)):
+        raise node.error(f'<attach {kind}="{name}"> holds an <attach> itself')
+    return [one], childclass
+
+
+def _resolved(
+    referring: Referring, attached: list[Node], own: bool
+) -> tuple[Names, list[tuple[str, Node]], list[str]]:
+    """What comes along with what is attached, because it refers to nothing else.
+
+    Returns the names of all that is attached, section and element of what comes along, and words
+    about what refers to something that is attached and to something that is not.
+    """
+    names = names_in(attached)
+    names.setdefault("body", set()).add("world")
+    # Of this model only what refers to the tree comes along.
+    found = referring.to(names, free=not own)
+    needs = [list(named_by(node)) for _, node in found]
+    users: dict[tuple[str, str], list[int]] = {}
+    for at, (_, node) in enumerate(found):
+        if node.attrs.get("name"):
+            names.setdefault(kind_of(node), set()).add(node.attrs["name"])
+        for need in needs[at]:
+            users.setdefault(need, []).append(at)
+    left_out: set[int] = set()
+    pending = [at for at, need in enumerate(needs) if _missing(need, names)]
     while pending:
-        one, childclass = pending.pop()
-        if one.tag == kind and one.attrs.get("name") == node.attrs[kind]:
-            if own and any(inner.tag == "attach" for inner in below(one)):
-                raise node.error(f'<attach {kind}="{node.attrs[kind]}"> holds an <attach> itself')
-            return [one], childclass
-        inner = one.attrs.get("childclass", childclass)
-        pending += [(child, inner) for child in reversed(one.children)]
-    known = [
-        o.attrs["name"] for t in trees for o in below(t) if o.tag == kind and "name" in o.attrs
-    ]
-    near = nearest(node.attrs[kind], known)
-    raise node.error(f'<attach {kind}="{node.attrs[kind]}">: no such {kind}{near}')
+        at = pending.pop()
+        if at not in left_out:
+            left_out.add(at)
+            kind, name = kind_of(found[at][1]), found[at][1].attrs.get("name", "")
+            names.get(kind, set()).discard(name)
+            pending += users.get((kind, name), ())
+    torn = [_torn(found[at][1], needs[at], names) for at in sorted(left_out)]
+    names["body"].discard("world")
+    kept = [part for at, part in enumerate(found) if at not in left_out]
+    return names, sorted(kept, key=lambda part: SECTIONS.index(part[0])), [*filter(None, torn)]
 
 
-def _resolved(twin: Node, names: Names, own: bool) -> list[tuple[str, list[Node]]]:
-    """The elements of each section all of whose references are to `names`, which grow by them."""
-    left = {
-        tag: [node for section in twin.children if section.tag == tag for node in section.children]
-        for tag in SECTIONS
-    }
-    if own:
-        # Of this model only what refers to the tree comes along.
-        left = {
-            t: [n for n in nodes if any(True for o in below(n) for _ in references(o))]
-            for t, nodes in left.items()
-        }
-    for nodes in left.values():
-        for node in nodes:
-            if node.attrs.get("name"):
-                names.setdefault(kind_of(node), set()).add(node.attrs["name"])
-    changed = True
-    while changed:
-        changed = False
-        for tag, nodes in left.items():
-            kept = [node for node in nodes if _holds(node, names)]
-            for node in nodes:
-                if node not in kept:
-                    names.get(kind_of(node), set()).discard(node.attrs.get("name", ""))
-            changed |= len(kept) < len(nodes)
-            left[tag] = kept
-    return list(left.items())
+def _missing(needs: list[tuple[str, str]], names: Names) -> list[tuple[str, str]]:
+    return [(kind, name) for kind, name in needs if name not in names.get(kind, ())]
 
 
-def _torn(twin: Node, names: Names, kept: list[Node]) -> Iterator[str]:
-    """What names something that is attached and something that is not."""
-    known = {id(node) for node in kept}
-    for section in twin.children:
-        for node in section.children if section.tag in SECTIONS else ():
-            if id(node) in known:
-                continue
-            named = list(_named(node))
-            missing = [(kind, name) for kind, name in named if name not in names.get(kind, ())]
-            if any(one not in missing and one != ("body", "world") for one in named):
-                kind, name = missing[0]
-                own = f' "{node.attrs["name"]}"' if node.attrs.get("name") else ""
-                yield f'<{node.tag}>{own}, whose {kind} "{name}" is not attached'
-
-
-def _holds(node: Node, names: Names) -> bool:
-    return all(name in names.get(kind, ()) for kind, name in _named(node))
-
-
-def _named(node: Node) -> Iterator[tuple[str, str]]:
-    """What an element refers to, by kind and name."""
-    for one in below(node):
-        for _, kind, name in references(one):
-            if kind not in ("default", "material"):
-                yield kind, name
+def _torn(node: Node, needs: list[tuple[str, str]], names: Names) -> str:
+    """What is left out of an element that refers to something attached; "" if to nothing."""
+    missing = _missing(needs, names)
+    if not {*needs} - {*missing, ("body", "world")}:
+        return ""
+    kind, name = missing[0]
+    own = f' "{node.attrs["name"]}"' if node.attrs.get("name") else ""
+    return f'<{node.tag}>{own}, whose {kind} "{name}" is not attached'

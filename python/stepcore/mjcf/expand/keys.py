@@ -45,17 +45,14 @@ def key_parts(root: Node, defaults: Defaults) -> list[Node]:
     return keys
 
 
-def twin_of(root: Node) -> Node:
-    """A copy of a model; the vectors of its keyframes belong to the copied elements."""
-    made: dict[int, Node] = {}
-    twin = copied(root, made)
-    for one in made.values():
-        if one.parts is not None:
-            one.parts = {
-                name: [(made[id(node)], numbers) for node, numbers in parts if id(node) in made]
-                for name, parts in one.parts.items()
-            }
-    return twin
+def copied_key(key: Node, made: dict[int, Node]) -> Node:
+    """A copy of a keyframe for copied elements; made: these by the originals' ``id``."""
+    same = copied(key)
+    same.parts = {
+        name: [(made[id(node)], numbers) for node, numbers in parts if id(node) in made]
+        for name, parts in (key.parts or {}).items()
+    }
+    return same
 
 
 def _joints(root: Node, defaults: Defaults) -> Iterable[tuple[Node, str]]:

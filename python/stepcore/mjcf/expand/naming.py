@@ -59,21 +59,24 @@ def references(node: Node) -> Iterable[tuple[str, str, str]]:
             yield attribute, kind, name
 
 
-def refers(node: Node, names: Names) -> bool:
-    """Whether an element, or what it holds, refers to one of these."""
-    return any(
-        name in names.get(kind, ()) for one in below(node) for _, kind, name in references(one)
-    )
-
-
 def copied(node: Node, made: dict[int, Node] | None = None) -> Node:
     """A copy of an element and of all that it holds; made: the copies by the originals' ``id``."""
+    whole = _alone(node)
+    pending = [(node, whole)]
+    while pending:
+        one, same = pending.pop()
+        if made is not None:
+            made[id(one)] = same
+        same.children = [_alone(child) for child in one.children]
+        pending += zip(one.children, same.children, strict=True)
+    return whole
+
+
+def _alone(node: Node) -> Node:
+    """A copy of an element without what it holds."""
     same = Node(node.tag, dict(node.attrs), node.file, node.line)
     same.values, same.path, same.compiler = dict(node.values), node.path, node.compiler
     same.parts = node.parts
-    same.children = [copied(child, made) for child in node.children]
-    if made is not None:
-        made[id(node)] = same
     return same
 
 
