@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -53,16 +54,30 @@ def check_path(out: str, option: str) -> None:
 
 def deliver(result: Result, args: argparse.Namespace) -> None:
     """Writes and prints a result as `add_output` was asked."""
-    if args.plot is not None:
-        result.plot(args.plot)
-    if args.html is not None:
-        result.to_html(args.html)
-    if args.json == "-":
-        print(result.to_json())
-        return
-    if args.json is not None:
-        Path(args.json).write_text(result.to_json() + "\n", encoding="utf-8")
-    print(result.text(full=args.all))
+    to_file = args.json not in (None, "-")
+    failed = attempted(
+        args.plot and (lambda: result.plot(args.plot)),
+        args.html and (lambda: result.to_html(args.html)),
+        to_file and (lambda: _write(args.json, result.to_json())),
+    )
+    print(result.to_json() if args.json == "-" else result.text(full=args.all))
+    for error in failed:
+        raise error
+
+
+def _write(out: str, text: str) -> None:
+    Path(out).write_text(text + "\n", encoding="utf-8")
+
+
+def attempted(*writes: Callable[[], object] | Any) -> list[Exception]:
+    """Writes what is to be written; the errors of doing so, which must not hide a result."""
+    failed = []
+    for write in filter(None, writes):
+        try:
+            write()
+        except Exception as error:
+            failed.append(error)
+    return failed
 
 
 def print_json(data: Any) -> None:

@@ -9,13 +9,16 @@ Example:
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Callable
 from typing import Any
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.inputs import add_inputs, control_of, in_words, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
-from stepcore.cli.output import add_json, print_json
+from stepcore.cli.output import add_json, attempted, print_json
+from stepcore.cli.terminal import reason, say
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import RECORDED, Trajectory
@@ -80,7 +83,7 @@ def add(command: argparse.ArgumentParser) -> None:
     add_json(command)
 
 
-def call(args: argparse.Namespace) -> None:
+def call(args: argparse.Namespace) -> int:
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt
@@ -121,13 +124,17 @@ def call(args: argparse.Namespace) -> None:
     except SimulationError as error:
         said = [f"{one_line(error)}."]
         said += [finding.text for finding in findings_of(sim.model, watch, failed=True)]
-        said.append(f"To see what failed: stepcore replay {_written(error, args.replay)}")
-        _save(args, single.trajectory)
-        raise RuntimeError(" ".join(said)) from None
-    _save(args, single.trajectory)
+        # The failure is known before anything else can go wrong.
+        say(" ".join(said), end=" ")
+        _keep(error, args, single.trajectory)
+        return 1
+    unsaved = attempted(*_saves(args, single.trajectory))
     found = findings_of(sim.model, watch) if steps else []
     step = pace.seconds(Sim(model, sim.settings)) if steps else 0.0
     _report(sim, shown, ran, steps, step, notes, found, args.json)
+    for error in unsaved:
+        raise error
+    return 0
 
 
 def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
@@ -153,15 +160,28 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
     return ("energy", "overlap") if args.save is None else RECORD
 
 
-def _save(args: argparse.Namespace, run: Trajectory | None) -> None:
-    """Writes the plot and the run itself; of a run that fails, what it did until then."""
-    if run is None:
-        return
-    if args.plot is not None:
-        run.plot(args.plot)
-    if args.save is not None:
+def _saves(args: argparse.Namespace, run: Trajectory | None) -> list[Callable[[], object]]:
+    """What writes the plot and the run itself; of a run that fails, what it did until then."""
+    saves: list[Callable[[], object]] = []
+    if run is not None and args.plot is not None:
+        saves.append(lambda: run.plot(args.plot))
+    if run is not None and args.save is not None:
         ending = SAVED.index(args.save[args.save.rindex(".") :])
-        (run.save, run.save_mcap, run.save_html)[ending](args.save)
+        save = (run.save, run.save_mcap, run.save_html)[ending]
+        saves.append(lambda: save(args.save))
+    return saves
+
+
+def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | None) -> None:
+    """Saves the replay of a failure, which was said, and what the run did until then."""
+    path = args.replay or _replay_name(error)
+    failed = attempted(lambda: error.replay.save(path))
+    if failed:
+        said = [f"The replay was not saved: {reason(failed[0])}."]
+    else:
+        said = [f"To see what failed: stepcore replay {path}"]
+    said += [f"Not saved: {reason(other)}." for other in attempted(*_saves(args, run))]
+    print(" ".join(said), file=sys.stderr)
 
 
 def _report(
@@ -237,13 +257,10 @@ def _steps(duration: float, dt: float) -> int:
     return round(duration / dt)
 
 
-def _written(error: SimulationError, path: str | None) -> str:
-    """Writes the failed run to `path`, or under a name of its own in this folder."""
-    if path is None:
-        name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
-        path = f"{name or 'run'}-step{error.step}.replay.json"
-    error.replay.save(path)
-    return path
+def _replay_name(error: SimulationError) -> str:
+    """Under which name the replay of a failure is saved in this folder."""
+    name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
+    return f"{name or 'run'}-step{error.step}.replay.json"
 
 
 def _numbers(values: Any) -> str:
