@@ -90,8 +90,24 @@ class ElementError(ValueError):
         return type(self), (str(self.owner), self.text)
 
 
+def path(name: str, value: object) -> str:
+    """`value` as the path of a file: a string, or what stands for one."""
+    if isinstance(value, (str, bytes, os.PathLike)):
+        try:
+            text = os.fsdecode(value)
+        except TypeError:
+            text = ""
+        if text and "\0" not in text:
+            return text
+    raise ValueError(f"{name} = {shown(value)}: must be a path")
+
+
 # No model and no replay is larger [bytes]; a file that is would fill the memory.
 LARGEST_FILE = 2**28
+
+
+# Files that the command which runs will write, as (device, inode): none of them is read.
+outputs: set[tuple[int, int]] = set()
 
 
 def file_bytes(path: str | os.PathLike[str], expected: str) -> bytes:
@@ -109,6 +125,8 @@ def file_bytes(path: str | os.PathLike[str], expected: str) -> bytes:
             raise IsADirectoryError
         if not stat.S_ISREG(status.st_mode):
             raise ValueError(f"{cut(name, 300)}: is not a regular file, so it is not read")
+        if (status.st_dev, status.st_ino) in outputs:
+            raise ValueError(f"{cut(name, 300)}: is an output of this command, which reads it")
         with open(name, "rb") as file:
             data = file.read(LARGEST_FILE + 1)
         if len(data) > LARGEST_FILE:
@@ -173,6 +191,18 @@ def seconds(name: str, value: object) -> float:
 MOST_STEPS = 1e9
 
 
+def flag_of(name: str, value: object) -> bool:
+    """`value`, which must be True or False."""
+    if not _is_flag(value):
+        raise ValueError(f"{name} = {shown(value)}: must be True or False")
+    return bool(value)
+
+
+def _is_flag(value: object) -> bool:
+    # numpy's bool is not a Python bool, but it says so by its type's name.
+    return isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
+
+
 def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST_STEPS) -> None:
     """Refuses a horizon [s] whose runs have more steps than can ever end."""
     total = horizon / dt * runs
@@ -181,6 +211,13 @@ def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST
             f"horizon = {horizon:g}: {words} of dt = {dt:g} s that is {total:.2g} steps; must be "
             f"at most {most:g}"
         )
+
+
+def word(name: str, value: object) -> str:
+    """`value`, which must be a string."""
+    if not isinstance(value, str):
+        raise ValueError(f"{name} = {shown(value)}: must be a string")
+    return value
 
 
 def several(name: str, value: object) -> list[Any]:
@@ -251,8 +288,7 @@ def one_of(*allowed: object) -> Check:
 
 def flag(owner: Any, field: str, value: object) -> bool:
     """True or False; 0 and 1 are refused."""
-    # numpy's bool is not a Python bool, but it says so by its type's name.
-    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+    if _is_flag(value):
         return bool(value)
     raise refuse(owner, field, value, "True or False")
 

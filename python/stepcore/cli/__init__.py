@@ -127,13 +127,17 @@ def _asked(argv: Sequence[str]) -> str | None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    from stepcore import checks
     from stepcore.cli.output import check_output, deliver
     from stepcore.report.result import Result
 
     with warnings.catch_warnings():
         warnings.showwarning = _warned
         check_output(args)
-        result = args.call(args)
+        try:
+            result = args.call(args)
+        finally:
+            checks.outputs.clear()
         if isinstance(result, Result):
             deliver(result, args)
             return 0

@@ -17,7 +17,7 @@ from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.inputs import add_inputs, control_of, in_words, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
-from stepcore.cli.output import add_json, attempted, print_json
+from stepcore.cli.output import add_force, add_json, attempted, print_json
 from stepcore.cli.terminal import reason, say
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
@@ -26,6 +26,7 @@ from stepcore.experiment.pace import Pace
 from stepcore.experiment.single_run import LOOKS, SingleRun
 from stepcore.experiment.watch import Watch
 from stepcore.measure.findings import Finding, findings_of
+from stepcore.report.outputs import is_replaceable
 from stepcore.report.report import NARROWEST, wrapped
 from stepcore.report.table import window
 from stepcore.report.units import computing, counted, seconds, times
@@ -80,6 +81,7 @@ def add(command: argparse.ArgumentParser) -> None:
         "(default: energy,overlap; --save: qpos,qvel,ctrl too)",
     )
     add_inputs(command)
+    add_force(command)
     add_json(command)
 
 
@@ -260,7 +262,10 @@ def _steps(duration: float, dt: float) -> int:
 def _replay_name(error: SimulationError) -> str:
     """Under which name the replay of a failure is saved in this folder."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
-    return f"{name or 'run'}-step{error.step}.replay.json"
+    path = f"{name or 'run'}-step{error.step}.replay.json"
+    while not is_replaceable(path):
+        path = f"{path.removesuffix('.replay.json')}-new.replay.json"
+    return path
 
 
 def _numbers(values: Any) -> str:

@@ -16,7 +16,7 @@ from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.cli.inputs import SINES, add_inputs, control_of, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
-from stepcore.cli.output import check_path
+from stepcore.cli.output import add_force
 from stepcore.cli.terminal import say
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
@@ -47,11 +47,11 @@ def add(command: argparse.ArgumentParser) -> None:
         "--duration", type=float, metavar="S", help=f"of that run [s] (default: {DURATION:g})"
     )
     add_inputs(command)
+    add_force(page)
 
 
 def call(args: argparse.Namespace) -> int:
     if args.page is not None:
-        check_path(args.page, "--html")
         need("trimesh", f"--html {args.page}")
     elif args.duration is not None:
         raise Usage("--duration is of the run that --html writes; a live view has no end")

@@ -122,9 +122,10 @@ class Batch(Stepped):
 
     def model_of(self, world: int) -> Model:
         """Returns the model of a world: `model` with the values of `param` there."""
-        if not 0 <= checks.count("world", world, 0) < len(self):
-            raise ValueError(f"world = {world}: must be below {len(self)}")
-        return self._model_of(world)
+        index = checks.count("world", world, 0)
+        if index >= len(self):
+            raise ValueError(f"world = {checks.shown(world)}: must be below {len(self)}")
+        return self._model_of(index)
 
     def _model_of(self, world: int) -> Model:
         return self._param.model_of(world)

@@ -87,7 +87,7 @@ class Replay:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the file that `stepcore.replay` and ``stepcore replay FILE`` read."""
-        Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
+        Path(checks.path("path", path)).write_text(self.to_json() + "\n", encoding="utf-8")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Replay:
@@ -96,8 +96,8 @@ class Replay:
         Raises ValueError, in one line, for a file that is no replay file, was damaged or has
         another version; FileNotFoundError for a missing file, IsADirectoryError for a folder.
         """
-        shown = os.fsdecode(path)
-        text = checks.file_bytes(path, "a replay file")
+        shown = checks.path("path", path)
+        text = checks.file_bytes(shown, "a replay file")
         try:
             data = json.loads(text)
         except (ValueError, RecursionError):

@@ -6,8 +6,11 @@ import base64
 import html
 from importlib import resources
 
+from stepcore.report.outputs import MARK
+
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<meta name="generator" content="{mark}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <style>{style}</style></head>
 <body><header><h1>{title}</h1><button id="theme" type="button">light / dark</button></header>
@@ -25,6 +28,7 @@ def page(title: str, answer: str, picture: str, details: str) -> str:
     """A page that needs no other file and no network; answer, picture, details: as HTML."""
     return PAGE.format(
         title=html.escape(title),
+        mark=MARK,
         style=_own("page.css"),
         answer=answer,
         picture=picture,

@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
+from stepcore import checks
+from stepcore.report.outputs import MARK
 from stepcore.report.page import picture
 from stepcore.report.report import Report
 from stepcore.report.table import Table, jsonable
@@ -95,12 +97,13 @@ class Result(ABC):
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not finite is None.
 
-        "kind", "model", "motion", "ran", "settings", "sentences", "rows", "units" and "notes" are
-        the same for every measurement; "rows" are the records of `table`.
+        "kind", "generator", "model", "motion", "ran", "settings", "sentences", "rows", "units" and
+        "notes" are the same for every measurement; "rows" are the records of `table`.
         """
         plain: dict[str, Any] = jsonable(
             {
                 "kind": self.kind,
+                "generator": MARK,
                 "model": self.name,
                 "motion": getattr(self, "motion", None),
                 "ran": self.ran,
@@ -123,9 +126,10 @@ class Result(ABC):
 
         Written to `path` if given.
         """
+        target = None if path is None else checks.path("path", path)
         page = self.report(full=True).page(self._drawn())
-        if path is not None:
-            Path(path).write_text(page, encoding="utf-8")
+        if target is not None:
+            Path(target).write_text(page, encoding="utf-8")
         return page
 
     def __str__(self) -> str:

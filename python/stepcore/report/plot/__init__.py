@@ -9,10 +9,14 @@ import importlib
 import os
 from typing import Any
 
+from stepcore import checks
+from stepcore.report.outputs import remark
+
 
 def plot(kind: str, result: Any, path: str | os.PathLike[str] | None) -> Any:
     """The Figure that `draw` of the module `kind` makes; written to `path` if given."""
+    target = None if path is None else checks.path("path", path)
     figure = importlib.import_module(f"stepcore.report.plot.{kind}").draw(result)
-    if path is not None:
-        figure.savefig(path)
+    if target is not None:
+        figure.savefig(target, **remark(target))
     return figure
