@@ -273,7 +273,7 @@ def head(width, height):
     )
 
 
-TEXTURED = """<mujoco><asset><texture name="t" type="2d" file="t.png"/>
+ONE_IMAGE = """<mujoco><asset><texture name="t" type="2d" file="t.png"/>
 <material name="m" texture="t"/></asset><worldbody>
 <geom size=".3" material="m"/><body><joint/><geom size=".1"/></body></worldbody></mujoco>"""
 END = chunk(b"IDAT", zlib.compress(b"", 9)) + chunk(b"IEND", b"")
@@ -287,7 +287,7 @@ IMAGES = [head(n, n) + END for n in (30_000, 12_000, 2**31 - 1)] + [
 @pytest.mark.parametrize("image", IMAGES, ids=range(len(IMAGES)))
 def test_an_image_that_is_none_or_too_large_is_drawn_grey_with_a_note(tmp_path, image):
     (tmp_path / "t.png").write_bytes(image)
-    sim, drawing = drawn(TEXTURED, base=tmp_path)
+    sim, drawing = drawn(ONE_IMAGE, base=tmp_path)
     assert drawing.shapes[0].rgba == (0.8, 0.8, 0.8, 1.0)
     assert any("t.png" in note and "not a whole image" in note for note in drawing.notes)
     sim.run(0.01).save_html(tmp_path / "run.html")
@@ -295,5 +295,5 @@ def test_an_image_that_is_none_or_too_large_is_drawn_grey_with_a_note(tmp_path, 
 
 def test_a_texture_that_is_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "t.png")
-    _, drawing = drawn(TEXTURED, base=tmp_path)
+    _, drawing = drawn(ONE_IMAGE, base=tmp_path)
     assert any("is not a regular file" in note for note in drawing.notes)

@@ -134,8 +134,8 @@ def call(args: argparse.Namespace) -> int:
     found = findings_of(sim.model, watch) if steps else []
     step = pace.seconds(Sim(model, sim.settings)) if steps else 0.0
     _report(sim, shown, ran, steps, step, notes, found, args.json)
-    for error in unsaved:
-        raise error
+    for other in unsaved:
+        raise other
     return 0
 
 

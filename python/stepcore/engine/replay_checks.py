@@ -135,16 +135,16 @@ def unpacked(data: Any) -> Any:
 
 
 def _array(packed: object) -> Any:
-    limit = "(type, shape, base64)"
+    entries = packed if isinstance(packed, list) and len(packed) == 3 else ["", "", ""]
+    if entries[0] not in ARRAYS:
+        limit = f"(type, shape, base64), of a type {', '.join(ARRAYS)}"
+        raise ValueError(f"array = {checks.shown(packed)}: must be {limit}")
     try:
-        kind, shape, text = packed  # type: ignore[misc]
-        if kind not in ARRAYS:
-            limit = f"of a type {', '.join(ARRAYS)}"
-            raise ValueError
-        numbers = np.frombuffer(base64.b64decode(text, validate=True), kind)
-        return numbers.astype(numbers.dtype.newbyteorder("=")).reshape([int(n) for n in shape])
-    except (ValueError, TypeError):
-        raise ValueError(f"array = {checks.shown(packed)}: must be {limit}") from None
+        shape = [whole("array", "shape", count) for count in _list("array", "shape", entries[1])]
+        numbers = np.frombuffer(_state("array", "bytes", entries[2]), entries[0]).reshape(shape)
+        return numbers.astype(numbers.dtype.newbyteorder("="))
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"array = {checks.shown(packed)}: {checks.one_line(error)}") from None
 
 
 def _record(
