@@ -26,13 +26,27 @@ KNOWN = 10
 LONGEST = 1000
 
 
+# Control characters (C0, DEL, C1) are commands to terminals; the others turn the direction of
+# writing, or are ends of lines to some readers. Each is shown by its code.
+_TURNING = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))
+_ESCAPES = {c: f"\\x{c:02x}" for c in (*range(32), *range(127, 160))}
+_ESCAPES |= {c: f"\\u{c:04x}" for c in _TURNING}
+_IN_LINES = {c: text for c, text in _ESCAPES.items() if chr(c) not in "\t\n"}
+
+
+def printable(text: str) -> str:
+    """A text of several lines as a terminal may show it: whatever would command it is escaped."""
+    return text if text.isascii() and text.isprintable() else text.translate(_IN_LINES)
+
+
 def shown(value: object, width: int = 80) -> str:
     """``repr`` on one line, cut to `width` characters."""
     return cut(" ".join(repr(value).split()), width)
 
 
 def cut(text: str, width: int = LONGEST) -> str:
-    """The text, cut to `width` characters."""
+    """The text as it stands in a line: escaped as `printable` does, cut to `width` characters."""
+    text = text[: width + 1].translate(_ESCAPES)
     return text if len(text) <= width else text[: width - 1] + "…"
 
 
@@ -119,24 +133,25 @@ def file_bytes(path: str | os.PathLike[str], expected: str) -> bytes:
     device, a pipe or a socket, which are not opened, and for a file that is too large.
     """
     name = os.fsdecode(path)
+    called = cut(name, 300)
     try:
         status = os.stat(name)
         if stat.S_ISDIR(status.st_mode):
             raise IsADirectoryError
         if not stat.S_ISREG(status.st_mode):
-            raise ValueError(f"{cut(name, 300)}: is not a regular file, so it is not read")
+            raise ValueError(f"{called}: is not a regular file, so it is not read")
         if (status.st_dev, status.st_ino) in outputs:
-            raise ValueError(f"{cut(name, 300)}: is an output of this command, which reads it")
+            raise ValueError(f"{called}: is an output of this command, which reads it")
         with open(name, "rb") as file:
             data = file.read(LARGEST_FILE + 1)
         if len(data) > LARGEST_FILE:
             limit = f"has more than {LARGEST_FILE // 2**20} MiB"
-            raise ValueError(f"{cut(name, 300)}: {limit}, which {expected} never has")
+            raise ValueError(f"{called}: {limit}, which {expected} never has")
         return data
     except FileNotFoundError:
-        raise FileNotFoundError(f"{name}: no such file") from None
+        raise FileNotFoundError(f"{called}: no such file") from None
     except IsADirectoryError:
-        raise IsADirectoryError(f"{name}: is a folder, not {expected}") from None
+        raise IsADirectoryError(f"{called}: is a folder, not {expected}") from None
 
 
 def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:

@@ -15,7 +15,7 @@ use stepcore::sleep::Sleep;
 
 use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
 use crate::element::{id, Id};
-use crate::errors::{EnergyWarning, Raised};
+use crate::errors::{printable, EnergyWarning, Raised};
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::{Arrays, Named};
@@ -34,8 +34,7 @@ type TapedStep = (f64, f64, Vec<(Id, f64)>);
 /// Says what there is to say of a world's energies.
 fn warn(py: Python<'_>, world: &mut dyn World) -> PyResult<()> {
     let Some(text) = world.take_warning() else { return Ok(()) };
-    // Names of a scene may hold a zero byte.
-    let text = CString::new(text.replace('\0', "")).unwrap_or_default();
+    let text = CString::new(printable(&text)).unwrap_or_default();
     // Python's own caller of `Sim.step`.
     PyErr::warn(py, &py.get_type::<EnergyWarning>(), &text, 2)
 }

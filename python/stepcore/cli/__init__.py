@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
+from stepcore.checks import printable
 from stepcore.cli.terminal import print_what_can_be_printed, reason, say
 
 COMMANDS = {
@@ -59,6 +60,9 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        super()._print_message(printable(message), file)
 
     def refuse(self, unknown: Sequence[str]) -> NoReturn:
         """Says which arguments the command does not take, and what the first may have meant."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from stepcore import checks
+from stepcore.cli.terminal import put
 from stepcore.cli.usage import Usage
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
@@ -115,7 +116,7 @@ def deliver(result: Result, args: argparse.Namespace) -> None:
         args.html and (lambda: result.to_html(args.html)),
         to_file and (lambda: _write(args.json, result.to_json())),
     )
-    print(result.to_json() if args.json == "-" else result.text(full=args.all))
+    put(result.to_json() if args.json == "-" else result.text(full=args.all))
     for error in failed:
         raise error
 
@@ -137,7 +138,7 @@ def attempted(*writes: Callable[[], object] | Any) -> list[Exception]:
 
 def print_json(data: Any) -> None:
     """Plain data as JSON."""
-    print(json.dumps(jsonable(data), indent=2))
+    put(json.dumps(jsonable(data), indent=2))
 
 
 def _need_matplotlib(option: str, out: str | None = None) -> None:

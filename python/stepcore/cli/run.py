@@ -18,7 +18,7 @@ from stepcore.checks import nearest, one_line
 from stepcore.cli.inputs import add_inputs, control_of, in_words, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
 from stepcore.cli.output import add_force, add_json, attempted, print_json
-from stepcore.cli.terminal import reason, say
+from stepcore.cli.terminal import put, reason, say
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import RECORDED, Trajectory
@@ -183,7 +183,7 @@ def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | No
     else:
         said = [f"To see what failed: stepcore replay {path}"]
     said += [f"Not saved: {reason(other)}." for other in attempted(*_saves(args, run))]
-    print(" ".join(said), file=sys.stderr)
+    put(" ".join(said), stream=sys.stderr)
 
 
 def _report(
@@ -236,7 +236,7 @@ def _report(
         _say("Nothing found: no contact creeps or sinks in, and limits and servos hold.")
     _say(f"The motion: {ran}.")
     _say(f"{shown!r}")
-    print()
+    put("")
     _say(f"time       {sim.time:g} s", LABEL)
     _say(f"qpos       {_numbers(sim.qpos)}", LABEL)
     _say(f"qvel       {_numbers(sim.qvel)}", LABEL)
@@ -248,7 +248,7 @@ def _report(
 
 def _say(text: str, indent: int = 2) -> None:
     """Prints a text in lines that fit the terminal; those after the first are indented."""
-    print("\n".join(wrapped(text, max(NARROWEST, window()), hanging=indent, whole=True)))
+    put("\n".join(wrapped(text, max(NARROWEST, window()), hanging=indent, whole=True)))
 
 
 def _steps(duration: float, dt: float) -> int:

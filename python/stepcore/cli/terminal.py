@@ -5,8 +5,9 @@ from __future__ import annotations
 import codecs
 import os
 import sys
+from typing import TextIO
 
-from stepcore.checks import one_line
+from stepcore.checks import one_line, printable
 
 ERRORS = "stepcore.plain"
 REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}
@@ -42,7 +43,12 @@ def print_what_can_be_printed() -> None:
 
 def say(text: str, end: str = "\n") -> None:
     """Writes a line to the error stream."""
-    print(f"stepcore: {text}", end=end, file=sys.stderr, flush=True)
+    put(f"stepcore: {text}", end, sys.stderr)
+
+
+def put(text: str, end: str = "\n", stream: TextIO | None = None) -> None:
+    """Prints a text with names of models and files, none of which commands the terminal."""
+    print(printable(text), end=end, file=stream or sys.stdout, flush=stream is not None)
 
 
 def reason(error: BaseException) -> str:

@@ -17,7 +17,7 @@ from stepcore.checks import one_line
 from stepcore.cli.inputs import SINES, add_inputs, control_of, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
 from stepcore.cli.output import add_force
-from stepcore.cli.terminal import say
+from stepcore.cli.terminal import put, say
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
 from stepcore.experiment.single_run import SingleRun
@@ -82,7 +82,7 @@ def call(args: argparse.Namespace) -> int:
     seen = single.trajectory
     if seen is not None:
         seen.save_html(args.page)
-        print(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
+        put(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
     return 1 if failed else 0
 
 

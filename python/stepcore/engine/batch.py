@@ -408,7 +408,7 @@ class Batch(Stepped):
 
     def __repr__(self) -> str:
         scene = self._model.scene.name
-        name = f' of "{scene}"' if scene else ""
+        name = f" of {checks.quoted(scene)}" if scene else ""
         return f"<Batch{name}: {len(self)} worlds, time {self.time:g} s; {self.settings!r}>"
 
 

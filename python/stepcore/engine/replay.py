@@ -96,8 +96,8 @@ class Replay:
         Raises ValueError, in one line, for a file that is no replay file, was damaged or has
         another version; FileNotFoundError for a missing file, IsADirectoryError for a folder.
         """
-        shown = checks.path("path", path)
-        text = checks.file_bytes(shown, "a replay file")
+        shown = checks.cut(checks.path("path", path), 300)
+        text = checks.file_bytes(path, "a replay file")
         try:
             data = json.loads(text)
         except (ValueError, RecursionError):
@@ -117,8 +117,9 @@ class Replay:
             raise _unusable(shown, error) from None
 
     def __repr__(self) -> str:
-        of = f' of "{self.name}"' if self.name else ""
-        return f"<Replay{of}: {self.steps} steps, energy from {self.happened['element']}>"
+        of = f" of {checks.quoted(self.name)}" if self.name else ""
+        element = checks.cut(self.happened["element"], 200)
+        return f"<Replay{of}: {self.steps} steps, energy from {element}>"
 
 
 def _made(data: dict[str, Any]) -> Replay:
@@ -197,4 +198,4 @@ def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
     try:
         return run_again(loaded)
     except ValueError as error:
-        raise _unusable(os.fsdecode(source), error) from None
+        raise _unusable(checks.cut(os.fsdecode(source), 300), error) from None

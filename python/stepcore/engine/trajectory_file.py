@@ -43,11 +43,12 @@ def read(
     path: str | os.PathLike[str],
 ) -> tuple[NDArray[Any], dict[str, NDArray[Any]], str, dict[str, tuple[Axis, ...]]]:
     """Time, data, what was not solved, and axes; see `Trajectory.load`."""
-    shown = checks.path("path", path)
-    if os.path.isdir(shown):
+    source = checks.path("path", path)
+    shown = checks.cut(source, 300)
+    if os.path.isdir(source):
         raise IsADirectoryError(f"{shown}: is a folder, not a trajectory")
     try:
-        with open(shown, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+        with open(source, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays: Mapping[str, NDArray[Any]] = {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise FileNotFoundError(f"{shown}: no such file") from None

@@ -186,11 +186,11 @@ class Assets:
         real, home = os.path.realpath(path), os.path.realpath(self.compiler.directory or os.sep)
         if os.path.commonpath([real, home]) != home:
             scene.notes.append(
-                f"{node.file}:{node.line}: <{node.tag}> reads {path}, which is outside the folder "
-                "of the main file"
+                f"{node.file}:{node.line}: <{node.tag}> reads {cut(str(path), 300)}, which is "
+                "outside the folder of the main file"
             )
         if not os.path.exists(path):
-            raise FileNotFoundError(f"{node.file}:{node.line}: {path}: no such file")
+            raise FileNotFoundError(f"{node.file}:{node.line}: {cut(str(path), 300)}: no such file")
         return path
 
     def _place(self, node: Node, name: str, own: str = "meshdir") -> str | None:

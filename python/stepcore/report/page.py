@@ -6,6 +6,7 @@ import base64
 import html
 from importlib import resources
 
+from stepcore import checks
 from stepcore.report.outputs import MARK
 
 PAGE = """<!doctype html>
@@ -27,7 +28,7 @@ PAGE = """<!doctype html>
 def page(title: str, answer: str, picture: str, details: str) -> str:
     """A page that needs no other file and no network; answer, picture, details: as HTML."""
     return PAGE.format(
-        title=html.escape(title),
+        title=html.escape(checks.printable(title)),
         mark=MARK,
         style=_own("page.css"),
         answer=answer,

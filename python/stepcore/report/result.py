@@ -136,7 +136,7 @@ class Result(ABC):
         return self.text()
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {self.title}>"
+        return f"<{type(self).__name__}: {checks.cut(self.title)}>"
 
     def _repr_html_(self) -> str:
         """The report as a notebook shows it, with its plot where matplotlib is installed."""

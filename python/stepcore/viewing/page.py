@@ -48,7 +48,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
     coded = base64.b64encode(zlib.compress(json.dumps(data).encode(), 9)).decode()
     parts = {
         "MARK": MARK,
-        "TITLE": html.escape(title),
+        "TITLE": html.escape(checks.printable(title)),
         "STYLE": _own("page.css"),
         "THREE": three(),
         "DATA": coded,
