@@ -41,7 +41,7 @@ def page(title: str, answer: str, picture: str, details: str) -> str:
 def picture(drawn: bytes, title: str) -> str:
     """A drawing (SVG) as an image within the text."""
     coded = base64.b64encode(drawn).decode("ascii")
-    alt = html.escape(title, quote=True)
+    alt = html.escape(checks.printable(title), quote=True)
     style = "max-width: 100%; height: auto"
     return f'<img alt="{alt}" style="{style}" src="data:image/svg+xml;base64,{coded}"/>'
 

@@ -97,13 +97,12 @@ class Result(ABC):
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not finite is None.
 
-        "kind", "generator", "model", "motion", "ran", "settings", "sentences", "rows", "units" and
-        "notes" are the same for every measurement; "rows" are the records of `table`.
+        "kind", "model", "motion", "ran", "settings", "sentences", "rows", "units", "notes" and
+        "generator" are the same for every measurement; "rows" are the records of `table`.
         """
         plain: dict[str, Any] = jsonable(
             {
                 "kind": self.kind,
-                "generator": MARK,
                 "model": self.name,
                 "motion": getattr(self, "motion", None),
                 "ran": self.ran,
@@ -113,6 +112,7 @@ class Result(ABC):
                 "units": self.units,
                 "notes": self.notes,
                 **self.details(),
+                "generator": MARK,
             }
         )
         return plain
