@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from stepcore import checks
 from stepcore.engine.axes import UNITS, Axis
-from stepcore.report.outputs import MARK
 
 Data = Mapping[str, NDArray[Any]]
 Axes = Mapping[str, tuple[Axis, ...]]
@@ -32,6 +31,9 @@ def write(
         arrays[f"data/{name}"] = values
         for k, axis in enumerate(axes[name]):
             arrays[f"axis/{name}/{k}/{axis.name}"] = np.array(axis.entries, dtype=np.str_)
+    # A step loads no reports.
+    from stepcore.report.outputs import MARK
+
     target = checks.path("path", path)
     with open(target, "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
