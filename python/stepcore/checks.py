@@ -26,13 +26,27 @@ KNOWN = 10
 LONGEST = 1000
 
 
+# Control characters (C0, DEL, C1) are commands to terminals; the others turn the direction of
+# writing, or are ends of lines to some readers. Each is shown by its code.
+_TURNING = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))
+_ESCAPES = {c: f"\\x{c:02x}" for c in (*range(32), *range(127, 160))}
+_ESCAPES |= {c: f"\\u{c:04x}" for c in _TURNING}
+_IN_LINES = {c: text for c, text in _ESCAPES.items() if chr(c) not in "\t\n"}
+
+
+def printable(text: str) -> str:
+    """A text of several lines as a terminal may show it: whatever would command it is escaped."""
+    return text if text.isascii() and text.isprintable() else text.translate(_IN_LINES)
+
+
 def shown(value: object, width: int = 80) -> str:
     """``repr`` on one line, cut to `width` characters."""
     return cut(" ".join(repr(value).split()), width)
 
 
 def cut(text: str, width: int = LONGEST) -> str:
-    """The text, cut to `width` characters."""
+    """The text as it stands in a line: escaped as `printable` does, cut to `width` characters."""
+    text = text[: width + 1].translate(_ESCAPES)
     return text if len(text) <= width else text[: width - 1] + "…"
 
 
@@ -117,6 +131,18 @@ class ElementError(ValueError):
         return type(self), (str(self.owner), self.text)
 
 
+def path(name: str, value: object) -> str:
+    """`value` as the path of a file: a string, or what stands for one."""
+    if isinstance(value, (str, bytes, os.PathLike)):
+        try:
+            text = os.fsdecode(value)
+        except TypeError:
+            text = ""
+        if text and "\0" not in text:
+            return text
+    raise ValueError(f"{name} = {shown(value)}: must be a path")
+
+
 def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:
     """The error about a field; all of them have this form."""
     return ElementError(owner, f"{field} = {shown(value)}: must be {limit}")
@@ -169,6 +195,18 @@ def seconds(name: str, value: object) -> float:
 MOST_STEPS = 1e9
 
 
+def flag_of(name: str, value: object) -> bool:
+    """`value`, which must be True or False."""
+    if not _is_flag(value):
+        raise ValueError(f"{name} = {shown(value)}: must be True or False")
+    return bool(value)
+
+
+def _is_flag(value: object) -> bool:
+    # numpy's bool is not a Python bool, but it says so by its type's name.
+    return isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
+
+
 def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST_STEPS) -> None:
     """Refuses a horizon [s] whose runs have more steps than can ever end."""
     total = horizon / dt * runs
@@ -177,6 +215,13 @@ def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST
             f"horizon = {horizon:g}: {words} of dt = {dt:g} s that is {total:.2g} steps; must be "
             f"at most {most:g}"
         )
+
+
+def word(name: str, value: object) -> str:
+    """`value`, which must be a string."""
+    if not isinstance(value, str):
+        raise ValueError(f"{name} = {shown(value)}: must be a string")
+    return value
 
 
 def several(name: str, value: object) -> list[Any]:
@@ -246,8 +291,7 @@ def one_of(*allowed: object) -> Check:
 
 def flag(owner: Any, field: str, value: object) -> bool:
     """True or False; 0 and 1 are refused."""
-    # numpy's bool is not a Python bool, but it says so by its type's name.
-    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+    if _is_flag(value):
         return bool(value)
     raise refuse(owner, field, value, "True or False")
 

@@ -10,6 +10,9 @@ from stepcore import checks
 # No model and no replay is larger [bytes]; a file that is would fill the memory.
 LARGEST = 2**28
 
+# Files that the command which runs will write, as (device, inode): none of them is read.
+outputs: set[tuple[int, int]] = set()
+
 
 def read(path: str | os.PathLike[str], expected: str) -> bytes:
     """Reads a regular file of at most `LARGEST` bytes.
@@ -21,7 +24,7 @@ def read(path: str | os.PathLike[str], expected: str) -> bytes:
     cannot be read.
     """
     name = os.fsdecode(path)
-    called = checks.without_middle(name)
+    called = checks.cut(checks.without_middle(name))
     if "\0" in name:
         raise ValueError(f"{checks.shown(name)}: cannot be read: no file has a NUL in its name")
     try:
@@ -44,6 +47,8 @@ def _readable(status: os.stat_result, name: str, expected: str) -> int:
         raise IsADirectoryError
     if not stat.S_ISREG(status.st_mode):
         raise ValueError(f"{name}: is not a regular file, so it is not read")
+    if (status.st_dev, status.st_ino) in outputs:
+        raise ValueError(f"{name}: is an output of this command, which reads it")
     if status.st_size > LARGEST:
         limit = f"has more than {LARGEST // 2**20} MiB"
         raise ValueError(f"{name}: {limit}, which {expected} never has")

@@ -154,3 +154,63 @@ def test_an_error_that_cannot_be_sent_back_keeps_its_text():
         pytest.raises(RuntimeError, match=r"Unsendable: the sensor of point 3 broke \(3\)"),
     ):
         executors.each(fails, [3, 4], bar=Progress("", 2, False), executor=pool)
+
+
+WRONG = [None, {}, [], "x", -1, float("nan"), 10**400, object(), True, 1j, b"x", [None], "a\0b"]
+WRONG += [np.float16(3), np.zeros((2, 3, 4)), np.array(["a"]), len, np.array(np.nan)]
+EMPTY = np.zeros(0)
+# A call of every kind with one argument that may be anything.
+CALLS = {
+    "batch.model_of": lambda model, x: sc.Batch(model, 2).model_of(x),
+    "batch.reset": lambda model, x: sc.Batch(model, 2).reset(worlds=x),
+    "batch.contacts_of": lambda model, x: sc.Batch(model, 2).contacts_of(x),
+    "batch.ray": lambda model, x: sc.Batch(model, 2).ray(x, [0, 0, 1]),
+    "called": lambda model, x: model.called(x),
+    "contact_pair": lambda model, x: model.contact_pair(x),
+    "element_name kind": lambda model, x: model.element_name(x, 0),
+    "element_name index": lambda model, x: model.element_name("spring", x),
+    "element_name part": lambda model, x: model.element_name("contact", 0, x),
+    "element_force kind": lambda model, x: model.element_force(x, [0], EMPTY, [0, 0], [0, 0]),
+    "element_force ctrl": lambda model, x: model.element_force("spring", x, EMPTY, [0], [0]),
+    "element_force qvel": lambda model, x: model.element_force("spring", [0], EMPTY, [0], x),
+    "geom_hull": lambda model, x: model.geom_hull(x),
+    "root": lambda model, x: model.root(x),
+    "touches geom": lambda model, x: model.touches(x, 1, [0, 0]),
+    "touches qpos": lambda model, x: model.touches(0, 1, x),
+    "touches lanes": lambda model, x: model.touches(0, 1, [0, 0], lanes=x),
+    "touches precision": lambda model, x: model.touches(0, 1, [0, 0], precision=x),
+    "ray groups": lambda model, x: sc.Sim(model).ray([0, 0, 1], [0, 0, 1], groups=x),
+    "jacobian": lambda model, x: sc.Sim(model).jacobian(x),
+    "restore": lambda model, x: sc.Sim(model).restore(x),
+    "run": lambda model, x: sc.Sim(model).run(x),
+    "add_mesh name": lambda model, x: sc.Scene().add_mesh(x),
+    "add_mesh file": lambda model, x: sc.Scene().add_mesh(file=x),
+    "add_hfield file": lambda model, x: sc.Scene().add_hfield(file=x, size=(1, 1, 1, 1)),
+    "scene.save": lambda model, x: sc.Scene().save(x),
+    "loads base": lambda model, x: sc.loads("<mujoco/>", base=x),
+    "loads name": lambda model, x: sc.loads("<mujoco/>", name=x),
+    "load": lambda model, x: sc.load(x),
+    "replay": lambda model, x: sc.replay(x),
+    "Replay.load": lambda model, x: sc.Replay.load(x),
+    "Trajectory.load": lambda model, x: sc.Trajectory.load(x),
+    "trajectory.save": lambda model, x: sc.Sim(model).run(0.01).save(x),
+    "trajectory.plot": lambda model, x: sc.Sim(model).run(0.01).plot(x),
+    "trajectory.save_html": lambda model, x: sc.Sim(model).run(0.01).save_html(x),
+    "trajectory.save_mcap": lambda model, x: sc.Sim(model).run(0.01).save_mcap(x),
+    "trajectory.save_video": lambda model, x: sc.Sim(model).run(0.01).save_video(x),
+    "picture": lambda model, x: sc.picture(sc.Sim(model), x),
+    "plan.to_html": lambda model, x: sc.plan(model).to_html(x),
+    "plan.plot": lambda model, x: sc.plan(model).plot(x),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_any_argument_is_taken_or_refused_by_its_name(model, name, tmp_path, monkeypatch):
+    """It works, or a ValueError or OSError says in one line what is wrong."""
+    monkeypatch.chdir(tmp_path)
+    for wrong in WRONG:
+        try:
+            CALLS[name](model, wrong)
+        except (ValueError, OSError) as error:
+            text = str(error)
+            assert text and "\n" not in text and len(text) < 1500

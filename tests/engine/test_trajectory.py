@@ -180,3 +180,29 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, method, package)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ImportError, match=rf"needs {package}: pip install 'stepcore\[data\]'"):
         getattr(recorded(("qpos",)), method)()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"time": None},
+        {"time": np.zeros((2, 2))},
+        {"data/qpos": np.zeros(3)},
+        {"axis/none": np.array(["a"])},
+        {"axis/other/0/x": np.array(["a"])},
+        {"version": np.array("x")},
+        {"version": np.zeros(3)},
+        {"unsolved": None},
+        {"kind": None},
+    ],
+    ids=str,
+)
+def test_a_forged_file_is_refused_in_one_line(tmp_path, change):
+    path = tmp_path / "run.npz"
+    drop().run(0.1).save(path)
+    with np.load(path) as file:
+        arrays = dict(file) | change
+    np.savez(path, **{name: value for name, value in arrays.items() if value is not None})
+    with pytest.raises(ValueError, match=r"run\.npz: ") as caught:
+        sc.Trajectory.load(path)
+    assert "\n" not in str(caught.value)

@@ -5,6 +5,7 @@ import re
 import socket
 import time
 from types import SimpleNamespace
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from stepcore import cli, lesson
 from stepcore.viewing import live
 
 PORT = 8460
+TOKEN = "[0-9a-f]{32}"
 BY_HAND = SimpleNamespace(client_id=1)
 
 
@@ -196,10 +198,10 @@ def test_a_view_that_cannot_be_made_leaves_its_port():
     with pytest.raises(ValueError, match="must be finite"):
         sim.view(port=port, wait=False)
     with live.view_sim(cheetah(), port=port) as view:
-        assert view.url == f"http://localhost:{port}"
+        assert view.url.startswith(f"http://localhost:{port}/")
         # The next view takes the next port that is free.
         with live.view_sim(cheetah(), port=port) as other:
-            assert int(other.url.rpartition(":")[2]) > port
+            assert urlsplit(other.url).port > port
     with pytest.raises(ValueError, match="port = 70000: must be a whole number from 1 to 65535"):
         sim.view(port=70000)
 
@@ -358,8 +360,10 @@ def test_it_says_what_other_machines_type(host, inner, others, capsys):
         pytest.skip(f"this machine has no {host}")
     with view:
         own = re.escape(live._own_address())
-        outer = rf" \(from another machine http://{own}:\d+\)" if others else ""
-        assert re.fullmatch(rf"stepcore view: http://{inner}:\d+{outer}\n", capsys.readouterr().out)
+        outer = rf" \(from another machine http://{own}:\d+/{TOKEN}\)" if others else ""
+        assert re.fullmatch(
+            rf"stepcore view: http://{inner}:\d+/{TOKEN}{outer}\n", capsys.readouterr().out
+        )
         assert bool(view.outer_url) == others
 
 

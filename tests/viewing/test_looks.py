@@ -1,5 +1,9 @@
 """How a file says that its scene looks: textures, lights, and the visual geoms of a URDF."""
 
+import os
+import struct
+import zlib
+
 import numpy as np
 import pytest
 from renderers import RENDERERS
@@ -257,3 +261,39 @@ def test_lights_in_frames_stand_where_mujoco_has_them():
         return sorted((np.round(rows, 6) + 0.0).tolist())
 
     assert np.allclose(ordered(own), ordered(expected), atol=1e-6)
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def head(width, height):
+    return b"\x89PNG\r\n\x1a\n" + chunk(
+        b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    )
+
+
+ONE_IMAGE = """<mujoco><asset><texture name="t" type="2d" file="t.png"/>
+<material name="m" texture="t"/></asset><worldbody>
+<geom size=".3" material="m"/><body><joint/><geom size=".1"/></body></worldbody></mujoco>"""
+END = chunk(b"IDAT", zlib.compress(b"", 9)) + chunk(b"IEND", b"")
+IMAGES = [head(n, n) + END for n in (30_000, 12_000, 2**31 - 1)] + [
+    b"",
+    b"\x89PNG\r\n\x1a\n",
+    b"GIF89a",
+]
+
+
+@pytest.mark.parametrize("image", IMAGES, ids=range(len(IMAGES)))
+def test_an_image_that_is_none_or_too_large_is_drawn_grey_with_a_note(tmp_path, image):
+    (tmp_path / "t.png").write_bytes(image)
+    sim, drawing = drawn(ONE_IMAGE, base=tmp_path)
+    assert drawing.shapes[0].rgba == (0.8, 0.8, 0.8, 1.0)
+    assert any("t.png" in note and "not a whole image" in note for note in drawing.notes)
+    sim.run(0.01).save_html(tmp_path / "run.html")
+
+
+def test_a_texture_that_is_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "t.png")
+    _, drawing = drawn(ONE_IMAGE, base=tmp_path)
+    assert any("is not a regular file" in note for note in drawing.notes)

@@ -42,8 +42,7 @@ pyo3::create_exception!(
 
 /// Says what there is to say of a world's energies.
 pub fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
-    // Names of a scene may hold a zero byte.
-    let text = CString::new(text.replace('\0', "")).unwrap_or_default();
+    let text = CString::new(printable(text)).unwrap_or_default();
     // Python's own caller of `step`.
     PyErr::warn(py, &py.get_type::<EnergyWarning>(), &text, 2)
 }
@@ -59,13 +58,34 @@ impl<T> Raised<T> for Result<T, Error> {
     }
 }
 
+/// A text as a terminal may show it: names of a scene can hold commands to terminals, and
+/// characters that turn the direction of writing.
+pub fn printable(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '\u{061c}'
+            | '\u{200e}'
+            | '\u{200f}'
+            | '\u{2028}'..='\u{202e}'
+            | '\u{2066}'..='\u{2069}' => {
+                shown.push_str(&format!("\\u{:04x}", u32::from(c)));
+            }
+            _ if c.is_control() => shown.push_str(&format!("\\x{:02x}", u32::from(c))),
+            _ => shown.push(c),
+        }
+    }
+    shown
+}
+
 /// The Python exception of an engine error.
 pub fn raise(py: Python<'_>, error: Error) -> PyErr {
-    let text = error.to_string();
+    let raw = error.to_string();
+    let text = printable(&raw);
     match error {
         Error::Value { .. } | Error::Scene(_) => {
-            let raised = PyValueError::new_err(text.clone());
-            let mentions: Vec<_> = error.mentions().iter().map(|m| mention(&text, m)).collect();
+            let raised = PyValueError::new_err(text);
+            let mentions: Vec<_> = error.mentions().iter().map(|m| mention(&raw, m)).collect();
             if mentions.is_empty() {
                 return raised;
             }
@@ -87,7 +107,7 @@ const NONE: &str = "no single element";
 
 /// Where an element stands in a text, in characters, and its kind and index.
 fn mention(text: &str, mention: &Mention) -> (usize, usize, &'static str, u64) {
-    let count = |bytes: usize| text.get(..bytes).map_or(0, |head| head.chars().count());
+    let count = |bytes: usize| text.get(..bytes).map_or(0, |head| printable(head).chars().count());
     let (kind, index, _) = id(mention.element);
     (count(mention.at.start), count(mention.at.end), kind, index)
 }
@@ -106,10 +126,13 @@ fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> 
     let py = error.py();
     let element = post.element.as_ref();
     error.setattr("element_id", element.map(|named| id(named.element)))?;
-    error.setattr("element", element.map_or(NONE, |named| &named.name))?;
+    error.setattr(
+        "element",
+        element.map_or_else(|| NONE.to_owned(), |named| printable(&named.name)),
+    )?;
     let shares = PyDict::new(py);
     for (named, share) in &post.shares {
-        shares.set_item(&named.name, share)?;
+        shares.set_item(printable(&named.name), share)?;
     }
     error.setattr("shares", shares)?;
     let ids: Vec<_> = post.shares.iter().map(|(named, _)| id(named.element)).collect();

@@ -14,6 +14,7 @@ use stepcore::scene::{JointType, Scene, Target};
 use stepcore::settings::Precision;
 
 use crate::element::read;
+use crate::errors::printable;
 use crate::extract::{At, Read};
 use crate::nearest::cut;
 use crate::settings::Settings;
@@ -99,7 +100,7 @@ impl Model {
     /// What an element is called: kind, index and part as in rows, contacts and errors.
     #[pyo3(signature = (kind, index, part = -1))]
     fn element_name(&self, kind: &str, index: usize, part: i64) -> PyResult<String> {
-        Ok(self.0.element_name(read(&self.0, kind, index, part)?))
+        Ok(printable(&self.0.element_name(read(&self.0, kind, index, part)?)))
     }
 
     /// The force of all springs, dampers or actuators on the dofs at many states: ctrl (n, nu),

@@ -16,7 +16,8 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
-from stepcore.cli.terminal import print_what_can_be_printed
+from stepcore.checks import printable
+from stepcore.cli.terminal import print_what_can_be_printed, reason, say
 
 COMMANDS = {
     "lesson": "check the engine on four small scenes whose results are known",
@@ -49,7 +50,6 @@ exit status: 0 success, 1 run-time failure, 2 usage error, 130 interrupted
 """
 # As a shell reports a program that Ctrl-C has ended.
 INTERRUPTED = 130
-REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}
 
 
 class _Parser(argparse.ArgumentParser):
@@ -60,6 +60,9 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        super()._print_message(printable(message), file)
 
     def refuse(self, unknown: Sequence[str]) -> NoReturn:
         """Says which arguments the command does not take, and what the first may have meant."""
@@ -93,7 +96,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2
     except KeyboardInterrupt:
-        return _say("interrupted", INTERRUPTED)
+        say("interrupted")
+        return INTERRUPTED
     except BrokenPipeError:
         # The reader of the pipe has gone: nobody is left to write to.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -127,13 +131,17 @@ def _asked(argv: Sequence[str]) -> str | None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    from stepcore import files
     from stepcore.cli.output import check_output, deliver
     from stepcore.report.result import Result
 
     with warnings.catch_warnings():
         warnings.showwarning = _warned
         check_output(args)
-        result = args.call(args)
+        try:
+            result = args.call(args)
+        finally:
+            files.outputs.clear()
         if isinstance(result, Result):
             deliver(result, args)
             return 0
@@ -141,19 +149,9 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _failed(error: Exception) -> int:
-    """The error in one line, and its exit status."""
-    from stepcore.checks import one_line
-
-    if isinstance(error, OSError) and error.filename is not None:
-        reason = REASONS.get(type(error)) or error.strerror
-        return _say(f"{os.fspath(error.filename)}: {reason}", 2)
-    if isinstance(error, (ValueError, OSError)):
-        return _say(one_line(error), 2)
-    if isinstance(error, (RuntimeError, ImportError)):
-        return _say(one_line(error), 1)
-    # Whatever else is raised is not what the user did.
-    kind = type(error).__name__
-    return _say(f"internal error ({kind}: {one_line(error)}); --debug shows the traceback", 1)
+    """Says the error in one line; returns its exit status."""
+    say(reason(error))
+    return 2 if isinstance(error, (ValueError, OSError)) else 1
 
 
 def _warned(
@@ -165,12 +163,7 @@ def _warned(
     line: str | None = None,
 ) -> None:
     """A warning in one line, without the line of code that raised it."""
-    _say(" ".join(str(message).split()), 0)
-
-
-def _say(text: str, status: int) -> int:
-    print(f"stepcore: {text}", file=sys.stderr)
-    return status
+    say(" ".join(str(message).split()))
 
 
 def parser(argv: Sequence[str]) -> argparse.ArgumentParser:

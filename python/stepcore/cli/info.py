@@ -13,6 +13,7 @@ import sysconfig
 from importlib import metadata
 
 from stepcore.cli.output import add_json, print_json
+from stepcore.cli.terminal import put
 
 # Its own, then those of the extras, and what has models.
 PACKAGES = (
@@ -43,7 +44,7 @@ def call(args: argparse.Namespace) -> None:
         print_json(facts)
     else:
         for name, fact in facts.items():
-            print(f"{name:<{WIDTH}}{fact}")
+            put(f"{name:<{WIDTH}}{fact}")
 
 
 def _free_threaded() -> bool:

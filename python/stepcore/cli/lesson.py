@@ -12,6 +12,7 @@ import argparse
 
 from stepcore import lesson
 from stepcore.cli.output import add_json, print_json
+from stepcore.cli.terminal import put
 from stepcore.cli.usage import Usage
 from stepcore.lesson import extremes
 
@@ -42,5 +43,5 @@ def call(args: argparse.Namespace) -> int:
     if args.json:
         print_json([row.to_dict() for row in rows])
     else:
-        print(part.report(rows, full=args.all))
+        put(str(part.report(rows, full=args.all)))
     return 0 if all(row.ok for row in rows) else 1

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
+import stat
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from stepcore import files
+from stepcore.cli.terminal import put
 from stepcore.cli.usage import Usage
+from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 from stepcore.report.table import jsonable
+
+# Arguments that are names of files to be written, and their options.
+OPTIONS = {name: f"--{name}" for name in ("plot", "html", "json", "save", "replay")}
+OPTIONS["page"] = "--html"
 
 
 def add_output(
@@ -22,7 +33,18 @@ def add_output(
     output.add_argument(
         "--json", nargs="?", const="-", metavar="OUT", help="print JSON, or write it to a file"
     )
+    add_force(output)
     output.add_argument("--all", action="store_true", help=f"{full}, and every note")
+
+
+def add_force(command: argparse._ActionsContainer) -> None:
+    """The option of a command that writes files."""
+    command.add_argument(
+        "--force",
+        action="store_true",
+        help="replace existing files that stepcore did not write; files that the command reads are "
+        "never replaced",
+    )
 
 
 def add_json(command: argparse.ArgumentParser) -> None:
@@ -32,17 +54,52 @@ def add_json(command: argparse.ArgumentParser) -> None:
 
 def check_output(args: argparse.Namespace) -> None:
     """Checks, before minutes of work, that everything can be written at the end."""
-    for name in ("plot", "html", "json", "save", "replay"):
-        out = getattr(args, name, None)
-        if isinstance(out, str) and out != "-":
-            check_path(out, f"--{name}")
+    outputs = list(_outputs(args))
+    files.outputs.clear()
+    for option, out in outputs:
+        _check_path(out, option)
+        _keep_inputs(args, option, out)
+        if any(_same(out, other) for name, other in outputs if name != option):
+            raise Usage(f"{option} {out}: another output of the command is the same file")
+        if not is_replaceable(out) and not args.force:
+            what = "exists and is no earlier output of stepcore"
+            raise Usage(f"{option} {out}: {what}; --force replaces it")
     if getattr(args, "plot", None) is not None:
         _need_matplotlib("--plot", args.plot)
     if getattr(args, "html", None) is not None:
         _need_matplotlib("--html")
 
 
-def check_path(out: str, option: str) -> None:
+def _outputs(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
+    """The options of the command that name a file to be written, with these names."""
+    for name, option in OPTIONS.items():
+        out = getattr(args, name, None)
+        if isinstance(out, str) and out != "-":
+            yield option, out
+
+
+def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
+    """Refuses to write over what the command reads: now, or when it comes to be read."""
+    control = getattr(args, "control", None) or ""
+    inputs = (getattr(args, "file", None), getattr(args, "ctrl", None), control.rpartition(":")[0])
+    for given in inputs:
+        if given and _same(out, given):
+            raise Usage(f"{option} {out}: is read by this command, so it is not written over")
+    with contextlib.suppress(OSError):
+        status = os.stat(out)
+        if stat.S_ISREG(status.st_mode):
+            files.outputs.add((status.st_dev, status.st_ino))
+
+
+def _same(one: str, other: str) -> bool:
+    """Whether two names are those of one file, by whatever links."""
+    try:
+        return os.path.samefile(one, other)
+    except OSError:
+        return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _check_path(out: str, option: str) -> None:
     """Whether a file can be written there, as far as folders tell."""
     path = Path(out).resolve()
     if path.is_dir():
@@ -53,21 +110,35 @@ def check_path(out: str, option: str) -> None:
 
 def deliver(result: Result, args: argparse.Namespace) -> None:
     """Writes and prints a result as `add_output` was asked."""
-    if args.plot is not None:
-        result.plot(args.plot)
-    if args.html is not None:
-        result.to_html(args.html)
-    if args.json == "-":
-        print(result.to_json())
-        return
-    if args.json is not None:
-        Path(args.json).write_text(result.to_json() + "\n", encoding="utf-8")
-    print(result.text(full=args.all))
+    to_file = args.json not in (None, "-")
+    failed = attempted(
+        args.plot and (lambda: result.plot(args.plot)),
+        args.html and (lambda: result.to_html(args.html)),
+        to_file and (lambda: _write(args.json, result.to_json())),
+    )
+    put(result.to_json() if args.json == "-" else result.text(full=args.all))
+    for error in failed:
+        raise error
+
+
+def _write(out: str, text: str) -> None:
+    Path(out).write_text(text + "\n", encoding="utf-8")
+
+
+def attempted(*writes: Callable[[], object] | Any) -> list[Exception]:
+    """Writes what is to be written; the errors of doing so, which must not hide a result."""
+    failed = []
+    for write in filter(None, writes):
+        try:
+            write()
+        except Exception as error:
+            failed.append(error)
+    return failed
 
 
 def print_json(data: Any) -> None:
     """Plain data as JSON."""
-    print(json.dumps(jsonable(data), indent=2))
+    put(json.dumps(jsonable(data), indent=2))
 
 
 def _need_matplotlib(option: str, out: str | None = None) -> None:

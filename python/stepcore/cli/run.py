@@ -9,13 +9,16 @@ Example:
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Callable
 from typing import Any
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.inputs import add_inputs, control_of, in_words, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
-from stepcore.cli.output import add_json, print_json
+from stepcore.cli.output import add_force, add_json, attempted, print_json
+from stepcore.cli.terminal import put, reason, say
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import RECORDED, Trajectory
@@ -23,6 +26,7 @@ from stepcore.experiment.pace import Pace
 from stepcore.experiment.single_run import LOOKS, SingleRun
 from stepcore.experiment.watch import Watch
 from stepcore.measure.findings import Finding, findings_of
+from stepcore.report.outputs import is_replaceable
 from stepcore.report.report import NARROWEST, wrapped
 from stepcore.report.table import window
 from stepcore.report.units import computing, counted, seconds, times
@@ -77,10 +81,11 @@ def add(command: argparse.ArgumentParser) -> None:
         "(default: energy,overlap; --save: qpos,qvel,ctrl too)",
     )
     add_inputs(command)
+    add_force(command)
     add_json(command)
 
 
-def call(args: argparse.Namespace) -> None:
+def call(args: argparse.Namespace) -> int:
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt
@@ -121,13 +126,17 @@ def call(args: argparse.Namespace) -> None:
     except SimulationError as error:
         said = [f"{one_line(error)}."]
         said += [finding.text for finding in findings_of(sim.model, watch, failed=True)]
-        said.append(f"To see what failed: stepcore replay {_written(error, args.replay)}")
-        _save(args, single.trajectory)
-        raise RuntimeError(" ".join(said)) from None
-    _save(args, single.trajectory)
+        # The failure is known before anything else can go wrong.
+        say(" ".join(said), end=" ")
+        _keep(error, args, single.trajectory)
+        return 1
+    unsaved = attempted(*_saves(args, single.trajectory))
     found = findings_of(sim.model, watch) if steps else []
     step = pace.seconds(Sim(model, sim.settings)) if steps else 0.0
     _report(sim, shown, ran, steps, step, notes, found, args.json)
+    for other in unsaved:
+        raise other
+    return 0
 
 
 def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
@@ -153,15 +162,28 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
     return ("energy", "overlap") if args.save is None else RECORD
 
 
-def _save(args: argparse.Namespace, run: Trajectory | None) -> None:
-    """Writes the plot and the run itself; of a run that fails, what it did until then."""
-    if run is None:
-        return
-    if args.plot is not None:
-        run.plot(args.plot)
-    if args.save is not None:
+def _saves(args: argparse.Namespace, run: Trajectory | None) -> list[Callable[[], object]]:
+    """What writes the plot and the run itself; of a run that fails, what it did until then."""
+    saves: list[Callable[[], object]] = []
+    if run is not None and args.plot is not None:
+        saves.append(lambda: run.plot(args.plot))
+    if run is not None and args.save is not None:
         ending = SAVED.index(args.save[args.save.rindex(".") :])
-        (run.save, run.save_mcap, run.save_html)[ending](args.save)
+        save = (run.save, run.save_mcap, run.save_html)[ending]
+        saves.append(lambda: save(args.save))
+    return saves
+
+
+def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | None) -> None:
+    """Saves the replay of a failure, which was said, and what the run did until then."""
+    path = args.replay or _replay_name(error)
+    failed = attempted(lambda: error.replay.save(path))
+    if failed:
+        said = [f"The replay was not saved: {reason(failed[0])}."]
+    else:
+        said = [f"To see what failed: stepcore replay {path}"]
+    said += [f"Not saved: {reason(other)}." for other in attempted(*_saves(args, run))]
+    put(" ".join(said), stream=sys.stderr)
 
 
 def _report(
@@ -214,7 +236,7 @@ def _report(
         _say("Nothing found: no contact creeps or sinks in, and limits and servos hold.")
     _say(f"The motion: {ran}.")
     _say(f"{shown!r}")
-    print()
+    put("")
     _say(f"time       {sim.time:g} s", LABEL)
     _say(f"qpos       {_numbers(sim.qpos)}", LABEL)
     _say(f"qvel       {_numbers(sim.qvel)}", LABEL)
@@ -226,7 +248,7 @@ def _report(
 
 def _say(text: str, indent: int = 2) -> None:
     """Prints a text in lines that fit the terminal; those after the first are indented."""
-    print("\n".join(wrapped(text, max(NARROWEST, window()), hanging=indent, whole=True)))
+    put("\n".join(wrapped(text, max(NARROWEST, window()), hanging=indent, whole=True)))
 
 
 def _steps(duration: float, dt: float) -> int:
@@ -237,12 +259,12 @@ def _steps(duration: float, dt: float) -> int:
     return round(duration / dt)
 
 
-def _written(error: SimulationError, path: str | None) -> str:
-    """Writes the failed run to `path`, or under a name of its own in this folder."""
-    if path is None:
-        name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
-        path = f"{name or 'run'}-step{error.step}.replay.json"
-    error.replay.save(path)
+def _replay_name(error: SimulationError) -> str:
+    """Under which name the replay of a failure is saved in this folder."""
+    name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
+    path = f"{name or 'run'}-step{error.step}.replay.json"
+    while not is_replaceable(path):
+        path = f"{path.removesuffix('.replay.json')}-new.replay.json"
     return path
 
 

@@ -1,11 +1,18 @@
-"""Texts on terminals whose encoding lacks some of their characters."""
+"""What commands say on the error stream, and terminals that lack some of its characters."""
 
 from __future__ import annotations
 
 import codecs
+import os
 import sys
+from typing import TextIO
+
+from stepcore.checks import one_line, printable
 
 ERRORS = "stepcore.plain"
+REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}
+# What a user's arguments and files, and runs that fail, raise.
+EXPECTED = (ValueError, OSError, RuntimeError, ImportError)
 # What stands in for a character that cannot be printed.
 SPELT = """
 µ u ² ^2 ³ ^3 · * × x − - – - … ... ± +- ≤ <= ≥ >= ≈ ~ ∞ inf √ sqrt ° deg → -> “ " ” " ’ '
@@ -32,3 +39,24 @@ def print_what_can_be_printed() -> None:
         strict = getattr(stream, "errors", "") in ("strict", "surrogateescape")
         if reconfigure is not None and strict:
             reconfigure(errors=ERRORS)
+
+
+def say(text: str, end: str = "\n") -> None:
+    """Writes a line to the error stream."""
+    put(f"stepcore: {text}", end, sys.stderr)
+
+
+def put(text: str, end: str = "\n", stream: TextIO | None = None) -> None:
+    """Prints a text with names of models and files, none of which commands the terminal."""
+    print(printable(text), end=end, file=stream or sys.stdout, flush=stream is not None)
+
+
+def reason(error: BaseException) -> str:
+    """What went wrong, in one line."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{os.fspath(error.filename)}: {REASONS.get(type(error)) or error.strerror}"
+    if isinstance(error, EXPECTED):
+        return one_line(error)
+    # Whatever else is raised is not what the user did.
+    kind = type(error).__name__
+    return f"internal error ({kind}: {one_line(error)}); --debug shows the traceback"

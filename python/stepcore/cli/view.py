@@ -12,9 +12,12 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from stepcore._core import SimulationError
+from stepcore.checks import one_line
 from stepcore.cli.inputs import SINES, add_inputs, control_of, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
-from stepcore.cli.output import check_path
+from stepcore.cli.output import add_force
+from stepcore.cli.terminal import put, say
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
 from stepcore.experiment.single_run import SingleRun
@@ -44,11 +47,11 @@ def add(command: argparse.ArgumentParser) -> None:
         "--duration", type=float, metavar="S", help=f"of that run [s] (default: {DURATION:g})"
     )
     add_inputs(command)
+    add_force(page)
 
 
-def call(args: argparse.Namespace) -> None:
+def call(args: argparse.Namespace) -> int:
     if args.page is not None:
-        check_path(args.page, "--html")
         need("trimesh", f"--html {args.page}")
     elif args.duration is not None:
         raise Usage("--duration is of the run that --html writes; a live view has no end")
@@ -61,7 +64,7 @@ def call(args: argparse.Namespace) -> None:
     sim.reset(key=0 if key is None and model.keys else key)
     if args.page is None:
         _live(args, sim)
-        return
+        return 0
     single = SingleRun(
         sim,
         control=control_of(args, sim),
@@ -69,14 +72,18 @@ def call(args: argparse.Namespace) -> None:
         pushes=pushes_of(args, model),
         record=("qpos",),
     )
+    failed = False
     try:
         single.run(max(1, round(duration / sim.settings.dt)))
-    finally:
-        # Of a run that fails its motion until then is seen.
-        seen = single.trajectory
-        if seen is not None:
-            seen.save_html(args.page)
-            print(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
+    except SimulationError as error:
+        failed = True
+        say(one_line(error))
+    # Of a run that fails its motion until then is seen.
+    seen = single.trajectory
+    if seen is not None:
+        seen.save_html(args.page)
+        put(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
+    return 1 if failed else 0
 
 
 def _live(args: Any, sim: Sim) -> None:

@@ -122,9 +122,10 @@ class Batch(Stepped):
 
     def model_of(self, world: int) -> Model:
         """Returns the model of a world: `model` with the values of `param` there."""
-        if not 0 <= checks.count("world", world, 0) < len(self):
-            raise ValueError(f"world = {world}: must be below {len(self)}")
-        return self._model_of(world)
+        index = checks.count("world", world, 0)
+        if index >= len(self):
+            raise ValueError(f"world = {checks.shown(world)}: must be below {len(self)}")
+        return self._model_of(index)
 
     def _model_of(self, world: int) -> Model:
         return self._param.model_of(world)
@@ -407,7 +408,7 @@ class Batch(Stepped):
 
     def __repr__(self) -> str:
         scene = self._model.scene.name
-        name = f' of "{scene}"' if scene else ""
+        name = f" of {checks.quoted(scene)}" if scene else ""
         return f"<Batch{name}: {len(self)} worlds, time {self.time:g} s; {self.settings!r}>"
 
 

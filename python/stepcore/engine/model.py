@@ -171,7 +171,7 @@ class Model(ModelData):
             "ngeom": self.ngeom,
             "pairs": self.npair,
         }
-        name = f' "{self._scene.name}"' if self._scene.name else ""
+        name = f" {checks.quoted(self._scene.name)}" if self._scene.name else ""
         shown = ", ".join(f"{key} {count}" for key, count in counts.items())
         return f"<Model{name}: {shown}; {self._settings!r}>"
 

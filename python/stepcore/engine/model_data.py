@@ -7,6 +7,7 @@ body, needs only this.
 from __future__ import annotations
 
 import functools
+import math
 import operator
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks
-from stepcore.engine.arrays import Floats, ModelArray
+from stepcore.engine.arrays import Floats, ModelArray, numbers
 
 if TYPE_CHECKING:
     from stepcore import _core
@@ -165,14 +166,18 @@ class ModelData(ABC):
         kind, index, part: as in `Sim.rows`, `Sim.contacts` and a `SimulationError`; part -1 is
         the whole element. An unknown kind or an index too large is a ValueError.
         """
-        return self._core.element_name(kind, index, part)
+        index, part = checks.count("index", index, 0), checks.count("part", part, -1)
+        return self._core.element_name(checks.word("kind", kind), index, part)
 
     def called(self, kind: str) -> tuple[str, ...]:
         """What the elements of a kind are called in lists, in their order.
 
         Their names; "geom 15 of body `jaw`" for one without, where its body or joint says where it
-        stands in the file. kind: as in `names`. Raises KeyError for an unknown kind.
+        stands in the file. kind: as in `names`. Raises ValueError for an unknown kind.
         """
+        if checks.word("kind", kind) not in self._called:
+            known = checks.nearest(kind, self._called, listed=len(self._called))
+            raise ValueError(f"kind: no elements are called {checks.quoted(kind)}{known}")
         return self._called[kind]
 
     @functools.cached_property
@@ -190,22 +195,20 @@ class ModelData(ABC):
         kind: "spring", "damper" or "actuator". ctrl, act, qpos, qvel: shapes (…, nu), (…, na),
         (…, nq), (…, nv), with the same leading axes.
         """
-        states = int(np.prod(np.shape(qvel)[:-1], dtype=int))
-        flat = [
-            np.ascontiguousarray(array, float).reshape(states, count)
-            for array, count in (
-                (ctrl, self.nu),
-                (act, self.na),
-                (qpos, self.nq),
-                (qvel, self.nv),
-            )
-        ]
-        force = self._core.element_force(kind, *flat)
-        return force.reshape(np.shape(qvel))
+        given = {"ctrl": (ctrl, self.nu), "act": (act, self.na), "qpos": (qpos, self.nq)}
+        leading = np.shape(numbers("qvel", qvel))[:-1]
+        flat = []
+        for name, (value, count) in (given | {"qvel": (qvel, self.nv)}).items():
+            array = numbers(name, value)
+            if array.shape != (*leading, count):
+                raise ValueError(f"{name} has shape {array.shape}: must be {(*leading, count)}")
+            flat.append(array.reshape(math.prod(leading), count))
+        force = self._core.element_force(checks.word("kind", kind), *flat)
+        return force.reshape((*leading, self.nv))
 
     def root(self, body: int) -> int:
         """The index of the body below the world that carries a body; 0 for the world itself."""
-        parents = self.body_parent
+        parents, body = self.body_parent, self.index("body", body)
         while body and parents[body]:
             body = int(parents[body])
         return body
@@ -301,7 +304,9 @@ class ModelData(ABC):
 
         index: as in `Sim.contacts`. Raises ValueError where no two geoms that can meet have it.
         """
-        first, second, condim, friction, solref, invweight = self._core.pair(index)
+        first, second, condim, friction, solref, invweight = self._core.pair(
+            checks.count("index", index, 0)
+        )
         return ContactPair((first, second), condim, friction, (solref[0], solref[1]), invweight)
 
     qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")

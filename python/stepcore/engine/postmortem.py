@@ -154,7 +154,11 @@ def run_again(failure: Replay) -> PostMortem:
     time, energy, steps = [], [], []
     for step in range(failure.steps):
         _put(own, changes.get(step))
-        before, after, injected = sim.taped_step()
+        try:
+            before, after, injected = sim.taped_step()
+        except SimulationError:
+            # It fails too soon: `same` tells.
+            break
         energy += [before, after] if step == 0 else [after]
         time.append(sim.time)
         steps.append(dict(injected))
@@ -180,6 +184,9 @@ INPUTS = ("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "moc
 def _put(own: dict[str, Floats], inputs: list[list[float]] | None) -> None:
     if inputs is not None:
         for name, values in zip(INPUTS, inputs, strict=True):
+            if own[name].size != len(values):
+                text = f"has {len(values)} numbers; the scene takes {own[name].size}"
+                raise ValueError(f"an input of {name} {text}")
             own[name].reshape(-1)[:] = values
 
 

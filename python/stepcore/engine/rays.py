@@ -77,7 +77,7 @@ def _vectors(name: str, value: ArrayLike) -> Floats:
 def _groups(groups: Sequence[int]) -> list[bool]:
     """By group whether its geoms are seen."""
     seen = [False] * GROUPS
-    for group in groups:
+    for group in checks.listed(groups) or [None]:
         if isinstance(group, bool) or group not in range(GROUPS):
             raise checks.refuse("ray", "groups", groups, f"integers from 0 to {GROUPS - 1}")
         seen[group] = True

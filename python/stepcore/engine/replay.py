@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import hashlib
 import json
 import os
@@ -11,10 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from stepcore import checks, files
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, digest
 from stepcore.engine.postmortem import PostMortem, run_again
+from stepcore.engine.replay_checks import ATTRIBUTES, checked, unpacked
 
 if TYPE_CHECKING:
     from stepcore.engine.model_data import ModelData
@@ -22,20 +24,6 @@ if TYPE_CHECKING:
 KIND = "stepcore replay"
 # Goes up when the layout of the file changes.
 VERSION = 1
-# The fields of a file, with what JSON makes of them.
-FIELDS: dict[str, type] = {
-    "name": str,
-    "scene": dict,
-    "settings": dict,
-    "state": str,
-    "inputs": list,
-}
-FIELDS |= {"steps": int, "happened": dict}
-# What a replay keeps of its error.
-HAPPENED = (
-    *("step", "time", "world", "gained", "growth", "stable_dt"),
-    *("element", "element_id", "shares", "share_ids"),
-)
 
 
 @dataclass(frozen=True, repr=False)
@@ -84,7 +72,7 @@ class Replay:
         return run_again(self)
 
     def to_json(self) -> str:
-        """The file's text."""
+        """The file's text. Meshes and height fields stand in it byte by byte, as base64."""
         body = {
             "name": self.name,
             "scene": self.scene,
@@ -95,11 +83,11 @@ class Replay:
             "happened": self.happened,
         }
         head = {"kind": KIND, "version": VERSION, "check": _check(body)}
-        return json.dumps(head | body, indent=1)
+        return json.dumps(head | body, indent=1, default=_packed)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the file that `stepcore.replay` and ``stepcore replay FILE`` read."""
-        Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
+        Path(checks.path("path", path)).write_text(self.to_json() + "\n", encoding="utf-8")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Replay:
@@ -108,7 +96,7 @@ class Replay:
         Raises ValueError, in one line, for a file that is no replay file, was damaged or has
         another version; FileNotFoundError for a missing file, IsADirectoryError for a folder.
         """
-        shown = os.fsdecode(path)
+        shown = checks.cut(checks.path("path", path), 300)
         text = files.read(path, "a replay file")
         try:
             data = json.loads(text)
@@ -121,40 +109,55 @@ class Replay:
             what = f"version {checks.shown(version)} of a replay file"
             raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
         check = data.pop("check", None)
-        typed = all(isinstance(data.get(key), kind) for key, kind in FIELDS.items())
-        if set(data) != set(FIELDS) or not typed or check != _check(data):
-            raise ValueError(f"{shown}: this replay file was edited or damaged")
-        return _made(shown, data)
+        try:
+            if check != _check(data):
+                raise ValueError("it was edited or damaged")
+            return _made(data)
+        except (ValueError, TypeError, OverflowError, RecursionError) as error:
+            raise _unusable(shown, error) from None
 
     def __repr__(self) -> str:
-        of = f' of "{self.name}"' if self.name else ""
-        return f"<Replay{of}: {self.steps} steps, energy from {self.happened['element']}>"
+        of = f" of {checks.quoted(self.name)}" if self.name else ""
+        element = checks.cut(self.happened["element"], 200)
+        return f"<Replay{of}: {self.steps} steps, energy from {element}>"
 
 
-def _made(shown: str, data: dict[str, Any]) -> Replay:
-    try:
-        return Replay(
-            name=data["name"],
-            settings=Settings(**data["settings"]),
-            state=base64.b64decode(data["state"], validate=True),
-            inputs=[(step, *arrays) for step, *arrays in data["inputs"]],
-            steps=data["steps"],
-            happened=data["happened"],
-            _scene=data["scene"],
-        )
-    except (ValueError, TypeError, binascii.Error) as error:
-        raise ValueError(f"{shown}: this replay file cannot be used: {error}") from None
+def _made(data: dict[str, Any]) -> Replay:
+    """The replay of a file's data, each field checked; ValueError or TypeError with its name."""
+    data = checked(data)
+    return Replay(
+        name=data["name"],
+        settings=Settings(**data["settings"]),
+        state=data["state"],
+        inputs=data["inputs"],
+        steps=data["steps"],
+        happened=data["happened"],
+        _scene=unpacked(data["scene"]),
+    )
+
+
+def _unusable(shown: str, error: Exception) -> ValueError:
+    text = checks.cut(getattr(error, "text", checks.one_line(error)))
+    return ValueError(f"{shown}: this replay file cannot be used: {text}")
+
+
+def _packed(array: Any) -> Any:
+    """An array as JSON has it: its numbers' type, its shape and its bytes."""
+    array = np.asarray(array)
+    packed = array.astype(array.dtype.newbyteorder("<"), copy=False)
+    text = base64.b64encode(packed.tobytes()).decode("ascii")
+    return {"array": [packed.dtype.str, list(packed.shape), text]}
 
 
 def _check(body: dict[str, Any]) -> str:
     """A checksum of everything that the file holds."""
-    text = json.dumps(body, sort_keys=True, separators=(",", ":"))
+    text = json.dumps(body, sort_keys=True, separators=(",", ":"), default=_packed)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def attach(error: SimulationError, model: ModelData, qpos: Floats, qvel: Floats) -> None:
     """Gives an error its `replay`. qpos, qvel: the last finite state of the world that failed."""
-    happened = {name: getattr(error, name) for name in HAPPENED}
+    happened = {name: getattr(error, name) for name in ATTRIBUTES}
     happened |= {"text": str(error), "state": digest(qpos, qvel)}
     private = error.__dict__
     error.replay = Replay(
@@ -173,7 +176,8 @@ def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
 
     source: the path of a replay file, or a `Replay` (an error's ``replay``).
 
-    Raises what `Replay.load` raises for a file.
+    Raises what `Replay.load` raises for a file, and ValueError for one whose scene, state or inputs
+    do not go together.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
@@ -190,4 +194,8 @@ def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
     if not isinstance(source, (str, os.PathLike)):
         limit = "a path or a Replay"
         raise ValueError(f"replay: source = {checks.shown(source)}: must be {limit}")
-    return run_again(Replay.load(source))
+    loaded = Replay.load(source)
+    try:
+        return run_again(loaded)
+    except ValueError as error:
+        raise _unusable(checks.cut(os.fsdecode(source), 300), error) from None

@@ -404,7 +404,7 @@ class Sim(Stepped):
 
     def __repr__(self) -> str:
         scene = self._model.scene.name
-        name = f' of "{scene}"' if scene else ""
+        name = f" of {checks.quoted(scene)}" if scene else ""
         return f"<Sim{name}: time {self.time:g} s; {self.settings!r}>"
 
     def _repr_html_(self) -> str | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
-from stepcore.engine.arrays import Floats
+from stepcore.engine.arrays import Floats, numbers
 from stepcore.engine.model_data import ModelData
 
 
@@ -42,7 +42,7 @@ def touches(
 ) -> Touches:
     """The contacts of two geoms: see `Model.touches`."""
     first, second = _geom(model, "geom1", geom1), _geom(model, "geom2", geom2)
-    positions = np.asarray(qpos, dtype=float)
+    positions = numbers("qpos", qpos)
     if positions.ndim == 0 or positions.shape[-1] != model.nq:
         raise ValueError(f"qpos has shape {positions.shape}: must be (…, {model.nq})")
     if not np.isfinite(positions).all():
@@ -51,7 +51,9 @@ def touches(
         raise ValueError(f"precision = {checks.shown(precision)}: must be 'f64' or 'f32'")
     leading = positions.shape[:-1]
     flat = np.ascontiguousarray(positions.reshape(int(np.prod(leading, dtype=int)), model.nq))
-    found = model.core.touches(first, second, flat, precision + " lanes" * lanes)
+    found = model.core.touches(
+        first, second, flat, precision + " lanes" * checks.flag_of("lanes", lanes)
+    )
     return Touches(*(array.reshape(leading + array.shape[1:]) for array in found))  # type: ignore[arg-type]
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stepcore import checks
 from stepcore.engine.axes import UNITS, Axis
 
 Data = Mapping[str, NDArray[Any]]
@@ -30,19 +31,26 @@ def write(
         arrays[f"data/{name}"] = values
         for k, axis in enumerate(axes[name]):
             arrays[f"axis/{name}/{k}/{axis.name}"] = np.array(axis.entries, dtype=np.str_)
-    with open(path, "wb") as file:
+    # A step loads no reports.
+    from stepcore.report.outputs import MARK
+
+    target = checks.path("path", path)
+    with open(target, "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    with zipfile.ZipFile(target, "a") as archive:
+        archive.comment = MARK.encode()
 
 
 def read(
     path: str | os.PathLike[str],
 ) -> tuple[NDArray[Any], dict[str, NDArray[Any]], str, dict[str, tuple[Axis, ...]]]:
     """Time, data, what was not solved, and axes; see `Trajectory.load`."""
-    shown = os.fsdecode(path)
-    if os.path.isdir(shown):
+    source = checks.path("path", path)
+    shown = checks.cut(source, 300)
+    if os.path.isdir(source):
         raise IsADirectoryError(f"{shown}: is a folder, not a trajectory")
     try:
-        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+        with open(source, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays: Mapping[str, NDArray[Any]] = {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise FileNotFoundError(f"{shown}: no such file") from None
@@ -50,16 +58,32 @@ def read(
         raise ValueError(f"{shown}: is no trajectory, or was damaged") from None
     if "kind" not in arrays or str(arrays["kind"]) != KIND:
         raise ValueError(f"{shown}: is no trajectory; `Trajectory.save` writes them")
-    if int(arrays["version"]) != VERSION:
-        what = f"version {int(arrays['version'])} of a trajectory"
+    if str(arrays.get("version")) != str(VERSION):
+        what = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
         raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
+    try:
+        return _parts(arrays)
+    except (ValueError, TypeError, KeyError, OverflowError):
+        raise ValueError(f"{shown}: is no whole trajectory: it was edited or damaged") from None
+
+
+def _parts(
+    arrays: Mapping[str, NDArray[Any]],
+) -> tuple[NDArray[Any], dict[str, NDArray[Any]], str, dict[str, tuple[Axis, ...]]]:
+    """What `read` returns; ValueError or KeyError where the arrays do not go together."""
+    time = arrays["time"]
     data = {n.removeprefix("data/"): arrays[n] for n in arrays if n.startswith("data/")}
+    if time.ndim != 1 or time.dtype.kind != "f":
+        raise ValueError("time")
     axes: dict[str, tuple[Axis, ...]] = dict.fromkeys(data, ())
     for name, entries in arrays.items():
         if name.startswith("axis/"):
             _, array, _, axis = name.split("/")
             axes[array] += (Axis(axis, tuple(map(str, entries))),)
-    return arrays["time"], data, str(arrays["unsolved"]), axes
+    for name, values in data.items():
+        if values.shape != (len(time), *(len(axis.entries) for axis in axes[name])):
+            raise ValueError(name)
+    return time, data, str(arrays["unsolved"]), axes
 
 
 def to_pandas(time: NDArray[Any], data: Data, axes: Axes) -> Any:

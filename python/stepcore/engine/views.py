@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
-from stepcore.checks import KnownNames
+from stepcore.checks import KnownNames, quoted
 from stepcore.engine.arrays import Floats, fill
 from stepcore.scene.layout import DOFS, QPOS
 
@@ -36,7 +36,7 @@ class _View(KnownNames):
         return f'{self.kind} "{self.name}"' if self.name else f"{self.kind} {self.index}"
 
     def __repr__(self) -> str:
-        return f'<{self.kind} {self.index} "{self.name}" of {self._sim!r}>'
+        return f"<{self.kind} {self.index} {quoted(self.name)} of {self._sim!r}>"
 
 
 class BodyView(_View):

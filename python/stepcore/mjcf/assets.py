@@ -201,8 +201,8 @@ class Assets:
         real, home = os.path.realpath(path), os.path.realpath(self.compiler.directory or os.sep)
         if os.path.commonpath([real, home]) != home:
             scene.notes.append(
-                f"{node.file}:{node.line}: <{node.tag}> reads {path}, which is outside the folder "
-                "of the main file"
+                f"{node.file}:{node.line}: <{node.tag}> reads {cut(str(path), 300)}, which is "
+                "outside the folder of the main file"
             )
         return path
 

@@ -5,11 +5,12 @@ MuJoCo documentation, XML reference, asset/material and asset/texture.
 
 from __future__ import annotations
 
+import io
+import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
-
+from stepcore import checks, files
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.expand.attach import Model
 from stepcore.mjcf.models import sections
@@ -112,12 +113,20 @@ def _colours(node: Node) -> bool:
 
 
 def _mean(path: str) -> Vec:
-    """The mean colour of the image in a file."""
-    from PIL import Image
+    """The mean colour of the image in a file; ValueError for what is none, or far too large."""
+    from PIL import Image, ImageStat
 
-    with Image.open(path) as image:
-        mean = np.asarray(image.convert("RGB"), float).mean(axis=(0, 1)) / 255
-    return (*mean.tolist(), 1.0)
+    data = files.read(path, "an image")
+    try:
+        with warnings.catch_warnings():
+            # Pillow warns of more pixels than any texture has, and then reads them.
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data)) as image:
+                mean = ImageStat.Stat(image.convert("RGB")).mean
+    except Exception as error:
+        # Whatever a reader of images finds wrong, the surface is drawn grey.
+        raise ValueError(f"not a whole image: {checks.cut(checks.one_line(error), 200)}") from None
+    return (*(value / 255 for value in mean), 1.0)
 
 
 def _mixed(one: Vec, other: Vec) -> Vec:

@@ -6,8 +6,12 @@ import base64
 import html
 from importlib import resources
 
+from stepcore import checks
+from stepcore.report.outputs import MARK
+
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<meta name="generator" content="{mark}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <style>{style}</style></head>
 <body><header><h1>{title}</h1><button id="theme" type="button">light / dark</button></header>
@@ -24,7 +28,8 @@ PAGE = """<!doctype html>
 def page(title: str, answer: str, picture: str, details: str) -> str:
     """A page that needs no other file and no network; answer, picture, details: as HTML."""
     return PAGE.format(
-        title=html.escape(title),
+        title=html.escape(checks.printable(title)),
+        mark=MARK,
         style=_own("page.css"),
         answer=answer,
         picture=picture,
@@ -36,7 +41,7 @@ def page(title: str, answer: str, picture: str, details: str) -> str:
 def picture(drawn: bytes, title: str) -> str:
     """A drawing (SVG) as an image within the text."""
     coded = base64.b64encode(drawn).decode("ascii")
-    alt = html.escape(title, quote=True)
+    alt = html.escape(checks.printable(title), quote=True)
     style = "max-width: 100%; height: auto"
     return f'<img alt="{alt}" style="{style}" src="data:image/svg+xml;base64,{coded}"/>'
 

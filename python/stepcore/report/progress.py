@@ -20,6 +20,7 @@ from time import monotonic
 from types import TracebackType
 from typing import TextIO
 
+from stepcore import checks
 from stepcore.report.table import window
 from stepcore.report.units import seconds
 
@@ -39,7 +40,12 @@ class Progress:
     """
 
     def __init__(self, label: str, total: int, choice: Choice = None, after: float = 0.0) -> None:
-        self.label, self.total, self.done, self.after = label, max(total, 1), 0, after
+        self.label, self.total, self.done, self.after = (
+            checks.cut(label, 200),
+            max(total, 1),
+            0,
+            after,
+        )
         self._lock = threading.Lock()
         self._call = choice if callable(choice) else None
         self._shows = self._call is None and choice is not False

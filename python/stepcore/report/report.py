@@ -129,7 +129,7 @@ def wrapped(
     whole: a word that is too long for a line, such as a path or a number, is left whole.
     """
     lines = textwrap.wrap(
-        BEFORE_UNIT.sub(FIXED, sentence),
+        BEFORE_UNIT.sub(FIXED, checks.printable(sentence)),
         min(size, PROSE),
         initial_indent="  " if item else "",
         subsequent_indent=" " * (4 if item else hanging),
@@ -167,4 +167,4 @@ def _small(text: str) -> str:
 
 def _marked(text: str) -> str:
     """A text as HTML, with the names in backticks marked as code."""
-    return CODE.sub(r"<code>\1</code>", html.escape(text))
+    return CODE.sub(r"<code>\1</code>", html.escape(checks.printable(text)))

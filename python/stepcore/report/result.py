@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
+from stepcore import checks
+from stepcore.report.outputs import MARK
 from stepcore.report.page import picture
 from stepcore.report.report import Report
 from stepcore.report.table import Table, jsonable
@@ -95,8 +97,8 @@ class Result(ABC):
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not finite is None.
 
-        "kind", "model", "motion", "ran", "settings", "sentences", "rows", "units" and "notes" are
-        the same for every measurement; "rows" are the records of `table`.
+        "kind", "model", "motion", "ran", "settings", "sentences", "rows", "units", "notes" and
+        "generator" are the same for every measurement; "rows" are the records of `table`.
         """
         plain: dict[str, Any] = jsonable(
             {
@@ -110,6 +112,7 @@ class Result(ABC):
                 "units": self.units,
                 "notes": self.notes,
                 **self.details(),
+                "generator": MARK,
             }
         )
         return plain
@@ -123,16 +126,17 @@ class Result(ABC):
 
         Written to `path` if given.
         """
+        target = None if path is None else checks.path("path", path)
         page = self.report(full=True).page(self._drawn())
-        if path is not None:
-            Path(path).write_text(page, encoding="utf-8")
+        if target is not None:
+            Path(target).write_text(page, encoding="utf-8")
         return page
 
     def __str__(self) -> str:
         return self.text()
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {self.title}>"
+        return f"<{type(self).__name__}: {checks.cut(self.title)}>"
 
     def _repr_html_(self) -> str:
         """The report as a notebook shows it, with its plot where matplotlib is installed."""

@@ -9,6 +9,7 @@ from dataclasses import fields, is_dataclass
 from html import escape
 from typing import Any, overload
 
+from stepcore import checks
 from stepcore._core import Settings
 
 # Where the output is no terminal: every column of a trade has room.
@@ -107,7 +108,7 @@ class Table:
         shown = list(self.columns)
         while len(shown) > 1 and _total({name: sizes[name] for name in shown}) > width:
             shown.pop()
-        lines = [_line(shown, sizes, left, {name: name for name in shown})]
+        lines = [_line(shown, sizes, left, {name: _line_of(name) for name in shown})]
         rows = ({name: grid[name][i] for name in shown} for i in range(len(self)))
         lines += [_line(shown, sizes, left, row) for row in rows]
         hidden = self.columns[len(shown) :]
@@ -121,8 +122,8 @@ class Table:
         style = {
             name: ' class="text" style="text-align: left"' if name in left else "" for name in grid
         }
-        lines = [TABLE.format(caption=escape(self.heading))]
-        lines += [f"<th{style[name]}>{escape(name)}</th>" for name in grid]
+        lines = [TABLE.format(caption=escape(checks.printable(self.heading)))]
+        lines += [f"<th{style[name]}>{escape(_line_of(name))}</th>" for name in grid]
         lines.append("</tr></thead><tbody>")
         for i in range(len(self)):
             cells = (f"<td{style[name]}>{escape(grid[name][i])}</td>" for name in grid)
@@ -190,7 +191,11 @@ def _cell(value: Any, spec: str) -> str:
         return "yes" if value else ""
     if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
         value = value.item()
-    return f"{value:{spec}}" if isinstance(value, float) else " ".join(str(value).split())
+    return f"{value:{spec}}" if isinstance(value, float) else _line_of(value)
+
+
+def _line_of(text: object) -> str:
+    return checks.printable(" ".join(str(text).split()))
 
 
 def _total(sizes: Mapping[str, int]) -> int:

@@ -171,15 +171,17 @@ class Contents(Holdings):
         FileNotFoundError and IsADirectoryError.
         """
         given: dict[str, Any] = {"vertices": vertices, "faces": faces}
+        checks.word("name", name)
         if (file is None) == (vertices is None) or (file is not None and faces is not None):
             raise ValueError(f"mesh {checks.quoted(name)}: needs either vertices or a file")
         if file is not None:
             from stepcore.scene import mesh_files
 
+            file = checks.path("file", file)
             surface = mesh_files.read(file)
             given["vertices"], given["faces"] = surface.vertices, surface.faces
-            self.notes += mesh_files.notes(os.fspath(file), surface)
-            given["file"] = os.fspath(file)
+            self.notes += mesh_files.notes(file, surface)
+            given["file"] = file
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.meshes, Mesh, fields, name=name, **given)
 
@@ -200,13 +202,15 @@ class Contents(Holdings):
 
         Raises what `add_mesh` raises.
         """
+        checks.word("name", name)
         if (file is None) == (elevation is None):
             raise ValueError(f"hfield {checks.quoted(name)}: needs either an elevation or a file")
         given: dict[str, Any] = {"elevation": elevation}
         if file is not None:
             from stepcore.scene import hfield_files
 
-            given = {"elevation": hfield_files.read(file), "file": os.fspath(file)}
+            file = checks.path("file", file)
+            given = {"elevation": hfield_files.read(file), "file": file}
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.hfields, HField, {}, name=name, size=size, **given)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from stepcore import checks
 from stepcore.scene import length_ranges
 from stepcore.scene.consistency import check
 from stepcore.scene.contents import Contents
@@ -182,7 +183,7 @@ class Scene(Contents):
 
         parts = [f"{counted(n, word)}{more}" for n, word, more in counts]
         options = [f"{key}={value!r}" for key, value in self.options.items()]
-        name = f' "{self.name}"' if self.name else ""
+        name = f" {checks.quoted(self.name)}" if self.name else ""
         return f"<Scene{name}: {', '.join(parts)}{'; ' + ', '.join(options) if options else ''}>"
 
     def _repr_html_(self) -> str | None:

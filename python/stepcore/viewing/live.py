@@ -16,25 +16,27 @@ from typing import Any
 
 from stepcore import checks
 from stepcore.viewing.frames import Replayed, distance
+from stepcore.viewing.guard import Guard, is_loopback
 from stepcore.viewing.needs import need
 from stepcore.viewing.panel import Panel, RunPanel, SimPanel
 
 # Pictures a second.
 RATE = 30.0
 PORT = 8080
-# Hosts that serve every address of the machine, and how those begin that no other machine reaches.
+# Hosts that serve every address of the machine.
 EVERYWHERE = ("0.0.0.0", "::")
-LOOPBACK = ("localhost", "127.", "::1")
 
 
 class View:
     """A view that is open.
 
-    url: its address. It stays open until `close`, or the end of the program.
+    url: its address, whose last part is a secret: whoever knows it sees the view and can drive it.
+    It stays open until `close`, or the end of the program.
     """
 
-    def __init__(self, server: Any, panel: Panel, host: str = "localhost") -> None:
-        self._server, self._panel, self._host = server, panel, host
+    def __init__(self, server: Any, panel: Panel, guard: Guard) -> None:
+        self._server, self._panel = server, panel
+        self._host, self._token = guard.host, guard.token
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._turn, name="stepcore view", daemon=True)
         self._thread.start()
@@ -48,10 +50,11 @@ class View:
     def outer_url(self) -> str:
         """Its address in browsers of other machines, which `host` lets in; else ""."""
         own = _own_address() if self._host in EVERYWHERE else self._host
-        return "" if own.startswith(LOOPBACK) else self._url(own)
+        return "" if is_loopback(own) else self._url(own)
 
     def _url(self, host: str) -> str:
-        return f"http://{f'[{host}]' if ':' in host else host}:{self._server.get_port()}"
+        name = f"[{host}]" if ":" in host else host
+        return f"http://{name}:{self._server.get_port()}/{self._token}"
 
     def close(self) -> None:
         """Ends the view."""
@@ -124,12 +127,13 @@ def view(
     wait: returns only when the view is closed, by Ctrl-C; by default so except at a prompt and in
         a notebook.
 
-    Prints the address of the page, which works without a browser on this machine. Needs the extra
-    "view". Raises ValueError for runs of other bodies.
+    Prints the address of the page, which works without a browser on this machine. Its last part is
+    a secret, new for each view; pages of other sites can neither see the view nor drive it. Needs
+    the extra "view". Raises ValueError for runs of other bodies.
 
     >>> from stepcore import Sim, lesson, view
     >>> opened = view(Sim(lesson.stack()), wait=False)  # doctest: +SKIP
-    stepcore view: http://localhost:8080
+    stepcore view: http://localhost:8080/5f0c1e7a9b3d4826a1f7c0e2b4d69387
     >>> opened.close()  # doctest: +SKIP
     """
     if isinstance(runs, (list, tuple)):
@@ -166,9 +170,10 @@ def opened(view: View, wait: bool | None) -> View:
 
 
 def _view(host: str, port: int, panel: Callable[[Any], Panel]) -> View:
-    server = _server(host, port)
+    guard = Guard(host)
+    server = _server(guard, port)
     try:
-        return View(server, panel(server), host)
+        return View(server, panel(server), guard)
     except BaseException:
         with _quiet():
             server.stop()
@@ -206,11 +211,15 @@ def _quiet() -> Iterator[None]:
         console.quiet = before
 
 
-def _server(host: str, port: int) -> Any:
+def _server(guard: Guard, port: int) -> Any:
     checks.whole(1, 65535)("view", "port", port)
-    _check_host(host)
+    _check_host(guard.host)
     viser = need("viser", "a view")
-    with _quiet():
-        server = viser.ViserServer(host=host, port=port, label="stepcore", verbose=False)
+    with _quiet(), guard.before(need("viser.infra._infra", "a view")):
+        server = viser.ViserServer(host=guard.host, port=port, label="stepcore", verbose=False)
+    if not guard.stands:
+        with _quiet():
+            server.stop()
+        raise RuntimeError("this version of viser serves a view to any page: install another")
     server.scene.set_up_direction("+z")
     return server

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stepcore import checks
+from stepcore.report.outputs import MARK
 from stepcore.report.table import jsonable
 from stepcore.viewing import foxglove
 from stepcore.viewing.drawing import ARROW
@@ -41,6 +43,7 @@ def write(
     path: str | os.PathLike[str],
 ) -> None:
     """Writes the log of a run; time, data: what was recorded. See `Trajectory.save_mcap`."""
+    target = checks.path("path", path)
     writer_of = need("mcap.writer", "Trajectory.save_mcap", "mcap").Writer
     schemas = {
         "/tf": foxglove.FRAME_TRANSFORMS,
@@ -50,9 +53,9 @@ def write(
         "/recorded": _recorded_schema(data),
     }
     messages = sorted([*_seen(run), *_recorded(time, data)], key=lambda message: message[1])
-    with open(path, "wb") as file:
+    with open(target, "wb") as file:
         writer = writer_of(file)
-        writer.start(library="stepcore")
+        writer.start(library=MARK)
         numbers: dict[str, int] = {}
         channels = {}
         for topic, schema in schemas.items():

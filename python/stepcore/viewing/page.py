@@ -25,6 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stepcore import checks
+from stepcore.report.outputs import MARK
 from stepcore.viewing.drawing import ARROW, TINTS, Drawing, Shape
 from stepcore.viewing.frames import Replayed, distance
 from stepcore.viewing.needs import need
@@ -45,7 +47,8 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         data["distance"] = [_packed(distance(runs[0], run)) for run in runs[1:]]
     coded = base64.b64encode(zlib.compress(json.dumps(data).encode(), 9)).decode()
     parts = {
-        "TITLE": html.escape(title),
+        "MARK": MARK,
+        "TITLE": html.escape(checks.printable(title)),
         "STYLE": _own("page.css"),
         "THREE": three(),
         "DATA": coded,
@@ -59,7 +62,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
 
 def save_page(runs: Sequence[Replayed], path: str | os.PathLike[str]) -> None:
     """Writes the page to a file."""
-    Path(path).write_text(page(runs), encoding="utf-8")
+    Path(checks.path("path", path)).write_text(page(runs), encoding="utf-8")
 
 
 def framed(text: str, height: int = 480) -> str:

@@ -115,8 +115,8 @@ def _check_ending(
     owner: str, path: str | os.PathLike[str], known: Collection[str], such: str
 ) -> None:
     """Refuses a file that could not be written, before seconds of drawing."""
-    if os.path.splitext(os.fspath(path))[1].lower() not in known:
-        raise checks.refuse(owner, "path", os.fspath(path), f"a name that ends in {such}")
+    if os.path.splitext(checks.path("path", path))[1].lower() not in known:
+        raise checks.refuse(owner, "path", path, f"a name that ends in {such}")
 
 
 def renderer_of(drawing: Drawing, width: int, height: int, name: str | None = None) -> Any:

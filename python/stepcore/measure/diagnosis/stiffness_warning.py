@@ -5,6 +5,8 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING
 
+from stepcore import checks
+
 if TYPE_CHECKING:
     from stepcore._core import Settings
     from stepcore.engine.model import Model
@@ -51,7 +53,7 @@ def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
         # A warning never fails a load.
         return
     if text:
-        warnings.warn(StiffnessWarning(text), stacklevel=stacklevel)
+        warnings.warn(StiffnessWarning(checks.printable(text)), stacklevel=stacklevel)
 
 
 def stiffness(scene: Scene) -> str:

@@ -9,10 +9,25 @@ import importlib
 import os
 from typing import Any
 
+from stepcore import checks
+from stepcore.report.outputs import remark
+
 
 def plot(kind: str, result: Any, path: str | os.PathLike[str] | None) -> Any:
     """The Figure that `draw` of the module `kind` makes; written to `path` if given."""
+    target = None if path is None else checks.path("path", path)
     figure = importlib.import_module(f"stepcore.report.plot.{kind}").draw(result)
-    if path is not None:
-        figure.savefig(path)
+    _make_printable(figure)
+    if target is not None:
+        figure.savefig(target, **remark(target))
     return figure
+
+
+def _make_printable(figure: Any) -> None:
+    """Names in titles, axes and legends as they stand in texts: fonts lack control characters."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        shown = checks.printable(text.get_text())
+        if shown != text.get_text():
+            text.set_text(shown)
