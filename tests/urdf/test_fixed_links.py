@@ -6,6 +6,8 @@ with MuJoCo's own reading of the file, whether links are fused (by default) or k
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
+from pathlib import Path
 from random import Random
 
 import mujoco
@@ -14,6 +16,7 @@ import peers
 import pytest
 
 import stepcore as sc
+from stepcore.cli.motion import add_file, model_of
 
 KINDS = ("fixed", "fixed", "revolute", "continuous", "prismatic")
 KEPT = '<mujoco><compiler fusestatic="false"/></mujoco>'
@@ -128,8 +131,8 @@ def test_a_fused_link_is_named_with_what_it_is_part_of() -> None:
     assert any("base, flange, tool0" in note and "fuse=False" in note for note in scene.notes)
 
 
-def test_links_are_kept_where_that_is_asked_for(tmp_path) -> None:
-    """By `load` and by the file; the word of `load` counts."""
+def test_links_are_kept_where_that_is_asked_for(tmp_path: Path) -> None:
+    """By `load`, by the file and on the command line; the word of `load` counts."""
     file = tmp_path / "arm.urdf"
     file.write_text(ARM)
     for scene in (sc.load(file, fuse=False), sc.loads(ARM.replace("<link", KEPT + "<link", 1))):
@@ -140,6 +143,10 @@ def test_links_are_kept_where_that_is_asked_for(tmp_path) -> None:
         assert scene.compile().nv == 7
     fused = sc.loads(ARM.replace("<link", KEPT + "<link", 1), fuse=True)
     assert len(fused.bodies) == 2 and fused.compile().body_mass[1] == 3.0
+    parser = ArgumentParser()
+    add_file(parser)
+    for option, bodies in ([], 2), (["--no-fuse"], 5):
+        assert model_of(parser.parse_args([str(file), *option])).nbody == bodies
     with pytest.raises(ValueError, match="fuse = 1: must be True or False"):
         sc.load(file, fuse=1)
 

@@ -44,11 +44,21 @@ def test_the_visual_geoms_of_a_urdf_are_drawn_and_not_in_the_physics():
         (drawing.bodies[shape.body], shape.kind): shape for shape in drawing.shapes if shape.shown
     }
     # What collides is hidden on links that have visual geoms.
-    assert set(shown) == {("base", "box"), ("upper", "cylinder"), ("tool", "sphere")}
-    box, rod = shown["base", "box"], shown["upper", "cylinder"]
+    assert set(shown) == {("world", "box"), ("upper", "cylinder"), ("tool", "sphere")}
+    box, rod = shown["world", "box"], shown["upper", "cylinder"]
     assert (box.size, box.pos, box.rgba) == ((1, 2, 3), (1, 2, 3), (1, 0, 0, 0.5))
     assert (rod.size[:2], rod.rgba) == ((0.1, 1), (0, 0, 1, 1))
     assert [note for note in drawing.notes if "none.dae" in note and "saved" not in note]
+
+
+def test_what_collides_is_hidden_by_link_and_not_by_body():
+    """A tool on a fixed joint is part of the arm: its collisions stand for it, the arm's do not."""
+    fixed = ARM.replace('name="two" type="continuous"', 'name="two" type="fixed"')
+    for fuse, tool in ((None, "upper"), (False, "tool")):
+        _, drawing = drawn(fixed, fuse=fuse)
+        shown = {(drawing.bodies[s.body], s.kind) for s in drawing.shapes if s.shown}
+        assert shown >= {("upper", "cylinder"), (tool, "sphere")}
+        assert len(shown) == 3
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from stepcore.mjcf.refusals import Refusals
 from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.layout import Layout
-from stepcore.urdf.drawn import to_drawn_mjcf
+from stepcore.urdf.drawn import DrawnLink, to_drawn_mjcf
 
 
 @dataclass
@@ -32,7 +32,8 @@ class Looks:
 
     colours: of each geom of the scene, in the order of the compiled model.
     geoms: those that only draw, with the index of their body and their colours.
-    instead: they are what is to be seen of a body that has some, not what collides (URDF).
+    covered: the geoms of the scene that are not to be seen, since they collide on a link of a URDF
+        that has some that only draw.
     lights: those of the file. headlight: the one at the camera.
     notes: what could not be read, one line each.
     """
@@ -42,7 +43,7 @@ class Looks:
     lights: list[Light] = field(default_factory=list)
     headlight: Headlight = field(default_factory=Headlight)
     notes: list[str] = field(default_factory=list)
-    instead: bool = False
+    covered: list[int] = field(default_factory=list)
 
 
 class _DrawnAssets(Assets):
@@ -79,17 +80,17 @@ def read_looks(scene: Contents) -> Looks | None:
     root = parse(source.data or source.urdf, source.files[0])
     home = None if source.directory is None else Path(source.directory)
     expand(root, home, Path(source.files[0]) if home is not None else None)
-    visuals: list[Node] = []
+    links: list[DrawnLink] = []
     undrawn: list[str] = []
     if source.urdf:
-        root, visuals, undrawn = to_drawn_mjcf(root, source.directory)
+        root, links, undrawn = to_drawn_mjcf(root, source.directory)
     drawn, refusals = Contents(), Refusals()
     models = Models(drawn, refusals, LeftOut(scene.without))
     model = models.prepared(root, source.directory)
     world = read_sections(drawn, model, refusals, _DrawnAssets)
     refusals.raise_all()
     finish(world, root, source.fuse)
-    of_links = set(map(id, visuals))
+    of_links = {id(node) for link in links for node in link.visuals}
     world.only_drawn |= {id(shape.geom) for shape in world.shapes if id(shape.node) in of_links}
     layout, own = Layout(drawn), Layout(scene)
     seen = [geom for geom in layout.geoms if id(geom) not in world.only_drawn]
@@ -99,12 +100,17 @@ def read_looks(scene: Contents) -> Looks | None:
     assert isinstance(world.assets, _DrawnAssets)
     plain = Colours(root, model, world.assets.place_of_texture)
     colours = {id(shape.geom): plain.of(shape.values) for shape in world.shapes}
-    looks = Looks([colours[id(geom)] for geom in seen], instead=bool(source.urdf))
+    looks = Looks([colours[id(geom)] for geom in seen])
     looks.notes += [*undrawn, *sorted({*world.assets.unread.values(), *plain.unread})]
     for geom in layout.geoms:
         asset = geom.mesh if geom.mesh is not None else geom.hfield
         if id(geom) in world.only_drawn and id(asset) not in world.assets.unread:
             looks.geoms.append((layout.index[id(geom.body)], geom, colours[id(geom)]))
+    geoms = {id(shape.node): id(shape.geom) for shape in world.shapes}
+    drawn_too = {id(geom) for _, geom, _ in looks.geoms}
+    covers = [link for link in links if any(geoms.get(id(n)) in drawn_too for n in link.visuals)]
+    covered = {geoms.get(id(node)) for link in covers for node in link.collisions}
+    looks.covered = [index for index, geom in enumerate(seen) if id(geom) in covered]
     bodies = {id(node): at for key, node in world.nodes.items() if (at := layout.index.get(key))}
     looks.lights = lights_of(root, model.compiler, model.defaults, bodies, looks.notes)
     looks.headlight = headlight_of(root, looks.notes)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from stepcore.mjcf.nodes import MJCFError, Node
 from stepcore.mjcf.refusals import Refusals
 from stepcore.urdf.file_paths import file_path
@@ -17,8 +19,16 @@ from stepcore.urdf.translate import (
 )
 
 
-def to_drawn_mjcf(root: Node, directory: str | None) -> tuple[Node, list[Node], list[str]]:
-    """The MJCF tree of a URDF with what only draws; which of its geoms do; what is not drawn."""
+@dataclass
+class DrawnLink:
+    """The geoms of a link: those that collide, and those that only draw."""
+
+    collisions: list[Node]
+    visuals: list[Node]
+
+
+def to_drawn_mjcf(root: Node, directory: str | None) -> tuple[Node, list[DrawnLink], list[str]]:
+    """The MJCF tree of a URDF with what only draws; the geoms of its links; what is not drawn."""
     unread = _without_unread(root)
     robot, tree, _ = translated(DrawnRobot, DRAWN_ROBOT, root, directory)
     return tree, robot.drawn, unread + robot.undrawn
@@ -49,12 +59,12 @@ def _without_unread(root: Node) -> list[str]:
 class DrawnRobot(Robot):
     """A robot with the `<visual>` geoms of its links, which neither collide nor weigh.
 
-    drawn: those. undrawn: what of them could not be read, one line each.
+    drawn: the geoms of each link. undrawn: what of them could not be read, one line each.
     """
 
     def __init__(self, root: Node, directory: str | None, extension: list[Node]) -> None:
         super().__init__(root, directory, extension)
-        self.drawn: list[Node] = []
+        self.drawn: list[DrawnLink] = []
         self.undrawn: list[str] = []
         visuals = [n for link in self.links.values() for n in link.children if n.tag == "visual"]
         # Any link may use what another, or the robot, names.
@@ -76,7 +86,8 @@ class DrawnRobot(Robot):
         return model
 
     def _geoms(self, link: Node) -> list[Node]:
-        geoms = super()._geoms(link)
+        drawn = DrawnLink(super()._geoms(link), [])
+        self.drawn.append(drawn)
         for visual in link.children:
             if visual.tag != "visual":
                 continue
@@ -92,9 +103,8 @@ class DrawnRobot(Robot):
                 geom.attrs |= self._colour(visual)
             except MJCFError as error:
                 self.undrawn.append(str(error))
-            self.drawn.append(geom)
-            geoms.append(geom)
-        return geoms
+            drawn.visuals.append(geom)
+        return drawn.collisions + drawn.visuals
 
     def _colour(self, visual: Node) -> dict[str, str]:
         material = inside(visual, "material")

@@ -110,9 +110,8 @@ def drawing_of(model: ModelData, world: World) -> Drawing:
     shapes = _colliding(model, world, looks, moving, plain)
     if looks is not None:
         visual = _visual(looks, moving, plain)
-        if looks.instead:
-            covered = {shape.body for shape in visual}
-            shapes = [replace(s, shown=s.shown and s.body not in covered) for s in shapes]
+        for index in looks.covered:
+            shapes[index] = replace(shapes[index], shown=False)
         shapes += visual
     shapes = [shape for shape in shapes if shape.rgba[3] > 0]
     # A body of which nothing would be seen (it has a skin, or only what collides) is shown whole.
