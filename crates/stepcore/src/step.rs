@@ -83,7 +83,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    fn place_and_make_rows(&mut self, at: At) {
+    pub(crate) fn place_and_make_rows(&mut self, at: At) {
         if self.settings.sleep {
             self.rest_asleep(at);
         }

@@ -136,16 +136,17 @@ impl<R: Real> Batch<R> {
         }
         check_threads(threads)?;
         let seats = Seats::new(R::LANES, model_of);
-        let group = |index: usize| {
-            let model = &models[seats.model(index)];
-            Group::new(model, seats.worlds(index).len(), settings.ledger)
-        };
         let crew = Crew::new(&models, settings, &seats, worlds, threads)?;
+        let group = |index: usize| {
+            let (own, worlds) = (seats.model(index), seats.worlds(index).len());
+            Group::new(&models[own], crew.initial_sleep(own), worlds, settings.ledger)
+        };
+        let groups = (0..seats.groups()).map(group).collect();
         Ok(Self {
             worlds,
             list: list.map(|list| Blocks::new(list, crew.threads)),
             dt: settings.dt,
-            groups: (0..seats.groups()).map(group).collect(),
+            groups,
             crew,
             goes_on: false,
             models,
@@ -209,6 +210,15 @@ impl<R: Real> Batch<R> {
             let last = if own + 1 == self.seats.worlds(index).len() { R::LANES } else { own + 1 };
             (own..last).for_each(|lane| self.groups[index].forget(lane));
         }
+    }
+
+    /// All worlds begin anew at a time, wherever their arrays put them: without impulses.
+    pub fn restart(&mut self, start: f64) {
+        for (state, _) in self.states_mut() {
+            (state.start, state.steps) = (start, 0);
+            state.warm.clear();
+        }
+        self.groups.iter_mut().for_each(Group::put_to_sleep);
     }
 
     /// The states at hand did not come from a solve.

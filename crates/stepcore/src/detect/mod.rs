@@ -30,6 +30,7 @@ use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::settings::Settings;
 use crate::shapes::{self, Touch};
+use crate::sleep::is_mocap;
 use crate::spatial::{Pose, V3};
 use apart::far;
 use kept::Kept;
@@ -158,10 +159,14 @@ impl<R: Real> Detected<R> {
     }
 }
 
-/// A geom that nothing moves, or whose tree sleeps.
+/// A geom that nothing moves, or whose tree sleeps. To those who sleep a mocap body is awake.
 fn rests(model: &Model, asleep: &[bool], geom: usize) -> bool {
-    let tree = model.bodies[model.geoms[geom].body].tree;
-    tree == NONE || asleep.get(tree).is_some_and(|asleep| *asleep)
+    let body = model.geoms[geom].body;
+    let tree = model.bodies[body].tree;
+    if tree == NONE {
+        return asleep.is_empty() || !is_mocap(model, body);
+    }
+    asleep.get(tree).is_some_and(|asleep| *asleep)
 }
 
 /// Lists a contact.

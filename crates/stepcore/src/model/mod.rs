@@ -47,11 +47,12 @@ pub use plane::{FlatGeom, Plane};
 pub use tally::Tally;
 pub use tendons::{Course, Mover, Point, Round, Stretch, Tendon};
 pub use ties::{Coupling, Ends, Equality, Tie};
+pub(crate) use pose::rotation;
 pub(crate) use union::Union;
 
 use crate::elements::friction::Ways;
 use crate::real::Real;
-use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Sensor, Softness};
+use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Sensor, SleepPolicy, Softness};
 use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
 use crate::shapes::ray::Surface;
@@ -189,6 +190,7 @@ pub struct Tree {
     pub seen: bool,
     /// It moves in a plane, and nothing else of it is asked for.
     pub plane: Option<Plane>,
+    pub sleep: SleepPolicy,
 }
 
 /// A shape on a body.
