@@ -33,6 +33,7 @@ ELSEWHERE = {
     "compiler": dict.fromkeys(("meshdir", "assetdir", "strippath"), "test_mesh_files.py")
     | {"conflict": "test_expand.py", "autolimits": "test_mjcf_errors.py"},
     "asset/mesh": dict.fromkeys(("file", "content_type"), "test_mesh_files.py"),
+    "option": {"sleep_tolerance": "test_sleep_as_in_mujoco.py"},
     "asset/hfield": dict.fromkeys(("file", "content_type"), "test_height_field_files.py"),
     "asset/model": dict.fromkeys(("file", "content_type"), "test_expand.py"),
     "attach": dict.fromkeys(("model", "body", "frame", "prefix"), "test_expand.py"),
@@ -96,9 +97,8 @@ changes, and every result that says what motion it ran says so: "…; law solref
 Why these are refused:
 
 - **flex, plugins, skins that move**: another kind of body, and code outside of the file.
-- **flags**: `sleep` is MuJoCo's rule of what rests; stepcore has its own (`Settings.sleep`). `ipc`
-  solves the contacts of flexes. `diagexact` gives rows another softness, and `speculative` adds
-  contacts before shapes meet: options that change MuJoCo's own motion.
+- **flags**: `ipc` solves the contacts of flexes. `diagexact` gives rows another softness, and
+  `speculative` adds contacts before shapes meet: options that change MuJoCo's own motion.
 - **as MuJoCo does**: a sensor's `cutoff` of axes and quaternions.
 - **not built yet**: an `orientation` of a site (that of a ball is); springs that yield, and what
   keyframes hold of them (`plastic`); scaled frames; sensors that read late or rarely.

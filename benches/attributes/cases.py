@@ -166,7 +166,6 @@ CASES: dict[str, dict[str, Case]] = {
         "ccd_tolerance": "1e-12",
         "sdf_iterations": "20",
         "sdf_initpoints": "20",
-        "sleep_tolerance": "1e-3",
         "actuatorgroupdisable": "0",
     },
     "option/flag": {
@@ -179,9 +178,8 @@ CASES: dict[str, dict[str, Case]] = {
             ],
             "disable",
         ),
-        **dict.fromkeys(
-            ["energy", "fwdinv", "invdiscrete", "sleep", "diagexact", "speculative"], "enable"
-        ),
+        **dict.fromkeys(["energy", "fwdinv", "invdiscrete", "diagexact", "speculative"], "enable"),
+        "sleep": ("enable", "", "option/flag, sleep"),
         "override": ("enable", "", "option/flag, override"),
         "ipc": ("enable", "discrete"),
     },
@@ -229,7 +227,7 @@ CASES: dict[str, dict[str, Case]] = {
         "childclass": "cc",
         "mocap": ("true", 'pos="0 1 .5"', "body, mocap"),
         "gravcomp": ".7",
-        "sleep": "never",
+        "sleep": ("init", "", "body, sleep"),
         "simple": "false",
         "fuse": "false",
         "user": "1 2",

@@ -31,6 +31,8 @@ BODY = """<body name="b" @><joint name="bj" axis="1 0 0"/>
 <geom name="x" size=".1 .1 .1" pos=".1 .2 0"/></body>"""
 GEOM = """<body name="b" pos="0 1 .09"><freejoint/><geom name="x" @/></body>
 <body name="b2" pos="0 1 .28"><freejoint/><geom size=".1" friction=".3" condim="4"/></body>"""
+ASLEEP = """<mujoco><option><flag {flag}/></option><worldbody><body pos="0 0 1" {body}>
+<freejoint/><geom size=".1"/></body></worldbody><keyframe><key/></keyframe></mujoco>"""
 CLASS = '<default><default class="cc"><joint stiffness="9"/></default></default>'
 TETRA = '<mesh name="me" vertex="0 0 0 .125 0 0 0 .25 0 0 0 .375"/>'
 ASSETS = f"""<asset>{TETRA}<material name="ma"/>
@@ -86,6 +88,9 @@ SCENES: dict[str, str] = {
         '<equality><connect body1="fore" body2="world" anchor=".3 0 0"/></equality>',
     ),
     "option/flag, override": robot(option=f'<option {OPTION} o_solref=".05 .7"><flag @/></option>'),
+    # What sleeps from the start hangs in the air.
+    "option/flag, sleep": ASLEEP.format(flag="@", body='sleep="init"'),
+    "body, sleep": ASLEEP.format(flag='sleep="enable"', body="@"),
     "compiler": robot(
         after="<compiler @/>",
         before=ASSETS,

@@ -227,12 +227,14 @@ class Settings:
     @property
     def sleep_tolerance(self) -> float:
         """Speed below which every dof of a tree must be for it to sleep [m/s], >= 0; turning counts
-        as the speed of the farthest point that it moves.
+        as the speed at the reach of its body (MuJoCo's dof_length).
         """
 
     @property
     def sleep_time(self) -> float:
-        """Time for which a whole island must have been as slow before it sleeps [s], >= 0."""
+        """Time for which a whole island must have been as slow before it sleeps [s], >= 0. A file
+        with MJCF's flag "sleep" has MuJoCo's 10 time steps.
+        """
 
     @property
     def refsafe(self) -> bool:

@@ -251,7 +251,7 @@ UNBUILT = {
     ),
     **{
         f'flag "{flag}"': ("", f'<option><flag {flag}="enable"/></option>')
-        for flag in ("sleep", "diagexact", "ipc", "speculative")
+        for flag in ("diagexact", "ipc", "speculative")
     },
 }
 
@@ -284,7 +284,7 @@ def test_values_without_effect_are_accepted() -> None:
         body(
             '<joint name="j" stiffness="1 0 0" damping="1 0" springdamper="0 1" springyield="0"'
             ' actuatorfrcrange="-1 1" actuatorfrclimited="false"/><geom size="1" adhesion="0"'
-            ' surfacevel="0 0 0 0 0 0"/><body mocap="false" gravcomp="0" sleep="never"/>'
+            ' surfacevel="0 0 0 0 0 0"/><body mocap="false" gravcomp="0" sleep="auto"/>'
             '<frame scale="1 1 1" massscale="0"/>',
             '<compiler alignfree="false" fusestatic="false"/><option density="0" wind="1 0 0"'
             ' noslip_iterations="0"><flag sleep="disable" multiccd="enable"/></option>',

@@ -5,7 +5,8 @@ use stepcore::scene::{
     Actuator, Body, ContactOverride, Controller, Dynamics, Equality, EqualityType, ExplicitPair,
     Features, FluidShape, Frame, Geom, GeomType, HField, Inertial, Input, Interp, Joint, JointType,
     Key, MassRules, Mesh, MeshInertia, Motor, Muscle, ObjectType, Orientation, Reduce, Scene,
-    Sensor, SensorField, SensorObject, SensorType, Site, Softness, Stop, Target, Tendon,
+    Sensor, SensorField, SensorObject, SensorType, Site, SleepPolicy, Softness, Stop, Target,
+    Tendon,
 };
 
 use crate::extract::{record, refuse, At, Read, Record};
@@ -24,6 +25,7 @@ macro_rules! named {
     };
 }
 named!(JointType { "free" => Free, "ball" => Ball, "slide" => Slide, "hinge" => Hinge });
+named!(SleepPolicy { "auto" => Auto, "never" => Never, "allowed" => Allowed, "init" => Init });
 named!(GeomType {
     "plane" => Plane, "hfield" => HField, "sphere" => Sphere, "capsule" => Capsule,
     "ellipsoid" => Ellipsoid, "cylinder" => Cylinder, "box" => Box, "mesh" => Mesh,
@@ -118,7 +120,7 @@ impl Read for Target {
 
 record!(Softness { solref, solimp });
 record!(Inertial { mass, pos, inertia, axes });
-record!(Body { name, parent, pos, quat, inertial, gravcomp, mocap });
+record!(Body { name, parent, pos, quat, inertial, gravcomp, mocap, sleep });
 record!(Joint {
     name,
     body,

@@ -226,9 +226,10 @@ settings! {
     /// them. Runs one world at a time, with integrators that evaluate forces once a step.
     sleep: bool,
     /// Speed below which every dof of a tree must be for it to sleep [m/s], >= 0; turning counts
-    /// as the speed of the farthest point that it moves.
+    /// as the speed at the reach of its body (MuJoCo's dof_length).
     sleep_tolerance: f64,
-    /// Time for which a whole island must have been as slow before it sleeps [s], >= 0.
+    /// Time for which a whole island must have been as slow before it sleeps [s], >= 0. A file
+    /// with MJCF's flag "sleep" has MuJoCo's 10 time steps.
     sleep_time: f64,
     /// Whether the time constants of solref are at least 2 dt.
     refsafe: bool,

@@ -10,7 +10,6 @@ use pyo3::types::PyBytes;
 use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
-use stepcore::sleep::Sleep;
 
 use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
 use crate::element::{id, Id};
@@ -181,10 +180,10 @@ impl Sim {
         Ok(())
     }
 
-    /// Forgets the impulses of the last step, and wakes everybody.
+    /// Forgets the impulses of the last step, and who slept: those sleep who do so from the start.
     fn forget(&self) -> PyResult<()> {
         let mut world = self.lock()?;
-        let memo = Memo { warm: Vec::new(), sleep: Sleep::new(), ..world.memo() };
+        let memo = Memo { warm: Vec::new(), sleep: world.initial_sleep(), ..world.memo() };
         world.set_memo(&memo);
         world.unsolved();
         Ok(())

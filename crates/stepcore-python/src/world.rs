@@ -177,6 +177,8 @@ pub trait World: Send {
     fn effort(&self) -> Effort;
     /// By body: whether it sleeps.
     fn asleep(&self) -> Vec<bool>;
+    /// Who sleeps when it begins.
+    fn initial_sleep(&self) -> Sleep<f64>;
     /// How often the list of contacts had to grow.
     fn grown(&self) -> u64;
     fn linearizer(&mut self) -> Result<Linearizer>;
@@ -410,6 +412,9 @@ impl<R: Real> World for One<R> {
     }
     fn asleep(&self) -> Vec<bool> {
         self.sim().asleep()
+    }
+    fn initial_sleep(&self) -> Sleep<f64> {
+        self.sim().initial_sleep().cast()
     }
     fn grown(&self) -> u64 {
         self.sim().detected.grown

@@ -11,7 +11,6 @@ use stepcore::model::Model;
 use stepcore::program::Program;
 use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
-use stepcore::sleep::Sleep;
 use stepcore::state::{Warm, WARM_ROWS};
 
 use crate::auto::Auto;
@@ -291,10 +290,6 @@ impl<R: Real> Worlds for Batch<R> {
     }
 
     fn restart(&mut self, start: f64) {
-        for (state, _) in self.states_mut() {
-            (state.start, state.steps) = (start, 0);
-            state.warm.clear();
-            state.sleep = Sleep::new();
-        }
+        Batch::restart(self, start);
     }
 }

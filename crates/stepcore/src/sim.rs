@@ -65,7 +65,7 @@ pub struct Sim<R: Real> {
     pub effort: Effort,
     pub(crate) next: Next<R>,
     pub(crate) solver: Box<dyn Solve<R>>,
-    pub(crate) sleeper: Sleeper,
+    pub(crate) sleeper: Sleeper<R>,
     /// What makes steps that nobody looks at.
     pub(crate) list: Option<Box<Mutex<Listed<R>>>>,
 }
@@ -139,7 +139,7 @@ impl<R: Real> Sim<R> {
             return Err(Error::value("lanes", R::LANES, limit));
         }
         check_spaces(&model, R::LANES, "lanes")?;
-        Ok(Self {
+        let mut sim = Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
             placed: Placed::for_steps(&model, &settings),
@@ -150,12 +150,14 @@ impl<R: Real> Sim<R> {
             effort: Effort::default(),
             next: Next::new(&model, settings.integrator),
             solver,
-            sleeper: if settings.sleep { Sleeper::new(&model) } else { Sleeper::default() },
+            sleeper: if settings.sleep { Sleeper::new(&model) } else { Sleeper::off() },
             clock: Clock::new(settings.dt),
             list: None,
             model,
             settings,
-        })
+        };
+        sim.sleep_from_start()?;
+        Ok(sim)
     }
 
     /// Lets so many threads share the work of each step. The motion is the same bits with any number.

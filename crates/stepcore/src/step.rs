@@ -84,7 +84,7 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    fn place_and_make_rows(&mut self, at: At) -> Result<()> {
+    pub(crate) fn place_and_make_rows(&mut self, at: At) -> Result<()> {
         if self.settings.sleep {
             self.rest_asleep(at);
         }

@@ -97,7 +97,7 @@ class _Form:
 
     def __init__(self, runner: Runner) -> None:
         self.runner = runner
-        settings = runner.model.settings.replace(precision="f64", integrator="rk4")
+        settings = runner.model.settings.replace(precision="f64", integrator="rk4", sleep=False)
         self.sim = runner.sim(settings)
         kinds = runner.coordinates.joints
         self.q = np.array([q for kind, q, _, _ in kinds if kind != "free"], int)

@@ -47,6 +47,8 @@ MODELLED = (
 )
 # Integrators that only solref knows.
 SMOOTH = ("euler", "implicitfast", "implicit", "discrete")
+# Integrators that solve rows within the step, as sleep does not allow.
+STAGED = ("midpoint", "rk4")
 # Time constants of solref are divided by these, one after the other, towards a rigid scene.
 STIFFER = (4.0, 16.0)
 # Laws whose limit is soft, and how they are made harder, in words.
@@ -197,6 +199,8 @@ class ErrorSplit:
         soft = settings.law == "solref"
         if not soft and name in SMOOTH:
             name = "semi-implicit"
+        if settings.sleep and name in STAGED:
+            name = runs.second
         solver = "newton" if soft else "pgs"
         shipped = settings.replace(integrator=name, solver=solver, acceleration="none")
         other = ReferenceRuns(runner, shipped, runs.finest, 0.0, runs.workers, runs.weight)

@@ -202,7 +202,8 @@ def predictability(
     steps, period = time_steps(own, None, motion.period(own), horizon)
     runner = Runner(model, scheduled(motion, model, period))
     runner.check_repeatable()
-    runs = ReferenceRuns(runner, model.settings, min(steps), 0.0, workers)
+    # It is the motion awake that is predicted.
+    runs = ReferenceRuns(runner, model.settings.replace(sleep=False), min(steps), 0.0, workers)
     with workers.bar("predictability", (2 + DIRECTIONS) * runs.starts) as bar:
         level, growth = runs.growth(bar)
     return Predictability(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from stepcore._core import Settings
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 
@@ -39,12 +40,18 @@ FLAG_NOTES = {
     "fwdinv": "it is a check within MuJoCo",
     "invdiscrete": "inverse dynamics are always those of continuous time",
 }
+SLEEP_NOTE = (
+    'flag sleep="enable": trees sleep by MuJoCo\'s rule; sensors of what sleeps are computed as if '
+    "it were awake, where MuJoCo's keep their last values"
+)
 # The attributes "o_margin" and its like, which the flag "override" turns on.
 OVERRIDES = ("margin", "solref", "solimp", "friction")
 FLAG_DEFAULT_OFF = frozenset(
     ("override", "energy", "fwdinv", "invdiscrete", "sleep", "diagexact", "ipc", "speculative")
 )
-FLAGS_UNBUILT = ("sleep", "diagexact", "ipc", "speculative")
+FLAGS_UNBUILT = ("diagexact", "ipc", "speculative")
+# Steps for which MuJoCo lets a tree be slow before it sleeps (its mjMINAWAKE).
+SLOW_STEPS = 10
 
 
 def read(scene: Contents, node: Node) -> None:
@@ -79,6 +86,10 @@ def read(scene: Contents, node: Node) -> None:
     if "noslip_iterations" in values:
         # MuJoCo takes a negative number for none.
         options["noslip_iterations"] = max(values["noslip_iterations"], 0)
+    if "sleep_tolerance" in values:
+        if values["sleep_tolerance"] < 0:
+            raise bad(node, "sleep_tolerance", values["sleep_tolerance"], ">= 0 m/s")
+        options["sleep_tolerance"] = values["sleep_tolerance"]
     _override(scene, values)
     for name, why in IGNORED.items():
         if name in values:
@@ -86,6 +97,24 @@ def read(scene: Contents, node: Node) -> None:
     _refuse(node)
     for child in node.children:
         _flags(scene, child)
+
+
+def settle_sleep(scene: Contents, nodes: list[Node]) -> None:
+    """MuJoCo's rule of sleep, once all sections (`nodes`) are read: it counts steps."""
+    if not scene.options.get("sleep"):
+        return
+    flags = [child for node in nodes for child in node.children if "sleep" in child.values]
+    if scene.options.get("integrator") == "rk4":
+        scene.options["sleep"] = False
+        _note(scene, flags[-1], 'flag sleep="enable" is ignored under RK4: nothing sleeps')
+        return
+    scene.options["sleep_time"] = sleep_time(scene.options.get("dt", Settings().dt))
+    _note(scene, flags[-1], SLEEP_NOTE)
+
+
+def sleep_time(dt: float) -> float:
+    """How long MuJoCo lets a tree be slow in steps of `dt` before it sleeps [s]."""
+    return SLOW_STEPS * dt
 
 
 def _override(scene: Contents, values: Mapping[str, Any]) -> None:
@@ -112,6 +141,8 @@ def _flags(scene: Contents, node: Node) -> None:
             scene.options["warm_start"] = on
         elif name == "refsafe":
             scene.options["refsafe"] = on
+        elif name == "sleep":
+            scene.options["sleep"] = on
         elif name == "override":
             scene.contact_override.enable = on
         elif name in FLAGS_UNBUILT:
@@ -135,10 +166,18 @@ _WRITTEN: dict[str, tuple[str, dict[str, str]]] = {
     "cone": ("cone", {"pyramidal": "pyramidal", "elliptic": "elliptic"}),
 }
 _NUMBERS = {
-    **{name: name for name in ("impratio", "noslip_iterations")},
+    **{name: name for name in ("impratio", "noslip_iterations", "sleep_tolerance")},
     **{"dt": "timestep", "sweeps": "iterations"},
 }
-_FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe"}
+_FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe", "sleep": "sleep"}
+
+
+def to_say(settings: Settings) -> dict[str, Any]:
+    """The settings that a file has to say: those that one without them has not."""
+    values, unsaid = settings.as_dict(), Settings().as_dict()
+    if settings.sleep:
+        unsaid["sleep_time"] = sleep_time(settings.dt)
+    return {name: value for name, value in values.items() if value != unsaid[name]}
 
 
 def said(settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], dict[str, Any]]:

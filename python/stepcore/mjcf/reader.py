@@ -157,6 +157,7 @@ def read_sections(
         world.disabled_groups = frozenset(
             node.values.get("actuatorgroupdisable", world.disabled_groups)
         )
+    option.settle_sleep(scene, sections(root, "option"))
     for node in sections(root, "worldbody"):
         world.read(node)
     for section, read in SECTIONS.items():

@@ -16,7 +16,7 @@ from xml.parsers import expat
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.mjcf import custom
-from stepcore.mjcf.option import said
+from stepcore.mjcf.option import said, to_say
 from stepcore.mjcf.reader import read_text
 from stepcore.mjcf.write import written
 from stepcore.mjcf.write.tags import Tag, escaped
@@ -144,10 +144,10 @@ def _edited(
     """The text with the settings of `scene`, in this option tag or in a new one at the end."""
     if marks.root is None or marks.root.closed:
         return None
-    before, after, default = (s.as_dict() for s in (original.settings, scene.settings, Settings()))
+    before, after = original.settings.as_dict(), scene.settings.as_dict()
     changed = {name: value for name, value in after.items() if value != before[name]}
     attributes, flags, _ = said(changed)
-    rest = said({name: v for name, v in after.items() if v != default[name]})[2]
+    rest = said(to_say(scene.settings))[2]
     edits: list[_Edit] = []
     if scene.name != original.name:
         edits.append(_with(data, marks.root, {"model": scene.name}))

@@ -162,7 +162,7 @@ class WorldReader:
     def _body(self, node: Node, place: Place) -> Place:
         values = node.values
         pos, quat = self._pose(node, values, place)
-        own = {name: values[name] for name in ("gravcomp", "mocap") if name in values}
+        own = {name: values[name] for name in ("gravcomp", "mocap", "sleep") if name in values}
         body = self.scene.add_body(values.get("name", ""), place.body, pos, quat, **own)
         self.keep(node, body)
         if place.pose != AT_ORIGIN:

@@ -25,6 +25,11 @@ SIZE_WORDS = {
 }
 
 
+def _is_root(layout: Layout, body: Body) -> bool:
+    """Whether a tree begins with this body."""
+    return layout.moving(body) and not layout.moving(body.parent)
+
+
 def check(layout: Layout) -> None:
     """Checks what concerns several fields or elements; a ValueError names the element."""
     scene = layout.scene
@@ -37,6 +42,9 @@ def check(layout: Layout) -> None:
         if body.mocap and (body.parent is not world or id(body) in layout.joints_of):
             limit = "a child of the world without joints"
             raise checks.refuse(body, "mocap", True, f"False, or {limit}")
+        if body.sleep != "auto" and not _is_root(layout, body):
+            limit = '"auto": only the root of a tree, which has a joint, says how it sleeps'
+            raise checks.refuse(body, "sleep", body.sleep, limit)
         _check_joints(layout, body)
     for geom in layout.geoms:
         need = 0 if geom.mesh is not None else SIZES[geom.type]

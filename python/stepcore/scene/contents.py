@@ -75,6 +75,7 @@ class Contents(Holdings):
         iquat: Vector | None = None,
         gravcomp: float = 0.0,
         mocap: bool = False,
+        sleep: str = "auto",
     ) -> Body:
         """Adds a body.
 
@@ -88,6 +89,7 @@ class Contents(Holdings):
         iquat: orientation of the principal axes of the inertia; without it they are found.
         gravcomp: share of its weight that a force at its centre of mass holds up.
         mocap: True for a body whose pose is an input.
+        sleep: of the root of a tree, whether it may sleep: "auto", "never", "allowed" or "init".
         """
         fields: dict[str, Any] = {"name": name, "pos": pos, "quat": quat, "mass": mass}
         if inertia is not None:
@@ -99,7 +101,7 @@ class Contents(Holdings):
         given = len(fields) > 4
         carrier = self.body(parent)
         with self._naming():
-            body = Body(parent=carrier, gravcomp=gravcomp, mocap=mocap, **fields)
+            body = Body(parent=carrier, gravcomp=gravcomp, mocap=mocap, sleep=sleep, **fields)
             if mass is None and given:
                 raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
         return self._append(self.bodies, body)

@@ -217,4 +217,5 @@ def _body(body: Body, index: dict[int, int]) -> dict[str, Any]:
         "inertial": inertial,
         "gravcomp": body.gravcomp,
         "mocap": body.mocap,
+        "sleep": body.sleep,
     }

@@ -13,6 +13,7 @@ use crate::pool::{lock, Pool};
 use crate::program::Blocks;
 use crate::real::Real;
 use crate::settings::Settings;
+use crate::sleep::Sleep;
 use crate::watch::Watched;
 
 /// Work of a call below which waking threads costs more than they save [ns].
@@ -52,6 +53,13 @@ impl<R: Real> Crew<R> {
         });
         let spaces = spaces.collect::<Result<Vec<_>>>()?;
         Ok(Self { pool: Pool::new(threads)?, threads, spaces, cost: AtomicU64::new(u64::MAX) })
+    }
+
+    /// Who sleeps in a world of a model that begins.
+    pub fn initial_sleep(&self, model: usize) -> Arc<Sleep<R>> {
+        let space =
+            |own: &Vec<Watched<R>>| own.first().map(|space| space.sim.initial_sleep().clone());
+        space(&lock(&self.spaces[model])).unwrap_or_default()
     }
 
     /// Memory of the working spaces [bytes].

@@ -7,8 +7,10 @@ use crate::model::Model;
 use crate::program::{Holds, Place};
 use crate::real::Real;
 use crate::room::room;
+use crate::sleep::Sleep;
 use crate::state::{Inputs, State};
 use crate::watch::{Care, Ledger, Watched};
+use std::sync::Arc;
 
 /// What the last solve of the worlds belonged to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +24,8 @@ pub enum Last {
 pub(super) struct Group<R: Real> {
     pub state: State<R>,
     pub inputs: Inputs<R>,
+    /// Who sleeps in a world that begins anew.
+    initial: Arc<Sleep<R>>,
     /// Acceleration of the last solve.
     pub qacc: Vec<R>,
     /// The state when the call began.
@@ -48,6 +52,8 @@ impl<R: Real> Group<R> {
     pub fn forget(&mut self, lane: usize) {
         self.state.forget_impulses(lane);
         self.before.forget_impulses(lane);
+        // Where somebody sleeps there is one lane.
+        self.put_to_sleep();
         // A lane to spare repeats a world, and has no place of its own here.
         self.standing.lanes.get_mut(lane).iter_mut().for_each(|place| **place = None);
         self.ended[lane] = false;
@@ -56,9 +62,12 @@ impl<R: Real> Group<R> {
     }
 
     /// `worlds` of a model, at qpos0 and at rest.
-    pub fn new(model: &Model, worlds: usize, care: Option<Care>) -> Self {
+    pub fn new(model: &Model, initial: Arc<Sleep<R>>, worlds: usize, care: Option<Care>) -> Self {
+        let mut state = State::new(model);
+        initial.copy_to(&mut state.sleep);
         Self {
-            state: State::new(model),
+            state,
+            initial,
             inputs: Inputs::new(model),
             qacc: vec![R::zero(); model.nv],
             start: State::new(model),
@@ -69,6 +78,12 @@ impl<R: Real> Group<R> {
             ended: vec![false; R::LANES],
             ledger: care.map(|care| Box::new(Ledger::new(model, care))),
         }
+    }
+
+    /// Those sleep who do so from the start.
+    pub fn put_to_sleep(&mut self) {
+        self.initial.copy_to(&mut self.state.sleep);
+        self.initial.copy_to(&mut self.before.sleep);
     }
 
     /// No list can step it as it is.

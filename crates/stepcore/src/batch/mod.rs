@@ -132,19 +132,20 @@ impl<R: Real> Batch<R> {
         }
         check_threads(threads)?;
         let seats = Seats::new(R::LANES, model_of);
+        let crew = Crew::new(&models, settings, &seats, worlds, threads)?;
         let group = |index: usize| {
-            let model = &models[seats.model(index)];
+            let (own, worlds) = (seats.model(index), seats.worlds(index).len());
             let watched = index.is_multiple_of(seats.groups().div_ceil(WATCHED.div_ceil(R::LANES)));
             let least = watched.then_some(Care::Least);
             let care = if settings.ledger { Some(Care::Full) } else { least };
-            Group::new(model, seats.worlds(index).len(), care)
+            Group::new(&models[own], crew.initial_sleep(own), worlds, care)
         };
-        let crew = Crew::new(&models, settings, &seats, worlds, threads)?;
+        let groups = (0..seats.groups()).map(group).collect();
         Ok(Self {
             worlds,
             list: list.map(|list| Blocks::new(list, crew.threads)),
             dt: settings.dt,
-            groups: (0..seats.groups()).map(group).collect(),
+            groups,
             crew,
             goes_on: false,
             models,
@@ -208,6 +209,15 @@ impl<R: Real> Batch<R> {
             let last = if own + 1 == self.seats.worlds(index).len() { R::LANES } else { own + 1 };
             (own..last).for_each(|lane| self.groups[index].forget(lane));
         }
+    }
+
+    /// All worlds begin anew at a time, wherever their arrays put them: without impulses.
+    pub fn restart(&mut self, start: f64) {
+        for (state, _) in self.states_mut() {
+            (state.start, state.steps) = (start, 0);
+            state.warm.clear();
+        }
+        self.groups.iter_mut().for_each(Group::put_to_sleep);
     }
 
     /// The states at hand did not come from a solve.

@@ -31,6 +31,7 @@ use crate::real::{Mask, Real};
 use crate::room::{can_be_had, room};
 use crate::settings::Settings;
 use crate::shapes::{self, Touch};
+use crate::sleep::is_mocap;
 use crate::spatial::{Pose, V3};
 use apart::far;
 use kept::Kept;
@@ -191,10 +192,14 @@ impl<R: Real> Detected<R> {
     }
 }
 
-/// A geom that nothing moves, or whose tree sleeps.
+/// A geom that nothing moves, or whose tree sleeps. To those who sleep a mocap body is awake.
 fn rests(model: &Model, asleep: &[bool], geom: usize) -> bool {
-    let tree = model.bodies[model.geoms[geom].body].tree;
-    tree == NONE || asleep.get(tree).is_some_and(|asleep| *asleep)
+    let body = model.geoms[geom].body;
+    let tree = model.bodies[body].tree;
+    if tree == NONE {
+        return asleep.is_empty() || !is_mocap(model, body);
+    }
+    asleep.get(tree).is_some_and(|asleep| *asleep)
 }
 
 /// Below which distance the contacts of a pair are listed [m], for the exact test and by lane. `more`:

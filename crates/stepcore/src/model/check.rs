@@ -8,7 +8,8 @@ mod equality;
 
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
-use crate::scene::{ExplicitPair, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness};
+use crate::scene::{ExplicitPair, Geom, GeomType, Inertial, Joint, JointType, Scene};
+use crate::scene::{SleepPolicy, Softness};
 use std::collections::HashSet;
 use std::fmt;
 
@@ -193,13 +194,19 @@ fn names(scene: &Scene) -> Result<()> {
 /// Depth first: a body follows its parent's subtree so far, which makes the dofs
 /// of a tree, and MuJoCo's order of qpos, contiguous.
 fn bodies(scene: &Scene) -> Result<()> {
-    let mut path = vec![0];
+    let (mut path, mut moves) = (vec![0], Vec::with_capacity(scene.bodies.len()));
     for (i, b) in scene.bodies.iter().enumerate() {
         let e = Subject::new(Kind::Body, &b.name, i);
         e.finite("pos", &b.pos)?;
         e.direction("quat", &b.quat)?;
         e.finite("gravcomp", &[b.gravcomp])?;
         let jointed = scene.joints.iter().any(|joint| joint.body == i);
+        let carried = i > 0 && moves.get(b.parent).is_some_and(|moves| *moves);
+        moves.push(jointed || carried);
+        if b.sleep != SleepPolicy::Auto && carried {
+            let limit = "'auto': only the root of a tree says how it sleeps";
+            return Err(e.refuse("sleep", b.sleep.name(), limit));
+        }
         if b.mocap && (i == 0 || b.parent != 0 || jointed) {
             return Err(e.refuse("mocap", true, "a child of the world without joints"));
         }

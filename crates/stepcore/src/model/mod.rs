@@ -45,6 +45,7 @@ pub use meetings::{Meeting, Spheres};
 pub use pairs::Never;
 pub use plan::Unmet;
 pub use plane::{FlatGeom, Plane};
+pub(crate) use pose::rotation;
 pub use tally::Tally;
 pub use tendons::{Course, Mover, Point, Round, Stretch, Tendon};
 pub use ties::{Coupling, Ends, Equality, Tie};
@@ -52,7 +53,9 @@ pub(crate) use union::Union;
 
 use crate::elements::friction::Ways;
 use crate::real::Real;
-use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Sensor, Softness};
+use crate::scene::{
+    Actuator, Coefficients, Features, GeomType, JointType, Key, Sensor, SleepPolicy, Softness,
+};
 use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
 use crate::shapes::ray::Surface;
@@ -190,6 +193,7 @@ pub struct Tree {
     pub seen: bool,
     /// It moves in a plane, and nothing else of it is asked for.
     pub plane: Option<Plane>,
+    pub sleep: SleepPolicy,
 }
 
 /// A shape on a body.

@@ -114,6 +114,7 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
             constant: false,
             seen: true,
             plane: None,
+            sleep: source.sleep,
         });
     }
     let dofs = Span { start: model.nv, len: kinds().map(JointType::dofs).sum() };

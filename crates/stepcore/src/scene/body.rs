@@ -13,6 +13,30 @@ pub struct Inertial {
     pub axes: Option<[f64; 4]>,
 }
 
+/// Whether a tree may sleep, said of its root; see `sleep.rs`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SleepPolicy {
+    /// Unless an actuator drives it, or a tendon that pulls ties it to another tree.
+    #[default]
+    Auto,
+    Never,
+    Allowed,
+    /// Allowed, and it sleeps from the start.
+    Init,
+}
+
+impl SleepPolicy {
+    /// MJCF's name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Never => "never",
+            Self::Allowed => "allowed",
+            Self::Init => "init",
+        }
+    }
+}
+
 /// A rigid body, fixed to its parent but for its joints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
@@ -27,6 +51,8 @@ pub struct Body {
     pub gravcomp: f64,
     /// Its pose is an input: `Inputs::mocap_pos`, `Inputs::mocap_quat`.
     pub mocap: bool,
+    /// Of the root of a tree; `Auto` of every other body.
+    pub sleep: SleepPolicy,
 }
 
 impl Default for Body {
@@ -39,6 +65,7 @@ impl Default for Body {
             inertial: None,
             gravcomp: 0.0,
             mocap: false,
+            sleep: SleepPolicy::Auto,
         }
     }
 }

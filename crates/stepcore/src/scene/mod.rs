@@ -18,7 +18,7 @@ pub use crate::assets::{HField, Mesh, MeshInertia};
 pub use actuator::{
     Actuator, Controller, Dynamics, Input, Interp, Motor, Muscle, Orientation, Target,
 };
-pub use body::{Body, Inertial, MassRules};
+pub use body::{Body, Inertial, MassRules, SleepPolicy};
 pub use contact::{ContactOverride, ExplicitPair};
 pub use equality::{Equality, EqualityType, Frame};
 pub use geom::{FluidShape, Geom, GeomType};

@@ -3,13 +3,15 @@
 //! A step leaves the state that it started from behind, and keeps of its solve only what it needs.
 //! Body forces and sensors belong to that state: MuJoCo computes them in `mj_forward`, before it
 //! integrates. They are computed when they are read, by solving there again; that is the same
-//! solve bit for bit but under `midpoint` and `rk4`, whose steps have several.
+//! solve bit for bit but under `midpoint` and `rk4`, whose steps have several. Nobody sleeps in it:
+//! what rests on something presses on it, asleep or not.
 
 use crate::arrays::Given;
 use crate::error::Result;
 use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
+use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
 
@@ -80,7 +82,10 @@ impl<R: Real> LastSolve<R> {
         }
         let again = match &mut self.again {
             Some(again) => again,
-            none => none.insert(Box::new(Sim::new(sim.model.clone(), sim.settings.clone())?)),
+            none => {
+                let settings = Settings { sleep: false, ..sim.settings.clone() };
+                none.insert(Box::new(Sim::new(sim.model.clone(), settings)?))
+            }
         };
         if !self.placed {
             self.start.copy_to(&mut again.state);

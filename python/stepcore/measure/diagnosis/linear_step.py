@@ -64,7 +64,7 @@ class State:
 
 
 def with_converged_rows(model: Model) -> Model:
-    """The model in double precision with rows solved to rounding where the law allows.
+    """The model in double precision with rows solved to rounding where the law allows, all awake.
 
     A limit is the integrator's: what an unfinished solve adds is another question.
     """
@@ -73,7 +73,7 @@ def with_converged_rows(model: Model) -> Model:
     converged = converged_settings(s, newton=count, pgs=count, tolerance=TOLERANCE)
     if s.sweeps == "auto":
         converged = converged.replace(sweeps="auto")
-    return model.with_settings(converged)
+    return model.with_settings(converged.replace(sleep=False))
 
 
 def state_of(sim: Sim, label: str, time: float) -> State:

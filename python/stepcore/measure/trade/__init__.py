@@ -144,7 +144,9 @@ def trade(
     runner = Runner(model, scheduled(motion, model, period))
     runner.check_repeatable()
     weight = heaviness(runner, shipped)
-    runs = ReferenceRuns(runner, shipped, min(steps), effort, workers, weight)
+    # What sleep changes is an error like another: nobody sleeps in the reference.
+    awake = shipped.replace(sleep=False)
+    runs = ReferenceRuns(runner, awake, min(steps), effort, workers, weight)
     with workers.bar("reference", runs.least) as bar:
         reference = runs.reference(bar)
     size = extent(reference.paths, model.scene)

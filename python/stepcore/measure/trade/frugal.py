@@ -42,7 +42,7 @@ def searched(
     runs: ReferenceRuns, trials: Trials, steps: Steps, rows: int, friction: bool, wanted: Wanted
 ) -> list[Settings]:
     """Runs the search; the settings that ran from all starts or failed, coarsest step first."""
-    search = SettingsSearch(trials, steps, runs.shipped, rows, friction)
+    search = SettingsSearch(trials, steps, runs.runner.model.settings, rows, friction)
     search.overview()
     chosen: list[Settings] = []
     targets = _targets(search, wanted)
@@ -64,7 +64,7 @@ def searched(
     # What is nearer to the reference than it is known is not known to be better.
     known = 0.0 if runs.can_refine(trials.reference) else trials.reference.high
     chosen += _fronts(search, least, known)
-    chosen.append(runs.shipped)
+    chosen.append(runs.runner.model.settings)
     failed = [
         setting
         for setting, paths in trials.screened.items()

@@ -11,6 +11,7 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.experiment.joint_gains import joint_gains
+from stepcore.experiment.other_models import STAGED
 
 SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
 COULOMB_LAW = ("explicit", "semi-implicit", "midpoint", "rk4")
@@ -56,7 +57,8 @@ def grid(
 def integrators_for(shipped: Settings, stiff: bool) -> list[str]:
     """The integrators to try, the shipped one among them."""
     names = SMOOTH_LAW if shipped.law == "solref" else COULOMB_LAW
-    return list(dict.fromkeys([*names, *(STIFF if stiff else ()), shipped.integrator]))
+    all_names = dict.fromkeys([*names, *(STIFF if stiff else ()), shipped.integrator])
+    return [name for name in all_names if not (shipped.sleep and name in STAGED)]
 
 
 def is_stiff(model: Model) -> bool:

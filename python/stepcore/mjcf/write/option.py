@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stepcore._core import Settings
 from stepcore.mjcf import custom
-from stepcore.mjcf.option import said
+from stepcore.mjcf.option import said, to_say
 from stepcore.mjcf.write import actuators
 from stepcore.mjcf.write.tags import Tag, changed, text
 from stepcore.scene.elements import GRAVITY
@@ -31,9 +30,7 @@ def add_compiler(root: Tag, scene: Contents) -> None:
 
 def add_option(root: Tag, scene: Contents) -> dict[str, Any]:
     """Adds the option section; returns the settings that it cannot hold."""
-    default, settings = Settings().as_dict(), scene.settings.as_dict()
-    own = {name: value for name, value in settings.items() if value != default[name]}
-    attributes, flags, rest = said(own)
+    attributes, flags, rest = said(to_say(scene.settings))
     whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
     whole["magnetic"] = MAGNETIC
     for name, usual in whole.items():

@@ -10,6 +10,8 @@ from stepcore.scene.element import Element
 from stepcore.scene.elements.field_types import Flag, Inertia, Mass, Quat, Real, Text, Vec3
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, turned_inertia
 
+# Who may sleep, said of the root of a tree.
+SLEEP = ("auto", "never", "allowed", "init")
 # Products of inertia in principal axes, of the trace; the engine allows a little more.
 PRINCIPAL = 1e-10
 
@@ -33,6 +35,10 @@ class Body(Element):
     gravcomp: share of its weight that a force at its centre of mass holds up; 1 floats.
     mocap: True for a body whose pose is an input (`Sim.mocap_pos`, `Sim.mocap_quat`): a child of
         the world without joints, that stands still in every step, and holds what is welded to it.
+    sleep: whether the tree of which this body is the root may sleep (`Settings.sleep`): "auto"
+        unless an actuator drives it, a tendon with a spring or damper ties it to another tree, or
+        a tendon joins three; "never"; "allowed" in any case; "init" in any case, and it sleeps
+        from the start.
     """
 
     name: Text = ""
@@ -45,6 +51,7 @@ class Body(Element):
     iquat: Annotated[Vec | None, checks.optional(checks.unit(4))] = None
     gravcomp: Real = 0.0
     mocap: Flag = False
+    sleep: Annotated[str, checks.one_of(*SLEEP)] = "auto"
 
     def __setattr__(self, field: str, value: object) -> None:
         super().__setattr__(field, value)

@@ -1,23 +1,29 @@
 //! Sleep: islands at rest, which a step leaves alone until something touches them.
 //!
-//! A tree is slow in a step that ends with every dof below `sleep_tolerance`, turning counted by the
-//! speed that it gives the farthest point that it moves. An island, that is trees which rows tie
-//! together now, falls asleep when all of its trees have been slow for `sleep_time` (MuJoCo 4,
-//! "Sleeping islands": the same with 10 steps). Asleep, its velocities are 0, and it stands like a
-//! fixed body: it makes no rows, and meets nothing that does not move either.
+//! The rule is MuJoCo 4's ("Sleeping islands"). A tree is slow in a step that begins with every dof below
+//! `sleep_tolerance`, turning counted by a length of the body that turns. An island, that is trees which
+//! rows tie together now, falls asleep when all of its trees have been slow for `sleep_time` (MuJoCo:
+//! for 10 steps) and may sleep. It then stays where that step began, its velocities are 0, and it
+//! stands like a fixed body: it makes no rows, and meets nothing that does not move either.
 //!
 //! It wakes, as a whole, in the step in which it takes part in a row or in a push with what is awake,
-//! in which a force is applied to one of its trees, or in which one has a velocity or other positions
-//! than those in which it fell asleep. That step is made as if it had been awake: it starts from the
-//! impulses, and the slip of friction that holds, of its last step awake.
+//! as mocap bodies always are, in which a force is applied to one of its trees, or in which one has a
+//! velocity or other positions than those in which it fell asleep. That step is made as if it had been
+//! awake: it starts from the impulses, and the slip of friction that holds, of its last step awake.
+
+mod trees;
+
+pub(crate) use trees::Sleeper;
 
 use crate::commit::Next;
-use crate::model::{Model, Union, NONE};
+use crate::error::Result;
+use crate::model::{Model, Tie, Tree, NONE};
 use crate::real::{Mask, Real};
-use crate::room::{listed, room, Room};
-use crate::scene::JointType;
-use crate::sim::{At, Sim};
+use crate::room::room;
+use crate::scene::SleepPolicy;
+use crate::sim::{At, Effort, Sim};
 use crate::state::{State, Warm};
+use std::sync::Arc;
 
 /// Who sleeps; a part of the state. Empty lists: nobody ever was slow.
 #[derive(Clone, Debug, PartialEq)]
@@ -89,12 +95,12 @@ impl<R: Real> Sleep<R> {
         }
     }
 
-    /// Wakes a tree's island; its impulses join `warm`.
-    fn wake(&mut self, tree: usize, warm: &mut Vec<Warm<R>>) {
+    /// Wakes a tree's island, slow for so many steps; its impulses join `warm`.
+    fn wake(&mut self, tree: usize, steps: u64, warm: &mut Vec<Warm<R>>) {
         let woken = self.island[tree];
         for (slow, island) in self.slow.iter_mut().zip(&mut self.island) {
             if *island == woken {
-                (*slow, *island) = (0, NONE);
+                (*slow, *island) = (steps, NONE);
             }
         }
         warm.extend(self.kept.iter().filter(|(island, _)| *island == woken).map(|(_, w)| *w));
@@ -110,69 +116,6 @@ impl<R: Real> State<R> {
         self.warm.sort_by_key(|warm| warm.slot);
         self.sleep = Sleep::new();
     }
-}
-
-/// What does not change of who may sleep, and working space.
-#[derive(Default)]
-pub(crate) struct Sleeper {
-    /// By tree: it has an actuator, whose force may change at any time.
-    driven: Vec<bool>,
-    /// By dof: how fast the farthest point moves that a unit of its velocity moves.
-    length: Vec<f64>,
-    /// By tree: its entries of qpos.
-    qpos: Vec<[usize; 2]>,
-    union: Union,
-    /// By island: all of it may sleep.
-    ready: Vec<bool>,
-}
-
-impl Room for Sleeper {
-    fn room(&self) -> usize {
-        let lists = listed(&self.driven) + listed(&self.length) + listed(&self.qpos);
-        lists + self.union.room() + listed(&self.ready)
-    }
-}
-
-impl Sleeper {
-    pub fn new(model: &Model) -> Self {
-        let mut driven = vec![false; model.trees.len()];
-        for along in &model.along {
-            along.movers(model, |dof| driven[model.dofs[dof].tree] = true);
-        }
-        let mut qpos = vec![[usize::MAX, 0]; model.trees.len()];
-        for joint in &model.joints {
-            let [from, to] = &mut qpos[model.bodies[joint.body].tree];
-            *from = joint.qpos.min(*from);
-            *to = (joint.qpos + joint.kind.positions()).max(*to);
-        }
-        let length = lengths(model);
-        Self { driven, length, qpos, union: Union::default(), ready: vec![] }
-    }
-}
-
-/// By dof: 1 where it slides; else the distance of the farthest point that it turns, or more [m].
-fn lengths(model: &Model) -> Vec<f64> {
-    let mut extent: Vec<f64> = (model.bodies.iter())
-        .map(|body| {
-            let square = 0.5 * body.inertia.trace() / body.mass;
-            body.ipos.norm() + if body.mass > 0.0 { square.sqrt() } else { 0.0 }
-        })
-        .collect();
-    for geom in &model.geoms {
-        extent[geom.body] = extent[geom.body].max(geom.pos.norm() + geom.reach);
-    }
-    for (index, body) in model.bodies.iter().enumerate().skip(1).rev() {
-        extent[body.parent] = extent[body.parent].max(body.pos.norm() + extent[index]);
-    }
-    let length = |(k, dof): (usize, &crate::model::Dof)| {
-        let joint = &model.joints[dof.joint];
-        match joint.kind {
-            JointType::Slide => 1.0,
-            JointType::Free if k < joint.dof + 3 => 1.0,
-            _ => extent[dof.body] + joint.pos.norm(),
-        }
-    };
-    model.dofs.iter().enumerate().map(length).collect()
 }
 
 /// The impulses from which rows start.
@@ -199,25 +142,77 @@ impl<R: Real> Sim<R> {
         }
     }
 
-    /// Whoever sleeps at the start of this step, into `next`: without those that the user moved.
+    /// Who sleeps in a world that has just been made: the islands of trees that are to sleep from the
+    /// start. Those that touch others are awake.
+    pub(crate) fn sleep_from_start(&mut self) -> Result<()> {
+        let starts = |tree: &Tree| tree.sleep == SleepPolicy::Init;
+        if !self.settings.sleep || !self.model.trees.iter().any(starts) {
+            return Ok(());
+        }
+        self.place_and_make_rows(At::State)?;
+        let model = self.model.clone();
+        let slow = model.trees.iter().map(|tree| if starts(tree) { u64::MAX } else { 0 });
+        self.next.sleep.fill(&model);
+        self.next.sleep.slow.clear();
+        self.next.sleep.slow.extend(slow);
+        self.settle();
+        for (tree, slow) in model.trees.iter().zip(&mut self.next.sleep.slow) {
+            *slow = if starts(tree) { 0 } else { *slow };
+        }
+        let sleep = std::mem::take(&mut self.next.sleep);
+        self.state.sleep = sleep.clone();
+        self.sleeper.initial = Arc::new(sleep);
+        self.placed.place_all();
+        self.clear_solve();
+        self.effort = Effort::default();
+        Ok(())
+    }
+
+    /// Who sleeps in a world that begins.
+    pub fn initial_sleep(&self) -> &Arc<Sleep<R>> {
+        &self.sleeper.initial
+    }
+
+    /// Whoever sleeps at the start of this step, into `next`: without those that the user moved, and
+    /// those that an equality ties to what is awake, or to others that sleep.
     pub(crate) fn begin_sleep(&mut self) {
         self.next.woken.clear();
         let Self { model, state, next, inputs, sleeper, .. } = self;
         state.sleep.copy_to(&mut next.sleep);
-        // What a mocap body holds or touches may be anything.
+        if !next.sleep.any() {
+            return;
+        }
         let carried = self.placed.mocap.iter().zip(inputs.mocap()).any(|(old, new)| *old != new);
         for (tree, [from, to]) in sleeper.qpos.iter().enumerate() {
-            if !next.sleep.has(tree) {
+            let own = &model.trees[tree];
+            let moves = || state.qvel[own.dofs.range()].iter().any(|v| !v.is_zero());
+            let moved = || state.qpos[*from..*to] != next.sleep.qpos[*from..*to];
+            let carried = carried && model.bodies[own.bodies.start].carried;
+            if next.sleep.has(tree)
+                && (carried || moves() || moved() || pushed(model, inputs, tree))
+            {
+                next.wake(tree, 0, &state.warm);
+            }
+        }
+        for (index, equality) in model.equalities.iter().enumerate() {
+            if !model.features.equality || inputs.eq_active(index).none() {
                 continue;
             }
-            let mut qvel = state.qvel[model.trees[tree].dofs.range()].iter();
-            let moves = qvel.any(|v| !v.is_zero());
-            let moved = state.qpos[*from..*to] != next.sleep.qpos[*from..*to];
-            if carried || moves || moved || pushed(model, inputs, tree) {
-                if next.woken.is_empty() {
-                    next.woken.clone_from(&state.warm);
+            let carried = match &equality.tie {
+                Tie::Connect(ends) | Tie::Weld { ends, .. } => {
+                    ends.bodies.iter().any(|body| is_mocap(model, *body))
                 }
-                next.sleep.wake(tree, &mut next.woken);
+                Tie::Lengths(_) => false,
+            };
+            let trees = || equality.dofs.of(&model.dof_lists).iter().map(|k| model.dofs[*k].tree);
+            let mut islands = trees().map(|tree| next.sleep.island[tree]);
+            let first = islands.next();
+            if carried || islands.any(|island| Some(island) != first) {
+                for tree in trees() {
+                    if next.sleep.has(tree) {
+                        next.wake(tree, 0, &state.warm);
+                    }
+                }
             }
         }
     }
@@ -246,35 +241,42 @@ impl<R: Real> Sim<R> {
         self.detected.asleep.extend(sleep.island.iter().map(|island| *island != NONE));
     }
 
-    /// Wakes whoever takes part in a row or push that was made; says whether anybody did.
+    /// Wakes whoever takes part in a row or push that was made, slow for as long as what it meets; says
+    /// whether anybody did.
     pub(crate) fn wake_touched(&mut self) -> bool {
-        let lists = self.detected.lists.of(&self.model);
-        let blocks = self.rows.blocks.iter().filter(|block| block.mask.any());
-        let tied = blocks.map(|block| self.rows.rows[block.rows.start].dofs);
-        let tied = tied.chain(self.rows.pushes.iter().map(|push| push.dofs));
-        let (next, mut woke) = (&mut self.next, false);
-        for dofs in tied {
-            for &k in dofs.of(lists) {
-                let tree = self.model.dofs[k].tree;
+        let Self { model, state, next, detected, rows, .. } = self;
+        let lists = detected.lists.of(model);
+        let slept = |tree: usize| detected.asleep.get(tree).is_some_and(|asleep| *asleep);
+        let blocks = rows.blocks.iter().filter(|block| block.mask.any());
+        let tied = blocks.map(|block| rows.rows[block.rows.start].dofs);
+        let mut woke = false;
+        for dofs in tied.chain(rows.pushes.iter().map(|push| push.dofs)) {
+            let trees = || dofs.of(lists).iter().map(|k| model.dofs[*k].tree);
+            if !trees().any(slept) {
+                continue;
+            }
+            let waker = trees().filter(|tree| !slept(*tree)).map(|tree| next.sleep.slow[tree]);
+            let steps = waker.min().unwrap_or(0);
+            for tree in trees().filter(|tree| slept(*tree)) {
                 if next.sleep.has(tree) {
-                    if next.woken.is_empty() {
-                        next.woken.clone_from(&self.state.warm);
-                    }
-                    next.sleep.wake(tree, &mut next.woken);
+                    next.wake(tree, steps, &state.warm);
                     woke = true;
+                } else {
+                    // Others woke it, who may have been slow for longer.
+                    next.sleep.slow[tree] = next.sleep.slow[tree].min(steps);
                 }
             }
         }
         woke
     }
 
-    /// The end of a step that is to be committed: who sleeps stays, and who was slow for long
-    /// enough falls asleep.
+    /// The end of a step that is to be committed: who sleeps stays, and who has been slow for long
+    /// enough when the step began falls asleep there.
     pub(crate) fn settle(&mut self) {
         let Self { model, state, next, rows, detected, sleeper, settings, inputs, .. } = self;
         let lists = detected.lists.of(model);
         next.sleep.fill(model);
-        let Sleeper { driven, length, qpos, union, ready } = sleeper;
+        let Sleeper { never, length, qpos, union, ready, .. } = sleeper;
         union.reset(model.trees.len());
         let tree_of = |k: usize| model.dofs[k].tree;
         let blocks = rows.blocks.iter().filter(|block| block.mask.any());
@@ -301,10 +303,13 @@ impl<R: Real> Sim<R> {
                 continue;
             }
             let tolerance = R::of(settings.sleep_tolerance);
-            let below = |k: usize| (next.qvel[k].abs() * R::of(length[k])).lt(tolerance).all();
-            let slow = own.dofs.range().all(below) && !driven[tree] && !pushed(model, inputs, tree);
+            let below = |k: usize| {
+                let v = state.qvel[k];
+                v.is_zero() || (v.abs() * R::of(length[k])).lt(tolerance).all()
+            };
+            let slow = own.dofs.range().all(below) && !never[tree] && !pushed(model, inputs, tree);
             let count = &mut next.sleep.slow[tree];
-            *count = if slow { *count + 1 } else { 0 };
+            *count = if slow { count.saturating_add(1) } else { 0 };
             ready[union.of(tree)] &= slow && *count as f64 * settings.dt >= settings.sleep_time;
         }
         // Whoever of these falls asleep has no island yet.
@@ -314,7 +319,8 @@ impl<R: Real> Sim<R> {
                 let [from, to] = qpos[tree];
                 next.sleep.island[tree] = island;
                 next.qvel[own.dofs.range()].fill(R::zero());
-                next.sleep.qpos[from..to].copy_from_slice(&next.qpos[from..to]);
+                next.qpos[from..to].copy_from_slice(&state.qpos[from..to]);
+                next.sleep.qpos[from..to].copy_from_slice(&state.qpos[from..to]);
             }
         }
         if settings.keeps() {
@@ -334,10 +340,26 @@ impl<R: Real> Sim<R> {
     }
 }
 
+impl<R: Real> Next<R> {
+    /// Wakes a tree's island, slow for so many steps; `warm`: the impulses of those who were awake.
+    fn wake(&mut self, tree: usize, steps: u64, warm: &[Warm<R>]) {
+        if self.woken.is_empty() {
+            self.woken.extend_from_slice(warm);
+        }
+        self.sleep.wake(tree, steps, &mut self.woken);
+    }
+}
+
 /// A force is applied to a tree.
 fn pushed<R: Real>(model: &Model, inputs: &crate::state::Inputs<R>, tree: usize) -> bool {
     let (dofs, bodies) = (model.trees[tree].dofs.range(), model.trees[tree].bodies.range());
     let acts = |forces: &[R]| forces.iter().any(|force| !force.is_zero());
     let xfrc = 6 * bodies.start..6 * bodies.end;
     inputs.applied() && (acts(&inputs.qfrc_applied()[dofs]) || acts(&inputs.xfrc_applied()[xfrc]))
+}
+
+/// A body that stands where its user puts it: it is awake.
+pub(crate) fn is_mocap(model: &Model, body: usize) -> bool {
+    let body = &model.bodies[body];
+    body.tree == NONE && body.carried
 }

@@ -1,0 +1,116 @@
+//! What does not change of who may sleep: MuJoCo's policy of each tree, and its lengths of dofs.
+
+use super::Sleep;
+use crate::model::{rotation, Model, Union, NONE};
+use crate::real::Real;
+use crate::room::{listed, Room};
+use crate::scene::{JointType, SleepPolicy, Target};
+use std::sync::Arc;
+
+/// MuJoCo's least length of a body [m].
+const LEAST: f64 = 1e-5;
+
+/// What does not change of who may sleep, and working space.
+pub(crate) struct Sleeper<R: Real> {
+    /// Who sleeps from the start.
+    pub initial: Arc<Sleep<R>>,
+    /// By tree: it never sleeps.
+    pub never: Vec<bool>,
+    /// By dof: the speed of a point that a unit of its velocity moves.
+    pub length: Vec<f64>,
+    /// By tree: its entries of qpos.
+    pub qpos: Vec<[usize; 2]>,
+    pub union: Union,
+    /// By island: all of it may sleep.
+    pub ready: Vec<bool>,
+}
+
+impl<R: Real> Room for Sleeper<R> {
+    fn room(&self) -> usize {
+        let lists = listed(&self.never) + listed(&self.length) + listed(&self.qpos);
+        lists + self.initial.room() + self.union.room() + listed(&self.ready)
+    }
+}
+
+impl<R: Real> Sleeper<R> {
+    pub fn new(model: &Model) -> Self {
+        let mut qpos = vec![[usize::MAX, 0]; model.trees.len()];
+        for joint in &model.joints {
+            let [from, to] = &mut qpos[model.bodies[joint.body].tree];
+            *from = joint.qpos.min(*from);
+            *to = (joint.qpos + joint.kind.positions()).max(*to);
+        }
+        Self { never: never(model), length: lengths(model), qpos, ..Self::off() }
+    }
+
+    /// Of settings without sleep.
+    pub fn off() -> Self {
+        Self {
+            initial: Arc::new(Sleep::new()),
+            never: vec![],
+            length: vec![],
+            qpos: vec![],
+            union: Union::default(),
+            ready: vec![],
+        }
+    }
+}
+
+/// By tree: it never sleeps. Left to itself is a tree that no actuator drives, whose force may change
+/// at any time, and that shares no tendon that pulls, and none with two others.
+fn never(model: &Model) -> Vec<bool> {
+    let mut bound = vec![false; model.trees.len()];
+    for (actuator, along) in model.actuators.iter().zip(&model.along) {
+        match actuator.target {
+            // What it pulls at shares its contacts, and with them its island.
+            Target::Body(body) if model.bodies[body].tree != NONE => {
+                bound[model.bodies[body].tree] = true;
+            }
+            _ => along.movers(model, |dof| bound[model.dofs[dof].tree] = true),
+        }
+    }
+    for tendon in &model.tendons {
+        let dofs = tendon.dofs.of(&model.dof_lists);
+        let mut trees: Vec<usize> = dofs.iter().map(|dof| model.dofs[*dof].tree).collect();
+        trees.dedup();
+        if trees.len() > 2 || (trees.len() == 2 && tendon.pulls()) {
+            trees.iter().for_each(|tree| bound[*tree] = true);
+        }
+    }
+    let never = |(tree, bound): (&crate::model::Tree, bool)| match tree.sleep {
+        SleepPolicy::Auto => bound,
+        SleepPolicy::Never => true,
+        SleepPolicy::Allowed | SleepPolicy::Init => false,
+    };
+    model.trees.iter().zip(bound).map(never).collect()
+}
+
+/// MuJoCo's `dof_length`: 1 where it slides; where it turns, how far the body's own geoms and joints,
+/// and the joints of its children, reach from its centre of mass at the most [m].
+fn lengths(model: &Model) -> Vec<f64> {
+    let mut reach = vec![LEAST; model.bodies.len()];
+    let mut extend = |body: usize, distance: f64| reach[body] = reach[body].max(distance);
+    for joint in &model.joints {
+        let body = &model.bodies[joint.body];
+        extend(joint.body, (joint.pos - body.ipos).norm());
+        let anchor = body.pos + rotation(body.quat) * joint.pos;
+        extend(body.parent, (anchor - model.bodies[body.parent].ipos).norm());
+    }
+    for geom in &model.geoms {
+        let [a, b, c] = geom.half;
+        // That of a mesh is the box that holds it.
+        let radius = if geom.hull.is_some() { (a * a + b * b + c * c).sqrt() } else { geom.reach };
+        if radius.is_finite() {
+            extend(geom.body, (geom.pos - model.bodies[geom.body].ipos).norm() + radius);
+        }
+    }
+    let length = |(k, dof): (usize, &crate::model::Dof)| {
+        let joint = &model.joints[dof.joint];
+        match joint.kind {
+            JointType::Slide => 1.0,
+            JointType::Free if k < joint.dof + 3 => 1.0,
+            _ => reach[dof.body],
+        }
+    };
+    model.dofs.iter().enumerate().map(length).collect()
+}
