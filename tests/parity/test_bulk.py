@@ -2,7 +2,7 @@
 
 Law: at a random state all that `peers.note_forward` compares agrees to 1e-8 of the largest number
 of each quantity, or to the limit of the scene's cause in `CAUSES`. A cause is seen in the scene,
-not in the difference. Where pairs of geoms have other contacts, the oracle never finds MuJoCo right.
+not in the difference; of other contacts the oracle never finds MuJoCo's right.
 """
 
 from __future__ import annotations
