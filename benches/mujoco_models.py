@@ -280,7 +280,10 @@ def _short(text: str, most: int = 160) -> str:
 def table(rows: list[Row]) -> str:
     """Counts by class and cause, and the rows that are not simply equal, in Markdown."""
     kinds = Counter(row.kind for row in rows)
-    lines = [f"{len(rows)} files.", "", "| | files |", "|---|---|"]
+    theirs = [row for row in rows if not row.peer_refused]
+    ours = sum(row.loaded for row in theirs)
+    said = f"Of {len(rows)} files MuJoCo loads {len(theirs)}, and of these stepcore loads {ours}."
+    lines = [said, "", "| | files |", "|---|---|"]
     lines += [f"| {kind} | {count} |" for kind, count in kinds.most_common()]
     causes = Counter((row.kind, row.cause) for row in rows if row.cause)
     lines += ["", "| class | cause | files |", "|---|---|---|"]
