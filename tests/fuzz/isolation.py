@@ -1,4 +1,5 @@
-"""Runs cases, each in a process of its own with a time limit, and reports what became of them.
+"""Runs cases, each in a process of its own with limits of time and memory, and reports what became
+of them.
 
 A case is a function of a seed. It may return, or raise what a user is promised; a signal, a time
 out, a panic or any other exception is a defect.
@@ -7,13 +8,18 @@ out, a panic or any other exception is a defect.
 from __future__ import annotations
 
 import os
+import resource
 import select
 import signal
 import time
 import traceback
 from collections.abc import Callable, Iterable
 
-SECONDS = 10.0
+# Of one case: processor time, and time by the clock, which other processes may take.
+SECONDS = 10
+BY_THE_CLOCK = 120.0
+# Address space [bytes]: threads reserve more than they use.
+MEMORY = 6 << 30
 LONGEST_TEXT = 1500
 
 
@@ -36,12 +42,15 @@ def outcome(case: Callable[[int], None], seed: int, allowed: tuple[type, ...]) -
 
 
 def isolated(case: Callable[[int], None], seed: int, allowed: tuple[type, ...]) -> str:
-    """`outcome` in a forked process with a time limit."""
+    """`outcome` in a forked process with limits of time and memory."""
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(reader)
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 1))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         # What a panic prints is told by its exception.
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
@@ -50,20 +59,22 @@ def isolated(case: Callable[[int], None], seed: int, allowed: tuple[type, ...]) 
         os._exit(0)
     os.close(writer)
     said = b""
-    deadline = time.monotonic() + SECONDS
+    deadline = time.monotonic() + BY_THE_CLOCK
     while True:
         ready, _, _ = select.select([reader], [], [], max(0.0, deadline - time.monotonic()))
         if not ready:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
             os.close(reader)
-            return f"no answer within {SECONDS:g} s"
+            return f"no answer within {BY_THE_CLOCK:g} s"
         part = os.read(reader, 65536)
         if not part:
             break
         said += part
     os.close(reader)
     _, status = os.waitpid(child, 0)
+    if os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU:
+        return f"no answer within {SECONDS} s"
     if os.WIFSIGNALED(status):
         return f"killed by {signal.Signals(os.WTERMSIG(status)).name}"
     return said[1:].decode() if said else f"ended with status {status} and no answer"

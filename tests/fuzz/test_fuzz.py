@@ -12,21 +12,35 @@ import pytest
 
 HERE = Path(__file__).parent
 RUN = """
-import sys
-sys.path[:0] = sys.argv[1:3]
+import importlib, sys
+sys.path[:0] = sys.argv[1:4]
 import cases, isolation
-kind, first, count = sys.argv[3], int(sys.argv[4]), int(sys.argv[5])
-case = getattr(cases, kind)
+(module, kind), first, count = sys.argv[4].split("."), int(sys.argv[5]), int(sys.argv[6])
+case = getattr(importlib.import_module(module), kind)
 cases.prepare()
 print("\\n".join(isolation.defects(case, range(first, first + count), cases.PROMISED)))
 """
-KINDS = ("exploding_scene", "changed_attribute", "damaged_file", "bad_argument", "flipped_bit")
+PATHS = (str(HERE), str(HERE.parent), str(HERE.parent / "parity"))
+# With how many cases a day.
+KINDS = {
+    "cases.exploding_scene": 100,
+    "cases.changed_attribute": 100,
+    "cases.damaged_file": 100,
+    "cases.bad_argument": 100,
+    "cases.flipped_bit": 100,
+    "scenes.random_scene": 100,
+    "scenes.random_batch": 100,
+    "forged.forged_snapshot": 100,
+    "forged.forged_replay": 40,
+    "hostile.hostile_file": 100,
+    "misuse.misuse": 30,
+    "interrupts.interrupted": 40,
+}
 
 
 def defects(kind, first, count):
     """The lines of `isolation.defects`, of a fresh interpreter."""
-    paths = [str(HERE), str(HERE.parent)]
-    command = [sys.executable, "-c", RUN, *paths, kind, str(first), str(count)]
+    command = [sys.executable, "-c", RUN, *PATHS, kind, str(first), str(count)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout.split("\n")[:-1] if done.stdout.strip() else []
@@ -34,7 +48,7 @@ def defects(kind, first, count):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_few_cases(kind):
-    assert defects(kind, 0, 150) == []
+    assert defects(kind, 0, KINDS[kind]) == []
 
 
 @pytest.mark.long
@@ -47,17 +61,26 @@ def test_many_cases(kind, part):
 def test_a_crash_and_a_hang_are_told():
     """The harness itself: what it must catch, it catches."""
     script = RUN.replace("import cases, isolation", "import cases, isolation, os, time\n" + BREAKS)
-    paths = [str(HERE), str(HERE.parent)]
-    for kind, told in (("crash", "SIGSEGV"), ("hang", "no answer"), ("lost", "KeyError: 'x'")):
-        command = [sys.executable, "-c", script, *paths, kind, "0", "1"]
+    for kind, told in CAUGHT.items():
+        command = [sys.executable, "-c", script, *PATHS, f"cases.{kind}", "0", "1"]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         assert told in done.stdout
 
 
 BREAKS = """
-isolation.SECONDS = 0.5
+isolation.SECONDS, isolation.BY_THE_CLOCK = 1, 5.0
 def crash(seed): os.kill(os.getpid(), 11)
 def hang(seed): time.sleep(60)
+def busy(seed):
+    while True: pass
 def lost(seed): {}["x"]
-cases.crash, cases.hang, cases.lost = crash, hang, lost
+def big(seed): bytearray(1 << 40)
+cases.crash, cases.hang, cases.busy, cases.lost, cases.big = crash, hang, busy, lost, big
 """
+CAUGHT = {
+    "crash": "SIGSEGV",
+    "hang": "no answer within 5 s",
+    "busy": "no answer within",
+    "lost": "KeyError: 'x'",
+    "big": "MemoryError",
+}
