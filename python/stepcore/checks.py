@@ -522,3 +522,5 @@ def progress(owner: Any, value: object) -> None:
     """Checks the argument `progress`."""
     if not (value is None or isinstance(value, bool) or callable(value)):
         raise refuse(owner, "progress", value, "True, False, None or a function")
+    if callable(value):
+        function("label", "done", "total")(owner, "progress", value)

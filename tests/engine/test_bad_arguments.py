@@ -157,10 +157,17 @@ def test_an_error_that_cannot_be_sent_back_keeps_its_text():
 
 
 WRONG = [None, {}, [], "x", -1, float("nan"), 10**400, object(), True, 1j, b"x", [None], "a\0b"]
-WRONG += [np.float16(3), np.zeros((2, 3, 4)), np.array(["a"]), len, np.array(np.nan)]
+WRONG += [np.float16(3), np.zeros((2, 3, 4)), np.array(["a"]), len, lambda: 0, np.array(np.nan)]
 EMPTY = np.zeros(0)
 # A call of every kind with one argument that may be anything.
 CALLS = {
+    "run control": lambda model, x: sc.Sim(model).run(0.01, control=x),
+    "run control_dt": lambda model, x: sc.Sim(model).run(0.01, control_dt=x),
+    "batch progress": lambda model, x: sc.Batch(model, 2).step(progress=x),
+    "diagnose progress": lambda model, x: sc.diagnose(model, progress=x),
+    "predictability progress": lambda model, x: sc.predictability(
+        model, horizon=0.02, starts=2, progress=x, threads=1
+    ),
     "batch.model_of": lambda model, x: sc.Batch(model, 2).model_of(x),
     "batch.reset": lambda model, x: sc.Batch(model, 2).reset(worlds=x),
     "batch.contacts_of": lambda model, x: sc.Batch(model, 2).contacts_of(x),

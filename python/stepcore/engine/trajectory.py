@@ -321,6 +321,7 @@ def _controls(sim: SomeWorld, control: Control[SomeWorld]) -> Callable[[int], Ar
     if control is None:
         return None
     if callable(control):
+        checks.function("time", "sim")("run", "control", control)
         return lambda period: _returned(sim, control)
     table = numbers("control", control)
     if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):

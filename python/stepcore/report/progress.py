@@ -40,12 +40,9 @@ class Progress:
     """
 
     def __init__(self, label: str, total: int, choice: Choice = None, after: float = 0.0) -> None:
-        self.label, self.total, self.done, self.after = (
-            checks.cut(label, 200),
-            max(total, 1),
-            0,
-            after,
-        )
+        checks.progress(label, choice)
+        self.label = checks.cut(label, 200)
+        self.total, self.done, self.after = max(total, 1), 0, after
         self._lock = threading.Lock()
         self._call = choice if callable(choice) else None
         self._shows = self._call is None and choice is not False
