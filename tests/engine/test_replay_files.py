@@ -3,6 +3,7 @@
 import copy
 import json
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -234,6 +235,14 @@ def test_what_goes_wrong_in_saving_does_not_hide_the_failure(scene, capsys, monk
     first, _, rest = said.partition("The replay was not saved: ")
     assert "diverged in step" in first and rest.count("Not saved: ") == 1
     assert "Traceback" not in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a disk that is full")
+def test_a_full_disk_is_told_after_the_failure(scene, capsys):
+    assert main([*scene, "--replay", "/dev/full"]) == 1
+    said = capsys.readouterr().err
+    assert said.endswith("The replay was not saved: /dev/full: No space left on device.\n")
+    assert "diverged in step" in said
 
 
 def test_a_page_that_cannot_be_written_does_not_hide_the_failure(scene, capsys, monkeypatch):

@@ -22,6 +22,9 @@ from stepcore.report.table import jsonable
 OPTIONS = {name: f"--{name}" for name in ("plot", "html", "json", "save", "replay")}
 OPTIONS["page"] = "--html"
 
+# Files to be written, and what writes them.
+Writes = list[tuple[str, Callable[[], object]]]
+
 
 def add_output(
     command: argparse.ArgumentParser, *, full: str = "print every row of the tables"
@@ -110,12 +113,14 @@ def _check_path(out: str, option: str) -> None:
 
 def deliver(result: Result, args: argparse.Namespace) -> None:
     """Writes and prints a result as `add_output` was asked."""
-    to_file = args.json not in (None, "-")
-    failed = attempted(
-        args.plot and (lambda: result.plot(args.plot)),
-        args.html and (lambda: result.to_html(args.html)),
-        to_file and (lambda: _write(args.json, result.to_json())),
-    )
+    writes: Writes = []
+    if args.plot is not None:
+        writes.append((args.plot, lambda: result.plot(args.plot)))
+    if args.html is not None:
+        writes.append((args.html, lambda: result.to_html(args.html)))
+    if args.json not in (None, "-"):
+        writes.append((args.json, lambda: _write(args.json, result.to_json())))
+    failed = attempted(writes)
     put(result.to_json() if args.json == "-" else result.text(full=args.all))
     for error in failed:
         raise error
@@ -125,13 +130,15 @@ def _write(out: str, text: str) -> None:
     Path(out).write_text(text + "\n", encoding="utf-8")
 
 
-def attempted(*writes: Callable[[], object] | Any) -> list[Exception]:
-    """Writes what is to be written; the errors of doing so, which must not hide a result."""
-    failed = []
-    for write in filter(None, writes):
+def attempted(writes: Writes) -> list[Exception]:
+    """Writes files; the errors of doing so, which must not hide a result, each with its file."""
+    failed: list[Exception] = []
+    for out, write in writes:
         try:
             write()
         except Exception as error:
+            if isinstance(error, OSError) and error.filename is None:
+                error.filename = out
             failed.append(error)
     return failed
 

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
 from typing import Any
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.inputs import add_inputs, control_of, in_words, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
-from stepcore.cli.output import add_force, add_json, attempted, print_json
+from stepcore.cli.output import Writes, add_force, add_json, attempted, print_json
 from stepcore.cli.terminal import put, reason, say
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
@@ -130,7 +129,7 @@ def call(args: argparse.Namespace) -> int:
         say(" ".join(said), end=" ")
         _keep(error, args, single.trajectory)
         return 1
-    unsaved = attempted(*_saves(args, single.trajectory))
+    unsaved = attempted(_saves(args, single.trajectory))
     found = findings_of(sim.model, watch) if steps else []
     step = pace.seconds(Sim(model, sim.settings)) if steps else 0.0
     _report(sim, shown, ran, steps, step, notes, found, args.json)
@@ -162,27 +161,27 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
     return ("energy", "overlap") if args.save is None else RECORD
 
 
-def _saves(args: argparse.Namespace, run: Trajectory | None) -> list[Callable[[], object]]:
+def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
     """What writes the plot and the run itself; of a run that fails, what it did until then."""
-    saves: list[Callable[[], object]] = []
+    saves: Writes = []
     if run is not None and args.plot is not None:
-        saves.append(lambda: run.plot(args.plot))
+        saves.append((args.plot, lambda: run.plot(args.plot)))
     if run is not None and args.save is not None:
         ending = SAVED.index(args.save[args.save.rindex(".") :])
         save = (run.save, run.save_mcap, run.save_html)[ending]
-        saves.append(lambda: save(args.save))
+        saves.append((args.save, lambda: save(args.save)))
     return saves
 
 
 def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | None) -> None:
     """Saves the replay of a failure, which was said, and what the run did until then."""
     path = args.replay or _replay_name(error)
-    failed = attempted(lambda: error.replay.save(path))
+    failed = attempted([(path, lambda: error.replay.save(path))])
     if failed:
         said = [f"The replay was not saved: {reason(failed[0])}."]
     else:
         said = [f"To see what failed: stepcore replay {path}"]
-    said += [f"Not saved: {reason(other)}." for other in attempted(*_saves(args, run))]
+    said += [f"Not saved: {reason(other)}." for other in attempted(_saves(args, run))]
     put(" ".join(said), stream=sys.stderr)
 
 

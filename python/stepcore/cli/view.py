@@ -16,7 +16,7 @@ from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.cli.inputs import SINES, add_inputs, control_of, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
-from stepcore.cli.output import add_force
+from stepcore.cli.output import add_force, attempted
 from stepcore.cli.terminal import put, say
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
@@ -81,7 +81,8 @@ def call(args: argparse.Namespace) -> int:
     # Of a run that fails its motion until then is seen.
     seen = single.trajectory
     if seen is not None:
-        seen.save_html(args.page)
+        for error in attempted([(args.page, lambda: seen.save_html(args.page))]):
+            raise error
         put(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
     return 1 if failed else 0
 
