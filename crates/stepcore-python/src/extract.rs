@@ -121,6 +121,9 @@ impl<T: Read> Read for Vec<T> {
         }
         let mut result = Vec::new();
         for (index, item) in value.try_iter().map_err(|_| list())?.enumerate() {
+            if result.len() == result.capacity() {
+                result.try_reserve(1).map_err(|_| no_room(at, index))?;
+            }
             result.push(T::read(&item.map_err(|_| list())?, &at.index(index))?);
         }
         Ok(result)
@@ -162,7 +165,7 @@ impl Row<f64> for f64 {
     ) -> PyResult<Vec<Self>> {
         match *array.shape() {
             [count] => {
-                let mut rows = room(count)?;
+                let mut rows = room(count, at)?;
                 rows.extend(array.as_array().iter().copied());
                 Ok(rows)
             }
@@ -184,19 +187,21 @@ impl<T: Copy> Row<T> for [T; 3] {
             return Err(refuse(value, at, "an array of shape (n, 3)"));
         };
         let view = array.as_array();
-        let mut rows = room(count)?;
+        let mut rows = room(count, at)?;
         rows.extend((0..count).map(|i| std::array::from_fn(|k| view[[i, k]])));
         Ok(rows)
     }
 }
 
 /// An empty list with room for so many; a MemoryError where the memory has none.
-fn room<T>(count: usize) -> PyResult<Vec<T>> {
+fn room<T>(count: usize, at: &At) -> PyResult<Vec<T>> {
     let mut rows = Vec::new();
-    match rows.try_reserve_exact(count) {
-        Ok(()) => Ok(rows),
-        Err(_) => Err(PyMemoryError::new_err(format!("an array of {count} rows"))),
-    }
+    rows.try_reserve_exact(count).map_err(|_| no_room(at, count))?;
+    Ok(rows)
+}
+
+fn no_room(at: &At, count: usize) -> PyErr {
+    PyMemoryError::new_err(format!("{at}: the memory has no room for {count} entries"))
 }
 
 impl<T: Read, const N: usize> Read for [T; N] {

@@ -73,7 +73,7 @@ fn size(bytes: usize) -> String {
     let units = [(1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")];
     let bytes = bytes as f64;
     let (unit, word) = units.into_iter().find(|(unit, _)| bytes >= *unit).unwrap_or((1.0, "B"));
-    format!("{:.3} {word}", bytes / unit)
+    format!("{:.1} {word}", bytes / unit)
 }
 
 fn elements(scene: &Scene) -> Line {
