@@ -56,6 +56,17 @@ def activate(step, data, sim):
         sim.eq_active[:] = 1
 
 
+def drive_then_push(step, data, sim):
+    """A control, which does not wake, then a force, which does."""
+    if step == 1300:
+        data.ctrl[:] = 0.3
+        sim.ctrl[:] = 0.3
+    force = 1e-3 * (step == 1340)
+    data.qfrc_applied[0] = force
+    sim.qfrc_applied[0] = force
+    np.testing.assert_allclose(sim.act, data.act, atol=1e-12)
+
+
 def push(when, body):
     """A force for one step, which a sleeping tree must feel."""
 
@@ -95,6 +106,14 @@ SCENES = {
         scene(arm("a", 0, 'sleep="allowed"'), '<actuator><motor joint="a"/></actuator>'),
         1500,
         None,
+    ),
+    "an actuator that may sleep, with an activation": (
+        scene(
+            arm("a", 0, 'sleep="allowed"', end=0),
+            '<actuator><general joint="a" dyntype="filter" dynprm=".05"/></actuator>',
+        ),
+        1400,
+        drive_then_push,
     ),
     "one that never sleeps keeps its island awake": (
         scene(box("a", 0, 0.1) + box("b", 0, 0.3, 'sleep="never"') + box("c", 1, 0.1)),
@@ -360,3 +379,34 @@ def test_a_scale_shows_what_sleeps_on_it():
     other = sc.Sim(sim.model)
     other.step(100)
     assert sim.state() == other.state()
+
+
+def test_what_hangs_on_a_mocap_body_never_sleeps():
+    """It moves where that is put, and where that stood before is no part of the state."""
+    hung = arm("a", 0, 'sleep="init"', end=0).replace('pos="0 0 1"', "")
+    world = f'<body name="hand" mocap="true" pos="0 0 1">{hung}</body>' + arm("b", 1, end=0)
+    sim = sc.Sim(sc.loads(scene(world)).compile())
+    sim.step(100)
+    assert sim.asleep.tolist() == [False, False, False, True]
+    other = sc.Sim(sim.model)
+    sim.mocap_pos[0] = [0.2, 0, 1]
+    other.restore(sim.state())
+    sim.step(50)
+    other.step(50)
+    assert sim.state() == other.state()
+    assert sim.asleep.tolist() == [False, False, False, True]
+    assert sim.xpos[2].tolist() == pytest.approx([0.2, 0, 1])
+
+
+def test_a_snapshot_of_another_model_of_the_same_size_leaves_all_awake():
+    chain = arm("a", 0, end=0).replace("</body>", arm("b", 0, end=0) + "</body>")
+    apart, linked = (
+        sc.Sim(sc.loads(scene(world)).compile())
+        for world in (arm("a", 0, end=0) + arm("b", 1, end=0), chain)
+    )
+    apart.step(20)
+    assert apart.asleep.tolist() == [False, True, True]
+    linked.restore(apart.state())
+    linked.step(1)
+    assert not linked.asleep.any()
+    linked.step(20)

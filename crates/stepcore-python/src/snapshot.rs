@@ -2,6 +2,7 @@
 
 use stepcore::arrays::{Array, Given};
 use stepcore::model::NONE;
+use stepcore::real::{Mask, Real};
 use stepcore::sleep::Sleep;
 use stepcore::state::{Warm, WARM_ROWS};
 
@@ -62,6 +63,15 @@ pub fn encode(dt: f64, memo: &Memo, given: &Given) -> Vec<u8> {
     }
     bytes.extend(checksum(&bytes).to_le_bytes());
     bytes
+}
+
+/// An impulse of a snapshot; that of an f64 world may be no number in f32, and is then none.
+pub fn impulse<R: Real>(x: f64) -> f64 {
+    if R::of(x).is_finite().all() {
+        x
+    } else {
+        0.0
+    }
 }
 
 fn encode_warm(bytes: &mut Vec<u8>, warm: &Warm<f64>) {

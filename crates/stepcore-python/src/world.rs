@@ -7,7 +7,7 @@ use stepcore::arrays::{Array, Given};
 use stepcore::elements::Element;
 use stepcore::error::Result;
 use stepcore::model::Model;
-use stepcore::real::{Mask, Real};
+use stepcore::real::Real;
 use stepcore::scene::Sensor;
 use stepcore::sensors::Reading;
 use stepcore::settings::{Precision, Settings};
@@ -18,6 +18,7 @@ use stepcore::state::{State, Warm};
 use stepcore::watch::{Counter, Coupling, LastSolve, Linearizer, RayFilter, StepGains, Watched};
 
 use crate::readings::{self, flat, Rays, TendonPath};
+use crate::snapshot::impulse;
 
 /// What is read of the present state.
 #[derive(Clone, Copy)]
@@ -114,15 +115,6 @@ impl Memo {
         let warm = state.warm.iter().map(|w| w.in_lane(lane)).filter(Warm::acts);
         let sleep = state.sleep.cast();
         Self { start: state.start, steps: state.steps, warm: warm.collect(), sleep }
-    }
-}
-
-/// An impulse of a snapshot; that of an f64 world may be no number in f32, and is then none.
-pub fn impulse<R: Real>(x: f64) -> f64 {
-    if R::of(x).is_finite().all() {
-        x
-    } else {
-        0.0
     }
 }
 

@@ -14,7 +14,8 @@ use stepcore::settings::{Precision, Settings};
 use stepcore::state::{Warm, WARM_ROWS};
 
 use crate::auto::Auto;
-use crate::world::{impulse, Memo, World};
+use crate::snapshot::impulse;
+use crate::world::{Memo, World};
 
 // Worlds side by side, where the module has lanes.
 #[cfg(not(feature = "single"))]

@@ -203,7 +203,7 @@ pub struct Settings {
     /// Friction under `solref` holds a contact that sticks by a spring, without creep: see
     /// `elements/anchor.rs`.
     pub stiction: bool,
-    /// Islands at rest sleep: see `sleep.rs`.
+    /// Islands at rest sleep: see `sleep/`.
     pub sleep: bool,
     /// The speed below which a tree may sleep [m/s].
     pub sleep_tolerance: f64,

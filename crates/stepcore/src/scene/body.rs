@@ -13,7 +13,7 @@ pub struct Inertial {
     pub axes: Option<[f64; 4]>,
 }
 
-/// Whether a tree may sleep, said of its root; see `sleep.rs`.
+/// Whether a tree may sleep, said of its root; see `sleep/`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SleepPolicy {
     /// Unless an actuator drives it, or a tendon that pulls ties it to another tree.

@@ -179,18 +179,15 @@ impl<R: Real> Sim<R> {
         self.next.woken.clear();
         let Self { model, state, next, inputs, sleeper, .. } = self;
         state.sleep.copy_to(&mut next.sleep);
+        next.sleep.fill(model);
         if !next.sleep.any() {
             return;
         }
-        let carried = self.placed.mocap.iter().zip(inputs.mocap()).any(|(old, new)| *old != new);
         for (tree, [from, to]) in sleeper.qpos.iter().enumerate() {
-            let own = &model.trees[tree];
-            let moves = || state.qvel[own.dofs.range()].iter().any(|v| !v.is_zero());
-            let moved = || state.qpos[*from..*to] != next.sleep.qpos[*from..*to];
-            let carried = carried && model.bodies[own.bodies.start].carried;
-            if next.sleep.has(tree)
-                && (carried || moves() || moved() || pushed(model, inputs, tree))
-            {
+            let mut qvel = state.qvel[model.trees[tree].dofs.range()].iter();
+            let moves = qvel.any(|v| !v.is_zero());
+            let moved = state.qpos[*from..*to] != next.sleep.qpos[*from..*to];
+            if next.sleep.has(tree) && (moves || moved || pushed(model, inputs, tree)) {
                 next.wake(tree, 0, &state.warm);
             }
         }
@@ -321,6 +318,17 @@ impl<R: Real> Sim<R> {
                 next.qvel[own.dofs.range()].fill(R::zero());
                 next.qpos[from..to].copy_from_slice(&state.qpos[from..to]);
                 next.sleep.qpos[from..to].copy_from_slice(&state.qpos[from..to]);
+            }
+        }
+        // What pulls at nothing but trees that slept all along stands still with them.
+        let slept = |dof: usize| detected.asleep[tree_of(dof)];
+        if model.na > 0 && detected.asleep.contains(&true) {
+            for (along, states) in model.along.iter().zip(&model.activations) {
+                let mut rests = true;
+                along.movers(model, |dof| rests &= slept(dof));
+                if rests {
+                    next.act[states.range()].copy_from_slice(&state.act[states.range()]);
+                }
             }
         }
         if settings.keeps() {

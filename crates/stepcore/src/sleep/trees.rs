@@ -57,7 +57,8 @@ impl<R: Real> Sleeper<R> {
 }
 
 /// By tree: it never sleeps. Left to itself is a tree that no actuator drives, whose force may change
-/// at any time, and that shares no tendon that pulls, and none with two others.
+/// at any time, and that shares no tendon that pulls, and none with two others. What hangs on a mocap
+/// body is never left: where that stood before is no part of the state.
 fn never(model: &Model) -> Vec<bool> {
     let mut bound = vec![false; model.trees.len()];
     for (actuator, along) in model.actuators.iter().zip(&model.along) {
@@ -77,10 +78,13 @@ fn never(model: &Model) -> Vec<bool> {
             trees.iter().for_each(|tree| bound[*tree] = true);
         }
     }
-    let never = |(tree, bound): (&crate::model::Tree, bool)| match tree.sleep {
-        SleepPolicy::Auto => bound,
-        SleepPolicy::Never => true,
-        SleepPolicy::Allowed | SleepPolicy::Init => false,
+    let never = |(tree, bound): (&crate::model::Tree, bool)| {
+        let allowed = match tree.sleep {
+            SleepPolicy::Auto => !bound,
+            SleepPolicy::Never => false,
+            SleepPolicy::Allowed | SleepPolicy::Init => true,
+        };
+        !allowed || model.bodies[tree.bodies.start].carried
     };
     model.trees.iter().zip(bound).map(never).collect()
 }
