@@ -189,7 +189,7 @@ class Assets:
                     f"<hfield> elevation has {len(heights)} numbers: must be nrow × ncol = "
                     f"{nrow * ncol}"
                 )
-            hfield.elevation = np.array(heights).reshape(nrow, ncol)
+            hfield.elevation = np.asarray(heights).reshape(nrow, ncol)
 
     def _path(self, scene: Contents, node: Node, name: str) -> str:
         """Where a file of this name lies; a note if that is outside the folder of the model."""

@@ -19,7 +19,8 @@ class MJCFError(ValueError):
 
     file: the name of the file as it was given. line: counted from 1. text: the message without
     them. kind: of a thing that is not built yet, what `stepcore.load` can leave out ("" for other
-    errors). errors: all that is wrong with the file, this one first, where there is more.
+    errors). errors: what is wrong with the file (elements are read until 100 are
+    wrong), this one first, where there is more.
     """
 
     def __init__(self, file: str, line: int, text: str, kind: str = "") -> None:
