@@ -81,8 +81,8 @@ def call(args: argparse.Namespace) -> int:
     # Of a run that fails its motion until then is seen.
     seen = single.trajectory
     if seen is not None:
-        for error in attempted([(args.page, lambda: seen.save_html(args.page))]):
-            raise error
+        for unsaved in attempted([(args.page, lambda: seen.save_html(args.page))]):
+            raise unsaved
         put(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
     return 1 if failed else 0
 
