@@ -37,8 +37,8 @@ _EFFECTS = {
     "flag/diagexact": "limits, contacts and equalities would be softer or harder, by their inertia "
     "at each state instead of that at qpos0",
     "flag/ipc": "contacts would be barriers that nothing goes through",
-    "flag/speculative": "contacts would act a step before bodies touch, so that fast ones do not "
-    'pass through thin ones; law="rigid" or a smaller timestep does that here',
+    "flag/speculative": "contacts would act a step before bodies touch, so that none goes through "
+    'another; law="rigid" or a smaller timestep does that here',
     "body/gravcomp": "a force holds the body up against gravity",
     "body/mocap": "the body stands where its user puts it",
     "joint/springdamper": "a spring and a damper of given times act on the joint",
