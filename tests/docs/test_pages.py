@@ -111,4 +111,6 @@ def lengths(text):
 def test_the_files_that_the_pages_name_are_there():
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     named = set(re.findall(r"\b(?:tests|benches|docs|crates|python)/[\w./-]*\w", text))
-    assert not [name for name in named if not (ROOT / name).exists()]
+    # Those of docs/mujoco_models.md are MuJoCo's.
+    own = {name for name in named if not name.startswith("python/mujoco/")}
+    assert not [name for name in own if not (ROOT / name).exists()]

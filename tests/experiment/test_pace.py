@@ -17,6 +17,7 @@ def test_it_times_steps_along_the_run():
     assert 0 < pace.seconds(other) < 1
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 def test_states_that_fail_are_left_out():
     scene = sc.Scene()
     body = scene.add_body()

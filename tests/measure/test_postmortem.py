@@ -348,6 +348,7 @@ def alone(start, steps, ledger):
     return sim, None
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 @pytest.mark.parametrize("lanes", [True, False])
 @pytest.mark.parametrize("ledger", [True, False])
 def test_the_others_go_on(lanes, ledger):
@@ -396,6 +397,7 @@ def test_a_batch_that_stops_tells_as_much():
         sc.Batch(unstable(), 2, on_failure="ignore")
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 def test_every_world_fails_and_time_goes_on():
     batch = sc.Batch(unstable(), 3, on_failure="go on")
     batch.qpos[:] = 1.0

@@ -165,6 +165,7 @@ def test_a_file_that_grows_is_read_as_far_as_it_said(tmp_path, monkeypatch):
     class Shorter:
         def __init__(self, whole):
             self.st_mode, self.st_size = whole.st_mode, whole.st_size - 1
+            self.st_dev, self.st_ino = whole.st_dev, whole.st_ino
 
     monkeypatch.setattr(os, "fstat", lambda number: Shorter(status(number)))
     assert files.read(path, "a model") == BODY.encode()

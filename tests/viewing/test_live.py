@@ -81,6 +81,7 @@ def test_a_keyframe_is_a_start():
         assert np.array_equal(view._panel.sim.qpos, sim.qpos)
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 def test_a_failure_is_shown_and_does_not_end_the_view():
     scene = sc.Scene()
     body = scene.add_body()

@@ -111,6 +111,7 @@ impl<R: Real> Sim<R> {
     /// What contacts push beside their rows is part of what the rows start from.
     pub(crate) fn take_pushes(&mut self) {
         if !self.rows.pushes.is_empty() {
+            self.next.smooth.copy_from_slice(&self.placed.guess);
             self.placed.guess.copy_from_slice(&self.rows.u);
         }
     }

@@ -94,10 +94,15 @@ impl<R: Real> Group<R> {
             || self.state.carries()
     }
 
-    /// A list has stepped it; true if somebody looks at its energies.
-    pub fn listed(&mut self) -> bool {
+    /// A list has stepped it.
+    pub fn listed(&mut self) {
+        self.last.fill(Last::Step);
         self.ledger.iter_mut().for_each(|ledger| ledger.went_on(&self.state));
-        self.ledger.is_some()
+    }
+
+    /// Steps until somebody looks at its energies, if anybody does.
+    pub fn until_look(&self) -> Option<u64> {
+        self.ledger.as_ref().map(|ledger| ledger.until_due(&self.state))
     }
 
     /// Of a world whose energies cannot be: its lane, and what there is to say. Unless the settings ask

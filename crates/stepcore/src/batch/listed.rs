@@ -1,6 +1,6 @@
 //! Groups that a list steps (`program/`), side by side.
 
-use super::group::{Group, Last};
+use super::group::Group;
 use crate::program::Blocks;
 use crate::real::Real;
 
@@ -46,9 +46,15 @@ fn step_block<R: Real>(
 ) {
     let mut left = n;
     while left > 0 {
-        let now = left.min(PORTION);
+        let mut now = left.min(PORTION);
+        for (index, group) in block.iter_mut().enumerate() {
+            if group.until_look() == Some(0) {
+                run(index, group, 0);
+            }
+            now = now.min(group.until_look().unwrap_or(now)).max(1);
+        }
         if list.step(now, block) {
-            block.iter_mut().for_each(|group| group.last.fill(Last::Step));
+            block.iter_mut().for_each(Group::listed);
         } else {
             each(block, now, &mut run);
             // Whoever fails does so in all that was asked for.
@@ -64,10 +70,5 @@ fn step_block<R: Real>(
             }
         }
         left -= now;
-    }
-    for (index, group) in block.iter_mut().enumerate() {
-        if group.listed() {
-            run(index, group, 0);
-        }
     }
 }

@@ -349,6 +349,7 @@ impl<R: Real> Batch<R> {
             }
         });
         let Some((done, error)) = first_failure(groups, seats) else { return Ok(()) };
+        groups.iter_mut().for_each(|group| drop(group.take_said()));
         // All worlds go back, and then on to where this one was still well.
         crew.share(groups, done, |desk, index, group| {
             group.start.copy_to(&mut group.state);

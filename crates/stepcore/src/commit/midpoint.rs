@@ -116,7 +116,9 @@ impl<R: Real> Sim<R> {
     /// What the forces other than contacts would change in the velocities: where contacts hold them,
     /// the difference is rounding beside this.
     fn smooth_gain(&self) -> R {
-        let free = self.placed.guess.iter().zip(&self.placed.u);
+        let smooth =
+            if self.rows.pushes.is_empty() { &self.placed.guess } else { &self.next.smooth };
+        let free = smooth.iter().zip(&self.placed.u);
         free.fold(R::zero(), |most, (guess, u)| most.max((*guess - *u).abs()))
     }
 

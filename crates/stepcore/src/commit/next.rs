@@ -23,6 +23,8 @@ pub struct Next<R: Real> {
     pub held: Vec<R>,
     /// Working space, by dof.
     pub change: Vec<R>,
+    /// The guess of the smooth forces alone, where contacts push beside their rows.
+    pub smooth: Vec<R>,
     pub(super) gained: Vec<R>,
     /// The constant velocity that would have moved the positions as far, under `rk4` and `midpoint`.
     pub(super) mean: Vec<R>,
@@ -44,7 +46,7 @@ pub struct Next<R: Real> {
     pub(super) sums: Sums<R>,
 }
 
-room!(Next<R>: qpos, qvel, act, centres, ctrl_history, start, held, change, gained, mean, warm, woken; sleep, trial, damped, implicit, sums);
+room!(Next<R>: qpos, qvel, act, centres, ctrl_history, start, held, change, smooth, gained, mean, warm, woken; sleep, trial, damped, implicit, sums);
 
 /// Positions and velocities within a step.
 pub(crate) struct Trial<R: Real> {
@@ -83,6 +85,7 @@ impl<R: Real> Next<R> {
             start: zeros(nv),
             held: zeros(model.equalities.iter().map(|e| e.rows()).sum()),
             change: zeros(nv),
+            smooth: zeros(nv),
             gained: zeros(nv),
             mean: zeros(nv),
             warm: Vec::new(),

@@ -161,6 +161,8 @@ impl<R: Real> Watched<R> {
             return error;
         }
         self.failed = true;
+        // The error says more than a warning of the same run.
+        self.ledger.iter_mut().for_each(|ledger| drop(ledger.take_said()));
         let error = self.explained(error);
         // What was solved last led nowhere: what can be read is that of the last finite state.
         let effort = self.sim.effort;

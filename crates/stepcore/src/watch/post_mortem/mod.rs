@@ -115,6 +115,9 @@ impl<R: Real> Run<'_, R> {
         let saturated = match element.map(|element| element.kind) {
             Some(Kind::Gravity) => saturated(&steps, 0.0),
             Some(Kind::Inertia) => saturated(seen, OUT_OF_HAND),
+            Some(Kind::Actuator) if shares.is_empty() => {
+                saturated(&steps, OUT_OF_HAND).filter(|servo| element == Some(*servo))
+            }
             _ => None,
         };
         let element = saturated.or(element);
