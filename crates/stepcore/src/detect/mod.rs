@@ -203,10 +203,12 @@ fn rests(model: &Model, asleep: &[bool], geom: usize) -> bool {
 }
 
 /// Below which distance the contacts of a pair are listed [m], for the exact test and by lane. `more`:
-/// how far a law on the guess looks, and no farther in a lane whose neighbour is faster.
+/// how far a law on the guess looks. Beyond it the row maker drops whatever stands in a lane because a
+/// neighbour is faster; but adhesion would pull there.
 fn listed<R: Real>(model: &Model, pair: &Pair, more: Option<R>) -> (f64, R) {
     match more {
-        Some(more) => (f64::INFINITY, more),
+        Some(more) if model.adheres => (f64::INFINITY, more),
+        Some(_) => (f64::INFINITY, R::of(f64::INFINITY)),
         None => {
             let listed = model.material(pair).listed();
             (listed, R::of(listed))

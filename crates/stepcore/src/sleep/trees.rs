@@ -28,7 +28,9 @@ pub(crate) struct Sleeper<R: Real> {
 impl<R: Real> Room for Sleeper<R> {
     fn room(&self) -> usize {
         let lists = listed(&self.never) + listed(&self.length) + listed(&self.qpos);
-        lists + self.initial.room() + self.union.room() + listed(&self.ready)
+        // The two counts of an Arc, and what it holds.
+        let initial = 2 * size_of::<usize>() + size_of::<Sleep<R>>() + self.initial.room();
+        lists + initial + self.union.room() + listed(&self.ready)
     }
 }
 
