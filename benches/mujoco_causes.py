@@ -35,13 +35,10 @@ THEIRS = {
 }
 # What only the file can say; at a difference above 1e-6 each was looked into.
 FILES = {
-    r"core_smooth/ten_armature_0": "tendon armature in the inverse weight of what slides: ours",
     r"ray/hfield": "mass of a height field on a body that does not move: ours",
-    r"user/testdata/discardvisual": "mass of a static body whose mesh only draws: ours",
     r"testdata/(collisions|frame|frame1)\.xml": (
         "contacts that nothing can move press with 1e14 to 1e18 N; what is left of them is rounding"
     ),
-    r"python/mujoco/testdata/model.urdf": "fixed links of a URDF, which MuJoCo fuses",
     r"replicate/bunnies": "hundreds of large meshes: the oracle takes too long",
     r"sensor/fromto_": "nearest points that are not unique, or a distance that is the cutoff: ties",
 }

@@ -116,3 +116,13 @@ def test_limit_of_a_slide_under_a_heavy_tendon(tendon: str) -> None:
     sim.forward()
     assert sim.model.dof_invweight0[0] == pytest.approx(1 / 6, rel=1e-14)
     assert sim.qacc[0] == pytest.approx(-125, rel=1e-12)
+
+
+@pytest.mark.parametrize("mocap", ["", 'mocap="true"'])
+def test_a_slide_on_a_body_that_its_user_moves(mocap: str) -> None:
+    """The inverse weight of its mass alone, as on any body that nothing moves."""
+    text = f"""<mujoco><worldbody><body pos="5 0 0" {mocap}><geom size=".1"/><body pos="0 0 2">
+      <joint type="slide"/><geom size=".1" mass="3"/></body></body></worldbody></mujoco>"""
+    theirs, ours = mujoco.MjModel.from_xml_string(text), sc.loads(text).compile()
+    assert ours.body_invweight0.tolist() == theirs.body_invweight0.tolist()
+    assert ours.body_invweight0[2].tolist() == [1 / 3, 0.0]

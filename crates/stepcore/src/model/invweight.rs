@@ -296,7 +296,7 @@ fn plain<'a>(
     };
     let grounded = |i: usize| {
         let parent = &model.bodies[model.bodies[i].parent];
-        parent.parent == 0 && parent.dofs.len == 0 && !parent.carried
+        parent.parent == 0 && parent.dofs.len == 0
     };
     (1..model.bodies.len()).filter(move |&i| {
         let body = &model.bodies[i];
