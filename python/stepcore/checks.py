@@ -14,29 +14,17 @@ import re
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from stepcore import escapes
+
 Check = Callable[[Any, str, Any], Any]
 
 # Below this length a direction or a quaternion has no meaning (MuJoCo's own threshold).
 TINY = 1e-14
-
-# Where no name is near, so many of those that exist are listed.
-KNOWN = 10
-
+KNOWN = 10  # Where no name is near, so many of those that exist are listed.
 # No text of an error is longer, whatever a file or an argument holds [characters].
 LONGEST = 1000
-
-
-# Control characters (C0, DEL, C1) are commands to terminals; the others turn the direction of
-# writing, or are ends of lines to some readers. Each is shown by its code.
-_TURNING = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))
-_ESCAPES = {c: f"\\x{c:02x}" for c in (*range(32), *range(127, 160))}
-_ESCAPES |= {c: f"\\u{c:04x}" for c in _TURNING}
-_IN_LINES = {c: text for c, text in _ESCAPES.items() if chr(c) not in "\t\n"}
-
-
-def printable(text: str) -> str:
-    """A text of several lines as a terminal may show it: whatever would command it is escaped."""
-    return text if text.isascii() and text.isprintable() else text.translate(_IN_LINES)
+# No name of an element is longer in an error, and no word or path [characters].
+LONGEST_NAME, LONGEST_WORD = 80, 300
 
 
 def shown(value: object, width: int = 80) -> str:
@@ -46,12 +34,10 @@ def shown(value: object, width: int = 80) -> str:
 
 def cut(text: str, width: int = LONGEST) -> str:
     """The text as it stands in a line: escaped as `printable` does, cut to `width` characters."""
-    text = text[: width + 1].translate(_ESCAPES)
+    text = escapes.escaped(text[: width + 1])
     return text if len(text) <= width else text[: width - 1] + "…"
 
 
-# No name of an element is longer in an error, and no word or path [characters].
-LONGEST_NAME, LONGEST_WORD = 80, 300
 _NAME = re.compile(rf'"[^"\n]{{{LONGEST_NAME + 1},}}"')
 _WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
@@ -129,18 +115,6 @@ class ElementError(ValueError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (str(self.owner), self.text)
-
-
-def path(name: str, value: object) -> str:
-    """`value` as the path of a file: a string, or what stands for one."""
-    if isinstance(value, (str, bytes, os.PathLike)):
-        try:
-            text = os.fsdecode(value)
-        except TypeError:
-            text = ""
-        if text and "\0" not in text:
-            return text
-    raise ValueError(f"{name} = {shown(value)}: must be a path")
 
 
 def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:

@@ -14,6 +14,18 @@ LARGEST = 2**28
 outputs: set[tuple[int, int]] = set()
 
 
+def path(name: str, value: object) -> str:
+    """`value` as the path of a file: a string, or what stands for one."""
+    if isinstance(value, (str, bytes, os.PathLike)):
+        try:
+            text = os.fsdecode(value)
+        except TypeError:
+            text = ""
+        if text and "\0" not in text:
+            return text
+    raise ValueError(f"{name} = {checks.shown(value)}: must be a path")
+
+
 def read(path: str | os.PathLike[str], expected: str) -> bytes:
     """Reads a regular file of at most `LARGEST` bytes.
 

@@ -9,8 +9,8 @@ import warnings
 import pytest
 
 import stepcore as sc
-from stepcore.checks import printable
 from stepcore.cli import main
+from stepcore.escapes import printable
 from stepcore.report.progress import Progress
 
 # C1 that XML allows, DEL, and characters that turn the direction of writing.

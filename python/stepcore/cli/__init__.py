@@ -16,8 +16,8 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
-from stepcore.checks import printable
 from stepcore.cli.terminal import print_what_can_be_printed, reason, say
+from stepcore.escapes import printable
 
 COMMANDS = {
     "lesson": "check the engine on four small scenes whose results are known",

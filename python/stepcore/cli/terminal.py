@@ -7,7 +7,8 @@ import os
 import sys
 from typing import TextIO
 
-from stepcore.checks import one_line, printable
+from stepcore.checks import one_line
+from stepcore.escapes import printable
 
 ERRORS = "stepcore.plain"
 REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}

@@ -87,7 +87,7 @@ class Replay:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the file that `stepcore.replay` and ``stepcore replay FILE`` read."""
-        Path(checks.path("path", path)).write_text(self.to_json() + "\n", encoding="utf-8")
+        Path(files.path("path", path)).write_text(self.to_json() + "\n", encoding="utf-8")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Replay:
@@ -96,7 +96,7 @@ class Replay:
         Raises ValueError, in one line, for a file that is no replay file, was damaged or has
         another version; FileNotFoundError for a missing file, IsADirectoryError for a folder.
         """
-        shown = checks.cut(checks.path("path", path), 300)
+        shown = checks.cut(files.path("path", path), 300)
         text = files.read(path, "a replay file")
         try:
             data = json.loads(text)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore.engine.axes import UNITS, Axis
 
 Data = Mapping[str, NDArray[Any]]
@@ -34,7 +34,7 @@ def write(
     # A step loads no reports.
     from stepcore.report.outputs import MARK
 
-    target = checks.path("path", path)
+    target = files.path("path", path)
     with open(target, "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     with zipfile.ZipFile(target, "a") as archive:
@@ -45,7 +45,7 @@ def read(
     path: str | os.PathLike[str],
 ) -> tuple[NDArray[Any], dict[str, NDArray[Any]], str, dict[str, tuple[Axis, ...]]]:
     """Time, data, what was not solved, and axes; see `Trajectory.load`."""
-    source = checks.path("path", path)
+    source = files.path("path", path)
     shown = checks.cut(source, 300)
     if os.path.isdir(source):
         raise IsADirectoryError(f"{shown}: is a folder, not a trajectory")

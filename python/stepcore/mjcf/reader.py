@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore.checks import ElementError, flag
 from stepcore.mjcf import (
     actuators,
@@ -92,7 +92,7 @@ def read_text(
     if not isinstance(text, (str, bytes)):
         raise MJCFError(checks.word("name", name), 1, "an MJCF text must be a str or bytes")
     if base is not None:
-        base = checks.path("base", base)
+        base = files.path("base", base)
     root = parse(text, checks.word("name", name))
     scene.notes += expand(root, None if base is None else Path(base), None)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
 
-from stepcore import checks
+from stepcore import files
 from stepcore._core import Settings
 from stepcore.mjcf import custom
 from stepcore.mjcf.option import said, to_say
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 def save(scene: Contents, path: str | os.PathLike[str]) -> None:
     """Writes the scene to a file; see `Scene.save`."""
-    target = Path(checks.path("path", path))
+    target = Path(files.path("path", path))
     data = kept(scene, os.path.abspath(target.parent))
     target.write_bytes(written(scene).encode() if data is None else data)
 

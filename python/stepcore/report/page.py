@@ -6,7 +6,7 @@ import base64
 import html
 from importlib import resources
 
-from stepcore import checks
+from stepcore import escapes
 from stepcore.report.outputs import MARK
 
 PAGE = """<!doctype html>
@@ -28,7 +28,7 @@ PAGE = """<!doctype html>
 def page(title: str, answer: str, picture: str, details: str) -> str:
     """A page that needs no other file and no network; answer, picture, details: as HTML."""
     return PAGE.format(
-        title=html.escape(checks.printable(title)),
+        title=html.escape(escapes.printable(title)),
         mark=MARK,
         style=_own("page.css"),
         answer=answer,
@@ -41,7 +41,7 @@ def page(title: str, answer: str, picture: str, details: str) -> str:
 def picture(drawn: bytes, title: str) -> str:
     """A drawing (SVG) as an image within the text."""
     coded = base64.b64encode(drawn).decode("ascii")
-    alt = html.escape(checks.printable(title), quote=True)
+    alt = html.escape(escapes.printable(title), quote=True)
     style = "max-width: 100%; height: auto"
     return f'<img alt="{alt}" style="{style}" src="data:image/svg+xml;base64,{coded}"/>'
 

@@ -13,7 +13,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from stepcore import checks
+from stepcore import checks, escapes
 from stepcore.report import page as pages
 from stepcore.report.table import Table, window
 from stepcore.report.units import NAMES, counted
@@ -129,7 +129,7 @@ def wrapped(
     whole: a word that is too long for a line, such as a path or a number, is left whole.
     """
     lines = textwrap.wrap(
-        BEFORE_UNIT.sub(FIXED, checks.printable(sentence)),
+        BEFORE_UNIT.sub(FIXED, escapes.printable(sentence)),
         min(size, PROSE),
         initial_indent="  " if item else "",
         subsequent_indent=" " * (4 if item else hanging),
@@ -167,4 +167,4 @@ def _small(text: str) -> str:
 
 def _marked(text: str) -> str:
     """A text as HTML, with the names in backticks marked as code."""
-    return CODE.sub(r"<code>\1</code>", html.escape(checks.printable(text)))
+    return CODE.sub(r"<code>\1</code>", html.escape(escapes.printable(text)))

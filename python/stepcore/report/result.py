@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore.report.outputs import MARK
 from stepcore.report.page import picture
 from stepcore.report.report import Report
@@ -126,7 +126,7 @@ class Result(ABC):
 
         Written to `path` if given.
         """
-        target = None if path is None else checks.path("path", path)
+        target = None if path is None else files.path("path", path)
         page = self.report(full=True).page(self._drawn())
         if target is not None:
             Path(target).write_text(page, encoding="utf-8")

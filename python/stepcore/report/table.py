@@ -9,7 +9,7 @@ from dataclasses import fields, is_dataclass
 from html import escape
 from typing import Any, overload
 
-from stepcore import checks
+from stepcore import escapes
 from stepcore._core import Settings
 
 # Where the output is no terminal: every column of a trade has room.
@@ -122,7 +122,7 @@ class Table:
         style = {
             name: ' class="text" style="text-align: left"' if name in left else "" for name in grid
         }
-        lines = [TABLE.format(caption=escape(checks.printable(self.heading)))]
+        lines = [TABLE.format(caption=escape(escapes.printable(self.heading)))]
         lines += [f"<th{style[name]}>{escape(_line_of(name))}</th>" for name in grid]
         lines.append("</tr></thead><tbody>")
         for i in range(len(self)):
@@ -195,7 +195,7 @@ def _cell(value: Any, spec: str) -> str:
 
 
 def _line_of(text: object) -> str:
-    return checks.printable(" ".join(str(text).split()))
+    return escapes.printable(" ".join(str(text).split()))
 
 
 def _total(sizes: Mapping[str, int]) -> int:

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore.scene import frames
 from stepcore.scene.element import belongs
 from stepcore.scene.elements import (
@@ -179,7 +179,7 @@ class Contents(Holdings):
         if file is not None:
             from stepcore.scene import mesh_files
 
-            file = checks.path("file", file)
+            file = files.path("file", file)
             surface = mesh_files.read(file)
             given["vertices"], given["faces"] = surface.vertices, surface.faces
             self.notes += mesh_files.notes(file, surface)
@@ -211,7 +211,7 @@ class Contents(Holdings):
         if file is not None:
             from stepcore.scene import hfield_files
 
-            file = checks.path("file", file)
+            file = files.path("file", file)
             given = {"elevation": hfield_files.read(file), "file": file}
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.hfields, HField, {}, name=name, size=size, **given)

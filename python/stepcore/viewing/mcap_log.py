@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import checks
+from stepcore import files
 from stepcore.report.outputs import MARK
 from stepcore.report.table import jsonable
 from stepcore.viewing import foxglove
@@ -43,7 +43,7 @@ def write(
     path: str | os.PathLike[str],
 ) -> None:
     """Writes the log of a run; time, data: what was recorded. See `Trajectory.save_mcap`."""
-    target = checks.path("path", path)
+    target = files.path("path", path)
     writer_of = need("mcap.writer", "Trajectory.save_mcap", "mcap").Writer
     schemas = {
         "/tf": foxglove.FRAME_TRANSFORMS,

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import checks
+from stepcore import escapes, files
 from stepcore.report.outputs import MARK
 from stepcore.viewing.drawing import ARROW, TINTS, Drawing, Shape
 from stepcore.viewing.frames import Replayed, distance
@@ -48,7 +48,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
     coded = base64.b64encode(zlib.compress(json.dumps(data).encode(), 9)).decode()
     parts = {
         "MARK": MARK,
-        "TITLE": html.escape(checks.printable(title)),
+        "TITLE": html.escape(escapes.printable(title)),
         "STYLE": _own("page.css"),
         "THREE": three(),
         "DATA": coded,
@@ -62,7 +62,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
 
 def save_page(runs: Sequence[Replayed], path: str | os.PathLike[str]) -> None:
     """Writes the page to a file."""
-    Path(checks.path("path", path)).write_text(page(runs), encoding="utf-8")
+    Path(files.path("path", path)).write_text(page(runs), encoding="utf-8")
 
 
 def framed(text: str, height: int = 480) -> str:

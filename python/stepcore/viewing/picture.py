@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore.viewing.camera import LARGEST, Following, camera_of
 from stepcore.viewing.drawing import Drawing, drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
@@ -115,7 +115,7 @@ def _check_ending(
     owner: str, path: str | os.PathLike[str], known: Collection[str], such: str
 ) -> None:
     """Refuses a file that could not be written, before seconds of drawing."""
-    if os.path.splitext(checks.path("path", path))[1].lower() not in known:
+    if os.path.splitext(files.path("path", path))[1].lower() not in known:
         raise checks.refuse(owner, "path", path, f"a name that ends in {such}")
 
 

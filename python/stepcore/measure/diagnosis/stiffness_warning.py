@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING
 
-from stepcore import checks
+from stepcore import escapes
 
 if TYPE_CHECKING:
     from stepcore._core import Settings
@@ -53,7 +53,7 @@ def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
         # A warning never fails a load.
         return
     if text:
-        warnings.warn(StiffnessWarning(checks.printable(text)), stacklevel=stacklevel)
+        warnings.warn(StiffnessWarning(escapes.printable(text)), stacklevel=stacklevel)
 
 
 def stiffness(scene: Scene) -> str:

@@ -9,13 +9,13 @@ import importlib
 import os
 from typing import Any
 
-from stepcore import checks
+from stepcore import escapes, files
 from stepcore.report.outputs import remark
 
 
 def plot(kind: str, result: Any, path: str | os.PathLike[str] | None) -> Any:
     """The Figure that `draw` of the module `kind` makes; written to `path` if given."""
-    target = None if path is None else checks.path("path", path)
+    target = None if path is None else files.path("path", path)
     figure = importlib.import_module(f"stepcore.report.plot.{kind}").draw(result)
     _make_printable(figure)
     if target is not None:
@@ -28,6 +28,6 @@ def _make_printable(figure: Any) -> None:
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
-        shown = checks.printable(text.get_text())
+        shown = escapes.printable(text.get_text())
         if shown != text.get_text():
             text.set_text(shown)
