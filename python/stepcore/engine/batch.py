@@ -139,7 +139,8 @@ class Batch(Stepped):
 
         Ctrl-C is noticed between steps, as is what `progress` raises; the steps until then count.
         Warns (`UnsolvedWarning`) once if a world's residual is more than gravity gives in a step at
-        three looks in a row; it looks after 64, 128, 256, … steps.
+        three looks in a row; it looks after 64, 128, 256, … steps. Warns (`EnergyWarning`) once if
+        one of about 32 worlds, evenly spread, has far more energy than it can have gained.
         """
         with self._long(n, progress) as told:
             self._core.step(n, told)

@@ -108,7 +108,8 @@ class Sim(Stepped):
         Raises ValueError if a state or input is not finite; nothing is stepped then. Raises
         SimulationError if the motion stops being finite or, with the setting ``ledger``, has more
         energy than it can have; the last finite state is kept. Without ``ledger`` it warns once
-        (`EnergyWarning`) of energy that is far beyond that. Ctrl-C is noticed between steps.
+        (`EnergyWarning`) of energy that is far beyond that. Ctrl-C is noticed between steps, and in
+        a step of many sweeps, which is then not taken.
         """
         try:
             self._core.step(n)

@@ -105,8 +105,7 @@ impl<R: Real> Group<R> {
         self.ledger.as_ref().map(|ledger| ledger.until_due(&self.state))
     }
 
-    /// Of a world whose energies cannot be: its lane, and what there is to say. Unless the settings ask
-    /// for the account, energies are not looked at any more.
+    /// What there is to say of a world whose energies cannot be, which is that of a lane.
     pub fn take_said(&mut self) -> Option<Box<Divergence>> {
         self.ledger.as_mut()?.take_said()
     }
