@@ -27,8 +27,8 @@ TIMED = {"stepcore trade gymnasium:half_cheetah --error 10mm --mujoco"}
 DRAWN = {
     "arm.png": "stepcore diagnose docs/arm.xml",
     "half_cheetah.png": "stepcore trade gymnasium:half_cheetah --error 10mm --mujoco",
-    "stability_spring.png": "stepcore map",
-    "stability_stack.png": "stepcore map lesson:stack",
+    "stability_spring.png": "stepcore stability-map",
+    "stability_stack.png": "stepcore stability-map lesson:stack",
 }
 
 

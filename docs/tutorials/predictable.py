@@ -38,7 +38,7 @@ scene = sc.loads(PENDULUM)
 # lost when that has grown more than 1000 times.
 
 # %%
-result = sc.predictability(scene, horizon=20.0, starts=1, progress=False)
+result = sc.predict(scene, horizon=20.0, starts=1, progress=False)
 print(result.sentences[0])
 print(f"predictable for {result.time:.1f} s")
 

@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from stepcore.measure.plan import plan as plan
     from stepcore.measure.predictability import Predictability as Predictability
     from stepcore.measure.predictability import StartGrowth as StartGrowth
-    from stepcore.measure.predictability import predictability as predictability
+    from stepcore.measure.predictability import predict as predict
     from stepcore.measure.stability import MapCell as MapCell
     from stepcore.measure.stability import MapPanel as MapPanel
     from stepcore.measure.stability import StabilityMap as StabilityMap
@@ -175,7 +175,7 @@ _MODULES = {
     "stepcore.measure.diagnosis.stiffness_warning": ("StiffnessWarning",),
     "stepcore.measure.findings": ("Finding",),
     "stepcore.measure.plan": ("plan",),
-    "stepcore.measure.predictability": ("Predictability", "StartGrowth", "predictability"),
+    "stepcore.measure.predictability": ("Predictability", "StartGrowth", "predict"),
     "stepcore.measure.stability": (
         "MapCell",
         "MapPanel",

@@ -165,7 +165,7 @@ CALLS = {
     "run control_dt": lambda model, x: sc.Sim(model).run(0.01, control_dt=x),
     "batch progress": lambda model, x: sc.Batch(model, 2).step(progress=x),
     "diagnose progress": lambda model, x: sc.diagnose(model, progress=x),
-    "predictability progress": lambda model, x: sc.predictability(
+    "predict progress": lambda model, x: sc.predict(
         model, horizon=0.02, starts=2, progress=x, threads=1
     ),
     "batch.model_of": lambda model, x: sc.Batch(model, 2).model_of(x),

@@ -135,4 +135,4 @@ def test_every_type_that_is_handed_out_can_be_imported(thing):
 
 def test_there_are_types_to_be_found():
     assert {found.__name__ for found in handed_out(sc.Sim)} >= {"Trajectory", "Energy", "BodyView"}
-    assert [found.__name__ for found in handed_out(sc.predictability)] == ["Predictability"]
+    assert [found.__name__ for found in handed_out(sc.predict)] == ["Predictability"]

@@ -220,8 +220,9 @@ def short(what, executor):
     if what == "diagnose":
         return sc.diagnose(scene, **some).to_dict()
     if what == "stability_map":
-        path, axes = "joint/spring/stiffness", ([50.0, 400.0], [0.002, 0.02, 0.2])
-        return sc.stability_map(scene, path, *axes, horizon=0.4, **some).to_dict()
+        grid = {"values": [50.0, 400.0], "dts": [0.002, 0.02, 0.2]}
+        path = "joint/spring/stiffness"
+        return sc.stability_map(scene, path=path, **grid, horizon=0.4, **some).to_dict()
     motion = {"horizon": 0.2, "starts": 2}
     if what == "trade":
         found = sc.trade(scene, **motion, dts=[0.01, 0.02], **some)
@@ -232,7 +233,7 @@ def short(what, executor):
     return getattr(sc, what)(scene, **motion, **some).to_dict()
 
 
-LONG = ["trade", "predictability", "diagnose", "ablate", "converge", "stability_map"]
+LONG = ["trade", "predict", "diagnose", "ablate", "converge", "stability_map"]
 
 
 @pytest.mark.parametrize("what", LONG)

@@ -76,7 +76,7 @@ def test_a_healthy_pd_is_accurate_at_the_step_at_which_it_is_sampled():
         ("much", "returned 'much' at time 0 s"),
     ],
 )
-@pytest.mark.parametrize("measure", [sc.trade, sc.diagnose, sc.converge, sc.predictability])
+@pytest.mark.parametrize("measure", [sc.trade, sc.diagnose, sc.converge, sc.predict])
 def test_a_control_that_returns_no_controls_is_named_with_what_it_returned(
     measure, returned, words
 ):
@@ -111,7 +111,7 @@ def test_nothing_is_recommended_for_a_motion_that_its_control_blows_up():
     def hot(time, sim):
         return pd(time, sim, kp=200_000.0)
 
-    for measure in (sc.trade, sc.converge, sc.predictability):
+    for measure in (sc.trade, sc.converge, sc.predict):
         with pytest.raises(ValueError, match=r"explodes|diverged") as told:
             measure(leg(), control=hot, starts=1, horizon=1.0, threads=1, progress=False)
         assert "hot" in str(told.value) or "motor `ankle`" in str(told.value)
@@ -155,7 +155,7 @@ def test_an_object_remembers_in_every_run_for_itself():
     assert result.error(result.shipped) < 1e-2
 
 
-@pytest.mark.parametrize("measure", [sc.trade, sc.ablate, sc.converge, sc.predictability])
+@pytest.mark.parametrize("measure", [sc.trade, sc.ablate, sc.converge, sc.predict])
 def test_a_function_that_answers_otherwise_when_asked_again_is_refused(measure):
     asked, rng = [], np.random.default_rng(0)
 

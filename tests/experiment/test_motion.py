@@ -25,7 +25,7 @@ def test_an_object_with_fields_beside_it_is_refused():
     with pytest.raises(ValueError, match="motion and seed are both given"):
         sc.trade("lesson:spring", sc.Motion(), seed=1)
     with pytest.raises(ValueError, match=r"motion = 0.2: must be a stepcore.Motion"):
-        sc.predictability("lesson:spring", 0.2)
+        sc.predict("lesson:spring", 0.2)
 
 
 @pytest.mark.parametrize(

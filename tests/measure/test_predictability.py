@@ -35,7 +35,7 @@ def pendulum(links=2, **options):
 def test_the_double_pendulum_from_the_horizontal():
     # Runs of point masses part 13 times in 8 s, 1.4e2 in 10 s, 1.5e4 in 15 s, 9.4e5 in 20 s, to
     # a factor of three, for how far depends on how they began.
-    found = sc.predictability(pendulum(), horizon=20.0, starts=1, **QUIET)
+    found = sc.predict(pendulum(), horizon=20.0, starts=1, **QUIET)
     factor, times = found.growth.factor[0], found.growth.times
     for time, wanted in ((8, 13), (10, 1.4e2), (20, 9.4e5)):
         near = np.abs(times - time) <= 0.81
@@ -51,7 +51,7 @@ def test_the_double_pendulum_from_the_horizontal():
 
 def test_a_single_pendulum_can_be_predicted():
     # Periods differ with the amplitude: perturbed runs part as t, not as an exponential.
-    found = sc.predictability(pendulum(1), horizon=20.0, starts=2, **QUIET)
+    found = sc.predict(pendulum(1), horizon=20.0, starts=2, **QUIET)
     assert found.time == math.inf
     assert 5 < found.growth.factor.max() < 50
     half = found.growth.factor[0][found.growth.times <= 10].max()
@@ -76,7 +76,7 @@ def billiard():
 def test_bounces_part_perturbed_runs_as_mirrors_part_rays():
     # The round mirror's matrix: y' = y + l θ', θ' = θ + 2 y / ρ, with the flight l = 1 m and the
     # sum of radii ρ = 1 m: eigenvalue 2 + √3 a bounce. Impacts fall exactly on ends of steps.
-    found = sc.predictability(billiard(), horizon=8.0, starts=1, **QUIET)
+    found = sc.predict(billiard(), horizon=8.0, starts=1, **QUIET)
     factor, times = found.growth.factor[0], found.growth.times
     at = [float(np.interp(t, times, factor)) for t in (4.0, 5.0, 6.0, 7.0)]
     assert np.array(at[1:]) / at[:-1] == pytest.approx([2 + math.sqrt(3)] * 3, rel=0.02)
@@ -104,22 +104,22 @@ def test_perturbed_runs_that_close_again_are_not_lost():
 
 
 def test_a_predictability_prints_exports_and_plots(tmp_path):
-    found = sc.predictability("lesson:spring", horizon=1.0, starts=2, **QUIET)
+    found = sc.predict("lesson:spring", horizon=1.0, starts=2, **QUIET)
     assert "over all of 1 s" in str(found) and found.to_dict()["predictable"] is None
     assert len(found.to_dict()["growth"]) == 2
     figure = found.plot(tmp_path / "growth.png")
     assert figure.axes[0].get_yscale() == "log"
     with pytest.raises(ValueError, match="nothing in it can move"):
-        sc.predictability(sc.Scene(), **QUIET)
+        sc.predict(sc.Scene(), **QUIET)
     with pytest.raises(ValueError, match="horizon"):
-        sc.predictability(lesson.spring(), horizon=-1.0, **QUIET)
+        sc.predict(lesson.spring(), horizon=-1.0, **QUIET)
 
 
 def test_processes_find_the_same():
     options = {"horizon": 0.4, "starts": 2, "progress": False}
-    here = sc.predictability(lesson.drop(), threads=1, **options)
+    here = sc.predict(lesson.drop(), threads=1, **options)
     with ProcessPoolExecutor(1) as pool:
-        there = sc.predictability(lesson.drop(), executor=pool, **options)
+        there = sc.predict(lesson.drop(), executor=pool, **options)
     assert here.to_json() == there.to_json()
 
 
@@ -170,8 +170,6 @@ def test_runs_that_reconverge_count_as_predictable():
     scene.add_joint(bob, "hinge", axis=(0, 1, 0))
     scene.add_key(qpos=[math.pi - 1e-4])
     scene.options = {"dt": 0.01}
-    short, long = (
-        sc.predictability(scene, horizon=t, starts=1, progress=False) for t in (10.0, 16.0)
-    )
+    short, long = (sc.predict(scene, horizon=t, starts=1, progress=False) for t in (10.0, 16.0))
     assert short.time == pytest.approx(9.3, abs=0.05) and "reconverge" in short.text()
     assert long.time == math.inf and long.growth.factor.max() > 1e4

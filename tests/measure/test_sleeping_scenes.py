@@ -13,7 +13,7 @@ MEASURES = {
         scene, error=1e-3, horizon=0.2, dts=[0.002, 0.004], solvers=["newton"], precisions=["f64"]
     ),
     "diagnose": lambda scene: sc.diagnose(scene, horizon=0.2),
-    "predictability": lambda scene: sc.predictability(scene, horizon=0.2),
+    "predictability": lambda scene: sc.predict(scene, horizon=0.2),
     "converge": lambda scene: sc.converge(scene, horizon=0.2),
     "ablate": lambda scene: sc.ablate(scene, horizon=0.2),
     "check": lambda scene: sc.check(scene, horizon=0.2),

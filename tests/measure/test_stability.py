@@ -14,6 +14,7 @@ from stepcore.engine.linear_maps import INTEGRATORS, step_matrix
 from stepcore.measure.stability import cases, reference, stability_map, theory
 from stepcore.measure.stability.result import SYMBOLS
 
+SPRING = "joint/spring/stiffness"
 ONE, NONE = np.eye(1), np.zeros((1, 1))
 
 
@@ -85,7 +86,7 @@ def test_the_spring_explodes_where_theory_says(integrator, limit):
     """A twentieth below ω dt it does not explode, a twentieth above it does, at any stiffness."""
     for stiffness in (25.0, 1e4):
         dts = np.array([0.01, 0.95, 1.05]) * min(limit, 100.0) / np.sqrt(stiffness)
-        found = stability_map(values=[stiffness], dts=dts, integrator=integrator, threads=1)
+        found = stability_map(values=[stiffness], dts=dts, integrators=integrator, threads=1)
         (panel,) = found.panels
         last = "exploded" if np.isfinite(limit) else "inaccurate"
         assert states(panel)[1:] == ["inaccurate", last]
@@ -97,7 +98,7 @@ def test_the_spring_explodes_where_theory_says(integrator, limit):
 def test_the_error_of_a_cell_is_the_closed_forms():
     """v-first turns by φ a step, sin(φ/2) = ω dt/2, and starts 1/2 ω dt behind: its own formula."""
     dt, omega = 0.01, 10.0
-    found = stability_map(values=[omega**2], dts=[dt], integrator="semi-implicit", horizon=1.0)
+    found = stability_map(values=[omega**2], dts=[dt], integrators="semi-implicit", horizon=1.0)
     turn = 2 * np.arcsin(omega * dt / 2)
     n = np.array(sorted({round(100 * k / 32) for k in range(1, 33)}))
     ours = np.cos((n + 0.5) * turn) / np.cos(turn / 2)
@@ -149,10 +150,8 @@ def test_impulses_carried_over_grow_beyond_a_ratio():
 def test_a_converged_run_is_as_good_as_the_closed_form():
     """The lesson's spring as any scene: the same states and errors, to the truth's own error."""
     grid = {"values": [10.0, 1000.0], "dts": [0.002, 0.02, 0.05, 0.1]}
-    closed = stability_map(**grid, integrator="semi-implicit", threads=1)
-    own = stability_map(
-        "lesson:spring", "joint/spring/stiffness", **grid, horizon=closed.horizon, threads=1
-    )
+    closed = stability_map(**grid, integrators="semi-implicit", threads=1)
+    own = stability_map("lesson:spring", path=SPRING, **grid, horizon=closed.horizon, threads=1)
     assert [p.reference for p in (*closed.panels, *own.panels)] == [
         "closed form",
         "converged run",
@@ -169,8 +168,8 @@ def test_turns_count_as_ways():
     wheel = scene.add_body("wheel", mass=1, inertia=(0.1, 0.1, 0.1))
     scene.add_joint(wheel, "hinge", name="axle", stiffness=10, damping=0.01)
     scene.add_key("turned", qpos=[0.5])
-    dts = [0.001, 0.05, 0.25]
-    found = stability_map(scene, "joint/axle/stiffness", [10.0], dts, integrator="euler")
+    grid = {"path": "joint/axle/stiffness", "values": [10.0], "dts": [0.001, 0.05, 0.25]}
+    found = stability_map(scene, **grid, integrators="euler")
     assert states(found.panels[0]) == ["finite", "inaccurate", "exploded"]
     assert found.panels[0].boundary == pytest.approx([0.2 + 0.001], rel=2e-3)
 
@@ -179,9 +178,9 @@ def test_contacts_are_judged_by_a_converged_run():
     """A soft contact, ever heavier: the damping of solref keeps it finite at small dt."""
     found = stability_map(
         lesson.drop("solref", solver="newton", sweeps=50),
-        "geom/shape0/mass",
-        [1.0, 10.0],
-        [1e-3, 4e-3],
+        path="geom/shape0/mass",
+        values=[1.0, 10.0],
+        dts=[1e-3, 4e-3],
         horizon=0.4,
         threads=1,
     )
@@ -189,10 +188,61 @@ def test_contacts_are_judged_by_a_converged_run():
     assert found.panels[0].boundary is None
 
 
+def sprung(**joint):
+    """A mass on a spring along a rail, with what makes rows in the test below."""
+    scene = sc.Scene(gravity=(0, 0, 0))
+    mass = scene.add_body("mass", mass=1, inertia=(1, 1, 1))
+    scene.add_joint(mass, "slide", name="rail", stiffness=100, **joint)
+    return scene
+
+
+def with_tendon(**tendon):
+    scene = sprung()
+    scene.add_tendon("rope", joints={"rail": 1.0}, **tendon)
+    return scene
+
+
+def with_equality():
+    scene = sprung()
+    scene.add_equality("joint", joint1="rail")
+    return scene
+
+
+def with_contact():
+    scene = sprung()
+    scene.add_geom(scene.world, "plane", size=(1, 1, 1))
+    scene.add_geom(scene.bodies[-1], "sphere", size=0.1)
+    return scene
+
+
+ROW_MAKERS = {
+    "limit": lambda: sprung(range=(-1, 1)),
+    "friction loss": lambda: sprung(frictionloss=0.1),
+    "tendon limit": lambda: with_tendon(range=(-1, 1)),
+    "tendon friction loss": lambda: with_tendon(frictionloss=0.1),
+    "equality": with_equality,
+    "contact": with_contact,
+}
+
+
+@pytest.mark.parametrize("kind", ROW_MAKERS)
+def test_the_true_motion_is_rk4s_only_where_nothing_makes_rows(kind):
+    """rk4 holds a row's impulse through a step or solves it four times: it is no truth for rows."""
+    model = ROW_MAKERS[kind]().compile()
+    assert reference.reference_settings(model).integrator == model.settings.integrator != "rk4"
+
+
+def test_the_true_motion_is_rk4s_without_rows():
+    """A spring, a tendon's spring, and a limit that is switched off."""
+    for scene in (sprung(), with_tendon(stiffness=5.0), sprung(range=(-1, 1))):
+        scene.features.limit = False
+        assert reference.reference_settings(scene.compile()).integrator == "rk4"
+
+
 def test_what_has_no_converged_run_is_not_judged(monkeypatch):
     """One run alone shows no convergence: finite cells get a question mark, and no error."""
     monkeypatch.setattr(reference, "HALVINGS", 0)
-    found = stability_map("lesson:spring", "joint/spring/stiffness", [100.0], [0.01, 0.3])
+    found = stability_map("lesson:spring", path=SPRING, values=[100.0], dts=[0.01, 0.3])
     cells = found.panels[0].cells
     assert [cell.state for cell in cells] == ["finite", "exploded"]
     assert not cells[0].judged and np.isnan(cells[0].error)
@@ -203,40 +253,41 @@ def test_what_has_no_converged_run_is_not_judged(monkeypatch):
 
 
 def test_an_executor_gives_the_same_map():
-    args = ("lesson:spring", "joint/spring/stiffness", [10.0, 1e4], [0.005, 0.05])
-    alone = stability_map(*args, threads=1)
+    grid = {"path": SPRING, "values": [10.0, 1e4], "dts": [0.005, 0.05]}
+    alone = stability_map("lesson:spring", **grid, threads=1)
     with ProcessPoolExecutor(2) as pool:
-        assert stability_map(*args, executor=pool).table.records == alone.table.records
+        assert (
+            stability_map("lesson:spring", **grid, executor=pool).table.records
+            == alone.table.records
+        )
     seen = []
-    stability_map(*args, progress=lambda *told: seen.append(told))
+    stability_map("lesson:spring", **grid, progress=lambda *told: seen.append(told))
     assert seen[-1][1:] == (4, 4)
 
 
-SPRING = "joint/spring/stiffness"
-
-
 def test_a_motion_and_its_fields_are_the_same():
-    args = ("lesson:spring", SPRING, [100.0], [0.01, 0.05])
-    fields = stability_map(*args, horizon=0.5, key="start", threads=1)
-    whole = stability_map(*args, sc.Motion(horizon=0.5, key="start"), threads=1)
+    grid = {"path": SPRING, "values": [100.0], "dts": [0.01, 0.05]}
+    fields = stability_map("lesson:spring", **grid, horizon=0.5, key="start", threads=1)
+    motion = sc.Motion(horizon=0.5, key="start")
+    whole = stability_map("lesson:spring", motion, **grid, threads=1)
     assert whole.table.records == fields.table.records
     assert whole.motion.horizon == 0.5 and whole.motion.key == "start"
     with pytest.raises(ValueError, match="stability_map does not use starts"):
-        stability_map(*args, sc.Motion(starts=2))
+        stability_map("lesson:spring", sc.Motion(starts=2), **grid)
     with pytest.raises(TypeError, match='no argument "horizn"; nearest: "horizon"'):
-        stability_map(*args, horizn=0.5)
+        stability_map("lesson:spring", **grid, horizn=0.5)
 
 
 def test_an_error_is_a_length_or_a_share_of_the_motion():
     """The spring swings from 1 m to -1 m, a motion of 2 m: 10 % of it are 20 cm."""
     dts = [0.01, 0.03, 0.05, 0.1]
     states_of = [
-        states(stability_map(values=[100.0], dts=dts, integrator="euler", error=error).panels[0])
+        states(stability_map(values=[100.0], dts=dts, integrators="euler", error=error).panels[0])
         for error in ("10%", 0.2, "20 cm")
     ]
     assert states_of[0] == states_of[1] == states_of[2]
     assert {"finite", "inaccurate"} == set(states_of[0])
-    strict = stability_map(values=[100.0], dts=dts, integrator="euler", error="1um")
+    strict = stability_map(values=[100.0], dts=dts, integrators="euler", error="1um")
     assert states(strict.panels[0]) == ["inaccurate"] * 4
     assert "the error stays within 1 µm" in strict.text()
 
@@ -286,40 +337,44 @@ def test_fills_are_told_apart_without_colour():
 
 
 @pytest.mark.parametrize(
-    ("args", "options", "says"),
+    ("model", "options", "says"),
     (
-        (("lesson:drop",), {}, "path = None: must name the value"),
-        (("lesson:spring", "joint/sprig/stiffness"), {}, 'nearest: "spring"'),
-        (("lesson:spring", SPRING, []), {}, "values"),
-        (("lesson:spring", SPRING, [1, -1]), {}, r"values\[1\] = -1: must be a finite number > 0"),
-        (("lesson:spring", SPRING, [1, 1]), {}, "the same number twice"),
-        (("lesson:spring", SPRING, [1], [0]), {}, r"dts\[0\] = 0"),
-        (("lesson:spring", SPRING), {"integrator": "rk5"}, "rk5"),
-        (("lesson:spring", SPRING), {"integrator": []}, "at least one"),
-        (("lesson:spring", SPRING), {"horizon": 1e-9}, "the largest dt"),
-        (("lesson:spring", SPRING), {"error": 0}, "error = 0"),
-        (("lesson:spring", SPRING), {"size": -1}, "size = -1"),
-        (("lesson:spring", SPRING), {"key": "nowhere"}, "nowhere"),
-        (("lesson:spring", SPRING), {"executor": 3}, "executor"),
-        (("lesson:spring", SPRING), {"progress": 3}, "progress"),
+        ("lesson:drop", {}, "path = None: must name the value"),
+        ("lesson:spring", {"path": "joint/sprig/stiffness"}, 'nearest: "spring"'),
+        ("lesson:spring", {"path": SPRING, "values": []}, "values"),
         (
-            ("lesson:spring", "joint/spring/damping"),
-            {},
+            "lesson:spring",
+            {"path": SPRING, "values": [1, -1]},
+            r"values\[1\] = -1: must be a finite number > 0",
+        ),
+        ("lesson:spring", {"path": SPRING, "values": [1, 1]}, "the same number twice"),
+        ("lesson:spring", {"path": SPRING, "dts": [0]}, r"dts\[0\] = 0"),
+        ("lesson:spring", {"path": SPRING, "integrators": "rk5"}, "rk5"),
+        ("lesson:spring", {"path": SPRING, "integrators": []}, "at least one"),
+        ("lesson:spring", {"path": SPRING, "horizon": 1e-9}, "the largest dt"),
+        ("lesson:spring", {"path": SPRING, "error": 0}, "error = 0"),
+        ("lesson:spring", {"path": SPRING, "size": -1}, "size = -1"),
+        ("lesson:spring", {"path": SPRING, "key": "nowhere"}, "nowhere"),
+        ("lesson:spring", {"path": SPRING, "executor": 3}, "executor"),
+        ("lesson:spring", {"path": SPRING, "progress": 3}, "progress"),
+        ("lesson:spring", {"path": SPRING, "threads": 0}, "threads"),
+        (
+            "lesson:spring",
+            {"path": "joint/spring/damping"},
             "must be given, because joint/spring/damping is 0.0",
         ),
-        (("lesson:stack",), {"integrator": "rk4"}, "by law and sweeps"),
-        ((), {"key": "start"}, "their own start"),
-        (("lesson:spring", SPRING, [1]), {"integrator": "explicit", "threads": 0}, "threads"),
+        ("lesson:stack", {"integrators": "rk4"}, "by law and sweeps"),
+        (None, {"key": "start"}, "their own start"),
     ),
 )
-def test_bad_arguments_are_refused(args, options, says):
+def test_bad_arguments_are_refused(model, options, says):
     with pytest.raises(ValueError, match=says):
-        stability_map(*args, **options)
+        stability_map(model, **options)
 
 
 def test_the_command(capsys, tmp_path):
     grid = ["--values", "10,1e4", "--dts", "1e-3:1e-1:3", "--threads", "1"]
-    command = ["map", "lesson:spring", SPRING, *grid, "--integrator", "rk4"]
+    command = ["stability-map", "lesson:spring", SPRING, *grid, "--integrator", "rk4"]
     assert main([*command, "--json", "--plot", str(tmp_path / "m.png")]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["dts"] == pytest.approx([1e-3, 1e-2, 1e-1])
@@ -329,5 +384,5 @@ def test_the_command(capsys, tmp_path):
     assert main(["map", *grid, "--integrator", "euler"]) == 0
     assert "stiffness [N/m]" in capsys.readouterr().out
     for wrong in ("a,b", "1:2", "2:1:3", "1:2:1"):
-        assert main(["map", "--values", wrong]) == 2
+        assert main(["stability-map", "--values", wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1

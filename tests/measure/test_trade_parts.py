@@ -168,7 +168,7 @@ def test_a_length_is_told_in_the_unit_that_it_is_rounded_to(value, text):
 def test_a_horizon_that_cannot_end_is_refused_up_front():
     spring = sc.load("lesson:spring")
     said = r"horizon = 1e\+09: .* dt = 0.01 s that is 8e\+11 steps; must be at most 1e\+09"
-    for measured in (sc.trade, sc.predictability):
+    for measured in (sc.trade, sc.predict):
         with pytest.raises(ValueError, match=said):
             measured(spring, horizon=1e9, progress=False)
     with pytest.raises(ValueError, match=r"in 8 cells .* that is 1.6e\+12 steps"):

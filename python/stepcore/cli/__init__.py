@@ -28,12 +28,14 @@ COMMANDS = {
     "trade": "measure what speed costs in accuracy, and recommend settings",
     "predict": "measure how long a model's motion can be predicted",
     "diagnose": "find the element that limits the time step",
-    "map": "map stability and accuracy over the time step and one value of a model",
+    "stability-map": "map stability and accuracy over the time step and one value of a model",
     "converge": "test whether the contact forces are converged, and what would converge them",
     "plan": "list what a step computes and what it leaves out",
     "ablate": "measure the cost and the effect of each modelled feature",
     "info": "print versions and the machine",
 }
+# Former names of commands.
+ALIASES = {"map": "stability-map"}
 DESCRIPTION = "Rigid-body physics that measures what speed costs in accuracy."
 EPILOG = """\
 examples:
@@ -110,6 +112,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments, or an error that names what is nearest to one that is not known."""
+    asked = _asked(argv)
+    argv = [ALIASES.get(word, word) if word == asked else word for word in argv]
     top = parser(argv)
     if not argv:
         top.print_help()
@@ -177,7 +181,7 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         if name != asked:
             commands.add_parser(name, help=summary)
             continue
-        module = importlib.import_module(f"stepcore.cli.{name}")
+        module = importlib.import_module(f"stepcore.cli.{name.replace('-', '_')}")
         text, _, example = inspect.cleandoc(module.__doc__ or summary).partition("\n\nExample")
         command = commands.add_parser(
             name, help=summary, description=text, epilog=f"example{example}" if example else None

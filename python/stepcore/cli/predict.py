@@ -13,7 +13,7 @@ import argparse
 from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
 from stepcore.cli.output import add_output
 from stepcore.experiment.schedule import STARTS
-from stepcore.measure.predictability import HORIZON, predictability
+from stepcore.measure.predictability import HORIZON, predict
 from stepcore.report.result import Result
 
 
@@ -25,4 +25,4 @@ def add(command: argparse.ArgumentParser) -> None:
 
 def call(args: argparse.Namespace) -> Result:
     model = model_of(args)
-    return predictability(model, **motion_of(args, model))
+    return predict(model, **motion_of(args, model))

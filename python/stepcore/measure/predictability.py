@@ -1,4 +1,4 @@
-"""`predictability`: how long the motion of a scene can be predicted at all."""
+"""`predict`: how long the motion of a scene can be predicted at all."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class StartGrowth:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictability(Result):
-    """How long a scene can be predicted; `stepcore.predictability` returns it.
+    """How long a scene can be predicted; `stepcore.predict` returns it.
 
     name: the name of the scene.
     settings: its own settings.
@@ -155,7 +155,7 @@ class Predictability(Result):
         return f"<Predictability of {self.name}: {self.time:.3g} s of {self.horizon:.3g} s>"
 
 
-def predictability(
+def predict(
     model: Source,
     motion: Motion | None = None,
     *,
@@ -182,12 +182,12 @@ def predictability(
     Raises ValueError for an argument outside its limits, or if the scene cannot be run.
 
     >>> from stepcore import lesson
-    >>> spring = predictability(lesson.spring(), horizon=2.0, starts=1)
+    >>> spring = predict(lesson.spring(), horizon=2.0, starts=1)
     >>> spring.time, round(float(spring.growth.factor.max()), 2)
     (inf, 1.0)
     """
     model, motion, workers = setup = set_up(
-        predictability,
+        predict,
         model,
         motion,
         fields,

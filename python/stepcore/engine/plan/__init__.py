@@ -7,6 +7,7 @@ removing it saves.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from stepcore.engine.plan.cost import StepCost
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.sim import Sim
 
-__all__ = ["Plan", "PlanEntry", "planned"]
+__all__ = ["Plan", "PlanEntry", "makes_rows", "planned"]
 
 STAGES = ("files", "place", "detect", "solve", "commit")
 
@@ -41,3 +42,9 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
         read_bytes=source.read_bytes if source else 0,
         asset_bytes=source.asset_bytes if source else 0,
     )
+
+
+def makes_rows(model: Model) -> bool:
+    """Whether any element of a model can make a row: a contact, a limit, friction, an equality."""
+    listed = entries(model, model.settings, Counter())
+    return any(entry.kind == "row" and entry.used for entry, _ in listed)

@@ -55,12 +55,12 @@ WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt")
 
 def stability_map(
     model: Source | None = None,
+    motion: Motion | None = None,
+    *,
     path: str | None = None,
     values: Sequence[float] | None = None,
     dts: Sequence[float] | None = None,
-    motion: Motion | None = None,
-    *,
-    integrator: str | Sequence[str] | None = None,
+    integrators: str | Sequence[str] | None = None,
     error: float | str = "10%",
     size: float | None = None,
     threads: int | None = None,
@@ -74,14 +74,14 @@ def stability_map(
         spring, stiffness against dt, by integrator; "lesson:stack": a heavy ball on a light one,
         mass ratio against dt, by the way contacts act. With a path these two are scenes like
         others.
+    motion: a `Motion`, or its fields as arguments: the horizon (by default 1 s, or 25 of the
+        largest dt if that is more) and the keyframe to start from (by default the first), whose
+        controls are held. It has one start and no other controls.
     path: the value that is varied, as in `Model.with_values`: "joint/knee/stiffness",
         "body/arm/mass", "actuator/grip/kp". values: its values, ascending in the map; by default
         13 from a hundredth to a hundred times the present one.
     dts: [s]; by default 13 from a tenth to ten times the scene's.
-    motion: a `Motion`, or its fields as arguments: the horizon (by default 1 s, or 25 of the
-        largest dt if that is more) and the keyframe to start from (by default the first), whose
-        controls are held. It has one start and no other controls.
-    integrator: one or several, one panel each; by default the scene's own.
+    integrators: one or several, one panel each; by default the scene's own.
     error: a run with a larger error is inaccurate: metres, "1mm", or "10%" of `size`.
     size: [m]; by default how far the bodies move in the true motion.
     threads, executor, progress: as in `stepcore.sweep`.
@@ -105,8 +105,8 @@ def stability_map(
     >>> mass = scene.add_body("mass", mass=1, inertia=(1, 1, 1))
     >>> _ = scene.add_joint(mass, "slide", name="rail", stiffness=100)
     >>> _ = scene.add_key("out", qpos=[1.0])
-    >>> result = stability_map(scene, "joint/rail/stiffness", [100], [0.001, 0.1, 0.19, 0.21],
-    ...     integrator="semi-implicit", threads=1)
+    >>> result = stability_map(scene, path="joint/rail/stiffness", values=[100],
+    ...     dts=[0.001, 0.1, 0.19, 0.21], integrators="semi-implicit", threads=1)
     >>> [cell.state for cell in result.panels[0].cells]
     ['finite', 'inaccurate', 'inaccurate', 'exploded']
     >>> round(result.panels[0].boundary[0], 6)  # 2 / ω
@@ -118,7 +118,7 @@ def stability_map(
     case: MapCase | None = None
     if lesson is not None and path is None:
         case = cases.spring(size) if lesson == "spring" else cases.stack(tolerance, size)
-        _narrow(case, lesson, values, dts, integrator)
+        _narrow(case, lesson, values, dts, integrators)
     setup = set_up(
         stability_map,
         case.model if case else "lesson:spring" if model is None else model,
@@ -132,7 +132,7 @@ def stability_map(
     )
     key = setup.motion.key
     if case is None:
-        case = _case(setup.model, path, values, dts, integrator, key, size)
+        case = _case(setup.model, path, values, dts, integrators, key, size)
     elif key is not None:
         raise ValueError(
             f"key = {checks.shown(key)}: must be None, because the lesson's maps have their own "
@@ -174,16 +174,16 @@ def _narrow(
     lesson: str,
     values: Sequence[float] | None,
     dts: Sequence[float] | None,
-    integrator: str | Sequence[str] | None,
+    integrators: str | Sequence[str] | None,
 ) -> None:
     """Takes the axes and integrators that were asked for into a map of the lesson."""
-    if integrator is not None:
+    if integrators is not None:
         if lesson == "stack":
             raise ValueError(
-                f"integrator = {checks.shown(integrator)}: must be None, because the map of the "
+                f"integrators = {checks.shown(integrators)}: must be None, because the map of the "
                 "stack is by law and sweeps; name a value to map it by integrator"
             )
-        named = _integrators(integrator)
+        named = _integrators(integrators)
         case.settings = [setting for setting in case.settings if setting.label in named]
     if values is not None:
         case.values = _ascending("values", values)
@@ -196,7 +196,7 @@ def _case(
     path: str | None,
     values: Sequence[float] | None,
     dts: Sequence[float] | None,
-    integrator: str | Sequence[str] | None,
+    integrators: str | Sequence[str] | None,
     key: str | int | None,
     size: float | None,
 ) -> MapCase:
@@ -218,7 +218,7 @@ def _case(
         values = np.geomspace(number / 100, number * 100, 13).tolist()
     if dts is None:
         dts = np.geomspace(model.settings.dt / 10, 10 * model.settings.dt, 13).tolist()
-    asked = model.settings.integrator if integrator is None else integrator
+    asked = model.settings.integrator if integrators is None else integrators
     settings = [
         MapSetting(
             name, {"integrator": name}, None, partial(_linear, model, path, key, name), GROWS
@@ -304,7 +304,7 @@ def _integrators(asked: str | Sequence[str]) -> list[str]:
     """Names that `Settings` knows."""
     names = [asked] if isinstance(asked, str) else list(asked)
     if not names:
-        raise ValueError("integrator = []: must name at least one")
+        raise ValueError("integrators = []: must name at least one")
     for name in names:
         Settings().replace(integrator=name)
     return names

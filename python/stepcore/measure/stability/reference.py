@@ -10,6 +10,7 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.model import Model
+from stepcore.engine.plan import makes_rows
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import steps
 from stepcore.experiment.converged import converged_settings
@@ -117,7 +118,7 @@ def reference_settings(model: Model) -> Settings:
     """The scene's own laws, with converged rows and the integrator of the highest order allowed."""
     settings = model.settings
     integrator = settings.integrator
-    if makes_no_rows(model):
+    if not makes_rows(model):
         integrator = "rk4"
     elif integrator == "explicit":
         integrator = "semi-implicit"
@@ -129,13 +130,6 @@ def reference_settings(model: Model) -> Settings:
         warm_start=True,
         integrator=integrator,
     )
-
-
-def makes_no_rows(model: Model) -> bool:
-    """Whether nothing in the scene can make a row."""
-    scene = model.scene
-    rows = any(j.range is not None or j.frictionloss > 0 for j in scene.joints)
-    return not rows and not model.npair and not scene.equalities
 
 
 def converged_run(

@@ -102,7 +102,7 @@ class TradeFindings:
     def predictable(self) -> float:
         """When the first of the starts can no longer be predicted [s]; inf beyond the horizon.
 
-        Trajectory errors are those before it; see `stepcore.predictability`.
+        Trajectory errors are those before it; see `stepcore.predict`.
         """
         return self.reference.growth.overall
 

@@ -2,7 +2,7 @@
 a mass, a gain). There is one map for each integrator, with the stability limit from theory.
 
 Example:
-  stepcore map lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png
+  stepcore stability-map lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ def call(args: argparse.Namespace) -> Result:
     model = model_of(args)
     return stability_map(
         model if args.without or args.fuse is False else args.file,
-        args.path,
-        None if args.values is None else numbers("--values", args.values),
-        None if args.dts is None else numbers("--dts", args.dts),
-        integrator=args.integrator,
+        path=args.path,
+        values=None if args.values is None else numbers("--values", args.values),
+        dts=None if args.dts is None else numbers("--dts", args.dts),
+        integrators=args.integrator,
         error=args.error,
         size=args.size,
         **motion_of(args, model),
