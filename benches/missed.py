@@ -2,10 +2,10 @@
 
     python benches/missed.py [--poses 33000] [--pairs ellipsoid-box,cylinder-mesh] [--seed 41]
 
-Any direction proves a bound of the distance (`oracle/certificate.py`), whoever found it. So the
-direction of `mj_geomDistance` finds our misses, a thousand poses in a second, where the oracle's
-own search takes minutes; misses that both engines share are left to `trust.py`. Also counted:
-poses of which a point stands out of its shape.
+Any direction proves a bound of the distance (`contact_oracle/certificate.py`), whoever found it.
+So the direction of `mj_geomDistance` finds our misses, a thousand poses in a second, where the
+oracle's own search takes minutes; misses that both engines share are left to `trust.py`. Poses are
+also counted of which a point stands out of its shape.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from oracle.certificate import certify
-from oracle.judge import touched
-from oracle.peer import mujoco_touches
-from oracle.poses import STYLES, Trial, trial
+from contact_oracle.certificate import certify
+from contact_oracle.judge import touched
+from contact_oracle.peer import mujoco_touches
+from contact_oracle.poses import STYLES, Trial, trial
 
 BATCH = 1000
 PRECISE = 1e-9

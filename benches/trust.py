@@ -16,10 +16,10 @@ import sys
 from dataclasses import dataclass, field
 
 import numpy as np
-from oracle.cover import upper_bound
-from oracle.judge import Verdict, judge
-from oracle.poses import STYLES, trial
-from oracle.search import search
+from contact_oracle.cover import upper_bound
+from contact_oracle.judge import Verdict, judge
+from contact_oracle.poses import STYLES, trial
+from contact_oracle.search import search
 
 BATCH = 1000
 NOTABLE = 1e-6

@@ -1,7 +1,7 @@
 """Who is right where stepcore and MuJoCo find other contacts of two geoms.
 
 A contact claims a distance, a normal and a point of each shape, and the oracle checks claims
-(`oracle/certificate.py`); no engine is trusted. An engine is right about a pair if
+(`contact_oracle/certificate.py`); no engine is trusted. An engine is right about a pair if
 
 * the planes across the normal of its deepest contact that touch both shapes are as far apart as it
   says, and no direction that anybody knows (its own, the other engine's, a search from both) shows
@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from oracle.certificate import certify
-from oracle.convex import Convex, Posed
-from oracle.search import climb, search, sphere
+from contact_oracle.certificate import certify
+from contact_oracle.convex import Convex, Posed
+from contact_oracle.search import climb, search, sphere
 
 import stepcore as sc
 

@@ -1,6 +1,6 @@
 """stepcore against numpy on the lesson's scenes: a mass on a spring, a ball drop, a stack.
 
-One world, three opponents: `stepcore.reference` (the same general loop in plain numpy, the same
+One world, three opponents: `stepcore.lesson.loop` (the lesson's loop in plain numpy, on the same
 Scene), and the scene by hand on small arrays with generic rows. Many worlds: the scene vectorised
 by hand over 4096 worlds, which is numpy at its best, against `Batch` with as many.
 
@@ -19,7 +19,8 @@ import record
 from timing import Duel, Side, duel
 
 import stepcore as sc
-from stepcore import lesson, reference
+from stepcore import lesson
+from stepcore.lesson.loop import Loop
 
 SAME = 1e-9
 AIM = 100.0  # times plain numpy
@@ -92,8 +93,8 @@ def main() -> None:
 def one_world(case: Case, options, report: record.Report) -> None:
     plain = case.plain(case.start)
     against(case, "plain numpy, generic rows", plain, plain.reset, options, report)
-    general = reference.Sim(case.scene)
-    against(case, "stepcore.reference", general, lambda: general.reset("start"), options, report)
+    page = Loop(case.scene)
+    against(case, "stepcore.lesson.loop", page, page.reset, options, report)
 
 
 def against(case: Case, name: str, theirs, restart, options, report: record.Report) -> None:

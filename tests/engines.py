@@ -1,7 +1,8 @@
 """The implementations that a law is tested on, and one way to make a Sim of either."""
 
+import oracle
+
 import stepcore
-from stepcore import reference
 
 ENGINES = ["rust", "numpy"]
 # For laws whose many steps or sweeps would take plain numpy an hour.
@@ -26,7 +27,7 @@ def make(engine, scene, key=None, **settings):
     if engine == "rust":
         sim = stepcore.Sim(scene.compile(), **chosen)
     else:
-        sim = reference.Sim(scene, **chosen)
+        sim = oracle.Sim(scene, **chosen)
     if key is not None:
         sim.reset(key=key)
     return sim

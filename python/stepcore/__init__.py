@@ -18,7 +18,6 @@ from stepcore import vectors
 
 if TYPE_CHECKING:
     from stepcore import lesson as lesson
-    from stepcore import reference as reference
     from stepcore._core import EnergyWarning as EnergyWarning
     from stepcore._core import Settings as Settings
     from stepcore._core import SimulationError as SimulationError
@@ -205,7 +204,7 @@ _MODULES = {
     "stepcore.viewing.picture": ("picture",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-_SUBMODULES = ("lesson", "reference")
+_SUBMODULES = ("lesson",)
 
 __all__ = ["__version__", *_MODULE_OF, *_SUBMODULES]
 

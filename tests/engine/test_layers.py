@@ -18,7 +18,7 @@ LAYERS = (
     ("_core", "checks", "escapes", "files", "vectors"),
     ("report",),
     ("executors",),
-    ("scene", "reference"),
+    ("scene",),
     ("mjcf", "urdf"),
     ("viewing",),
     ("engine",),
@@ -132,7 +132,7 @@ def layer(name):
 def test_the_imports_are_found():
     assert ("scene.scene", True) in EDGES["engine.model"]
     assert "mjcf.write" in RUN["scene.scene"]
-    assert "reference.sim" in RUN["reference"]
+    assert "lesson.run" in RUN["lesson"]
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == [("b", "c")]
 
 

@@ -6,10 +6,10 @@ bias force is that at rest, at every velocity.
 
 import mujoco
 import numpy as np
+import oracle
 import pytest
 
 import stepcore as sc
-from stepcore import reference
 
 ARM = """<mujoco><option timestep="0.002"/><compiler angle="radian"/><worldbody>
   <geom type="plane" size="3 3 .1" pos="0 0 -.7"/>
@@ -110,7 +110,7 @@ def test_without_coriolis_the_bias_is_that_at_rest() -> None:
     # The numpy engine agrees, and a file says it.
     again = sc.loads(scene.to_mjcf())
     assert again == scene and not again.features.coriolis
-    other = reference.Sim(scene.compile())
+    other = oracle.Sim(scene.compile())
     other.qvel[:] = sim.qvel
     sim.step(5)
     other.step(5)

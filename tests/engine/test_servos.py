@@ -4,12 +4,12 @@ import itertools
 
 import mujoco
 import numpy as np
+import oracle
 import peers
 import pytest
 import zoo
 
 import stepcore as sc
-from stepcore import reference
 
 ARM = zoo.ZOO["servo_arm"].text
 
@@ -63,7 +63,7 @@ def test_damping_ratios_are_mujocos():
         body.mass, body.ipos = model.body_mass[i], model.body_ipos[i]
         body.inertia = [inertia[j] for j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     scene.geoms.clear()
-    ours = np.array(reference.Sim(scene).model.actuator_bias)
+    ours = np.array(oracle.Sim(scene).model.actuator_bias)
     assert ours == pytest.approx(theirs.actuator_biasprm[:, :3], rel=1e-12)
 
 
@@ -189,7 +189,7 @@ def test_rust_is_numpy(integrator):
     scene.add_actuator("elbow", "velocity", kv=2, forcerange=(-1, 1.5))
     scene.add_actuator("reach", "general", gainprm=30, biasprm=(0.5, -40, -3))
     settings = {"dt": 0.004, "integrator": integrator, "law": "lesson", "solver": "pgs"}
-    ours, theirs = sc.Sim(scene.compile(), **settings), reference.Sim(scene, **settings)
+    ours, theirs = sc.Sim(scene.compile(), **settings), oracle.Sim(scene, **settings)
     for sim in (ours, theirs):
         sim.qpos[:], sim.qvel[:] = [0.3, -0.2, 0.1], [1.0, -2.0, 0.5]
         sim.ctrl[:] = [-0.2, 0.4, 0.1]

@@ -1,4 +1,4 @@
-"""Extreme inputs: the matrix of `stepcore.lesson.extremes`, and attacks on single numbers.
+"""Extreme inputs: the matrix of `benches/extremes.py`, and attacks on single numbers.
 
 Right is a finite result within the stated law, or a typed error that names the element or field;
 never a silent NaN, a panic or a state that changed before the error.
@@ -7,12 +7,13 @@ never a silent NaN, a panic or a state that changed before the error.
 import itertools
 import math
 
+import extremes
 import numpy as np
 import pytest
+from extreme_cases import cells
 
 import stepcore as sc
-from stepcore.lesson import extremes, scenes
-from stepcore.lesson.extremes import cells
+from stepcore.lesson import scenes
 
 RIGID = {
     "solver": "pgs",

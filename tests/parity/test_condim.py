@@ -8,12 +8,12 @@ axis, and `solreffriction`; slopes are those of the step.
 
 import mujoco
 import numpy as np
+import oracle
 import peers
 import pytest
 import zoo
 
 import stepcore as sc
-from stepcore import reference
 
 SCENES = ("condim_mixed", "condim_4", "condim_6", "condim_all")
 CONVERGED = {"solver": "pgs", "sweeps": 20000, "tolerance": 1e-13, "acceleration": "momentum"}
@@ -88,7 +88,7 @@ def test_the_reference_takes_the_same_steps(name, law, cone):
     own = {"law": law, "cone": cone, "solver": "pgs", "sweeps": 7, "tolerance": 0.0}
     own |= {"integrator": "semi-implicit", "acceleration": "none", "warm_start": False}
     own |= {"penalty_stiffness": 1e4, "dt": 0.002}
-    ours, plain = sc.Sim(scene.compile(), **own), reference.Sim(scene, **own)
+    ours, plain = sc.Sim(scene.compile(), **own), oracle.Sim(scene, **own)
     rng, rows = np.random.default_rng(5), 0
     for _ in range(12):
         qvel = rng.normal(size=len(ours.qvel)) * np.resize([1, 1, 0.3, 3, 3, 3], len(ours.qvel))

@@ -86,7 +86,7 @@ def test_the_slope_of_a_damper_is_its_derivative():
 
 
 def test_the_reference_in_numpy_agrees():
-    from stepcore.reference import Sim as Reference
+    from oracle import Sim as Reference
 
     for joints in (("hinge",), ("slide",), ("ball",), ("free",)):
         _, _, data = pair(*joints)

@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 from engines import make
+from oracle import Sim, solve
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.reference import Sim, solve
 from stepcore.scene.scene import Scene
 
 KINDS = (

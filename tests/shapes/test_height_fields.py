@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import peers
 import pytest
-from oracle.convex import Convex, Posed
-from oracle.poses import quaternions, rotation, shape
-from oracle.search import search
+from contact_oracle.convex import Convex, Posed
+from contact_oracle.poses import quaternions, rotation, shape
+from contact_oracle.search import search
 
 import stepcore as sc
 

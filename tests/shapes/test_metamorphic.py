@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from oracle.convex import Convex
-from oracle.judge import touched
-from oracle.poses import STYLES, Trial, trial
+from contact_oracle.convex import Convex
+from contact_oracle.judge import touched
+from contact_oracle.poses import STYLES, Trial, trial
 from shape_pairs import BUILT, FACES_FIRST
 
 EVERY = pytest.mark.parametrize("pair", BUILT + FACES_FIRST, ids="-".join)

@@ -7,10 +7,10 @@ from math import sqrt
 
 import numpy as np
 import pytest
-from oracle.convex import Convex, Posed
-from oracle.cover import upper_bound
-from oracle.poses import STYLES, rotation, trial
-from oracle.search import search
+from contact_oracle.convex import Convex, Posed
+from contact_oracle.cover import upper_bound
+from contact_oracle.poses import STYLES, rotation, trial
+from contact_oracle.search import search
 
 KINDS = ("sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 PAIRS = [(a, b) for i, a in enumerate(KINDS) for b in KINDS[i:]]

@@ -7,9 +7,9 @@ answer proves itself; where they overlap the oracle looks for a shorter way out.
 import missed
 import numpy as np
 import pytest
-from oracle.convex import Convex
-from oracle.judge import judge, touched
-from oracle.poses import STYLES, Trial, trial
+from contact_oracle.convex import Convex
+from contact_oracle.judge import judge, touched
+from contact_oracle.poses import STYLES, Trial, trial
 from shape_pairs import BUILT, FACES_FIRST
 
 TOLERANCE = 1e-9

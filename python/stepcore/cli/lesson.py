@@ -13,8 +13,6 @@ import argparse
 from stepcore import lesson
 from stepcore.cli.output import add_json, print_json
 from stepcore.cli.terminal import put
-from stepcore.cli.usage import Usage
-from stepcore.lesson import extremes
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -25,23 +23,15 @@ def add(command: argparse.ArgumentParser) -> None:
         help="implementation to test (default: %(default)s)",
     )
     command.add_argument(
-        "--extremes",
-        action="store_true",
-        help="run the four scenes and two robots at extreme time steps, masses and stiffnesses",
-    )
-    command.add_argument(
         "--all", action="store_true", help="print every figure beside its reference"
     )
     add_json(command)
 
 
 def call(args: argparse.Namespace) -> int:
-    if args.extremes and args.engine != "rust":
-        raise Usage("--extremes: needs --engine rust")
-    part = extremes if args.extremes else lesson
-    rows = extremes.run() if args.extremes else lesson.run(args.engine)
+    rows = lesson.run(args.engine)
     if args.json:
         print_json([row.to_dict() for row in rows])
     else:
-        put(str(part.report(rows, full=args.all)))
+        put(str(lesson.report(rows, full=args.all)))
     return 0 if all(row.ok for row in rows) else 1

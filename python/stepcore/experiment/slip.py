@@ -9,7 +9,7 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.reference.rotation import cross
+from stepcore.experiment.coordinates import cross
 
 # A slower slip than this share of the fastest seen says little about the direction of friction.
 SLOW = 1e-2

@@ -13,7 +13,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.reference.rotation import cross
+from stepcore.experiment.coordinates import cross
 from stepcore.scene.layout import DOFS, QPOS
 
 # Where the second, third and fourth stage stand within a step.

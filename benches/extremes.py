@@ -3,22 +3,25 @@
 Each cell of a table is one run. It states the law that the run must keep (an invariant, a resting
 depth, a rate of convergence, the balance of energy or momentum), or the limit beyond which the run
 must fail with an error that names an element. The cell holds if the engine does exactly that.
+
+    python benches/extremes.py          # how many cells keep their law, and those that do not
+    python benches/extremes.py --all    # every cell
 """
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Iterator, Sequence
 
-from stepcore.lesson.extremes.cells import Case, Cell, report
-from stepcore.report.progress import Choice, Progress
+from extreme_cases import contact, grasp, models, spring
+from extreme_cases.cells import Case, Cell, report
 
-__all__ = ["Cell", "report", "run"]
+from stepcore.report.progress import Choice, Progress
 
 
 def cases() -> Iterator[Case]:
     """Every cell to be run, one table after the other."""
-    from stepcore.lesson.extremes import contact, grasp, models, spring
-
     for part in (spring, contact, grasp, models):
         yield from part.cases()
 
@@ -35,3 +38,16 @@ def run(progress: Choice = None, chosen: Sequence[Case] | None = None) -> list[C
             done.append(case.run())
             bar.advance()
     return done
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--all", action="store_true", help="print every cell")
+    full = parser.parse_args().all
+    cells = run()
+    print(report(cells, full=full))
+    return 0 if all(cell.ok for cell in cells) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -6,10 +6,7 @@ import math
 from collections.abc import Iterator
 from functools import partial
 
-from stepcore._core import SimulationError
-from stepcore.engine.sim import Sim, unwatched
-from stepcore.lesson import scenes
-from stepcore.lesson.extremes.cells import (
+from extreme_cases.cells import (
     EPS,
     TIME_STEPS,
     Case,
@@ -18,6 +15,9 @@ from stepcore.lesson.extremes.cells import (
     table_cases,
     within,
 )
+from stepcore._core import SimulationError
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.lesson import scenes
 
 # The columns: k [N/m]; or ω dt, a little inside the limit and a little beyond.
 STIFFNESSES = {f"k {k:.0e}": (k, 0.0) for k in (1.0, 1e2, 1e4, 1e6, 1e8, 1e10, 1e12)}

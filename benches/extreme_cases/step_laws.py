@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from extreme_cases.cells import EPS, Outcome, within
 from stepcore.engine.arrays import Floats
 from stepcore.engine.sim import Sim
-from stepcore.lesson.extremes.cells import EPS, Outcome, within
 from stepcore.scene.layout import DOFS
 
 

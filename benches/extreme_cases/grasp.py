@@ -6,10 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stepcore._core import SimulationError
-from stepcore.engine.sim import Sim, unwatched
-from stepcore.lesson import scenes
-from stepcore.lesson.extremes.cells import (
+from extreme_cases.cells import (
     EPS,
     TIME_STEPS,
     Case,
@@ -19,7 +16,10 @@ from stepcore.lesson.extremes.cells import (
     table_cases,
     within,
 )
-from stepcore.lesson.extremes.step_laws import step_is_balanced
+from extreme_cases.step_laws import step_is_balanced
+from stepcore._core import SimulationError
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.lesson import scenes
 
 MASSES = {f"cube {mass:.0e} kg": mass for mass in (1e-6, 1e-3, 1e-1, 1.0, 1e3, 1e6)}
 SWEEPS = {f"{sweeps} sweeps": sweeps for sweeps in (0, 1, 10, 100, 1000)}

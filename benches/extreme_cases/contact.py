@@ -7,10 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stepcore._core import SimulationError
-from stepcore.engine.sim import Sim, unwatched
-from stepcore.lesson import measure, scenes
-from stepcore.lesson.extremes.cells import (
+from extreme_cases.cells import (
     EPS,
     TIME_STEPS,
     Case,
@@ -19,6 +16,9 @@ from stepcore.lesson.extremes.cells import (
     table_cases,
     within,
 )
+from stepcore._core import SimulationError
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.lesson import measure, scenes
 from stepcore.lesson.scenes import RADIUS, G
 
 MASSES = {f"m {m:.0e}": m for m in (1e-6, 1e-3, 1.0, 1e3, 1e6)}

@@ -10,11 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from stepcore._core import SimulationError
-from stepcore.engine.linear_maps import step_matrix
-from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.joint_gains import joint_dofs, joint_gains
-from stepcore.lesson.extremes.cells import (
+from extreme_cases.cells import (
     EPS,
     TIME_STEPS,
     Case,
@@ -24,7 +20,11 @@ from stepcore.lesson.extremes.cells import (
     table_cases,
     within,
 )
-from stepcore.lesson.extremes.step_laws import step_is_balanced
+from extreme_cases.step_laws import step_is_balanced
+from stepcore._core import SimulationError
+from stepcore.engine.linear_maps import step_matrix
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.experiment.joint_gains import joint_dofs, joint_gains
 from stepcore.loading import find_scene
 from stepcore.scene.scene import Scene
 

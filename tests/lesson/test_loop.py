@@ -1,0 +1,55 @@
+"""The page of numpy that the lesson is read from, against the engine."""
+
+import numpy as np
+import pytest
+
+from stepcore.lesson import scenes
+from stepcore.lesson.loop import Loop
+from stepcore.lesson.run import maker
+
+LAWS = ("solref", "lesson", "relaxed", "rigid", "penalty")
+INTEGRATORS = ("explicit", "semi-implicit", "midpoint", "rk4")
+
+
+def apart(scene, lift, steps=400):
+    """The largest distance of the positions of both, and how far they moved [m]."""
+    engine, loop = maker("rust")(scene), Loop(scene)
+    # Off the edge at which a row appears: there rounding decides.
+    start = np.array(engine.qpos) + lift * (1 + np.arange(len(engine.qpos)))
+    engine.qpos[:] = loop.qpos[:] = start
+    far, gone = 0.0, 0.0
+    for _ in range(steps):
+        engine.step(1)
+        loop.step(1)
+        far = max(far, float(np.abs(engine.qpos - loop.qpos).max()))
+        gone = max(gone, float(np.abs(engine.qpos - start).max()))
+    return far, gone
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_stack_under_every_law(law):
+    scene = scenes.stack(4, law, (1.0, 3.0, 2.0), penalty_stiffness=1e5)
+    far, gone = apart(scene, -3e-4, steps=100)
+    assert far < 1e-12 and gone > 1e-5
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_a_drop_that_rebounds(restitution):
+    far, gone = apart(scenes.drop("rigid", restitution=restitution), 0.0)
+    assert far < 1e-12 and gone > 0.29
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_damped_spring_under_every_integrator(integrator):
+    far, gone = apart(scenes.spring(damping=0.3, integrator=integrator), 0.1)
+    assert far < 1e-13 and gone > 1.0
+
+
+def test_a_scene_that_is_no_row_of_slides_is_refused():
+    with pytest.raises(ValueError, match="one slide each"):
+        Loop(scenes.grasp())
+
+
+def test_an_integrator_that_it_lacks_is_refused():
+    with pytest.raises(ValueError, match="implicitfast"):
+        Loop(scenes.spring(integrator="implicitfast")).step()
