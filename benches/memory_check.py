@@ -51,7 +51,7 @@ def views_of(sim: sc.Sim) -> list[np.ndarray]:
 
 def batch_of(model: sc.Model, lanes: bool, threads: int) -> list[np.ndarray]:
     """The same of many worlds, of which some fail, stepped and read by two Python threads."""
-    batch = sc.Batch(model, 9, threads, lanes=lanes, on_failure="go on")
+    batch = sc.Batch(model, 9, threads=threads, lanes=lanes, on_failure="go on")
     batch.qvel[4] = 1e200
 
     def play() -> None:

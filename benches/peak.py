@@ -82,7 +82,7 @@ def timed(work: Callable[[], object]) -> float:
 
 def spread(model: sc.Model, worlds: int, lanes: bool, precision: str) -> sc.Batch:
     """Worlds along a motion under random controls."""
-    batch = sc.Batch(model, worlds, 1, lanes=lanes, precision=precision)
+    batch = sc.Batch(model, worlds, threads=1, lanes=lanes, precision=precision)
     noise = sc.Noise(worlds, seed=0)
     batch.qvel += noise.normal(model.nv, 0.1)
     low, high = np.clip(model.actuator_ctrlrange, -1.0, 1.0).T

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.replay import Replay
-from stepcore.engine.settings_fields import SettingsFields
+from stepcore.signatures import SettingsFields
 
 __all__ = [
     "VECTORS",

@@ -15,7 +15,7 @@ WALKER = """<mujoco><option timestep="0.004"/><worldbody><geom type="plane" size
 
 def pair(n, **fields):
     model = sc.loads(WALKER).compile()
-    batches = [sc.Batch(model, n, 1, lanes=lanes, **fields) for lanes in ("auto", False)]
+    batches = [sc.Batch(model, n, threads=1, lanes=lanes, **fields) for lanes in ("auto", False)]
     for batch in batches:
         random = np.random.default_rng(3)
         batch.qvel[:] = random.normal(size=batch.qvel.shape)

@@ -63,7 +63,7 @@ def test_neither_lanes_nor_threads_nor_size_change_a_bit(law, n):
     qvel = rng.normal(size=(n, 6))
     seen = set()
     for lanes, threads in ((True, 1), (True, 3), (False, 1), (False, 3)):
-        batch = sc.Batch(model, n, threads, lanes=lanes)
+        batch = sc.Batch(model, n, threads=threads, lanes=lanes)
         batch.qvel = qvel
         batch.step(150)
         seen.add((batch.qpos.tobytes(), batch.qvel.tobytes(), batch.qacc.tobytes(), batch.state()))
@@ -72,7 +72,7 @@ def test_neither_lanes_nor_threads_nor_size_change_a_bit(law, n):
 
 def test_single_precision_is_the_sim_in_single_precision(cheetah):
     qpos, qvel, ctrl = cheetah_starts(cheetah)
-    batch = sc.Batch(cheetah, 8, 2, precision="f32", solver="pgs")
+    batch = sc.Batch(cheetah, 8, threads=2, precision="f32", solver="pgs")
     batch.qpos, batch.qvel, batch.ctrl = qpos, qvel, ctrl
     batch.step(50)
     sim = sc.Sim(cheetah, precision="f32", solver="pgs")
@@ -87,7 +87,7 @@ def test_a_rollout_is_steps_with_those_controls(lanes):
     model = pendulum().compile()
     rng = np.random.default_rng(2)
     ctrl = rng.uniform(-2, 2, size=(11, 60, 1))
-    batch = sc.Batch(model, 11, 2, lanes=lanes)
+    batch = sc.Batch(model, 11, threads=2, lanes=lanes)
     result = batch.rollout(ctrl)
     assert result.qpos.shape == (11, 60, 2)
     assert result.act.shape == (11, 60, 0)
@@ -193,7 +193,7 @@ def test_a_restored_batch_continues_bit_for_bit(lanes):
 @pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 @pytest.mark.parametrize(("lanes", "threads"), [(True, 1), (True, 2), (False, 1), (False, 2)])
 def test_divergence_stops_every_world_at_the_same_step(lanes, threads):
-    batch = sc.Batch(unstable(), 20, threads, lanes=lanes)
+    batch = sc.Batch(unstable(), 20, threads=threads, lanes=lanes)
     batch.qpos[:] = [1.0, 0.0]
     batch.qpos[17, 1] = 1e100
     batch.qpos[13, 1] = 1.0
@@ -219,7 +219,7 @@ def test_divergence_stops_every_world_at_the_same_step(lanes, threads):
 @pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_batch_stands_between_two_steps():
     model = pendulum(dt=1e-4).compile()
-    batch = sc.Batch(model, 9, 2)
+    batch = sc.Batch(model, 9, threads=2)
     refused = []
 
     def meddle():
@@ -244,7 +244,7 @@ def test_an_interrupted_batch_stands_between_two_steps():
 )
 def test_the_last_solve_of_each_world_is_that_of_a_sim(integrator, way):
     model = pendulum().compile().with_settings(integrator=integrator)
-    batch = sc.Batch(model, 9, 2, **way)
+    batch = sc.Batch(model, 9, threads=2, **way)
     sims = [sc.Sim(batch.model) for _ in range(9)]
     assert batch.contacts[8].size == batch.rows[8].size == 0
     batch.reset(key="bent")

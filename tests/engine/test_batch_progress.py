@@ -90,7 +90,7 @@ def test_what_was_stepped_before_an_interrupt_counts(model, error):
 
 @pytest.mark.usefixtures("interruptible")
 def test_a_rollout_is_interrupted_between_two_steps():
-    batch = sc.Batch("gymnasium:inverted_pendulum", 9, 2)
+    batch = sc.Batch("gymnasium:inverted_pendulum", 9, threads=2)
     ctrl = np.broadcast_to(np.linspace(-1, 1, 10**5)[:, None], (9, 10**5, 1))
     for record in ((), "energy"):
         batch.reset()

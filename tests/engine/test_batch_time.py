@@ -13,7 +13,7 @@ import stepcore as sc
 
 @pytest.mark.parametrize("lanes", [True, False])
 def test_times_are_those_of_sims_that_were_reset_alike(lanes):
-    batch = sc.Batch(pendulum(), 5, 1, lanes=lanes, dt=0.003)
+    batch = sc.Batch(pendulum(), 5, threads=1, lanes=lanes, dt=0.003)
     sims = [sc.Sim(pendulum(), dt=0.003) for _ in range(5)]
     for steps, mask in ((7, [1, 0, 0, 1, 0]), (4, [0, 0, 0, 1, 1]), (300, [0, 0, 0, 0, 0])):
         batch.step(steps)
@@ -47,18 +47,18 @@ def test_times_follow_what_all_worlds_are_set_to():
 
 
 def test_memory_is_told():
-    few, many = (sc.Batch(ball(), n, 1, lanes=True).nbytes for n in (1024, 4096))
+    few, many = (sc.Batch(ball(), n, threads=1, lanes=True).nbytes for n in (1024, 4096))
     assert few > 1024 * 8 * 20
     # What threads need is the same; worlds take the same each.
     assert 3.5 < many / few <= 4.0
-    alone = sc.Batch(ball(), 4096, 1, lanes=False).nbytes
+    alone = sc.Batch(ball(), 4096, threads=1, lanes=False).nbytes
     assert alone > many
 
 
 def test_so_many_worlds_that_a_sample_is_tried_have_the_bits_of_few():
     """Above 65,536 worlds "auto" tries the other way aside."""
     many = sc.Batch("gymnasium:inverted_pendulum", (1 << 16) + 8, 1)
-    few = sc.Batch("gymnasium:inverted_pendulum", 16, 1, lanes=False)
+    few = sc.Batch("gymnasium:inverted_pendulum", 16, threads=1, lanes=False)
     angles = np.linspace(-0.2, 0.2, 16)
     many.qpos[:, 1] = np.resize(angles, len(many))
     few.qpos[:, 1] = angles

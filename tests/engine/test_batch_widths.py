@@ -28,7 +28,7 @@ def test_worlds_side_by_side_are_worlds_alone(cheetah, solver, n):
     model = cheetah.with_settings(solver=solver)
     seen, rows = set(), set()
     for lanes in (True, False):
-        batch = sc.Batch(model, n, 1, lanes=lanes)
+        batch = sc.Batch(model, n, threads=1, lanes=lanes)
         batch.qpos, batch.qvel, batch.ctrl = spread(model, n)
         for _ in range(4):
             batch.step(40)
@@ -39,7 +39,7 @@ def test_worlds_side_by_side_are_worlds_alone(cheetah, solver, n):
 
 def test_one_world_of_a_register_fails_and_the_others_go_on(cheetah):
     ways = (True, False)
-    batch, other = (sc.Batch(cheetah, 33, 1, lanes=way, on_failure="go on") for way in ways)
+    batch, other = (sc.Batch(cheetah, 33, threads=1, lanes=way, on_failure="go on") for way in ways)
     fast = 1e30 if cheetah.settings.precision == "f32" else 1e200
     for each in (batch, other):
         each.qpos, each.qvel, each.ctrl = spread(cheetah, 33)
@@ -52,7 +52,7 @@ def test_one_world_of_a_register_fails_and_the_others_go_on(cheetah):
 def test_forces_on_some_worlds_come_and_go(cheetah):
     """What is written counts in its world alone, and no longer than it stands there."""
     n = 20
-    batch = sc.Batch(cheetah, n, 1, lanes=True)
+    batch = sc.Batch(cheetah, n, threads=1, lanes=True)
     sims = [sc.Sim(cheetah) for _ in range(n)]
     everyone = (batch, *sims)
     batch.qpos[:] = spread(cheetah, n)[0]

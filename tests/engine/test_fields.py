@@ -9,8 +9,8 @@ import pytest
 from mypy import api
 
 import stepcore as sc
-from stepcore.engine.settings_fields import SettingsFields
 from stepcore.scene import elements, fields
+from stepcore.signatures import SettingsFields
 
 ROOT = Path(__file__).parents[2]
 METHODS = ["joint", "geom", "site", "actuator", "equality", "key"]

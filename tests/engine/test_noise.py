@@ -102,7 +102,7 @@ def test_streams_of_any_other_names_are_others():
 
 def test_noisy_worlds_are_the_same_in_any_batch():
     def moved(n: int, threads: int) -> np.ndarray:
-        batch = sc.Batch("gymnasium:hopper", n, threads)
+        batch = sc.Batch("gymnasium:hopper", n, threads=threads)
         start, ctrl = sc.Noise(n, 5, "reset"), sc.Noise(n, 5, "ctrl")
         batch.qpos += start.uniform(batch.model.nq, -0.01, 0.01)
         for step in range(20):

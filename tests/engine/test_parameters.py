@@ -98,7 +98,7 @@ def test_a_world_is_a_sim_of_its_own_model(path, solver):
 def test_any_mixture_has_the_bits_of_its_sims(paths, drawn, lanes, threads, precision, integrator):
     n, u = len(drawn), np.array(drawn)
     base = model(precision=precision, integrator=integrator)
-    batch = started(sc.Batch(base, n, threads, lanes=lanes))
+    batch = started(sc.Batch(base, n, threads=threads, lanes=lanes))
     columns = {path: VARIED[path](u) for path in sorted(paths)}
     batch.param.update(columns)
     sims = [alone(batch, world, rows(columns, world)) for world in range(n)]

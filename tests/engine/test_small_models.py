@@ -51,7 +51,7 @@ def test_calls_of_many_steps_are_single_steps(name):
 @pytest.mark.parametrize("lanes", ["auto", True, False])
 def test_worlds_of_a_batch_are_single_worlds(name, lanes):
     model, n = scene(name).compile(), 21
-    batch = sc.Batch(model, n, 2, lanes=lanes)
+    batch = sc.Batch(model, n, threads=2, lanes=lanes)
     spread = np.linspace(0.0, 0.4, n)[:, None]
     batch.qpos[:] = np.asarray(scene(name).key("start").qpos) + spread
     sims = [sc.Sim(model) for _ in range(n)]

@@ -52,7 +52,7 @@ class Player:
             size, threads = rng.choice((1, 2, 7)), rng.choice((1, 2, 5))
             how = rng.choice(("stop", "go on"))
             self.worlds.append(
-                sc.Batch(self.model, size, threads, lanes=lanes, on_failure=how, **settings)
+                sc.Batch(self.model, size, threads=threads, lanes=lanes, on_failure=how, **settings)
             )
 
     def forget(self) -> None:

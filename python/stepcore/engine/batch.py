@@ -21,15 +21,16 @@ from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import recordable
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
+from stepcore.signatures import refuse_unknown, takes_settings
 
 if TYPE_CHECKING:
     import os
     from typing import Unpack
 
     from stepcore.engine.model import Model
-    from stepcore.engine.settings_fields import SettingsFields
     from stepcore.report.progress import Choice
     from stepcore.scene.scene import Scene
+    from stepcore.signatures import SettingsFields
 
 
 # A batch of fewer worlds × dofs than this is stepped faster by one thread than by several, because
@@ -49,6 +50,7 @@ class Batch(Stepped):
     model: a `Model`, a `Scene`, which is compiled, or what `stepcore.load` takes, such as the path
         of an MJCF file.
     n: the number of worlds.
+    settings: a `Settings` that replaces the model's own.
     threads: how many threads step them; by default one a core, or one in all for a batch so small
         that waking threads costs more than it gains.
     lanes: True steps eight worlds at a time in the processor's vector registers, sixteen in
@@ -61,7 +63,7 @@ class Batch(Stepped):
         others continue with the same bits; the failed world stays in its last finite state, its
         error is in `failures`, and it moves again once its qpos or qvel is written, or after
         `reset` or `restore`.
-    settings, fields: as for a `Sim`.
+    fields: single fields of `Settings` to change, such as ``dt=0.005``.
 
     The results are the same bits with any number of threads, with and without lanes, and in a
     `Sim`. All worlds share one `time`, and one model but for what `param` gives each. Of the last
@@ -80,17 +82,19 @@ class Batch(Stepped):
     [-0.981, 0.019, 1.019]
     """
 
+    @takes_settings
     def __init__(
         self,
         model: Model | Scene | str | os.PathLike[str],
         n: int,
-        threads: int | None = None,
+        settings: Settings | None = None,
         *,
+        threads: int | None = None,
         lanes: bool | Literal["auto"] = "auto",
         on_failure: str = "stop",
-        settings: Settings | None = None,
         **fields: Unpack[SettingsFields],
     ) -> None:
+        refuse_unknown(Batch, fields)
         self._model = compiled(model).with_settings(settings, **fields)
         self._lanes = checks.one_of(True, False, "auto")("Batch", "lanes", lanes)
         self._threads = _threads(threads, n, self._model.nv)
@@ -438,7 +442,7 @@ def _restored(
     reset_at: Floats,
     reset_to: Floats,
 ) -> Batch:
-    batch = Batch(model, n, threads, lanes=lanes, on_failure=on_failure)
+    batch = Batch(model, n, threads=threads, lanes=lanes, on_failure=on_failure)
     if param:
         batch.param.update(param)
     batch.restore(state)

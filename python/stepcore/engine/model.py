@@ -23,15 +23,16 @@ from stepcore.scene import collector
 from stepcore.scene.layout import Layout, called, named
 from stepcore.scene.value_paths import changed
 from stepcore.scene.variation import Variation
+from stepcore.signatures import refuse_unknown, takes_settings
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from stepcore.engine.plan.result import Plan
-    from stepcore.engine.settings_fields import SettingsFields
     from stepcore.engine.sim import Sim
     from stepcore.scene.contents import Contents
     from stepcore.scene.scene import Scene
+    from stepcore.signatures import SettingsFields
 
 # Compiled scenes that a process keeps for the models sent to it.
 KEPT = 16
@@ -61,11 +62,13 @@ class Model(ModelData):
     [0.0, 3.0]
     """
 
+    @takes_settings
     def __init__(
         self, scene: Scene, settings: Settings | None = None, **fields: Unpack[SettingsFields]
     ) -> None:
         if not hasattr(scene, "to_dict"):
             raise ValueError(f"scene = {checks.shown(scene)}: must be a stepcore.Scene")
+        refuse_unknown(Model, fields)
         with collector.held():
             self._scene = copy.deepcopy(scene)
             merged = _merged(self._scene.settings, settings, fields)
@@ -135,10 +138,12 @@ class Model(ModelData):
         """The mass of each body [kg], by name."""
         return dict(zip(self.body_names, self.body_mass.tolist(), strict=True))
 
+    @takes_settings
     def with_settings(
         self, settings: Settings | None = None, **fields: Unpack[SettingsFields]
     ) -> Model:
         """Returns the same model with other settings, without compiling again."""
+        refuse_unknown(self.with_settings, fields)
         other = copy.copy(self)
         other._settings = _merged(self._settings, settings, fields)
         return other

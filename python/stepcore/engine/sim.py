@@ -17,14 +17,15 @@ from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run
 from stepcore.engine.unsolved import UnsolvedWarning
+from stepcore.signatures import refuse_unknown, takes_settings
 
 if TYPE_CHECKING:
     import os
     from typing import Unpack
 
     from stepcore.engine.model import Model
-    from stepcore.engine.settings_fields import SettingsFields
     from stepcore.scene.scene import Scene
+    from stepcore.signatures import SettingsFields
     from stepcore.viewing.live import View
 
 
@@ -88,6 +89,7 @@ class Sim(Stepped):
     -0.981
     """
 
+    @takes_settings
     def __init__(
         self,
         model: Model | Scene | str | os.PathLike[str],
@@ -96,6 +98,7 @@ class Sim(Stepped):
         threads: int = 1,
         **fields: Unpack[SettingsFields],
     ) -> None:
+        refuse_unknown(Sim, fields)
         self._model = compiled(model).with_settings(settings, **fields)
         self._threads = checks.count("threads", threads)
         self._own(_core.Sim(self._model.core, self._model.settings, self._threads))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from stepcore import checks
 from stepcore.engine.sim import Sim
 from stepcore.experiment.control import Control
+from stepcore.signatures import F, keyword, refuse_unknown, spell_out
 
 
 @dataclass(frozen=True)
@@ -121,24 +122,16 @@ class Motion:
         motion: Motion | None,
         given: Mapping[str, Any],
         measurement: Callable[..., Any],
-        leaves: tuple[str, ...] = (),
     ) -> Motion:
         """The motion that a measurement was called with: an object, or its fields.
 
-        given: the keyword arguments that are not the measurement's own. leaves: fields of Motion
-        that mean nothing to this measurement.
+        given: the keyword arguments that are not the measurement's own. The fields of Motion that
+        it uses stand in its signature (`takes_motion`).
 
         Raises TypeError for an argument that is neither, naming the nearest; ValueError where an
-        object and fields are both given, or a field is set that the measurement leaves out.
+        object and fields are both given, or a field is set that the measurement does not use.
         """
-        name = measurement.__name__
-        takes = [field.name for field in fields(cls) if field.name not in leaves]
-        for word in given:
-            if word not in takes:
-                own = inspect.signature(measurement).parameters.values()
-                named = [p.name for p in own if p.kind is not p.VAR_KEYWORD]
-                near = checks.nearest(word, [*named, *takes])
-                raise TypeError(f'{name}() has no argument "{word}"{near}')
+        refuse_unknown(measurement, given)
         if motion is None:
             return cls(**given)
         if not isinstance(motion, Motion):
@@ -147,7 +140,8 @@ class Motion:
             raise ValueError(
                 f"motion and {min(given)} are both given: write {min(given)} into the Motion"
             )
-        for word in leaves:
+        name, takes = measurement.__name__, inspect.signature(measurement).parameters
+        for word in (field.name for field in fields(cls) if field.name not in takes):
             if getattr(motion, word) is not getattr(cls, word):
                 raise ValueError(f"motion: {name} does not use {word}; leave it out of the Motion")
         return motion
@@ -165,3 +159,16 @@ class Motion:
             if getattr(self, field.name) is not field.default
         ]
         return f"Motion({', '.join(parts)})"
+
+
+def takes_motion(*, without: tuple[str, ...] = ()) -> Callable[[F], F]:
+    """Decorator of a measurement: each field of `Motion` is a keyword argument of it.
+
+    without: the fields that it does not use.
+    """
+
+    def spelled_out(measurement: F) -> F:
+        own = [field for field in fields(Motion) if field.name not in without]
+        return spell_out(measurement, [keyword(f.name, f.default, f.type) for f in own])
+
+    return spelled_out

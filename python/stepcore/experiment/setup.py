@@ -38,7 +38,6 @@ def set_up(
     fields: Mapping[str, Any],
     *,
     missing: str,
-    leaves: tuple[str, ...] = (),
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
@@ -46,10 +45,9 @@ def set_up(
     """Checks the arguments that all measurements share, and loads and compiles the model.
 
     measurement: the function that was called. fields: its keyword arguments that are none of its
-    own. missing: what there is none of where nothing in the scene can move, in words. leaves: see
-    `Motion.of`.
+    own. missing: what there is none of where nothing in the scene can move, in words.
     """
-    motion = Motion.of(motion, fields, measurement, leaves)
+    motion = Motion.of(motion, fields, measurement)
     compiled = find_model(model)
     workers = Workers.checked(measurement.__name__, threads, executor, progress)
     if not compiled.nv:

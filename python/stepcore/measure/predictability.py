@@ -13,7 +13,7 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.experiment.growth import DIRECTIONS, GROWTH, NEARBY, Growth
-from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
@@ -155,6 +155,7 @@ class Predictability(Result):
         return f"<Predictability of {self.name}: {self.time:.3g} s of {self.horizon:.3g} s>"
 
 
+@takes_motion()
 def predict(
     model: Source,
     motion: Motion | None = None,

@@ -29,16 +29,17 @@ from stepcore.scene.elements import (
     Tendon,
 )
 from stepcore.scene.names import Names
+from stepcore.signatures import takes_settings
 
 if TYPE_CHECKING:
     from typing import Self, Unpack
 
     from stepcore._core import Settings
-    from stepcore.engine.settings_fields import SettingsFields
     from stepcore.mjcf.nodes import Source
     from stepcore.scene.fields import (
         Vector,
     )
+    from stepcore.signatures import SettingsFields
 
 E = TypeVar("E", bound=Element)
 # MuJoCo's default.
@@ -239,6 +240,7 @@ class Holdings(checks.KnownNames):
     def settings(self, value: Settings) -> None:
         self.options = value.as_dict()
 
+    @takes_settings
     def with_settings(
         self,
         settings: Settings | Mapping[str, Any] | None = None,

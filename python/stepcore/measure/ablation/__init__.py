@@ -15,7 +15,7 @@ from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
 from stepcore.experiment.cost import heaviness
 from stepcore.experiment.errors import extent, far_off
-from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.reference import Reference, ReferenceRuns
 from stepcore.experiment.runaway import runaway
@@ -51,6 +51,7 @@ FEATURES_BUDGET, SCREENED = 1.2e7, 2
 BUDGET = 3e6
 
 
+@takes_motion()
 def ablate(
     model: Source,
     motion: Motion | None = None,

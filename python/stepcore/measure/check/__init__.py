@@ -13,7 +13,7 @@ import numpy as np
 from stepcore.checks import one_line
 from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Start
-from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
@@ -47,6 +47,7 @@ SENTENCES = 2
 NO_SIZE = 1.0
 
 
+@takes_motion(without=("starts",))
 def check(
     model: Source,
     motion: Motion | None = None,
@@ -92,7 +93,6 @@ def check(
         motion,
         fields,
         missing="nothing to check",
-        leaves=("starts",),
         threads=threads,
         executor=executor,
         progress=progress,

@@ -14,7 +14,7 @@ from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Coordinates
-from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.path import Path
 from stepcore.experiment.runaway import runaway
@@ -63,6 +63,7 @@ MOST, FEWER = 4096, 256
 STARTS = 3
 
 
+@takes_motion()
 def converge(
     model: Source,
     motion: Motion | None = None,

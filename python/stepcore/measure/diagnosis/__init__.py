@@ -11,7 +11,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.linear_maps import INTEGRATORS
-from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.setup import Source, set_up
@@ -49,6 +49,7 @@ PERIOD = 1 / 200
 SAFE = 0.25
 
 
+@takes_motion(without=("starts",))
 def diagnose(
     model: Source,
     motion: Motion | None = None,
@@ -95,7 +96,6 @@ def diagnose(
         motion,
         fields,
         missing="no step to diagnose",
-        leaves=("starts",),
         threads=threads,
         executor=executor,
         progress=progress,

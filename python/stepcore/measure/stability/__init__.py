@@ -13,7 +13,7 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
@@ -53,6 +53,7 @@ LESSON = {"lesson:spring": "spring", "lesson:stack": "stack"}
 WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt")
 
 
+@takes_motion(without=WITHOUT)
 def stability_map(
     model: Source | None = None,
     motion: Motion | None = None,
@@ -125,7 +126,6 @@ def stability_map(
         motion,
         fields,
         missing="no motion to map",
-        leaves=WITHOUT,
         threads=threads,
         executor=executor,
         progress=progress,

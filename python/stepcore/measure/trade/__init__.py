@@ -11,7 +11,7 @@ from stepcore import checks
 from stepcore._core import Settings
 from stepcore.experiment.cost import TimedRun, heaviness
 from stepcore.experiment.errors import errors, extent
-from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.other_models import ErrorSplit, clamping
 from stepcore.experiment.reference import FINER, Reference, ReferenceRuns, smallest
@@ -45,6 +45,7 @@ EFFORT = 6e6
 APART = 1_000_003
 
 
+@takes_motion()
 def trade(
     model: Source,
     motion: Motion | None = None,
