@@ -57,7 +57,7 @@ def test_memory_is_told():
 
 def test_so_many_worlds_that_a_sample_is_tried_have_the_bits_of_few():
     """Above 65,536 worlds "auto" tries the other way aside."""
-    many = sc.Batch("gymnasium:inverted_pendulum", (1 << 16) + 8, 1)
+    many = sc.Batch("gymnasium:inverted_pendulum", (1 << 16) + 8, threads=1)
     few = sc.Batch("gymnasium:inverted_pendulum", 16, threads=1, lanes=False)
     angles = np.linspace(-0.2, 0.2, 16)
     many.qpos[:, 1] = np.resize(angles, len(many))

@@ -83,7 +83,7 @@ class BatchRun:
         on_failure: str = "go on",
     ) -> None:
         self.runner, self.starts = runner, starts
-        batch = Batch(runner.model, len(starts), 1, on_failure=on_failure, settings=settings)
+        batch = Batch(runner.model, len(starts), settings, threads=1, on_failure=on_failure)
         self.batch = unwatched(batch)
         # Those that exploded, and why; those that failed otherwise.
         self.ended: dict[int, str] = {}

@@ -72,7 +72,7 @@ def _worlds(
 ) -> list[Point]:
     """Records of those points whose values can be."""
     n = len(worlds)
-    batch = unwatched(Batch(model, n, min(threads, n), on_failure="go on"))
+    batch = unwatched(Batch(model, n, threads=min(threads, n), on_failure="go on"))
     if columns:
         batch.param.update({path: column[worlds] for path, column in columns.items()})
     got = measure(batch)
