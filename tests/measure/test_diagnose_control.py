@@ -280,3 +280,50 @@ def test_a_spring_beside_a_held_control_keeps_its_own_limit():
     d = sc.diagnose(scene, control=lambda t, s: pd(t, s, 20.0, 2.0), control_dt=0.004, **QUIET)
     assert d.stiffest("euler") == "spring of joint `ankle`"
     assert d.limit("euler") == pytest.approx(2 / math.sqrt(460_000 / INERTIA), rel=0.02)
+
+
+class Player:
+    """Plays recorded controls: it counts its calls, and never looks at the time."""
+
+    def __init__(self, rows):
+        self.rows, self.calls = rows, 0
+
+    def __call__(self, time, sim):
+        row = self.rows[min(self.calls, len(self.rows) - 1)]
+        self.calls += 1
+        return row
+
+
+def test_recorded_controls_are_played_from_their_beginning_in_every_run():
+    """Law: a player that counts its calls is one that reads the clock. From 0.4 s on the table
+    drives the leg into its limit, so a run that begins anywhere else in it is another motion."""
+    scene = leg('range="-.5 .5" solreflimit="-4e5 -40" damping=".1"')
+    table = np.zeros((50, 1))
+    table[20:] = 3.0
+    fields = {"control_dt": 0.02, "dt": 0.004, **QUIET}
+    played = sc.diagnose(scene, control=Player(table), **fields)
+
+    def by_time(time, sim):
+        return table[min(int(time / 0.02 + 1e-9), 49)]
+
+    given = sc.diagnose(scene, control=by_time, **fields)
+    assert played.limits == given.limits and played.observed == given.observed
+    assert [state.label for state in played.states] == [state.label for state in given.states]
+    for one, other in zip(played.states, given.states, strict=True):
+        assert np.array_equal(one.qpos, other.qpos) and one.rows == other.rows
+    assert [row.element for row in played.rows] == [row.element for row in given.rows]
+    assert "limit of joint" in given.stiffest()
+
+
+def test_a_player_beside_a_pd_is_no_memory_of_the_pd():
+    """Law: differences of answers to the same rows are those of the PD; its z-map decides."""
+
+    class Both(Player):
+        def __call__(self, time, sim):
+            return np.add(super().__call__(time, sim), pd(time, sim))
+
+    rows = np.random.default_rng(0).uniform(-5.0, 5.0, (500, 1))
+    d = sc.diagnose(leg(), control=Both(rows), **QUIET)
+    assert d.limit("euler") == pytest.approx(z_map_limit("euler"), rel=5e-3)
+    alone = d.element("control of motor `ankle`")
+    assert alone.omega == pytest.approx(math.sqrt(KP / INERTIA), rel=1e-6)

@@ -396,3 +396,46 @@ def test_a_servo_that_friction_would_hold_at_rest_limits_dt_where_it_moves():
         sim.step(300)
         speeds[part] = float(abs(sim.qvel[0]))
     assert speeds[0.9] < 1e-6 and speeds[1.3] > 0.1
+
+
+# --- activations ----------------------------------------------------------------------------------
+
+# The actuator integrates its control, so its activation is a constant of the motion. Its gain is
+# -(1e4 length + 2 velocity): multiplied by the activation, a spring and a damper.
+ACTIVATED = """<mujoco><option timestep="{dt}" integrator="implicitfast" gravity="0 0 0"/>
+  <worldbody><body><joint name="rail" type="slide" axis="1 0 0"
+    stiffness="{stiffness}"/><geom size=".1" mass="1" contype="0" conaffinity="0"/></body>
+  </worldbody><actuator><general name="drive" joint="rail" dyntype="integrator" gaintype="affine"
+    gainprm="0 -1e4 -2"/></actuator>
+  <keyframe><key qvel="1" act="4"/></keyframe></mujoco>"""
+
+
+def test_a_keyframes_activation_is_part_of_the_state_that_is_diagnosed():
+    """Law: activation 4 makes ω = 200/s with ζ = 0.02, undamped dt < 2/ω; relaxed, nothing acts."""
+    scene = sc.loads(ACTIVATED.format(dt=1e-3, stiffness=0))
+    d = diagnosed(scene, control=lambda time, sim: [0.0])
+    assert all(state.act.tolist() == [4.0] for state in d.states)
+    assert d.stiffest("rk4") == "servo `drive`"
+    assert d.limiting("rk4").omega == pytest.approx(200)
+    limit = 2 * (math.sqrt(1 + 0.02**2) - 0.02) / 200
+    assert d.limit("semi-implicit") == pytest.approx(limit, rel=2e-3)
+
+
+def test_the_motion_that_judges_begins_with_the_keyframes_activation():
+    """The mass swings by 1/ω = 5 mm, more where a step gains energy. Relaxed, it would drift 1 m in
+    the second that is run."""
+    seen = []
+
+    def control(time, sim):
+        seen.append((abs(float(sim.qpos[0])), float(sim.act[0])))
+        return [0.0]
+
+    diagnosed(sc.loads(ACTIVATED.format(dt=1e-3, stiffness=0)), control=control)
+    assert max(q for q, _ in seen) < 0.1 and {act for _, act in seen} == {4.0}
+
+
+def test_the_warning_at_load_knows_the_keyframes_activation():
+    """The spring alone allows 39 ms; with the servo ω² is 2600 + 4e4, and c = 8:
+    dt < (c + √(c² + 4ω²))/ω² = 9.88 ms, found to 0.5 %."""
+    with pytest.warns(sc.StiffnessWarning, match="servo `drive` limits dt to 9.8"):
+        sc.loads(ACTIVATED.format(dt=0.02, stiffness=2600))

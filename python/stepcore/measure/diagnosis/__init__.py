@@ -118,7 +118,7 @@ def diagnose(
         safe = _safe_dt(at_start)
         schedule = nudged(schedule, model, float(at_start.rates[0].real.max(initial=0.0)))
         held = schedule
-        if control is not None:
+        if control is not None and not (motion.control_dt and begin.feedback is None):
             # Sampled often enough that it cannot blow the run up.
             schedule = sampled_often(schedule, safe)
         visit = visited(model, schedule, safe)

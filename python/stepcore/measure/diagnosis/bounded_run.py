@@ -6,6 +6,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
+from stepcore.experiment.control import fresh
 from stepcore.measure.diagnosis.held_control import steps_held
 from stepcore.measure.diagnosis.linear_step import State, ask_control, sim_at
 from stepcore.measure.diagnosis.saturation import FASTEST, FASTEST_SLIDE, KICK
@@ -71,9 +72,10 @@ def _largest_speed(
     sim = sim_at(model, state, integrator=integrator, dt=dt)
     sim.qvel[:] += PUSH * (-1.0) ** np.arange(model.nv)
     largest, hold = 0.0, steps_held(state, dt)[0]
+    function = None if state.feedback is None else fresh(state.feedback.function)
     try:
         for step in range(count):
-            if step % hold == 0 and not ask_control(sim, state):
+            if step % hold == 0 and not ask_control(sim, function):
                 return None
             sim.step()
             largest = max(largest, float(np.abs(sim.qvel).max()))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.control import Control
+from stepcore.experiment.control import Control, fresh
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.advice import MARGIN, Advice
 from stepcore.measure.diagnosis.bounded_run import stays_bounded
@@ -237,24 +237,40 @@ class _ControlSearch:
         return joint >= 0 and model.jnt_type[joint] == "hinge"
 
 
+@dataclass(frozen=True)
+class _Adjusted:
+    """A user's control function whose answer is adjusted; a copy has its own memory."""
+
+    function: Control
+    adjust: Callable[[Floats, Sim], Floats]
+
+    def __call__(self, time: float, sim: Sim) -> ArrayLike:
+        return self.adjust(np.array(self.function(time, sim), float).reshape(-1), sim)
+
+    def __deepcopy__(self, memo: Any) -> _Adjusted:
+        return _Adjusted(fresh(self.function), self.adjust)
+
+
 def rescaled(model: Model, state: State, rows: Sequence[int], by: tuple[float, float]) -> Feedback:
     """The feedback of a state with gains of some actuators on position and velocity multiplied."""
     old, n, coordinates = state.feedback, model.nv, Coordinates(model)
     assert old is not None
     factors = np.ones_like(old.gain)
     factors[rows, :n], factors[rows, n:] = by
-    settled, own = old.settled * factors, old.function
+    settled = old.settled * factors
     more = old.settled * (factors - 1)
 
-    def control(time: float, sim: Sim) -> ArrayLike:
+    def adjust(ctrl: Floats, sim: Sim) -> Floats:
         way = np.concatenate([coordinates.change(state.qpos, sim.qpos), sim.qvel - state.qvel])
-        return np.asarray(own(time, sim), float) + more @ way
+        return ctrl + more @ way
 
     # What is remembered is one loop for all gains: it scales as the settled gain does.
     c = old.c.copy()
     if old.order:
         c[rows] *= by[0] if by[0] == by[1] else float(np.sqrt(by[0] * by[1]))
-    return replace(old, function=control, gain=old.gain * factors, settled=settled, c=c)
+    return replace(
+        old, function=_Adjusted(old.function, adjust), gain=old.gain * factors, settled=settled, c=c
+    )
 
 
 def _as_servo(model: Model, state: State, rows: Sequence[int]) -> State:
@@ -265,10 +281,8 @@ def _as_servo(model: Model, state: State, rows: Sequence[int]) -> State:
     ctrl = state.ctrl.copy()
     for row in rows:
         ctrl[row] = state.qpos[model.jnt_qposadr[int(model.actuator_joint[row])]]
-    own: Control = old.function
 
-    def control(time: float, sim: Sim) -> ArrayLike:
-        values: Floats = np.array(own(time, sim), float).reshape(-1)
+    def adjust(values: Floats, sim: Sim) -> Floats:
         values[rows] = ctrl[rows]
         return values
 
@@ -276,7 +290,7 @@ def _as_servo(model: Model, state: State, rows: Sequence[int]) -> State:
     for name in ("gain", "settled", "c"):
         parts[name] = getattr(old, name).copy()
         parts[name][rows] = 0.0
-    feedback = replace(old, function=control, **parts)
+    feedback = replace(old, function=_Adjusted(old.function, adjust), **parts)
     return replace(state, ctrl=ctrl, feedback=feedback if np.any(feedback.gain) else None)
 
 

@@ -6,9 +6,10 @@ Hankel matrix of the response is split by its singular values. A function that r
 has the response zero after the first sample, which two random changes show; its gain is then the
 central difference of one call each.
 
-A function may count its calls or look at the time between them. So every response begins with as
-many calls without a change, at times one period apart, and is read as a difference to the last of
-them: what an integral has kept from earlier calls falls out of the difference of both signs.
+A function may count its calls or look at the time between them. So every response begins with the
+memory that the function has at the state, and with as many calls without a change, at times one
+period apart; it is read as a difference to the last of them. What no copy reaches, such as an
+integral in a closure, falls out of the difference of both signs.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ def with_feedback(
     made: list[State] = []
     first: Feedback | None = None
     for state in states:
-        probe = _Probe(model, state, fresh(control), dt, horizon)
+        # As it was when the run came by; before the first sample, as it begins.
+        control = control if state.control is None else state.control
+        probe = _Probe(model, state, control, dt, horizon)
         if first is None or (first.order and model.nv <= MOST_DOFS):
             feedback = probe.feedback()
         elif first.order:
@@ -56,7 +59,7 @@ def with_feedback(
             feedback = _prompt(control, probe.gain())
         first = first or feedback
         own = feedback if feedback.acts else None
-        made.append(replace(state, ctrl=probe.answer(None), feedback=own))
+        made.append(replace(state, ctrl=probe.now(), feedback=own))
     return made
 
 
@@ -73,7 +76,8 @@ class _Probe:
     def __init__(
         self, model: Model, state: State, control: Control, dt: float, horizon: float
     ) -> None:
-        self.model, self.state, self.control, self.dt = model, state, control, dt
+        self.model, self.state, self.dt = model, state, dt
+        self.begun = self.control = control
         self.last = max(0.0, horizon - dt)
         # Where the samples around it lie within the motion.
         around = SAMPLES * dt
@@ -96,9 +100,18 @@ class _Probe:
 
     def slope(self, answer: Callable[[Floats], Floats], direction: Floats) -> Floats:
         """The derivative of an answer along a change."""
-        change = self.small * direction
-        slope: Floats = (answer(change) - answer(-change)) / (2 * self.small)
+        change, answers = self.small * direction, []
+        for signed in (change, -change):
+            # Both begin with the same memory.
+            self.control = fresh(self.begun)
+            answers.append(answer(signed))
+        slope: Floats = (answers[0] - answers[1]) / (2 * self.small)
         return slope
+
+    def now(self) -> Floats:
+        """The controls at the state."""
+        self.control = fresh(self.begun)
+        return self.answer(None)
 
     def gain(self) -> Floats:
         """D of a function that remembers nothing, shape (nu, 2 nv)."""
@@ -125,9 +138,9 @@ class _Probe:
             self.small, coarse = SMALL, fine
         size = max(float(np.abs(some).max()) for some in coarse)
         if all(float(np.abs(some[1:]).max()) <= NOTHING * size for some in coarse):
-            return _prompt(self.control, self.gain())
+            return _prompt(self.begun, self.gain())
         columns = [self.slope(self.response, unit) for unit in np.eye(2 * self.model.nv)]
-        return realised(self.control, np.array(columns).transpose(1, 2, 0))
+        return realised(self.begun, np.array(columns).transpose(1, 2, 0))
 
 
 def realised(control: Control, response: Floats) -> Feedback:

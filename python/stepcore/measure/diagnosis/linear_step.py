@@ -20,7 +20,7 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.control import controls
+from stepcore.experiment.control import Control, controls, fresh
 from stepcore.experiment.converged import converged_settings
 from stepcore.measure.diagnosis.element_id import (
     ElementId,
@@ -48,7 +48,7 @@ class State:
     overlap there and have no row, those of the law `penalty`. slipping: the friction losses that
     give all of their force there, which no softness changes. feedback: the user's control function
     at this state, if the controls depend on it. act: shape (na,), empty for zeros; activations are
-    held.
+    held. control: the user's control function with what it remembers at this state.
     """
 
     label: str
@@ -61,6 +61,7 @@ class State:
     slipping: frozenset[ElementId] = frozenset()
     feedback: Feedback | None = None
     act: Floats = field(default_factory=lambda: np.zeros(0))
+    control: Control | None = field(default=None, repr=False)
 
 
 def with_converged_rows(model: Model) -> Model:
@@ -78,9 +79,18 @@ def with_converged_rows(model: Model) -> Model:
 
 def state_of(sim: Sim, label: str, time: float) -> State:
     """The present state of a Sim whose rows were solved there."""
-    qpos, qvel, ctrl = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl))
-    met = acting_elements(sim), penalised_contacts(sim), slipping_elements(sim)
-    return State(label, time, qpos, qvel, ctrl, *met, act=np.array(sim.act))
+    return dataclasses.replace(
+        state_now(sim, label, time),
+        rows=acting_elements(sim),
+        touching=penalised_contacts(sim),
+        slipping=slipping_elements(sim),
+    )
+
+
+def state_now(sim: Sim, label: str, time: float) -> State:
+    """The present state of a Sim, without the elements that act there."""
+    qpos, qvel, ctrl, act = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl, sim.act))
+    return State(label, time, qpos, qvel, ctrl, act=act)
 
 
 def sim_at(model: Model, state: State, **settings: Any) -> Sim:
@@ -120,19 +130,19 @@ def _stepped(sim: Sim, state: State, count: int) -> None:
     if state.feedback is None:
         sim.step(count)
         return
+    function = fresh(state.feedback.function)
     for step in range(count):
         if step and not state.feedback.order:
-            ask_control(sim, state)
+            ask_control(sim, function)
         sim.step()
 
 
-def ask_control(sim: Sim, state: State) -> bool:
-    """Sets the controls that the state's control function gives; False where it gives none."""
-    feedback = state.feedback
-    if feedback is None:
+def ask_control(sim: Sim, function: Control | None) -> bool:
+    """Sets the controls that a control function gives now; False where it gives none."""
+    if function is None:
         return True
     try:
-        sim.ctrl[:] = controls(feedback.function, sim)
+        sim.ctrl[:] = controls(function, sim)
     except ValueError:
         return False
     return True
@@ -150,15 +160,15 @@ def step_map(model: Model, state: State, integrator: str, dt: float) -> Floats |
 def step_maps(model: Model, state: State, integrator: str, dt: float, count: int) -> Floats | None:
     """The product of A over `count` steps that make up dt [s]; None as in `step_map`."""
     sim = sim_at(model, state, integrator=integrator, dt=dt / count)
-    product = None
+    product, feedback = None, state.feedback
+    function = None if feedback is None or feedback.order else fresh(feedback.function)
     try:
         for k in range(count):
-            matrix = closed_step(sim, state.feedback)
+            matrix = closed_step(sim, feedback)
             product = matrix if product is None else matrix @ product
             if k < count - 1:
                 sim.step()
-                if state.feedback is not None and not state.feedback.order:
-                    ask_control(sim, state)
+                ask_control(sim, function)
     except (SimulationError, ValueError):
         return None
     return product if product is not None and np.isfinite(product).all() else None

@@ -26,11 +26,11 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.control import ControlError, controls
+from stepcore.experiment.control import ControlError, controls, fresh
 from stepcore.experiment.coordinates import Start
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.starts import SPEED, SPIN
-from stepcore.measure.diagnosis.linear_step import State
+from stepcore.measure.diagnosis.linear_step import State, state_now
 from stepcore.scene.layout import DOFS
 
 # Kinetic energy over the largest of the fine run that counts as an explosion.
@@ -141,6 +141,10 @@ class _Run:
         self.sim, self.schedule, self.count, self.bound = sim, schedule, count, beyond
         first = schedule.starts[0]
         sim.qpos[:], sim.qvel[:] = first.qpos, first.qvel
+        if first.act is not None:
+            sim.act[:] = first.act
+        # What the user's control object remembers belongs to this run.
+        self.control = None if schedule.control is None else fresh(schedule.control)
         if kick is not None:
             sim.qvel[:] += kick
         self.times: list[float] = []
@@ -211,8 +215,8 @@ class _Run:
             index = int(self.done * dt / period + 1e-9)
             if index != self.last:
                 self.last = index
-                if schedule.control is not None:
-                    sim.ctrl = controls(schedule.control, sim)
+                if self.control is not None:
+                    sim.ctrl = controls(self.control, sim)
                 elif schedule.ctrl is not None:
                     sim.ctrl[:] = schedule.ctrl[0, min(index, schedule.periods - 1)]
             following = math.ceil((index + 1) * period / dt - 1e-9)
@@ -242,8 +246,7 @@ class _Run:
         self.energies.append(energy)
         if energy > self.bound:
             return False
-        ctrl = np.array(sim.ctrl)
-        self.calm = State("", self.times[-1], np.array(sim.qpos), np.array(sim.qvel), ctrl)
+        self.calm = state_now(sim, "", self.times[-1])
         return True
 
 

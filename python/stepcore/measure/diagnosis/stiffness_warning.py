@@ -113,7 +113,7 @@ def _linearised(model: Model) -> str:
     state = State("the start", 0.0, model.qpos0, np.zeros(model.nv), np.zeros(model.nu))
     if model.keys:
         key = model.keys[0]
-        state = State("the start", 0.0, key.qpos, key.qvel, key.ctrl)
+        state = State("the start", 0.0, key.qpos, key.qvel, key.ctrl, act=key.act)
     here = step_stability(model, [state], HORIZON)
 
     def stable(dt: float) -> bool:

@@ -6,23 +6,26 @@ at a small step one state is kept, and a few more evenly spaced in time.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.control import Control, fresh
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.probe import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.diagnosis.element_id import ElementId
-from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
+from stepcore.measure.diagnosis.linear_step import State, sim_at, state_now, state_of
 
 # The most states that are kept, and the most steps and samples of the run.
 STATES, STEPS, SAMPLES = 8, 20_000, 200
@@ -79,7 +82,8 @@ def start(model: Model, schedule: Schedule) -> State:
     """Where the motion begins."""
     first = schedule.starts[0]
     ctrl = np.zeros(model.nu) if schedule.ctrl is None else schedule.ctrl[0, 0]
-    sim = sim_at(model, State("the start", 0.0, first.qpos, first.qvel, ctrl))
+    act = np.zeros(0) if first.act is None else first.act
+    sim = sim_at(model, State("the start", 0.0, first.qpos, first.qvel, ctrl, act=act))
     sim.forward()
     return state_of(sim, "the start", 0.0)
 
@@ -92,9 +96,14 @@ def visited(model: Model, schedule: Schedule, safe: float) -> Visit:
     period = min(count, STEPS) * dt
     periods = max(1, min(schedule.periods, STEPS // count))
     run = replace(schedule, period=period, periods=periods, every=max(1, periods // SAMPLES))
+    control = None
+    if schedule.control is not None:
+        # One object in the whole run, seen by the probe; a function is not copied again.
+        control = fresh(schedule.control)
+        run = replace(run, control=_handed_on(control))
     runner = Runner(model, run)
     sim = runner.sim(model.settings.replace(integrator="implicitfast", dt=dt))
-    sampled, brief, failure = _SampledStates(), _BriefStates(model, count * periods), ""
+    sampled, brief, failure = _SampledStates(control), _BriefStates(model, count * periods), ""
     try:
         runner.follow(sim, 0, [sampled, brief])
         if periods % run.every:
@@ -113,15 +122,28 @@ def acting(state: State) -> frozenset[ElementId]:
     return frozenset((*state.rows, *state.touching))
 
 
+def _handed_on(control: Control) -> Control:
+    """A plain function that calls this object."""
+
+    @functools.wraps(control)
+    def function(time: float, sim: Sim) -> ArrayLike:
+        return control(time, sim)
+
+    return function
+
+
 class _SampledStates(Probe):
     """Keeps the states of a run at its samples."""
 
-    def __init__(self) -> None:
+    def __init__(self, control: Control | None) -> None:
+        self.control = control
         self.states: list[State] = []
 
     def sample(self, sim: Sim) -> None:
         sim.forward()
-        self.states.append(state_of(sim, f"t = {sim.time:.3g} s", sim.time))
+        state = state_of(sim, f"t = {sim.time:.3g} s", sim.time)
+        control = None if self.control is None else fresh(self.control)
+        self.states.append(replace(state, control=control))
 
 
 class _BriefStates(Probe):
@@ -158,9 +180,7 @@ class _BriefStates(Probe):
         pattern = (over > 0).tobytes(), pairs
         known = self.deepest.get(pattern)
         if (known is None and len(self.deepest) < PATTERNS) or (known and depth > known[0]):
-            label, time = f"t = {sim.time:.3g} s", sim.time
-            qpos, qvel, ctrl = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl))
-            self.deepest[pattern] = depth, State(label, time, qpos, qvel, ctrl)
+            self.deepest[pattern] = depth, state_now(sim, f"t = {sim.time:.3g} s", sim.time)
 
     def states(self, model: Model) -> Iterator[State]:
         """The states, with the rows that act there."""
