@@ -105,7 +105,6 @@ def test_load_takes_what_the_command_line_takes():
         sc.load("lesson:stak")
     with pytest.raises(FileNotFoundError):
         sc.load("no_such_file.xml")
-    pytest.importorskip("gymnasium")
     assert sc.load("gymnasium:ant").compile().nu == 8
     with pytest.raises(ValueError, match='nearest: "ant"'):
         sc.load("gymnasium:antt")

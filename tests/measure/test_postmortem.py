@@ -436,7 +436,6 @@ def test_an_unstable_controller_is_named_by_its_motor():
 
 
 def test_the_picture_of_what_overflowed(tmp_path):
-    pytest.importorskip("matplotlib")
     sim = sc.Sim(wild_pendulum(), ledger=True)
     with pytest.raises(sc.SimulationError) as caught:
         controlled(sim, 5000)

@@ -1,7 +1,6 @@
 """Files of meshes: the same mesh in every format; damage is refused."""
 
-from __future__ import annotations
-
+import collections
 import os
 import pickle
 import re
@@ -210,17 +209,23 @@ def test_bytes_changed_at_random_are_read_or_refused(name, tmp_path):
     """Never another exception; what is read is finite, with faces between its vertices."""
     rng = np.random.default_rng(1)
     whole = FORMATS[name]()
+    outcomes = collections.Counter()
     for _ in range(400):
         data = bytearray(whole)
         for _ in range(rng.integers(1, 6)):
             data[rng.integers(len(data))] = rng.integers(256)
-        if rng.random() < 0.3:
+        if rng.random() < 0.5:  # a file that still reads: another digit, or another last byte
+            digits = [k for k in range(len(whole)) if whole[k] in b"0123456789"]
+            data = bytearray(whole)
+            data[digits[rng.integers(len(digits))] if digits else -1] = 48 + rng.integers(10)
+        elif rng.random() < 0.3:
             del data[rng.integers(len(data)) :]
         (tmp_path / name).write_bytes(data)
         try:
             vertices, faces, _ = mesh_files.read(tmp_path / name)
         except ValueError as error:
             assert "\n" not in str(error)
+            outcomes["refused"] += 1
             continue
         assert np.isfinite(vertices).all()
         assert faces is None or (faces.min() >= 0 and faces.max() < len(vertices))
@@ -232,8 +237,11 @@ def test_bytes_changed_at_random_are_read_or_refused(name, tmp_path):
             scene.add_geom(body, "mesh", mesh=mesh)
             model = scene.compile()
         except ValueError:
+            outcomes["no solid"] += 1
             continue
         assert np.isfinite(model.body_mass).all() and (model.body_mass[1:] > 0).all()
+        outcomes["compiled"] += 1
+    assert outcomes["refused"] > 10 and outcomes["compiled"] > 10, outcomes
 
 
 ROBOT = """<mujoco><compiler {compiler}/>

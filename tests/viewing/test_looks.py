@@ -205,7 +205,8 @@ ODD = """<mujoco><default><default class="warm"><light diffuse="1 .5 0"/></defau
 )
 def test_what_mujoco_refuses_costs_a_note_and_no_other_colour(odd):
     """The other light, the other material and the geoms that only draw stay."""
-    mujoco = pytest.importorskip("mujoco")
+    import mujoco
+
     tag, attribute = odd.split(" ", 1)
     text = ODD.format(
         **dict.fromkeys(("light", "headlight", "material", "texture"), "") | {tag: attribute}
@@ -259,7 +260,8 @@ FRAMED = """<mujoco><compiler angle="radian"/><default>
 
 def test_lights_in_frames_stand_where_mujoco_has_them():
     """Against MuJoCo's compiled model: pose in the body, colour, in any order."""
-    mujoco = pytest.importorskip("mujoco")
+    import mujoco
+
     _, drawing = drawn(FRAMED)
     theirs = mujoco.MjModel.from_xml_string(FRAMED)
     assert len(drawing.lights) == theirs.nlight == 6

@@ -14,7 +14,8 @@ from stepcore.viewing import notebook, picture
 
 
 def drawn(shown):
-    image = pytest.importorskip("PIL.Image")
+    import PIL.Image as image
+
     data = re.search(r'src="data:image/png;base64,([^"]+)"', shown).group(1)
     return np.asarray(image.open(io.BytesIO(base64.b64decode(data))))
 
