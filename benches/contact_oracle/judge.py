@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 import stepcore as sc
+from stepcore.engine.touches import Touches
 
 from .certificate import certify
 from .cover import upper_bound
@@ -30,7 +31,7 @@ class Verdict:
     """
 
     trial: Trial
-    touches: sc.Touches
+    touches: Touches
     overlap: np.ndarray
     searched: np.ndarray
     true: np.ndarray
@@ -46,7 +47,7 @@ class Verdict:
     found: Found | None
 
 
-def touched(trial: Trial, **how: Any) -> sc.Touches:
+def touched(trial: Trial, **how: Any) -> Touches:
     """The engine's contacts at a trial's poses, in the world."""
     return sc.loads(trial.mjcf()).compile().touches("a", "b", trial.qpos, **how)
 
@@ -104,7 +105,7 @@ def judge(
     )
 
 
-def _manifold(trial: Trial, touches: sc.Touches, pos: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _manifold(trial: Trial, touches: Touches, pos: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """How far the points of any contact stand out of their shapes [m]."""
     posed = trial.posed
     half = normal * touches.dist[..., None] / 2

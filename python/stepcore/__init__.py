@@ -21,62 +21,37 @@ if TYPE_CHECKING:
     from stepcore._core import EnergyWarning as EnergyWarning
     from stepcore._core import Settings as Settings
     from stepcore._core import SimulationError as SimulationError
-    from stepcore.engine.axes import Axis as Axis
     from stepcore.engine.batch import Batch as Batch
     from stepcore.engine.linearization import Linearization as Linearization
     from stepcore.engine.model import Model as Model
-    from stepcore.engine.model_data import ContactPair as ContactPair
     from stepcore.engine.model_data import Keyframe as Keyframe
     from stepcore.engine.noise import Noise as Noise
-    from stepcore.engine.parameters import Parameters as Parameters
     from stepcore.engine.plan import Plan as Plan
-    from stepcore.engine.plan import PlanEntry as PlanEntry
     from stepcore.engine.postmortem import PostMortem as PostMortem
-    from stepcore.engine.rays import RayHits as RayHits
     from stepcore.engine.replay import Replay as Replay
     from stepcore.engine.replay import replay as replay
     from stepcore.engine.rollout import Rollout as Rollout
-    from stepcore.engine.sim import Energy as Energy
-    from stepcore.engine.sim import Momentum as Momentum
     from stepcore.engine.sim import Sim as Sim
-    from stepcore.engine.touches import Touches as Touches
     from stepcore.engine.trajectory import Trajectory as Trajectory
     from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
-    from stepcore.engine.views import ActuatorView as ActuatorView
-    from stepcore.engine.views import BodyView as BodyView
-    from stepcore.engine.views import GeomView as GeomView
-    from stepcore.engine.views import JointView as JointView
-    from stepcore.engine.views import SensorView as SensorView
-    from stepcore.engine.views import SiteView as SiteView
-    from stepcore.engine.views import TendonView as TendonView
     from stepcore.experiment.motion import Motion as Motion
     from stepcore.measure.ablation import Ablation as Ablation
-    from stepcore.measure.ablation import FeatureEffect as FeatureEffect
     from stepcore.measure.ablation import ablate as ablate
     from stepcore.measure.check import Check as Check
     from stepcore.measure.check import check as check
-    from stepcore.measure.convergence import CandidateRun as CandidateRun
     from stepcore.measure.convergence import Convergence as Convergence
-    from stepcore.measure.convergence import ResidualHistory as ResidualHistory
-    from stepcore.measure.convergence import RowForce as RowForce
-    from stepcore.measure.convergence import SweepTheory as SweepTheory
     from stepcore.measure.convergence import converge as converge
     from stepcore.measure.diagnosis import Diagnosis as Diagnosis
     from stepcore.measure.diagnosis import diagnose as diagnose
-    from stepcore.measure.diagnosis.element_limits import ElementLimits as ElementLimits
     from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning as StiffnessWarning
     from stepcore.measure.findings import Finding as Finding
     from stepcore.measure.plan import plan as plan
     from stepcore.measure.predictability import Predictability as Predictability
-    from stepcore.measure.predictability import StartGrowth as StartGrowth
     from stepcore.measure.predictability import predict as predict
-    from stepcore.measure.stability import MapCell as MapCell
-    from stepcore.measure.stability import MapPanel as MapPanel
     from stepcore.measure.stability import StabilityMap as StabilityMap
     from stepcore.measure.stability import stability_map as stability_map
     from stepcore.measure.sweep import sweep as sweep
     from stepcore.measure.trade import Trade as Trade
-    from stepcore.measure.trade import TradeRow as TradeRow
     from stepcore.measure.trade import trade as trade
     from stepcore.mjcf.nodes import MJCFError as MJCFError
     from stepcore.reading import load as load
@@ -111,99 +86,44 @@ vectors.choose(__path__)
 # that a script that steps a scene does not wait for the measurements. Type checkers read the
 # block above; a test compares the two.
 _MODULES = {
-    "stepcore._core": (
-        "EnergyWarning",
-        "Settings",
-        "SimulationError",
-    ),
-    "stepcore.engine.axes": ("Axis",),
-    "stepcore.engine.batch": ("Batch",),
-    "stepcore.engine.linearization": ("Linearization",),
-    "stepcore.engine.model": ("Model",),
-    "stepcore.engine.noise": ("Noise",),
-    "stepcore.engine.parameters": ("Parameters",),
-    "stepcore.engine.model_data": ("ContactPair", "Keyframe"),
-    "stepcore.engine.plan": (
-        "Plan",
-        "PlanEntry",
-    ),
-    "stepcore.engine.postmortem": ("PostMortem",),
-    "stepcore.engine.rays": ("RayHits",),
-    "stepcore.engine.replay": (
-        "Replay",
-        "replay",
-    ),
-    "stepcore.engine.rollout": ("Rollout",),
-    "stepcore.engine.sim": (
-        "Energy",
-        "Momentum",
-        "Sim",
-    ),
-    "stepcore.engine.touches": ("Touches",),
-    "stepcore.engine.trajectory": ("Trajectory",),
-    "stepcore.engine.unsolved": ("UnsolvedWarning",),
-    "stepcore.engine.views": (
-        "ActuatorView",
-        "BodyView",
-        "GeomView",
-        "JointView",
-        "SensorView",
-        "SiteView",
-        "TendonView",
-    ),
-    "stepcore.experiment.motion": ("Motion",),
-    "stepcore.measure.ablation": (
-        "Ablation",
-        "FeatureEffect",
-        "ablate",
-    ),
-    "stepcore.measure.check": ("Check", "check"),
-    "stepcore.measure.convergence": (
-        "CandidateRun",
-        "Convergence",
-        "ResidualHistory",
-        "RowForce",
-        "SweepTheory",
-        "converge",
-    ),
-    "stepcore.measure.diagnosis": (
-        "Diagnosis",
-        "diagnose",
-    ),
-    "stepcore.measure.diagnosis.element_limits": ("ElementLimits",),
-    "stepcore.measure.diagnosis.stiffness_warning": ("StiffnessWarning",),
-    "stepcore.measure.findings": ("Finding",),
-    "stepcore.measure.plan": ("plan",),
-    "stepcore.measure.predictability": ("Predictability", "StartGrowth", "predict"),
-    "stepcore.measure.stability": (
-        "MapCell",
-        "MapPanel",
-        "StabilityMap",
-        "stability_map",
-    ),
-    "stepcore.measure.sweep": ("sweep",),
-    "stepcore.measure.trade": (
-        "Trade",
-        "TradeRow",
-        "trade",
-    ),
-    "stepcore.mjcf.nodes": ("MJCFError",),
-    "stepcore.reading": (
-        "load",
-        "loads",
-    ),
-    "stepcore.report.report": ("Report",),
-    "stepcore.report.table": ("Table",),
+    "stepcore._core": "EnergyWarning Settings SimulationError",
+    "stepcore.engine.batch": "Batch",
+    "stepcore.engine.linearization": "Linearization",
+    "stepcore.engine.model": "Model",
+    "stepcore.engine.noise": "Noise",
+    "stepcore.engine.model_data": "Keyframe",
+    "stepcore.engine.plan": "Plan",
+    "stepcore.engine.postmortem": "PostMortem",
+    "stepcore.engine.replay": "Replay replay",
+    "stepcore.engine.rollout": "Rollout",
+    "stepcore.engine.sim": "Sim",
+    "stepcore.engine.trajectory": "Trajectory",
+    "stepcore.engine.unsolved": "UnsolvedWarning",
+    "stepcore.experiment.motion": "Motion",
+    "stepcore.measure.ablation": "Ablation ablate",
+    "stepcore.measure.check": "Check check",
+    "stepcore.measure.convergence": "Convergence converge",
+    "stepcore.measure.diagnosis": "Diagnosis diagnose",
+    "stepcore.measure.diagnosis.stiffness_warning": "StiffnessWarning",
+    "stepcore.measure.findings": "Finding",
+    "stepcore.measure.plan": "plan",
+    "stepcore.measure.predictability": "Predictability predict",
+    "stepcore.measure.stability": "StabilityMap stability_map",
+    "stepcore.measure.sweep": "sweep",
+    "stepcore.measure.trade": "Trade trade",
+    "stepcore.mjcf.nodes": "MJCFError",
+    "stepcore.reading": "load loads",
+    "stepcore.report.report": "Report",
+    "stepcore.report.table": "Table",
     "stepcore.scene.elements": (
-        *("Actuator", "Body", "ContactOverride", "Equality", "Features", "Geom", "HField"),
-        *("Joint", "Key", "LengthRange", "MassRules", "Mesh", "Pair", "Pulley", "Sensor", "Site"),
-        "Tendon",
+        "Actuator Body ContactOverride Equality Features Geom HField Joint Key "
+        "LengthRange MassRules Mesh Pair Pulley Sensor Site Tendon"
     ),
-    "stepcore.scene.scene": ("Scene",),
-    "stepcore.viewing.live": ("View", "view"),
-    "stepcore.viewing.picture": ("picture",),
+    "stepcore.scene.scene": "Scene",
+    "stepcore.viewing.live": "View view",
+    "stepcore.viewing.picture": "picture",
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 _SUBMODULES = ("lesson",)
 
 __all__ = ["__version__", *_MODULE_OF, *_SUBMODULES]

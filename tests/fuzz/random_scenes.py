@@ -95,7 +95,12 @@ def random_batch(seed: int) -> None:
     chosen = numerics(rng) | {"ledger": False}
     worlds, threads = rng.choice((1, 3, 5, 9)), rng.choice((1, 2, 3))
     batch = sc.Batch(
-        model, worlds, threads, lanes=rng.choice((True, False)), on_failure="go on", **chosen
+        model,
+        worlds,
+        threads=threads,
+        lanes=rng.choice((True, False)),
+        on_failure="go on",
+        **chosen,
     )
     start(batch, np.random.default_rng(seed), rng.choice((0.0, 1.0, 10.0, 1e4)))
     size = np.linspace(0.5, 1.0, worlds)

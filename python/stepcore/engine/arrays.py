@@ -49,12 +49,19 @@ class ReadOnlyArray:
 
 
 class Readout(ReadOnlyArray):
-    """What a `Sim` or a `Batch` computes from its state or keeps of its last solve."""
+    """What a `Sim` or a `Batch` computes from its state or keeps of its last solve.
+
+    of: the readout that an attribute under MuJoCo's name gives.
+    """
+
+    def __init__(self, doc: str, of: str | None = None) -> None:
+        super().__init__(doc)
+        self.of = of
 
     def __get__(self, sim: Any, owner: type | None = None) -> Floats:
         if sim is None:
             return self  # type: ignore[return-value]
-        array: Floats = sim._core.readout(self.name)
+        array: Floats = sim._core.readout(self.of or self.name)
         return array
 
 

@@ -25,7 +25,8 @@ DOFS = {"free": ("vx", "vy", "vz", *TURNING), "ball": TURNING}
 # The axes of each array; where an array has more, the rest are numbered.
 AXES = {
     **dict.fromkeys(("qvel", "qacc", "qfrc_applied", "bias", "passive"), ("dof",)),
-    **dict.fromkeys(("constraint_force",), ("dof",)),
+    **dict.fromkeys(("constraint_force", "qfrc_constraint"), ("dof",)),
+    **dict.fromkeys(("qfrc_bias", "qfrc_passive"), ("dof",)),
     **dict.fromkeys(("ctrl", "actuator_length", "actuator_velocity"), ("actuator",)),
     **dict.fromkeys(("actuator_force",), ("actuator",)),
     **dict.fromkeys(("xpos", "subtree_com"), ("body", "xyz")),

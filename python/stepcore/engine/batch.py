@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -354,6 +355,10 @@ class Batch(Stepped):
             worlds = [state]  # type: ignore[list-item]
         self._core.restore([snapshot(state, world) for world in worlds])
         self._reset_at[:] = np.nan
+
+    def copy(self) -> Batch:
+        """Returns another batch of the same worlds: both go on with the same bits."""
+        return copy.deepcopy(self)
 
     # The present states.
 

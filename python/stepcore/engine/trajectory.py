@@ -36,10 +36,11 @@ RECORDED = (
     *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat"),
     *("ten_length", "ten_velocity"),
     *("subtree_com", "cinert", "cvel", "cacc", "cfrc_ext", "cfrc_int"),
-    *("energy", "momentum", "overlap", "bias", "passive"),
+    *("energy", "momentum", "overlap", "bias", "passive", "qfrc_bias", "qfrc_passive"),
     *("actuator_length", "actuator_velocity"),
     "sensordata",
-    *("qacc", "residual", "constraint_force", "actuator_force", "sweeps_done", "row_updates"),
+    *("qacc", "residual", "constraint_force", "qfrc_constraint", "actuator_force"),
+    *("sweeps_done", "row_updates"),
     "unrecovered_overlap",
 )
 

@@ -80,20 +80,25 @@ class World(checks.KnownNames, ABC):
     )
     bias = Readout(
         "Coriolis, centrifugal and gravity forces [N or N·m], shape (nv,); on the left-hand side "
-        "of the equation of motion, M qacc + bias = forces."
+        "of the equation of motion, M qacc + bias = forces. MuJoCo calls it qfrc_bias."
     )
     actuator_length = Readout("Length of each actuator, times its gear [m or rad], shape (nu,).")
     actuator_velocity = Readout("Velocity of each actuator, times its gear, shape (nu,).")
     passive = Readout(
-        "Forces of springs and dampers of joints and tendons [N or N·m], shape (nv,)."
+        "Forces of springs and dampers of joints and tendons [N or N·m], shape (nv,). MuJoCo calls "
+        "them qfrc_passive."
     )
+    M = Readout("MuJoCo's name for `mass_matrix()`; every entry, shape (nv, nv).", of="mass_matrix")
+    qfrc_bias = Readout("MuJoCo's name for `bias`.", of="bias")
+    qfrc_passive = Readout("MuJoCo's name for `passive`.", of="passive")
 
     # Of the last step or forward().
     qacc = Readout("Accelerations of the last solve [m/s² or rad/s²], shape (nv,).")
     constraint_force = Readout(
         "Force of all constraint rows on the dofs, Jᵀλ/dt, and of contacts under the law penalty "
-        "[N or N·m], shape (nv,)."
+        "[N or N·m], shape (nv,). MuJoCo calls it qfrc_constraint."
     )
+    qfrc_constraint = Readout("MuJoCo's name for `constraint_force`.", of="constraint_force")
     cacc = Readout(
         "Acceleration of each body in the last solve, written as `cvel` is [rad/s², m/s²], shape "
         "(nbody, 6). Gravity counts as an upward acceleration: a body at rest has +9.81. The "

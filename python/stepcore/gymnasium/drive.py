@@ -21,7 +21,7 @@ from stepcore.gymnasium.task import Task
 # What tells of the last solve; the other arrays are of the present state.
 OF_THE_SOLVE = frozenset(
     {
-        *("qacc", "constraint_force", "cacc", "cfrc_ext", "cfrc_int"),
+        *("qacc", "constraint_force", "qfrc_constraint", "cacc", "cfrc_ext", "cfrc_int"),
         *("actuator_force", "sensordata"),
     }
 )
