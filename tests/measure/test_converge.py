@@ -13,8 +13,12 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
-from stepcore.measure.convergence.residuals import MotionState, residual_history
-from stepcore.measure.convergence.theory import spectral_radius, speeds
+from stepcore.measure.convergence.sweeps import (
+    MotionState,
+    residual_history,
+    spectral_radius,
+    speeds,
+)
 from stepcore.scene.scene import Scene
 
 
@@ -232,7 +236,7 @@ def test_j2_heavy_end_chain(chain):
 def test_what_has_no_rows_and_one_row():
     found = sc.converge(lesson.spring(), horizon=0.3, starts=1, progress=False)
     assert found.verdict == "no rows" and found.better == "neither"
-    assert "so sweeps do not matter" in str(found)
+    assert "so sweeps have no effect" in str(found)
     found = sc.converge(lesson.drop(), horizon=0.512, starts=1, states=2, progress=False)
     assert found.verdict == "solved" and found.contraction is None
     assert "No two rows act at once" in str(found)

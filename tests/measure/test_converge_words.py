@@ -9,7 +9,7 @@ from test_converge import heavy_end
 import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment.path import Path
-from stepcore.measure.convergence import sentences
+from stepcore.measure.convergence import result as words
 from stepcore.measure.convergence.runs import HalvedReference, run_of
 
 
@@ -31,16 +31,16 @@ def failing(result, fails):
 
 
 def work(result):
-    return next(s for s in sentences.of(result) if s.startswith("At equal work"))
+    return next(s for s in result.sentences if s.startswith("At equal work"))
 
 
 def test_no_verdict_stands_over_a_row_of_failures(heavy):
     said = work(failing(heavy, lambda split: True))
-    assert said.startswith("At equal work (row updates) neither smaller steps nor more sweeps")
+    assert said.startswith("At equal work (row updates) both smaller steps and more sweeps fail")
     said = work(failing(heavy, lambda split: split.sweeps > split.steps))
-    assert said.startswith("At equal work (row updates) only smaller steps give a motion")
+    assert said.startswith("At equal work (row updates) only smaller steps do not fail")
     said = work(failing(heavy, lambda split: split.sweeps < split.steps))
-    assert said.startswith("At equal work (row updates) only more sweeps give a motion")
+    assert said.startswith("At equal work (row updates) only more sweeps do not fail")
     assert "fails" in said
 
 
@@ -50,7 +50,7 @@ def test_few_sweeps_can_hide_what_diverges(heavy):
     runs[solved] = dataclasses.replace(runs[solved], failure="start 0: far off", error=np.nan)
     found = dataclasses.replace(heavy, runs=runs, ending=None)
     assert found.verdict == "diverging"
-    verdict, *_ = sentences.of(found)
+    verdict, *_ = found.sentences
     assert verdict.startswith("Diverging: with converged forces the motion fails (start 0: far off")
     assert verdict.endswith("it runs only because sweeps are too few.")
 
@@ -73,8 +73,8 @@ def test_a_stack_that_climbs_is_diverging_and_not_under_solved():
 
 
 def test_what_one_sweep_solves_leaves_nothing(heavy):
-    assert sentences._share(0.0) == sentences._share(1e-17) == "nothing"
-    assert sentences._share(0.4871) == "0.4871"
+    assert words._share(0.0) == words._share(1e-17) == "nothing"
+    assert words._share(0.4871) == "0.4871"
     assert "0.0000" not in heavy.text(full=True)
 
 

@@ -1,8 +1,9 @@
-"""`converge`: whether a scene's rows are solved, and what gains more: sweeps or smaller steps."""
+"""`converge`: tests whether the forces of rows are converged, and what would converge them."""
 
 from __future__ import annotations
 
 import dataclasses
+import operator
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import partial
@@ -12,8 +13,6 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.engine.model import Model
-from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.path import Path
@@ -22,29 +21,25 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
-from stepcore.measure.convergence.candidates import (
-    Candidates,
-    candidates,
-    divides,
-    with_converged,
-)
-from stepcore.measure.convergence.findings import Ending
-from stepcore.measure.convergence.residuals import (
-    MotionState,
-    ResidualHistory,
-    RowForce,
-    residual_history,
-)
 from stepcore.measure.convergence.result import Convergence
 from stepcore.measure.convergence.runs import (
     CandidateRun,
-    HalvedReference,
+    Candidates,
+    candidates,
+    divides,
+    ending,
     halved_reference,
-    median_error,
     row_states,
     run_of,
+    with_converged,
 )
-from stepcore.measure.convergence.theory import SweepTheory
+from stepcore.measure.convergence.sweeps import (
+    MotionState,
+    ResidualHistory,
+    RowForce,
+    SweepTheory,
+    residual_history,
+)
 from stepcore.measure.findings import watched
 from stepcore.report.progress import Choice
 
@@ -57,9 +52,9 @@ __all__ = [
     "converge",
 ]
 
-# The most sweeps at the settings' own time step, and at the others.
+# The most sweeps that are measured at the own time step, and at the others.
 MOST, FEWER = 4096, 256
-# The number of starts where none is given.
+# The default number of starts.
 STARTS = 3
 
 
@@ -74,13 +69,14 @@ def converge(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Convergence:
-    """Measures whether a scene's rows are solved along its motion, and what would solve them.
+    """Tests whether a scene's contact forces and other rows are converged along its motion.
 
-    At states along the motion it measures the residual by the number of sweeps, cold and warm; the
-    share of the error that a sweep leaves, beside the theoretical value; and which rows are
+    At states of the motion it measures the residual by the number of sweeps, cold and warm; the
+    share of the error that each sweep leaves, beside its theoretical value; and which rows are
     furthest from their converged force. Over the whole motion it measures the error at other time
     steps, with converged forces, and at equal row updates split into many sweeps or many steps. All
-    runs are compared with one converged reference.
+    runs are compared with one converged reference; errors are RMS distances from it in the median
+    start [m].
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Its settings are
         judged.
@@ -136,9 +132,9 @@ def converge(
     runs = {
         s: run_of(s, paths_of, reference, schedule.horizon, weight) for s, paths_of in paths.items()
     }
-    ending = None
+    end = None
     if not (runs[own].failure or runs[some.solved].failure):
-        ending = _ending(model, paths[own], paths[some.solved], reference, schedule.times)
+        end = ending(runner, paths[own], paths[some.solved], reference)
     return Convergence(
         name=setup.name,
         settings=own,
@@ -149,10 +145,10 @@ def converge(
         runs=runs,
         histories=histories,
         reference=reference,
-        ending=ending,
+        ending=end,
         notes=list(model.scene.notes),
-        # What the rows leave unsolved is the whole answer.
-        findings=[one for one in watched(runner, own) if one.kind != "residual"],
+        # The residual is this measurement's own answer.
+        findings=[finding for finding in watched(runner, own) if finding.kind != "residual"],
         ran=motion_in_words(model, motion, schedule),
     )
 
@@ -162,25 +158,25 @@ def _runs(
 ) -> dict[Settings, list[Path]]:
     """Every start under each of the settings."""
     starts = range(len(runner.schedule.starts))
-    jobs = [(settings, start) for settings in some for start in starts]
-    paths = workers.each(partial(_run, runner), jobs, label)
+    jobs = [partial(runner.run, settings, start) for settings in some for start in starts]
+    paths = workers.each(operator.call, jobs, label)
     return {s: paths[i * len(starts) : (i + 1) * len(starts)] for i, s in enumerate(some)}
-
-
-def _run(runner: Runner, job: tuple[Settings, int]) -> Path:
-    return runner.run(*job)
 
 
 def _histories(
     runner: Runner, some: Candidates, states: int, workers: Workers
 ) -> list[ResidualHistory]:
-    """Sweeps at states along the settings' own motion, at each time step."""
+    """Sweeps at states of the own motion, under each time step."""
     starts = range(len(runner.schedule.starts))
     quiet = dataclasses.replace(workers, progress=False)
     by_start = quiet.each(partial(row_states, runner, some.own), starts, "")
     chosen = _chosen([state for states_of in by_start for state in states_of], states)
-    jobs = [(s, MOST if s == some.own else FEWER, state) for s in some.dts for state in chosen]
-    return workers.each(partial(_history, runner.model), jobs, "sweeps")
+    jobs = [
+        partial(residual_history, runner.model, s, MOST if s == some.own else FEWER, state)
+        for s in some.dts
+        for state in chosen
+    ]
+    return workers.each(operator.call, jobs, "sweeps")
 
 
 def _chosen(some: list[MotionState], count: int) -> list[MotionState]:
@@ -190,32 +186,3 @@ def _chosen(some: list[MotionState], count: int) -> list[MotionState]:
     even = np.linspace(0, len(some) - 1, count - 1).round().astype(int)
     worst = int(np.argmax([state.residual for state in some]))
     return [some[i] for i in np.unique([*even, worst])]
-
-
-def _history(model: Model, job: tuple[Settings, int, MotionState]) -> ResidualHistory:
-    return residual_history(model, *job)
-
-
-def _ending(
-    model: Model,
-    own: Sequence[Path],
-    solved: Sequence[Path],
-    reference: HalvedReference,
-    times: np.ndarray,
-) -> Ending:
-    """Where the motion ends, beside where it ends with converged forces; the worst start."""
-    bodies = Coordinates(model).moving
-    over = median_error(own, solved, reference.scored)
-    last = max(1, len(times) // 10)
-    span = float(times[-1] - times[-1 - last]) if len(times) > last else np.nan
-    endings: list[Ending] = []
-    for start, paths in enumerate(zip(own, solved, strict=True)):
-        gap = np.linalg.norm(paths[0].com[-1] - paths[1].com[-1], axis=-1)
-        at = int(gap.argmax())
-        speed = solved_speed = np.nan
-        if len(times) > last:
-            moved = [path.com[-1, at] - path.com[-1 - last, at] for path in paths]
-            speed, solved_speed = (float(np.linalg.norm(way)) / span for way in moved)
-        body = model.element_name("body", bodies[at])
-        endings.append(Ending(start, body, float(gap[at]), speed, solved_speed, over))
-    return max(endings, key=lambda ending: ending.apart)

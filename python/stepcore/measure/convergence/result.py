@@ -1,28 +1,41 @@
-"""`Convergence`: what `converge` returns, its findings in sentences, tables and data."""
+"""`Convergence`: what `converge` returns: its verdict, in sentences, tables and data."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from stepcore.measure.convergence import sentences
-from stepcore.measure.convergence.findings import ConvergenceFindings
+from stepcore._core import Settings
+from stepcore.experiment.motion import Motion
+from stepcore.measure.convergence.runs import CandidateRun, Candidates, Ending, HalvedReference
+from stepcore.measure.convergence.sweeps import ResidualHistory, RowForce, SweepTheory
+from stepcore.measure.findings import Finding
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import counted, metres, seconds
+from stepcore.report.units import counted, metres, seconds, speed
 
-# Residuals below this share of the largest are rounding.
-ROUNDING = 1e-13
-# The rows that are printed.
-PRINTED = 5
+# Smaller differences of position, relative to the scene's size, are not worth a verdict.
+NOTABLE = 1e-5
+# A residual moves a body no further than its speed times the duration of the motion, times this
+# factor where small differences grow.
+GROWTH = 100.0
+# Errors that differ by less than this factor count as equal.
+ALIKE = 1.2
+# A body that moves less than this share of the distance in the whole motion rests.
+STILL = 0.1
+# Residuals below this share of the largest are rounding; so are rates of convergence below that.
+ROUNDING, NO_RATE = 1e-13, 1e-12
+# A screen has this many rows; a sentence names this many, if they lack this share of the largest.
+PRINTED, NAMED, LACKING = 5, 3, 0.1
 
 
 @dataclass(eq=False, repr=False)
-class Convergence(ConvergenceFindings, Result):
+class Convergence(Result):
     """Whether a scene's rows are solved, and whether sweeps or smaller steps gain more accuracy.
 
     candidates: the settings that were run.
@@ -53,8 +66,119 @@ class Convergence(ConvergenceFindings, Result):
         "updates": "1/s",
     }
 
+    name: str
+    settings: Settings
+    motion: Motion
+    horizon: float
+    starts: int
+    candidates: Candidates
+    runs: dict[Settings, CandidateRun]
+    histories: list[ResidualHistory]
+    reference: HalvedReference
+    ending: Ending | None
+    notes: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    ran: str = ""
+
     def __post_init__(self) -> None:
-        self.notes = [*self.reference.notes, *self.notes, *sentences.cautions(self)]
+        self.notes = [*self.reference.notes, *self.notes, *self._cautions()]
+
+    # --- the questions ---------------------------------------------------------------------------
+
+    @property
+    def own(self) -> CandidateRun:
+        """The run under the scene's own settings."""
+        return self.runs[self.settings]
+
+    @property
+    def solved(self) -> CandidateRun:
+        """The run under the same settings with converged forces."""
+        return self.runs[self.candidates.solved]
+
+    @property
+    def verdict(self) -> str:
+        """ "diverging", "under-solved", "no rows" or "solved"."""
+        if self.ending is None:
+            return "diverging"
+        if not self.histories:
+            return "no rows"
+        apart, notable = self.ending.solver, NOTABLE * self.reference.size
+        # Unconverged forces matter if they move bodies further than the time step does.
+        matters = apart > max(self.solved.error, notable)
+        able = apart < GROWTH * self.own.residual * self.horizon
+        return "under-solved" if matters and able else "solved"
+
+    @property
+    def better(self) -> str:
+        """ "smaller steps", "more sweeps" or "neither": more accurate at equal row updates."""
+        if not self.histories:
+            return "neither"
+        steps, sweeps = (min(errors, default=math.inf) for errors in self.at_equal_work)
+        if steps * ALIKE < sweeps:
+            return "smaller steps"
+        return "more sweeps" if sweeps * ALIKE < steps else "neither"
+
+    @property
+    def at_equal_work(self) -> tuple[list[float], list[float]]:
+        """Errors [m] of the splits with more steps than sweeps, and of those with fewer.
+
+        Splits that fail have none.
+        """
+        splits = [(split, self.runs[split.settings]) for split in self.candidates.splits]
+        done = [(split, run.error) for split, run in splits if not run.failure]
+        steps = [error for split, error in done if split.steps > split.sweeps]
+        return steps, [error for split, error in done if split.steps < split.sweeps]
+
+    @property
+    def slowest(self) -> ResidualHistory | None:
+        """The state at which sweeps converge slowest, at the settings' own time step."""
+        known = [h for h in self.at(self.settings.dt) if h.contraction is not None]
+        return max(known, key=lambda h: h.contraction or 0.0, default=None)
+
+    @property
+    def contraction(self) -> float | None:
+        """The share of the error that each sweep leaves in the end, measured at `slowest`."""
+        return self.slowest.contraction if self.slowest else None
+
+    @property
+    def theory(self) -> SweepTheory:
+        """The contraction according to theory, at the same state."""
+        return self.slowest.theory if self.slowest else SweepTheory(why="no two rows act at once")
+
+    def at(self, dt: float) -> list[ResidualHistory]:
+        """The residual histories at one time step."""
+        return [history for history in self.histories if history.dt == dt]
+
+    def residual(self, dt: float, sweeps: int, warm: bool = False) -> float:
+        """The median residual of the states after this number of sweeps [m/s].
+
+        sweeps: one of `ResidualHistory.sweeps`.
+        """
+        values = []
+        for history in self.at(dt):
+            if history.cold:
+                residuals = history.warm if warm else history.cold
+                values.append(residuals[history.sweeps.index(sweeps)])
+        return float(np.median(values)) if values else math.nan
+
+    @property
+    def rows(self) -> list[RowForce]:
+        """Elements that have rows, the one furthest from its converged force first.
+
+        Each is shown after the settings' own sweeps, at the state where it lacks most.
+        """
+        worst: dict[str, RowForce] = {}
+        count: dict[str, int] = {}
+        for history in self.at(self.settings.dt):
+            for force in history.forces:
+                name = force.name
+                if name not in worst or force.missing > worst[name].missing:
+                    worst[name] = force
+                count[name] = count.get(name, 0) + 1
+        order = sorted(worst.values(), key=lambda force: -force.missing)
+        return [replace(force, states=count[force.name]) for force in order]
+
+    # --- tables and data -------------------------------------------------------------------------
 
     @property
     def title(self) -> str:
@@ -69,11 +193,6 @@ class Convergence(ConvergenceFindings, Result):
             f"{seconds(self.candidates.references[0].dt)} and an error of "
             f"{metres(self.reference.error)}."
         )
-
-    @property
-    def sentences(self) -> list[str]:
-        """The verdict, what limits it, how fast sweeps converge, and what gains more."""
-        return sentences.of(self)
 
     @property
     def table(self) -> Table:
@@ -108,27 +227,26 @@ class Convergence(ConvergenceFindings, Result):
 
     @property
     def steps(self) -> Table:
-        """By time step, all else as it is.
+        """One row for each time step, all else as shipped.
 
         residual: the worst along the motion [m/s]; contraction: at the slowest state; error: RMS
         position error [m]; updates: of rows per simulated second.
         """
-        records = []
-        for settings in self.candidates.dts:
+
+        def record(settings: Settings) -> dict[str, Any]:
             run = self.runs[settings]
             known = [h.contraction for h in self.at(settings.dt) if h.contraction is not None]
-            records.append(
-                {
-                    "dt": settings.dt,
-                    "residual": run.residual,
-                    "contraction": max(known, default=math.nan),
-                    "error": run.error,
-                    "updates": run.updates,
-                    "failure": run.failure,
-                }
-            )
+            return {
+                "dt": settings.dt,
+                "residual": run.residual,
+                "contraction": max(known, default=math.nan),
+                "error": run.error,
+                "updates": run.updates,
+                "failure": run.failure,
+            }
+
         heading = "By time step, all else as shipped: residual [m/s], RMS position error [m]"
-        return _numbers(records, heading)
+        return _numbers(map(record, self.candidates.dts), heading)
 
     @property
     def work(self) -> Table:
@@ -142,24 +260,22 @@ class Convergence(ConvergenceFindings, Result):
         named += [("shipped, 4 x sweeps", some.more)] if some.more else []
         named += [("shipped, 1/4 dt", some.quarter)] if some.quarter else []
         named.append(("shipped dt, converged", some.solved))
-        records = []
-        for name, settings in named:
+
+        def record(name: str, settings: Settings) -> dict[str, Any]:
             run = self.runs[settings]
-            solver = settings.solver
-            records.append(
-                {
-                    "steps x sweeps": name,
-                    "dt": settings.dt,
-                    "sweeps": settings.sweeps if solver == "pgs" else solver,
-                    "error": run.error,
-                    "overlap": run.overlap,
-                    "joint": run.joint,
-                    "updates": run.updates,
-                    "failure": run.failure,
-                }
-            )
+            return {
+                "steps x sweeps": name,
+                "dt": settings.dt,
+                "sweeps": settings.sweeps if settings.solver == "pgs" else settings.solver,
+                "error": run.error,
+                "overlap": run.overlap,
+                "joint": run.joint,
+                "updates": run.updates,
+                "failure": run.failure,
+            }
+
         heading = "Equal row updates, steps x sweeps under pgs, and the shipped settings"
-        return _numbers(records, heading)
+        return _numbers((record(*each) for each in named), heading)
 
     def tables(self, full: bool) -> list[Table]:
         """Rows and time steps; `full`: every row, equal work and residuals by sweeps too."""
@@ -167,8 +283,7 @@ class Convergence(ConvergenceFindings, Result):
             return [self.steps]
         rows, sweeps = self.table, self.sweeps
         if not full and len(rows) > PRINTED:
-            left = len(rows) - PRINTED
-            more = f"{counted(left, 'row')} (--all; in Python text(full=True))"
+            more = f"{counted(len(rows) - PRINTED, 'row')} (--all; in Python text(full=True))"
             legend = f"{rows.legend}. Not shown: {more}"
             rows = rows[:PRINTED]
             rows.legend = legend
@@ -203,10 +318,173 @@ class Convergence(ConvergenceFindings, Result):
     def __repr__(self) -> str:
         return f"<Convergence of {self.name}: {self.verdict}>"
 
+    # --- sentences -------------------------------------------------------------------------------
 
-def _numbers(records: list[dict[str, Any]], heading: str) -> Table:
+    @property
+    def sentences(self) -> list[str]:
+        """The verdict, what limits it, how fast sweeps converge, and what gains more."""
+        said = [self._verdict()]
+        if self.histories:
+            said += [self._forces(), self._convergence(), self._equal_work(), self._four_times()]
+        said += [finding.text for finding in self.findings]
+        return [sentence for sentence in said if sentence]
+
+    def _verdict(self) -> str:
+        if self.ending is None:
+            return self._diverging()
+        if self.verdict == "no rows":
+            return "No contact, limit or other row was ever active, so sweeps have no effect."
+        solver, size = self.ending.solver, self.reference.size
+        error = _length(self.solved.error, size)
+        apart = f"{_length(solver, size)} (RMS) from the motion with converged forces"
+        if self.verdict == "under-solved":
+            where = self._where_it_ends(self.ending)
+            step = f"The time step itself causes an error of {error}."
+            return f"Under-solved: {where} Over the motion it is {apart}. {step}"
+        fine = "the solver is fine." if solver < 1e-9 * size else f"the motion is {apart}."
+        return f"Solved: {fine} The time step causes an error of {error}; reduce dt to lower it."
+
+    def _where_it_ends(self, ending: Ending) -> str:
+        """Where an under-solved motion ends."""
+        apart = f"{metres(ending.apart)} from where converged forces take it"
+        slow = STILL * ending.apart / self.horizon
+        if ending.apart <= NOTABLE * self.reference.size:
+            return "the motion differs on the way, but ends in the same place."
+        if ending.speed <= slow:
+            return f"{ending.body} settles at a wrong fixed point, {apart}."
+        if ending.solved_speed <= max(slow, STILL * ending.speed):
+            return (
+                f"{ending.body} still moves at {speed(ending.speed)} where converged forces hold "
+                f"it, and ends {apart}."
+            )
+        return f"{ending.body} ends {apart}."
+
+    def _diverging(self) -> str:
+        if not self.own.failure:
+            return (
+                f"Diverging: with converged forces the motion fails ({self.solved.failure}); it "
+                "runs only because sweeps are too few."
+            )
+        why = f"Diverging: {self.own.failure}."
+        if not self.solved.failure:
+            return f"{why} With converged forces at the same time step it runs: use more sweeps."
+        steps = [s.dt for s in self.candidates.dts if not self.runs[s].failure]
+        smaller = [dt for dt in steps if dt < self.settings.dt]
+        if smaller:
+            return (
+                f"{why} Converged forces do not help; a time step of {seconds(max(smaller))} does. "
+                "`stepcore diagnose` names the element that limits it."
+            )
+        return f"{why} Neither converged forces nor the smaller time steps tried help."
+
+    def _forces(self) -> str:
+        """The rows that lack most of their force."""
+        rows = [row for row in self.rows if row.missing > 0]
+        if not rows or self.verdict == "solved":
+            return ""
+        most = max(abs(row.solved - row.force) for row in rows)
+        limiting = [
+            f"{row.name} ({row.force:.3g} of {row.solved:.3g}, residual {row.residual:.2g} m/s)"
+            for row in rows
+            if row.missing >= LACKING * rows[0].missing
+            or abs(row.solved - row.force) >= LACKING * most
+        ]
+        return f"Force reached, of the converged force: {', '.join(limiting[:NAMED])}."
+
+    def _convergence(self) -> str:
+        """How fast sweeps converge, beside theory; Newton makes no sweeps."""
+        rate = self.contraction
+        if self.settings.solver == "newton":
+            return ""
+        if rate is None:
+            return "No two rows act at once, so one sweep solves them."
+        if rate >= 1 - 1e-9:
+            return f"Sweeps do not converge: each leaves {rate:.6g} of the error."
+        said = f"Each sweep leaves {_share(rate)} of the solver's error"
+        if rate > NO_RATE:
+            said += f" ({math.log(10) / -math.log(rate):.3g} sweeps reduce it tenfold)"
+        theory, parts = self.theory, []
+        if theory.radius is not None:
+            parts.append(f"theory for this state gives {_share(theory.radius)}")
+        elif theory.why:
+            parts.append(f"no theory applies here, because {theory.why}")
+        if theory.closed is not None:
+            parts.append(f"theory for rigid rows gives {_share(theory.closed)}, {theory.formula}")
+        return f"{'; '.join([said, *parts])}."
+
+    def _equal_work(self) -> str:
+        errors = []
+        for split in self.candidates.splits:
+            run = self.runs[split.settings]
+            error = "fails" if run.failure else metres(run.error)
+            step, sweep = counted(split.steps, "step"), counted(split.sweeps, "sweep")
+            errors.append(f"{step} of {sweep} {error}")
+        steps, sweeps = self.at_equal_work
+        if not (steps or sweeps):
+            answer = "both smaller steps and more sweeps fail"
+        elif not (steps and sweeps):
+            answer = f"only {'smaller steps' if steps else 'more sweeps'} do not fail"
+        else:
+            answer = {
+                "smaller steps": "smaller steps are more accurate than more sweeps",
+                "more sweeps": "more sweeps are more accurate than smaller steps",
+                "neither": "smaller steps and more sweeps are equally accurate",
+            }[self.better]
+        return f"At equal work (row updates) {answer}: {', '.join(errors)}."
+
+    def _four_times(self) -> str:
+        """What four times the work gains."""
+        more, quarter = self.candidates.more, self.candidates.quarter
+        if more is None or quarter is None or self.own.failure:
+            return ""
+        sweeps, steps = self.runs[more], self.runs[quarter]
+        if sweeps.failure or steps.failure:
+            return ""
+        return (
+            f"The shipped settings have an error of {metres(self.own.error)}; four times the "
+            f"sweeps give {metres(sweeps.error)}, a quarter of the time step {metres(steps.error)}."
+        )
+
+    def _cautions(self) -> list[str]:
+        """Notes on a reference that is too poor."""
+        said = []
+        references = self.candidates.references
+        residual = self.runs[references[0]].residual
+        if self.verdict != "no rows" and residual > 1e-3 * max(self.own.residual, 1e-9):
+            said.append(
+                f"the reference's own residual is {residual:.2g} m/s: its sweeps do not converge "
+                "within their limit"
+            )
+        errors = [run.error for run in self.runs.values() if run.settings not in references]
+        least = min((error for error in errors if math.isfinite(error)), default=math.inf)
+        if self.reference.error * 10 > least:
+            said.append(
+                f"the reference has an error of {metres(self.reference.error)}, more than a tenth "
+                f"of the smallest error shown ({metres(least)}): errors near it are uncertain"
+            )
+        return said
+
+
+def _length(value: float, size: float) -> str:
+    """A length in words; below rounding, relative to the scene's size, only a bound."""
+    least = 1e-12 * size
+    return metres(value) if value >= least else f"less than {metres(least)}"
+
+
+def _share(value: float) -> str:
+    """A share with enough digits to tell a number near 1 from 1."""
+    if value <= NO_RATE:
+        return "nothing"
+    if value < 1e-3:
+        return f"{value:.1e}"
+    digits = 4 if value < 0.99 else 2 + math.ceil(-math.log10(max(1 - value, 1e-12)))
+    return f"{value:.{digits}f}"
+
+
+def _numbers(records: Iterable[dict[str, Any]], heading: str) -> Table:
     """A table without empty columns; errors in two digits."""
-    columns = [n for n in records[0] if any(r[n] not in (None, "") for r in records)]
+    rows = list(records)
+    columns = [n for n in rows[0] if any(r[n] not in (None, "") for r in rows)]
     short = ("residual", "error", "overlap", "joint", "updates")
     formats = dict.fromkeys(short, ".2e") | {"contraction": ".4f"}
-    return Table(records, columns, formats, heading=heading)
+    return Table(rows, columns, formats, heading=heading)
