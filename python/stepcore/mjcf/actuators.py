@@ -9,8 +9,8 @@ from stepcore.mjcf.gains import ActuatorGains, saturated
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader, polynomial
-from stepcore.scene.actuation import MUSCLE, law, states
-from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, Actuator
+from stepcore.scene.actuation import law, states
+from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, MUSCLE, Actuator
 from stepcore.scene.orienting import parts
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")

@@ -14,8 +14,7 @@ from typing import Any
 from stepcore.mjcf import canonical, controllers
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
-from stepcore.scene.actuation import MUSCLE
-from stepcore.scene.elements.actuator import CHARTS
+from stepcore.scene.elements.actuator import CHARTS, MUSCLE
 from stepcore.scene.frames import ORIGIN, Vec
 
 BUILT = (

@@ -13,43 +13,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from stepcore import checks
 from stepcore.scene import controlling, orienting
 from stepcore.scene.elements import Actuator
-from stepcore.scene.elements.actuator import SECOND, TARGETS
+from stepcore.scene.elements.actuator import LAW_FIELDS, MUSCLE, SECOND, TARGETS
 from stepcore.scene.frames import ORIGIN, Vec
 
 if TYPE_CHECKING:
     from stepcore.scene.holdings import Holdings
 
-# A muscle's numbers in the order of gainprm, with their defaults.
-MUSCLE: dict[str, Any] = {
-    "range": (0.75, 1.05),
-    "force": -1.0,
-    "scale": 200.0,
-    "lmin": 0.5,
-    "lmax": 1.6,
-    "vmax": 1.5,
-    "fpmax": 1.3,
-    "fvmax": 1.2,
-}
-SERVO = ("kp", "kv", "dampratio")
-# The fields of each type of actuator; those of other types are refused.
-WORDS = {
-    "motor": (),
-    "position": (*SERVO, "timeconst"),
-    "velocity": ("kv",),
-    "intvelocity": SERVO,
-    "pid": (*SERVO, "input", *controlling.CONTROL),
-    "dcmotor": ("kp", "kv", "input", *controlling.CONTROL, *controlling.MOTOR),
-    "input": ("input",),
-    "orientation": (*SERVO, "input"),
-    "damper": ("kv",),
-    "cylinder": ("timeconst", "area", "bias"),
-    "adhesion": ("gain",),
-    "muscle": (*MUSCLE, "timeconst", "tausmooth"),
-    "general": ("gaintype", "gainprm", "biastype", "biasprm", "dyntype", "dynprm"),
-}
 NO_DYNAMICS = ("none", (1.0, 0.0, 0.0))
 # Fields that reach the engine as its law, and as its target.
-LAW = tuple(sorted({word for words in WORDS.values() for word in words}))
+LAW = tuple(sorted({field for fields in LAW_FIELDS.values() for field in fields}))
 TARGET = (*TARGETS, *SECOND, "cranklength", "feeds")
 
 
@@ -78,34 +50,33 @@ class Law(NamedTuple):
 
 def law(actuator: Actuator) -> Law:
     """Its law, with defaults for fields that are None."""
-    kind = actuator.type
+    kind, value = actuator.type, actuator.law_value
     if kind in ("position", "intvelocity"):
-        kp, timeconst = _or(actuator.kp, 1.0), _or(actuator.timeconst, 0.0)
-        bias = (0.0, -kp, 0.0 - _or(actuator.kv, 0.0))
-        filtered = ("filterexact", (timeconst, 0.0, 0.0)) if timeconst > 0 else NO_DYNAMICS
-        dynamics = filtered if kind == "position" else ("integrator", (1.0, 0.0, 0.0))
-        return Law((kp, 0.0, 0.0), bias, _or(actuator.dampratio, 0.0), dynamics=dynamics)
+        kp, timeconst = value("kp"), value("timeconst") or 0.0
+        dynamics = ("filterexact", (timeconst, 0.0, 0.0)) if timeconst > 0 else NO_DYNAMICS
+        if kind == "intvelocity":
+            dynamics = ("integrator", (1.0, 0.0, 0.0))
+        bias = (0.0, -kp, 0.0 - value("kv"))
+        return Law((kp, 0.0, 0.0), bias, value("dampratio"), dynamics=dynamics)
     if kind in ("pid", "dcmotor"):
         return _controlled(actuator)
     if kind == "velocity":
-        kv = _or(actuator.kv, 1.0)
+        kv = value("kv")
         return Law((kv, 0.0, 0.0), (0.0, 0.0, -kv))
     if kind == "damper":
-        return Law((0.0, 0.0, 0.0 - _or(actuator.kv, 1.0)))
+        return Law((0.0, 0.0, 0.0 - value("kv")))
     if kind == "adhesion":
-        return Law((_or(actuator.gain, 1.0), 0.0, 0.0))
+        return Law((value("gain"), 0.0, 0.0))
     if kind == "cylinder":
-        dynamics = ("filter", (_or(actuator.timeconst, 1.0), 0.0, 0.0))
-        gain = (_or(actuator.area, 1.0), 0.0, 0.0)
-        return Law(gain, actuator.bias or ORIGIN, dynamics=dynamics)
+        dynamics = ("filter", (value("timeconst"), 0.0, 0.0))
+        return Law((value("area"), 0.0, 0.0), value("bias"), dynamics=dynamics)
     if kind == "muscle":
-        words = {word: _or(getattr(actuator, word), default) for word, default in MUSCLE.items()}
-        times = _or(actuator.timeconst, (0.01, 0.04))
-        parameters = (*times, _or(actuator.tausmooth, 0.0))
+        words = {field: value(field) for field in MUSCLE}
+        parameters = (*value("timeconst"), value("tausmooth"))
         return Law(ORIGIN, dynamics=("muscle", parameters), muscle_gain=words, muscle_bias=words)
     if kind == "orientation":
-        kp, kv = _or(actuator.kp, 1.0), _or(actuator.kv, 0.0)
-        return Law((kp, 0.0, 0.0), (0.0, 0.0 - kp, 0.0 - kv), _or(actuator.dampratio, 0.0))
+        kp, kv = value("kp"), value("kv")
+        return Law((kp, 0.0, 0.0), (0.0, 0.0 - kp, 0.0 - kv), value("dampratio"))
     if kind == "input":
         owner = actuator.feeds
         turns = owner is not None and orienting.axis(actuator) is not None
@@ -115,15 +86,15 @@ def law(actuator: Actuator) -> Law:
 
 def _controlled(actuator: Actuator) -> Law:
     """A voltage, or a setpoint or a force of a controller."""
-    kp = _or(actuator.kp, 1.0 if actuator.type == "pid" else 0.0)
-    kv, own = _or(actuator.kv, 0.0), _or(actuator.input, "voltage")
-    dampratio = _or(actuator.dampratio, 0.0)
+    value = actuator.law_value
+    kp, kv, own = value("kp"), value("kv"), value("input") or "voltage"
+    dampratio = value("dampratio") or 0.0
     if (controller := controlling.described(actuator)) is not None:
         turns = actuator.type == "pid" and "pos" in own.split()
         bias = (0.0, 0.0 - kp, 0.0 - kv)
         return Law((kp if turns else 0.0, 0.0, 0.0), bias, dampratio, controller)
     if own == "voltage":
-        constant, resistance = _or(actuator.motorconst, 0.0), _or(actuator.resistance, 1.0)
+        constant, resistance = value("motorconst") or 0.0, value("resistance") or 1.0
         conducted = constant / resistance
         return Law((conducted, 0.0, 0.0), (0.0, 0.0, 0.0 - conducted * constant))
     gain = {"pos": kp, "vel": kv, "ff": 1.0}[own]
@@ -211,7 +182,7 @@ def target(actuator: Actuator, index: dict[int, int]) -> dict[str, Any]:
 
 def check(actuator: Actuator) -> None:
     """ValueError for fields that the type does not have, or that contradict each other."""
-    own = WORDS[actuator.type]
+    own = LAW_FIELDS[actuator.type]
     for word in LAW:
         if getattr(actuator, word) is not None and word not in own:
             has = ", ".join(own) or "none of these"
@@ -230,7 +201,7 @@ def check(actuator: Actuator) -> None:
         orienting.check(actuator)
     if actuator.type in ("position", "intvelocity", "damper", "pid", "orientation"):
         for word in ("kv", "dampratio", "timeconst"):
-            if _or(getattr(actuator, word), 0.0) < 0:
+            if (getattr(actuator, word) or 0.0) < 0:
                 raise checks.refuse(actuator, word, getattr(actuator, word), ">= 0")
         if actuator.kv and actuator.dampratio:
             raise checks.ElementError(actuator, "kv and dampratio are both given")
@@ -300,7 +271,3 @@ def _check_target(actuator: Actuator) -> None:
                 raise checks.refuse(
                     actuator, field, value, "0 unless it drives a joint or a tendon"
                 )
-
-
-def _or(value: Any, default: Any) -> Any:
-    return default if value is None else value

@@ -14,14 +14,17 @@ if TYPE_CHECKING:
 
 SomeScene = TypeVar("SomeScene", bound="Contents")
 
-KINDS = ("body", "joint", "geom", "mesh", "site", "actuator", "equality", "pair", "key")
+KINDS = (
+    *("body", "joint", "geom", "mesh", "site", "tendon"),
+    *("actuator", "equality", "pair", "key"),
+)
 
 # Values of the whole scene.
 WHOLE = ("gravity", "density", "viscosity", "wind")
 # Names and references.
 _NO_VALUES = (
     *("name", "file", "body", "parent", "joint", "geom1", "geom2", "mesh", "hfield"),
-    *("body1", "body2", "site1", "site2", "joint1", "joint2", "tendon1", "tendon2"),
+    *("body1", "body2", "site1", "site2", "joint1", "joint2", "tendon1", "tendon2", "path"),
 )
 
 

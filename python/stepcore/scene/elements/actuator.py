@@ -40,6 +40,43 @@ BIASES = ("none", "affine", "muscle")
 # What a control is between two samples of its past.
 INTERPS = ("zoh", "linear", "cubic")
 MOST_SAMPLES = 10**6
+# A muscle's numbers in the order of gainprm, with their defaults.
+MUSCLE: dict[str, Any] = {
+    "range": (0.75, 1.05),
+    "force": -1.0,
+    "scale": 200.0,
+    "lmin": 0.5,
+    "lmax": 1.6,
+    "vmax": 1.5,
+    "fpmax": 1.3,
+    "fvmax": 1.2,
+}
+_SERVO = {"kp": 1.0, "kv": 0.0, "dampratio": 0.0}
+_CONTROL = dict.fromkeys(("ki", "imax", "slewmax"), 0.0)
+_MOTOR = {
+    **{"motorconst": 0.0, "resistance": 1.0, "inductance": 0.0, "vmax": 0.0, "current_rate": 0.0},
+    **{"thermal": None, "cogging": ORIGIN, "lugre": None},
+}
+# By type: the fields of its law, each with the value that None stands for. A field of another type
+# is refused.
+LAW_FIELDS: dict[str, dict[str, Any]] = {
+    "motor": {},
+    "position": _SERVO | {"timeconst": 0.0},
+    "velocity": {"kv": 1.0},
+    "intvelocity": _SERVO,
+    "pid": _SERVO | {"input": None} | _CONTROL,
+    "dcmotor": {"kp": 0.0, "kv": 0.0, "input": "voltage"} | _CONTROL | _MOTOR,
+    "input": {"input": None},
+    "orientation": _SERVO | {"input": "expmap"},
+    "damper": {"kv": 1.0},
+    "cylinder": {"timeconst": 1.0, "area": 1.0, "bias": ORIGIN},
+    "adhesion": {"gain": 1.0},
+    "muscle": MUSCLE | {"timeconst": (0.01, 0.04), "tausmooth": 0.0},
+    "general": {
+        **{"gaintype": "fixed", "gainprm": 1.0, "biastype": "affine", "biasprm": ORIGIN},
+        **{"dyntype": "none", "dynprm": (1.0, 0.0, 0.0)},
+    },
+}
 # What an actuator can pull at: exactly one of these, and what else goes with it.
 TARGETS = ("joint", "jointinparent", "tendon", "site", "cranksite", "body")
 SECOND = {"refsite": "site", "slidersite": "cranksite"}
@@ -243,6 +280,11 @@ class Actuator(Element):
         found = [field for field in TARGETS if getattr(self, field) is not None]
         field = found[0] if found else "joint"
         return field, getattr(self, field)
+
+    def law_value(self, field: str) -> Any:
+        """The value of a field of the law; where it is None, the default of the actuator's type."""
+        value = getattr(self, field)
+        return LAW_FIELDS[self.type].get(field) if value is None else value
 
     def values(self) -> dict[str, Any]:
         """As for every element; coefficients of one polynomial stand together, if there are any."""
