@@ -19,13 +19,14 @@ import scenes
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment.errors import errors, far_off
+from stepcore.experiment.arguments import Workers
+from stepcore.experiment.errors import errors
+from stepcore.experiment.failure import far_off
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.path import Path
 from stepcore.experiment.reference import ReferenceRuns
+from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled, time_steps
-from stepcore.experiment.workers import Workers
 from stepcore.measure.trade.moves import Steps, longest
 from stepcore.measure.trade.settings import COULOMB_LAW, SMOOTH_LAW
 from stepcore.measure.trade.trials import priced
@@ -205,7 +206,7 @@ class Judge:
     def wrong(self, settings: sc.Settings, start: int) -> float:
         """The error from one start [m]; inf for a failure."""
         path = self.runner.screen(settings, start)
-        true: Path = self.truth.paths[start]
+        true: Run = self.truth.runs[start]
         if path.failure or far_off([path], [true], 1e3):
             return math.inf
         every = np.ones((1, len(self.runner.schedule.times)), bool)

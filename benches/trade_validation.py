@@ -58,7 +58,7 @@ def validate(case: trade_cases.Case, brute: bool = True) -> dict[str, object]:
     }
     if brute:
         judge = Judge(case, OWN, 654, finest)
-        rows = max(path.rows for path in result.reference.paths)
+        rows = max(path.rows for path in result.reference.runs)
         best = trade_cases.best(judge, case.error, rows, PATIENCE)
         if best is not None:
             price = judge.price(row.settings)

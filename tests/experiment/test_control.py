@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.experiment.control import ControlError, control_name
+from stepcore.engine.control import ControlError, control_name
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled

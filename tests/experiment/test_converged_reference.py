@@ -8,12 +8,11 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment.closed_form import closed
+from stepcore.experiment.closed_form import closed, expm
 from stepcore.experiment.coordinates import Start
 from stepcore.experiment.errors import Errors
-from stepcore.experiment.expm import expm
 from stepcore.experiment.order import known, observed, shown
-from stepcore.experiment.path import Path
+from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 
@@ -91,7 +90,7 @@ def test_richardsons_estimate_is_the_reference_s_error_where_that_is_known():
     result = trade(lesson.spring(), horizon=0.96, dts=[0.02, 0.01])
     reference = result.reference
     wanted = np.cos(10 * np.arange(1, 49) * 0.02)
-    assert reference.paths[0].com[:, 0, 0] == pytest.approx(wanted, abs=1e-12)
+    assert reference.runs[0].com[:, 0, 0] == pytest.approx(wanted, abs=1e-12)
     assert reference.basis == "closed form" and reference.error < 1e-12
     assert reference.known.orders["error"] == 4
     assert reference.exact.check == pytest.approx(reference.known.error, rel=0.2)
@@ -112,11 +111,11 @@ def test_the_closed_form_states_its_own_error_also_after_thousands_of_oscillatio
     scene.add_joint("mass", "slide", axis=(1, 0, 0), stiffness=stiffness)
     model, count = scene.compile(), 300 if period < 1 else 20
     begin = Start(np.array([0.1]), np.array([0.0]))
-    exact = closed(Runner(model, Schedule(period, count, 1, (begin,), None, None, ())), [Path()])
+    exact = closed(Runner(model, Schedule(period, count, 1, (begin,), None, None, ())), [Run()])
     with decimal.localcontext(prec=60):
         rate = (decimal.Decimal(stiffness) / decimal.Decimal(mass)).sqrt()
         turn = [float(rate * decimal.Decimal(period) * k % (2 * PI)) for k in range(1, count + 1)]
-    true = np.abs(exact.paths[0].com[-count:, 0, 0] - 0.1 * np.cos(turn)).max()
+    true = np.abs(exact.runs[0].com[-count:, 0, 0] - 0.1 * np.cos(turn)).max()
     assert true <= exact.error <= 500 * true + 1e-13
 
 
@@ -150,7 +149,7 @@ def test_the_closed_form_of_coupled_carts_under_steps_of_control():
         rest = -np.linalg.solve(slopes, np.concatenate([[0, 0], inverse @ [0, 3.0 * u]]))
         grow = np.diag(np.exp(values * 0.1))
         state = rest + (vectors @ grow @ np.linalg.solve(vectors, state - rest)).real
-        com = result.reference.paths[0].com[k, :, 0]
+        com = result.reference.runs[0].com[k, :, 0]
         assert com == pytest.approx([state[0], state[0] + state[1]], abs=1e-13)
     assert result.reference.exact.check < 1e-9
 
@@ -163,7 +162,7 @@ def test_a_free_ball_whose_centre_is_elsewhere_falls_and_spins():
     scene.options = {"dt": 0.01, "integrator": "semi-implicit"}
     result = trade(scene, horizon=0.4, dts=[0.01], integrators=["rk4"], starts=2)
     assert result.reference.exact is not None and result.reference.exact.check < 1e-9
-    path, times = result.reference.paths[0], np.arange(1, 41)[:, None] * 0.01
+    path, times = result.reference.runs[0], np.arange(1, 41)[:, None] * 0.01
     turn = np.array([[1, 0, 0], [0, -0.28, -0.96], [0, 0.96, -0.28]])
     speed = np.array([1, 2, 3]) + turn @ np.cross([4, 5, 6], [0.1, 0.2, 0])
     centre = np.array([0, 0, 1]) + turn @ [0.1, 0.2, 0]
@@ -219,7 +218,7 @@ def test_a_servo_has_a_closed_form_until_its_force_is_clamped():
     # 2 x'' + 20 x' + 50 x = 25: critically damped, 5 rad/s.
     t = np.arange(1, 41) * 0.01
     wanted = 0.5 * (1 - (1 + 5 * t) * np.exp(-5 * t))
-    assert result.reference.paths[0].com[:, 0, 0] == pytest.approx(wanted, abs=1e-13)
+    assert result.reference.runs[0].com[:, 0, 0] == pytest.approx(wanted, abs=1e-13)
     scene.actuators[0].forcerange = (-10.0, 10.0)
     assert trade(scene, **options).reference.exact is None
 

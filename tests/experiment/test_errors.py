@@ -7,7 +7,7 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment.slip import Friction
+from stepcore.experiment.friction import Friction
 
 G = 9.81
 
@@ -48,7 +48,7 @@ def two_balls(gravity=(0, 0, -1.0), floor=False):
 def test_forces_between_bodies_give_no_momentum():
     result = trade(two_balls(), horizon=0.4, dts=[0.005], integrators=["semi-implicit"])
     e = result.shipped.errors
-    assert max(path.overlap for path in result.reference.paths) > 0
+    assert max(path.overlap for path in result.reference.runs) > 0
     # Contact forces act on both at one point: to rounding of 4 kg at 1 m/s.
     assert e.momentum < 1e-13 and e.angular_momentum < 1e-13
     # What stands still takes momentum that is not known.

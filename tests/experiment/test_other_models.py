@@ -7,12 +7,12 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.experiment.arguments import Workers
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.other_models import ErrorSplit, stiffer, time_scale
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
-from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
 G = 9.81

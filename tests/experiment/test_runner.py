@@ -12,8 +12,8 @@ from stepcore.experiment import cost
 from stepcore.experiment.converged import converged_settings
 from stepcore.experiment.cost import USUAL, Counter, TimedRun, costs, heaviness
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.probe import Probe
 from stepcore.experiment.recorder import Means, Positions
+from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 from stepcore.report.progress import Progress

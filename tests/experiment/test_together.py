@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 import stepcore as sc
+from stepcore.experiment.arguments import BatchSpeedup, Timed, Workers
+from stepcore.experiment.batched_runs import batched, can, helps, portions, screened
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.path import Path
+from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.saving import Saving, Timed
 from stepcore.experiment.schedule import scheduled, time_steps
-from stepcore.experiment.together import batched, can, helps, portions, screened
-from stepcore.experiment.workers import Workers
 from stepcore.loading import find_model
 
 QUADRUPED = "dm_control:suite/quadruped"
@@ -45,7 +44,7 @@ def runner(name: str, starts: int = 8, horizon: float = 0.4, **fields) -> Runner
     return Runner(model, scheduled(motion, model, period, starts=starts))
 
 
-def alike(one: Path, other: Path) -> bool:
+def alike(one: Run, other: Run) -> bool:
     arrays = all(np.array_equal(getattr(one, n), getattr(other, n)) for n in ("com", "quat"))
     return arrays and one.failure == other.failure
 
@@ -72,9 +71,9 @@ def test_portions_of_many_starts_come_back_in_their_order(threads):
     paths = screened(made, settings, range(21), workers, "runs")
     assert all(alike(path, made.screen(settings, k)) for k, path in enumerate(paths))
     assert told[-1] == (21, 21)
-    if helps(20, threads, Saving()):
-        assert (workers.saving.runs, workers.saving.batches) == (20, 3)
-        assert workers.saving.alone > 0 and workers.saving.spent > 0
+    if helps(20, threads, BatchSpeedup()):
+        assert (workers.speedup.runs, workers.speedup.batches) == (20, 3)
+        assert workers.speedup.alone > 0 and workers.speedup.spent > 0
 
 
 def test_controls_of_python_are_run_singly():
@@ -82,15 +81,15 @@ def test_controls_of_python_are_run_singly():
     assert not can(made)
     workers = Workers()
     assert len(screened(made, made.model.settings, range(8), workers, "runs")) == 8
-    assert workers.saving.batches == 0
+    assert workers.speedup.batches == 0
 
 
 def test_batches_are_made_where_they_end_sooner():
-    assert helps(7, 1, Saving())
-    assert not helps(4, 1, Saving())  # too few
-    assert not helps(7, 8, Saving())  # a thread for each is sooner
-    assert helps(31, 4, Saving())
-    assert not helps(7, 1, Saving(runs=8, batches=1, alone=1.0, spent=1.0))
+    assert helps(7, 1, BatchSpeedup())
+    assert not helps(4, 1, BatchSpeedup())  # too few
+    assert not helps(7, 8, BatchSpeedup())  # a thread for each is sooner
+    assert helps(31, 4, BatchSpeedup())
+    assert not helps(7, 1, BatchSpeedup(runs=8, batches=1, alone=1.0, spent=1.0))
     assert [len(some) for some in portions(range(20))] == [8, 8, 4]
 
 
@@ -98,24 +97,24 @@ def test_what_a_batch_refuses_each_run_says_itself(monkeypatch):
     def refused(*args, **fields):
         raise ValueError("no such worlds")
 
-    monkeypatch.setattr("stepcore.experiment.together.Batch", refused)
+    monkeypatch.setattr("stepcore.experiment.batched_runs.Batch", refused)
     made = runner("gymnasium:half_cheetah")
     settings = made.model.settings
     assert alike(batched(made, settings, range(2))[1], made.screen(settings, 1))
 
 
 def test_what_was_saved_is_said():
-    saving = Saving()
+    saving = BatchSpeedup()
     assert saving.worth and saving.sentences == []
-    saving.compare(Timed([Path()], 0.5), [Timed([Path()] * 8, 2.0), Timed([Path()] * 8, 1.6)])
+    saving.compare(Timed([Run()], 0.5), [Timed([Run()] * 8, 2.0), Timed([Run()] * 8, 1.6)])
     text = (
         "16 runs were made as 2 batches, 2.2 times quicker than singly (computing time of a core)"
     )
     assert saving.sentences == [text]
-    saving.compare(Timed([Path(failure="diverged")], 0.1), [Timed([Path()] * 8, 9.0)])
+    saving.compare(Timed([Run(failure="diverged")], 0.1), [Timed([Run()] * 8, 9.0)])
     assert saving.runs == 16  # a run that ends early says nothing of time
     assert pickle.loads(pickle.dumps(saving)).sentences == [text]
-    saving.compare(Timed([Path()], 0.1), [Timed([Path()] * 8, 9.0)])
+    saving.compare(Timed([Run()], 0.1), [Timed([Run()] * 8, 9.0)])
     assert not saving.worth and saving.sentences == []
 
 

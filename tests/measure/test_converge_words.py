@@ -8,7 +8,7 @@ from test_converge import heavy_end
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment.path import Path
+from stepcore.experiment.run import Run
 from stepcore.measure.convergence import result as words
 from stepcore.measure.convergence.runs import HalvedReference, run_of
 
@@ -58,7 +58,7 @@ def test_few_sweeps_can_hide_what_diverges(heavy):
 def path(height, energy):
     com = np.zeros((5, 1, 3))
     com[:, 0, 2] = height
-    return Path(com=com, balance=np.array(energy, float), kinetic=np.zeros(5))
+    return Run(com=com, balance=np.array(energy, float), kinetic=np.zeros(5))
 
 
 def test_a_stack_that_climbs_is_diverging_and_not_under_solved():

@@ -344,7 +344,7 @@ def test_rows_are_counted_at_every_step():
         geom.solref = (-1e6, -10.0)
     options = {"dts": [0.002, 0.0005], "integrators": ["rk4"], "control_dt": 0.016, "starts": 1}
     result = few(scene, horizon=0.24, effort=1e5, **options)
-    path = result.reference.paths[0]
+    path = result.reference.runs[0]
     # No sample touches, and the ball is thrown back: gravity alone does not turn it around.
     assert not path.touching.any() and (np.diff(path.com[:, 0, 2]) > 0.01).any()
     assert path.rows == 1
@@ -365,6 +365,6 @@ def test_refsafe_is_marked_where_contacts_act_between_samples_alone():
 def test_a_penalty_has_contacts_though_it_has_no_rows():
     options = {"law": "penalty", "integrator": "semi-implicit", "solver": "pgs"}
     result = few(bouncing(**options), starts=1, horizon=0.2, dts=[2e-3, 1e-3], effort=1e5)
-    assert any(path.overlap for path in result.reference.paths)
+    assert any(path.overlap for path in result.reference.runs)
     (note,) = [note for note in result.notes if "ever active" in note]
     assert note.startswith("contacts are forces under the law penalty, and no limit or other row ")

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import stepcore as sc
+from stepcore.experiment.batched_runs import BatchRun
 from stepcore.experiment.cost import Stopwatch
 from stepcore.experiment.errors import errors, pareto
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
-from stepcore.experiment.together import BatchRun
 from stepcore.loading import find_model
 from stepcore.measure.trade.in_batch import WORLDS, TimedBatch
 
@@ -41,7 +41,7 @@ def test_their_errors_are_those_of_single_runs(trade):
     for point in trade.in_batch:
         settings = point.row.settings
         paths = [trade.runner.run(settings, start) for start in range(2)]
-        apart = errors(paths, reference.paths, reference.scored).high
+        apart = errors(paths, reference.runs, reference.scored).high
         assert point.error == max(apart, reference.high)
 
 

@@ -185,4 +185,4 @@ def test_how_far_matter_moves_is_its_error_if_it_stood_still():
     found = sc.trade(scene, horizon=1.0, starts=1, dts=[0.01, 0.02], by="flops", progress=False)
     x = 0.1 * np.cos(2 * np.pi * np.linspace(0.02, 1.0, 50))
     true = np.sqrt(np.mean((x - x[0]) ** 2))
-    assert moved(found.reference.paths) == pytest.approx(true, rel=1e-6)
+    assert moved(found.reference.runs) == pytest.approx(true, rel=1e-6)

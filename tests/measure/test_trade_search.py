@@ -47,7 +47,7 @@ def check(name):
     judge = Judge(case, 24, 987, finest)
     wrong = [judge.wrong(row.settings, k) for k in range(24)]
     assert np.mean(np.array(wrong) <= case.error) >= 0.9, wrong
-    rows = max(path.rows for path in result.reference.paths)
+    rows = max(path.rows for path in result.reference.runs)
     cheapest = best(judge, case.error, rows)
     assert cheapest is not None
     assert judge.price(row.settings) <= 1.3 * cheapest[1], (row.settings, cheapest)

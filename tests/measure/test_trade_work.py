@@ -8,8 +8,8 @@ from collections import Counter
 import pytest
 
 import stepcore as sc
+from stepcore.experiment.arguments import Workers
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
 # Stiff damping of the hinge between two arms: rk4 and semi-implicit, which take it explicitly, are

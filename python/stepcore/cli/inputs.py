@@ -10,18 +10,18 @@ import numpy as np
 from stepcore.checks import nearest
 from stepcore.cli.motion import control_function, controls_of
 from stepcore.cli.usage import Usage
+from stepcore.engine.control import Control, control_name
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import whole_steps
-from stepcore.experiment.control import Control, control_name
 from stepcore.experiment.motion_words import (
     actuators_in_words,
     held_in_words,
     scene_in_words,
     start_in_words,
 )
+from stepcore.experiment.schedule import smooth, undriven
 from stepcore.experiment.single_run import Push
-from stepcore.experiment.starts import smooth, undriven
 from stepcore.report.units import counted, seconds
 
 # How long a push lasts where nobody says it [s].

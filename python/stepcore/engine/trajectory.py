@@ -15,6 +15,7 @@ from stepcore import checks
 from stepcore.engine import trajectory_file
 from stepcore.engine.arrays import numbers
 from stepcore.engine.axes import Axis, axes_of
+from stepcore.engine.control import controls
 from stepcore.engine.snapshots import Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
 
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
     from stepcore.viewing.live import View
 
 SomeWorld = TypeVar("SomeWorld", bound="World")
-Control = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
+# Controls over a run: a function of (time, sim), or a table with a row for each control period.
+Driven = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
 UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
 # Of more snapshots than this a notebook shows no page: 20 s.
@@ -266,7 +268,7 @@ class Trajectory:
 def record_run(
     sim: SomeWorld,
     duration: float,
-    control: Control[SomeWorld],
+    control: Driven[SomeWorld],
     control_dt: float | None,
     record: Sequence[str],
 ) -> Trajectory:
@@ -274,7 +276,7 @@ def record_run(
     dt = sim.settings.dt
     steps = whole_steps("duration", duration, dt)
     period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
-    controls = _controls(sim, control)
+    ctrl_of = _ctrl_of(sim, control)
     names = recordable(record)
     data = {}
     try:
@@ -294,8 +296,8 @@ def record_run(
         for name in names:
             data[name][step] = getattr(sim, name)
         if step < steps:
-            if controls is not None and step % period == 0:
-                sim.ctrl = controls(step // period)
+            if ctrl_of is not None and step % period == 0:
+                sim.ctrl = ctrl_of(step // period)
             snapshots.look(step)
             sim.step()
     snapshots.look(steps)
@@ -317,42 +319,24 @@ def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
     return steps
 
 
-def _controls(sim: SomeWorld, control: Control[SomeWorld]) -> Callable[[int], ArrayLike] | None:
+def _ctrl_of(sim: SomeWorld, control: Driven[SomeWorld]) -> Callable[[int], ArrayLike] | None:
     """A function from the index of a control period to its ctrl."""
     if control is None:
         return None
     if callable(control):
         checks.function("time", "sim")("run", "control", control)
-        return lambda period: _returned(sim, control)
+        return lambda period: controls(control, sim)
     table = numbers("control", control)
     if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):
         limit = f"of shape (n, {sim.model.nu}) with n > 0"
         raise ValueError(f"control has shape {table.shape}: must be {limit}")
     for row, ctrl in enumerate(table):
-        _finite(sim, ctrl, f"in row {row} of control")
+        _check_finite(sim, ctrl, f"in row {row} of control")
     return lambda period: table[min(period, len(table) - 1)]
 
 
-def _returned(sim: SomeWorld, control: Callable[[float, SomeWorld], ArrayLike]) -> ArrayLike:
-    """What a control function returns now; ValueError where that is no ctrl.
-
-    A function that steps or resets its Sim would leave a recording of something else.
-    """
-    now, nu = sim.time, sim.model.nu
-    table = _finite(sim, control(now, sim), f"at time {now:g} s")
-    if sim.time != now:
-        raise ValueError(
-            f"control: the function took its argument from time {now:g} s to {sim.time:g} s; it "
-            "may read it and apply forces, and must leave stepping, reset and restore to run"
-        )
-    if table.size == 1 < nu:
-        raise ValueError(f"ctrl = {table.item():g}: must be {nu} numbers, one for each actuator")
-    return table
-
-
-def _finite(sim: World, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
+def _check_finite(sim: World, table: NDArray[np.float64], where: str) -> None:
     """Checks controls before they are written, so that an error leaves ctrl as it was."""
-    table = numbers("ctrl", ctrl)
     single = sim.settings.precision == "f32"
     with np.errstate(over="ignore"):
         finite = np.isfinite(table.astype(np.float32) if single else table)
@@ -365,7 +349,6 @@ def _finite(sim: World, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
         number = table[tuple(k)]
         value = f"ctrl{f'[{index}]' if index else ''} = {'NaN' if np.isnan(number) else number}"
         raise ValueError(f"{value}: must be {limit} ({of}{where}); the state was left as it is")
-    return table
 
 
 def recordable(record: Sequence[str], known: Sequence[str] = RECORDED) -> tuple[str, ...]:

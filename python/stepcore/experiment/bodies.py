@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.coordinates import Coordinates, rotated
-from stepcore.experiment.joints import Joints
-from stepcore.experiment.momentum import Balance
-from stepcore.experiment.path import Path
-from stepcore.experiment.slip import Friction
-from stepcore.scene.layout import Layout
+from stepcore.experiment.coordinates import Coordinates, rotated, turned
+from stepcore.experiment.friction import Friction
+from stepcore.experiment.run import Run
+from stepcore.scene import tying
+from stepcore.scene.elements import Equality
+from stepcore.scene.layout import QPOS, Layout
+from stepcore.scene.tying import LENGTHS
 
 
 @dataclass(frozen=True)
@@ -80,11 +82,132 @@ class Bodies:
         height: np.ndarray = com @ self.up @ self.mass / max(self.mass.sum(), 1e-300)
         return height
 
-    def path(self, qpos: np.ndarray, qvel: np.ndarray) -> Path:
-        """The path of states that are known at time 0 and at the samples, and meet nothing."""
+    def run(self, qpos: np.ndarray, qvel: np.ndarray) -> Run:
+        """The run of states that are known at time 0 and at the samples, and meet nothing."""
         seen = self.states(qpos, qvel)
         n = len(qpos) - 1
-        path = Path(seen.com[1:], seen.quat[1:], np.zeros(n), seen.kinetic[1:])
-        path.height, path.touching = self.height(path.com), np.zeros(n)
-        path.slips, path.gyration = [{} for _ in range(n)], self.gyration
-        return path
+        run = Run(seen.com[1:], seen.quat[1:], np.zeros(n), seen.kinetic[1:])
+        run.height, run.touching = self.height(run.com), np.zeros(n)
+        run.slips, run.gyration = [{} for _ in range(n)], self.gyration
+        return run
+
+
+class Joints:
+    """The connects and welds and the limits of a scene.
+
+    connected: it has any of the former. tied: the indices of those that are active, limited: those
+    of the joints with a range; in the order of the columns of `gaps` and `violations`.
+    """
+
+    def __init__(self, model: Model, layout: Layout, coordinates: Coordinates) -> None:
+        scene = model.scene
+        self.ranges = [(kind, q, limits) for kind, q, _, limits in coordinates.joints if limits]
+        self.limited = [k for k, joint in enumerate(coordinates.joints) if joint[3]]
+        works = scene.features.equality and scene.features.constraint
+        self.tied = [
+            k
+            for k, e in enumerate(scene.equalities)
+            if works and e.active and e.type in ("connect", "weld")
+        ]
+        ties = [scene.equalities[k] for k in self.tied]
+        self.connected = bool(ties)
+        # (body 1, the point in its frame, body 2, the point in its frame).
+        self.ties: list[tuple[int, np.ndarray, int, np.ndarray]] = []
+        if ties:
+            sim = Sim(model, model.settings.replace(precision="f64"))
+            place, turn = sim.xpos, sim.xmat
+            for tie in ties:
+                self.ties.append(_ends(tying.plain(layout, tie), place, turn))
+
+    def apart(self, frames: np.ndarray) -> float | None:
+        """The widest gap of a connection [m], None without one; frames: see `States`."""
+        return float(self.gaps(frames).max()) if self.connected else None
+
+    def gaps(self, frames: np.ndarray) -> np.ndarray:
+        """How far each connection gapes [m], (n, connections)."""
+        gaps = []
+        for a, near, b, far in self.ties:
+            here = frames[:, a, :3] + rotated(frames[:, a, 3:], near)
+            there = frames[:, b, :3] + rotated(frames[:, b, 3:], far)
+            gaps.append(np.linalg.norm(here - there, axis=1))
+        return np.array(gaps).T.reshape(len(frames), len(gaps))
+
+    def beyond(self, qpos: np.ndarray) -> float | None:
+        """The furthest that a joint was outside of its range [rad or m], None without ranges."""
+        return float(self.violations(qpos).max(initial=0.0)) if self.ranges else None
+
+    def violations(self, qpos: np.ndarray) -> np.ndarray:
+        """How far each joint with a range is outside of it [rad or m], 0 within; (n, ranges)."""
+        beyond = []
+        for kind, q, (low, high) in self.ranges:
+            if kind in ("hinge", "slide"):
+                value = qpos[:, q]
+            else:
+                quat = qpos[:, q + QPOS[kind] - 4 : q + QPOS[kind]]
+                value = np.linalg.norm(turned(quat), axis=1)
+            beyond.append(np.maximum(0.0, np.maximum(low - value, value - high)))
+        return np.array(beyond).T.reshape(len(qpos), len(beyond))
+
+
+def _ends(
+    tie: dict[str, Any], place: np.ndarray, turn: np.ndarray
+) -> tuple[int, np.ndarray, int, np.ndarray]:
+    """Where a connect or weld acts on its two bodies: what is not given follows from this pose."""
+    bodies = (tie["first"], tie["second"])
+    near, far = (frame and np.array(frame["pos"]) for frame in (tie["frame1"], tie["frame2"]))
+    (a, b) = bodies
+    if near is None:
+        near = turn[a].T @ (place[b] + turn[b] @ far - place[a])
+    if far is None:
+        far = turn[b].T @ (place[a] + turn[a] @ near - place[b])
+    return a, near, b, far
+
+
+def _inside(layout: Layout, equality: Equality) -> bool:
+    """It ties only what moves; one end of a connect or weld may be the world."""
+    moving = all(layout.moving(body) for body in equality.bodies)
+    return moving and (equality.type in LENGTHS or len(equality.bodies) == 2)
+
+
+class Balance:
+    """Whether a scene's momentum can be known, and how much of it a run lost.
+
+    known: every tree hangs on the world by a free joint on which nothing but gravity acts. Then
+    internal forces, actuators and contacts among the bodies included, cancel: p = p₀ + m g t, and
+    the angular momentum about the centre of mass stays as it is. Forces written to a Sim from
+    outside and contacts with what stands still would have to be measured, not known.
+    """
+
+    def __init__(self, model: Model, layout: Layout, gravity: np.ndarray, mass: np.ndarray) -> None:
+        scene = model.scene
+        roots = [
+            joint
+            for joint in layout.joints
+            if joint.body.parent is None or not layout.moving(joint.body.parent)
+        ]
+        driven = {id(actuator.target[1]) for actuator in scene.actuators}
+        # A jet pushes on the world.
+        jets = any(a.site is not None and a.refsite is None for a in scene.actuators)
+        tied = any(e.active and not _inside(layout, e) for e in scene.equalities)
+        self.gravity, self.mass = gravity, mass
+        held = scene.density > 0 or scene.viscosity > 0 or any(b.gravcomp for b in scene.bodies)
+        self.known = not (tied or held or jets) and all(
+            joint.type == "free"
+            and not (joint.damped or joint.sprung or joint.armature or joint.frictionloss)
+            and id(joint) not in driven
+            for joint in roots
+        )
+
+    def lost(self, momenta: np.ndarray, com: np.ndarray, times: np.ndarray) -> tuple[float, float]:
+        """The most linear [kg·m/s] and angular momentum [kg·m²/s] unexplained at a sample.
+
+        momenta, com: see `States`, first those of the start; times: of these samples [s].
+        """
+        linear, total = momenta[:, :3], self.mass.sum()
+        centre = np.einsum("b,nbi->ni", self.mass, com) / total
+        spin = momenta[:, 3:] - np.cross(centre, linear)
+        pushed = linear - linear[0] - total * times[: len(momenta), None] * self.gravity
+        return (
+            float(np.linalg.norm(pushed, axis=1).max()),
+            float(np.linalg.norm(spin - spin[0], axis=1).max()),
+        )

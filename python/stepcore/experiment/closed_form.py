@@ -24,8 +24,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Start, product, rotated, rotation
-from stepcore.experiment.expm import expm
-from stepcore.experiment.path import Path
+from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 
 # What accelerations may differ by from the form's, over the largest seen: rounding, generously.
@@ -34,6 +33,10 @@ AGREES = 1e-9
 CAUTION = 4.0
 # The entries of F are differences of accelerations, of which each has some roundings.
 ROUNDED = 4 * np.finfo(float).eps
+# Terms of the Taylor series at norm 1/2: the first left out is 2^-18/18! < 1e-21.
+TERMS = 18
+# Balancing ends by itself, nearly always after a few rounds.
+BALANCINGS = 50
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Exact:
     how far the reference is from it, as errors are measured.
     """
 
-    paths: list[Path]
+    runs: list[Run]
     error: float
     angle: float
     basis: str = "closed form"
@@ -55,14 +58,14 @@ class Unfit(Exception):
     """The scene has no such form."""
 
 
-def closed(runner: Runner, paths: Sequence[Path]) -> Exact | None:
-    """The closed form of a runner's motion, or None; paths: the converged runs.
+def closed(runner: Runner, runs: Sequence[Run]) -> Exact | None:
+    """The closed form of a runner's motion, or None; runs: the converged runs.
 
     Its own error is seen by computing it again in another way: in thirds of a period (halves would
     repeat the same squarings), and with every entry of F moved by its rounding. Squaring, and
     thousands of oscillations, make that grow.
     """
-    if runner.schedule.control is not None or any(path.rows for path in paths):
+    if runner.schedule.control is not None or any(run.rows for run in runs):
         return None
     if any(joint[0] == "ball" for joint in runner.coordinates.joints):
         return None
@@ -76,10 +79,10 @@ def closed(runner: Runner, paths: Sequence[Path]) -> Exact | None:
                 b = runner.bodies.states(*again)
                 error = max(error, float(np.abs(a.com - b.com).max(initial=0.0)))
                 angle = max(angle, float(np.abs(whole[0] - again[0]).max(initial=0.0)))
-            exact.append(runner.bodies.path(*whole))
+            exact.append(runner.bodies.run(*whole))
     except (Unfit, ValueError, SimulationError):
         return None
-    size = max(float(np.abs(path.com).max(initial=0.0)) for path in exact)
+    size = max(float(np.abs(run.com).max(initial=0.0)) for run in exact)
     return Exact(exact, CAUTION * error + 1e-15 * size, CAUTION * angle + 1e-15)
 
 
@@ -230,3 +233,48 @@ def _fall(free: _Free, here: Start, qacc: np.ndarray) -> tuple[np.ndarray, np.nd
     spin, turn = here.qvel[v + 3 : v + 6], qacc[v + 3 : v + 6]
     round_it = np.cross(turn, c) + np.cross(spin, np.cross(spin, c))
     return qacc[v : v + 3] + rotated(here.qpos[q + 3 : q + 7], round_it), turn
+
+
+def expm(matrix: np.ndarray) -> np.ndarray:
+    """e^A of a square matrix: Taylor's series of A/2^s, whose norm is at most 1/2, squared s times.
+
+    Good to rounding times 2^s, so A is balanced first: for a spring of stiffness k and mass 1 its
+    norm is then √k and not k. Source: Moler and Van Loan, Nineteen Dubious Ways to Compute the
+    Exponential of a Matrix, SIAM Review 45 (2003), method 3.
+
+    >>> expm(np.array([[0.0, 1.0], [-1.0, 0.0]])).round(6).tolist()
+    [[0.540302, 0.841471], [-0.841471, 0.540302]]
+    """
+    matrix, scale = _balanced(matrix)
+    norm = float(np.abs(matrix).sum(axis=1).max(initial=0.0))
+    squarings = max(0, int(np.ceil(np.log2(norm))) + 1) if norm > 0 else 0
+    small = matrix / 2.0**squarings
+    result = np.eye(len(matrix))
+    term = np.eye(len(matrix))
+    for k in range(1, TERMS + 1):
+        term = term @ small / k
+        result = result + term
+    for _ in range(squarings):
+        result = result @ result
+    return result * scale[:, None] / scale[None, :]
+
+
+def _balanced(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """D⁻¹ A D, whose rows and columns are of like size, and the diagonal of D, powers of two.
+
+    Source: Osborne, On Pre-Conditioning of Matrices, Journal of the ACM 7 (1960).
+    """
+    matrix, scale = matrix.copy(), np.ones(len(matrix))
+    for _ in range(BALANCINGS):
+        before = scale.copy()
+        for k in range(len(matrix)):
+            own = abs(matrix[k, k])
+            column, row = np.abs(matrix[:, k]).sum() - own, np.abs(matrix[k]).sum() - own
+            if column > 0 and row > 0:
+                factor = 2.0 ** np.round(np.log2(row / column) / 2)
+                matrix[:, k] *= factor
+                matrix[k] /= factor
+                scale[k] *= factor
+        if np.array_equal(scale, before):
+            break
+    return matrix, scale

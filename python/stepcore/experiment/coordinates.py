@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
 from stepcore.scene.layout import DOFS, Layout
 
 
@@ -17,6 +18,11 @@ class Start:
     qpos: np.ndarray
     qvel: np.ndarray
     act: np.ndarray | None = None
+
+    def put(self, sim: Sim) -> None:
+        """Puts a Sim into this state; its time and its controls stay."""
+        sim.qpos, sim.qvel = self.qpos, self.qvel
+        sim.act[:] = 0.0 if self.act is None else self.act
 
 
 class Coordinates:
@@ -88,7 +94,7 @@ class Coordinates:
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """`numpy.cross` of vectors or stacks of vectors, shape (..., 3), in half of its time."""
+    """`numpy.cross` along leading axes, in half of its time."""
     a, b = np.broadcast_arrays(a, b)
     out = np.empty(a.shape)
     out[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]

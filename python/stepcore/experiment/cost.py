@@ -11,8 +11,7 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.sim import Sim
-from stepcore.experiment.path import Path
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner
 from stepcore.report.progress import Progress
 
@@ -138,7 +137,7 @@ class Counter(Probe):
             steps = self.schedule.steps(sim.settings.dt) * self.schedule.every
             self._sum += sim.count_flops() * steps
 
-    def end(self, sim: Sim, path: Path) -> None:
+    def end(self, sim: Sim, run: Run) -> None:
         self.work = Work(self._sum / self.schedule.horizon, sim.nbytes)
 
 

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from stepcore.experiment.path import Path, angle, distance
-from stepcore.experiment.slip import anisotropy, creep
-from stepcore.scene.assets import half_size
+from stepcore.experiment.friction import anisotropy, creep
+from stepcore.experiment.run import Run, angle, distance
 
-# Further from the reference than this many times the scene's size is no error, but a failure.
-FAR = 100.0
 # A contact holds with friction below this share of μ × normal force: the pyramid reaches as far
 # along its tangents, and 1/√2 as far between them.
 STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
@@ -30,7 +26,7 @@ class Errors:
     each [m]: the RMS position error of every start, of centres of mass and of orientations times
         the body's radius of gyration.
     relative, relative_max: `position` and `position_max` over the scene's size.
-    gained, lost [J]: the largest rise of the energy balance of `Path` above its start, and the
+    gained, lost [J]: the largest rise of the energy balance of `Run` above its start, and the
         largest fall below it, in any start.
     numerical, modelling [m]: the two parts of `high` if a setting changes the model (another cone,
         another law, f32): the distance to that model's own limit, and the distance between the two
@@ -82,23 +78,46 @@ class Errors:
         return float(np.median(self.each)) if self.each else self.position
 
 
+@dataclass(frozen=True)
+class Score:
+    """How runs are compared with the motion that they should make: one number of their `Errors`.
+
+    measure: an attribute of `Errors`. name: in words. unit: "m", or "1" for a share.
+    """
+
+    measure: str
+    name: str
+    unit: str
+
+    def __call__(self, errors: Errors) -> float:
+        return float(getattr(errors, self.measure))
+
+
+# The score of a setting: the errors are those from the converged motion.
+WORST_START = Score("high", "RMS position error of the worst start", "m")
+# The score of a feature that is removed: the errors are those from the whole model's own motion.
+ADDED = Score("high", "RMS position error added in the worst start", "m")
+# The score of a cell of a stability map.
+LARGEST = Score("relative_max", "largest distance over the size", "1")
+
+
 def errors(
-    paths: Sequence[Path],
-    truth: Sequence[Path],
+    runs: Sequence[Run],
+    truth: Sequence[Run],
     scored: np.ndarray,
     size: float = np.nan,
     sticks: float = STICKS["pyramidal"],
 ) -> Errors:
     """Errors of runs against the reference's, over the samples that are scored (starts, n).
 
-    size: of the scene [m]; sticks: see `stepcore.experiment.slip.creep`.
+    size: of the scene [m]; sticks: see `stepcore.experiment.friction.creep`.
     """
     metres, radians, both, creeps = [], [], [], []
-    for path, true, mask in zip(paths, truth, scored, strict=True):
-        metres.append(distance(path, true)[mask])
-        radians.append(angle(path, true)[mask])
-        both.append(np.hypot(metres[-1], turned(path, true) * radians[-1]))
-        creeps.append(creep(path.slips, true.slips, mask, sticks))
+    for run, true, mask in zip(runs, truth, scored, strict=True):
+        metres.append(distance(run, true)[mask])
+        radians.append(angle(run, true)[mask])
+        both.append(np.hypot(metres[-1], turned(run, true) * radians[-1]))
+        creeps.append(creep(run.slips, true.slips, mask, sticks))
     largest = [float(part.max(initial=0.0)) for part in metres]
     position, each = float(np.median(_roots(metres))), tuple(_roots(both))
     return Errors(
@@ -106,27 +125,27 @@ def errors(
         position_max=max(largest),
         angle=float(np.median(_roots(radians))),
         angle_max=max(float(part.max(initial=0.0)) for part in radians),
-        gained=max(0.0, *(float(path.balance.max(initial=0.0)) for path in paths)),
-        lost=max(0.0, *(-float(path.balance.min(initial=0.0)) for path in paths)),
-        overlap=max(path.overlap for path in paths),
-        residual=max(path.residual for path in paths),
+        gained=max(0.0, *(float(run.balance.max(initial=0.0)) for run in runs)),
+        lost=max(0.0, *(-float(run.balance.min(initial=0.0)) for run in runs)),
+        overlap=max(run.overlap for run in runs),
+        residual=max(run.residual for run in runs),
         worst=largest.index(max(largest)),
         each=each,
         relative=position / size,
         relative_max=max(largest) / size,
         numerical=max(each),
-        momentum=_worst([path.momentum for path in paths]),
-        angular_momentum=_worst([path.spin for path in paths]),
-        joint=_worst([path.joint for path in paths]),
-        limit=_worst([path.limit for path in paths]),
+        momentum=_worst([run.momentum for run in runs]),
+        angular_momentum=_worst([run.spin for run in runs]),
+        joint=_worst([run.joint for run in runs]),
+        limit=_worst([run.limit for run in runs]),
         creep=_known(creeps),
-        anisotropy=_known([anisotropy(path.slips) for path in paths]),
+        anisotropy=_known([anisotropy(run.slips) for run in runs]),
     )
 
 
-def turned(path: Path, true: Path) -> np.ndarray | float:
+def turned(run: Run, true: Run) -> np.ndarray | float:
     """Radii of gyration [m] of the bodies of two runs, by which angles become lengths."""
-    known = true.gyration if len(true.gyration) else path.gyration
+    known = true.gyration if len(true.gyration) else run.gyration
     return known if len(known) else 0.0
 
 
@@ -140,42 +159,15 @@ def _known(values: Sequence[float | None]) -> float | None:
     return max((value for value in values if value is not None), default=None)
 
 
-def far_off(
-    paths: Sequence[Path], truth: Sequence[Path], size: float, far: float = FAR
-) -> str | None:
-    """Why runs that are nowhere near the reference failed, or None.
-
-    size: of the scene [m]; far: how many times that is too far. All samples count: chaos is no
-    reason to be far outside of the scene.
-    """
-    for start, (path, true) in enumerate(zip(paths, truth, strict=True)):
-        apart = float(distance(path, true).max(initial=0.0))
-        if not apart <= far * size:
-            return f"start {start}: far off ({apart:.2g} m from the reference)"
-    return None
-
-
-def extent(paths: Sequence[Path], scene: Any) -> float:
-    """How large the scene is [m]: where its bodies go, how long and how thick they are.
-
-    1 where nothing of it has a length.
-    """
-    centres = np.concatenate([path.com.reshape(-1, 3) for path in paths])
-    thick = [half_size(geom) for geom in scene.geoms]
-    long = [float(np.linalg.norm(body.pos)) for body in scene.bodies]
-    gone = float(np.linalg.norm(np.ptp(centres, axis=0)))
-    return gone + max(thick, default=0.0) + max(long) or 1.0
-
-
-def moved(paths: Sequence[Path]) -> float:
+def moved(runs: Sequence[Run]) -> float:
     """How far bodies move [m], as the RMS error of a run in which they stand still would be.
 
     Of the start in which they move least: from the first sample on.
     """
     ways = []
-    for path in paths:
-        still = Path(com=path.com[:1], quat=path.quat[:1])
-        ways.append(np.hypot(distance(path, still), turned(path, path) * angle(path, still)))
+    for run in runs:
+        still = Run(com=run.com[:1], quat=run.quat[:1])
+        ways.append(np.hypot(distance(run, still), turned(run, run) * angle(run, still)))
     return min(_roots(ways))
 
 

@@ -19,13 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.experiment.arguments import Workers
+from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.bodies import Bodies
 from stepcore.experiment.coordinates import Start
-from stepcore.experiment.path import Path, angle, distance
+from stepcore.experiment.run import Run, angle, distance
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
-from stepcore.experiment.together import screened
-from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
 # Of the scene's size, and of a radian.
@@ -100,7 +100,7 @@ def perturbed(runner: Runner, size: float) -> Schedule:
     return dataclasses.replace(schedule, starts=tuple(starts), ctrl=ctrl)
 
 
-def separation(bodies: Bodies, a: Path, b: Path) -> np.ndarray:
+def separation(bodies: Bodies, a: Run, b: Run) -> np.ndarray:
     """How far two runs are apart, of the body where it is most [m], shape (n,).
 
     The root mean square over a body of mass m and inertia I turned by a small angle: centres
@@ -114,7 +114,7 @@ def separation(bodies: Bodies, a: Path, b: Path) -> np.ndarray:
 def _begun(bodies: Bodies, a: Start, b: Start) -> float:
     """How far two starts are apart [m]."""
     seen = bodies.states(np.array([a.qpos, b.qpos]), np.zeros((2, bodies.model.nv)))
-    first, second = (Path(com=seen.com[i : i + 1], quat=seen.quat[i : i + 1]) for i in (0, 1))
+    first, second = (Run(com=seen.com[i : i + 1], quat=seen.quat[i : i + 1]) for i in (0, 1))
     return max(float(separation(bodies, first, second)[0]), 1e-300)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
+from stepcore.engine.control import Control
 from stepcore.engine.sim import Sim
-from stepcore.experiment.control import Control
 from stepcore.signatures import F, keyword, refuse_unknown, spell_out
 
 

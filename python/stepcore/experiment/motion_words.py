@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stepcore.engine.control import control_name
 from stepcore.engine.model import Model
-from stepcore.experiment.control import control_name
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import counted, seconds

@@ -20,8 +20,8 @@ from typing import Any
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.experiment.errors import STICKS, Errors, errors
-from stepcore.experiment.path import Path
 from stepcore.experiment.reference import Gap, Level, Reference, ReferenceRuns
+from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.report.progress import Progress
 from stepcore.scene.elements import Joint, Tendon
@@ -70,23 +70,23 @@ class ErrorSplit:
         names = sorted(chains, key=lambda name: name == "rk4")
         near = [level for level in chains[names[0]] if level.dt <= runs.finest / 2]
         self.cheap: Level = near[0] if near else chains[names[0]][-1]
-        self.acts = any(path.rows or path.overlap for path in self.cheap.paths)
+        self.acts = any(path.rows or path.overlap for path in self.cheap.runs)
         self.base: Level = reference.levels[-2]
         self.limits: dict[tuple[Any, ...], Level] = {}
-        self.doubles: dict[Settings, list[Path]] = {}
+        self.doubles: dict[Settings, list[Run]] = {}
 
-    def keep(self, settings: Settings, paths: list[Path]) -> None:
+    def keep(self, settings: Settings, paths: list[Run]) -> None:
         """Keeps runs in double precision, which those in single precision are compared with."""
         if settings.precision == "f64" and not paths[-1].failure:
             self.doubles[settings] = paths
 
-    def errors(self, settings: Settings, paths: Sequence[Path]) -> Errors:
+    def errors(self, settings: Settings, paths: Sequence[Run]) -> Errors:
         """Errors of one setting, that of its worst start split.
 
         Where another model's own limit fails, or the run in double precision does, the two
         parts cannot be separated: modelling is then NaN, and numerical the whole error.
         """
-        whole = self._apart(paths, self.reference.paths, settings.cone)
+        whole = self._apart(paths, self.reference.runs, settings.cone)
         numerical, modelling = whole.high, 0.0
         exact = settings.replace(precision="f64")
         if settings.precision != "f64":
@@ -94,15 +94,15 @@ class ErrorSplit:
             if double is None:
                 return dataclasses.replace(whole, modelling=float("nan"))
             modelling = self._apart(paths, double).high
-            numerical = self._apart(double, self.reference.paths).high
+            numerical = self._apart(double, self.reference.runs).high
             paths = double
         own = self.runs.shipped
         if _modelled(exact) != _modelled(own) or self._clamp(exact):
             limit = self.limit(exact)
             if limit.failed:
                 return dataclasses.replace(whole, modelling=float("nan"))
-            modelling += self._apart(limit.paths, self.base.paths).high
-            numerical = self._apart(paths, limit.paths).high
+            modelling += self._apart(limit.runs, self.base.runs).high
+            numerical = self._apart(paths, limit.runs).high
         return dataclasses.replace(whole, numerical=numerical, modelling=modelling)
 
     def limit(self, settings: Settings) -> Level:
@@ -139,7 +139,7 @@ class ErrorSplit:
     def _pyramid(self) -> Gap | None:
         """The distance to elliptic cones, at a step that resolves the contacts."""
         runner, shipped = self.runs.runner, self.runs.shipped
-        if shipped.cone != "pyramidal" or not any(any(path.slips) for path in self.cheap.paths):
+        if shipped.cone != "pyramidal" or not any(any(path.slips) for path in self.cheap.runs):
             return None
         shortest = time_scale(runner.model.scene) if shipped.law == "solref" else math.inf
         levels = [self.cheap, *(level for chain in self.runs.chains.values() for level in chain)]
@@ -151,7 +151,7 @@ class ErrorSplit:
         limit = self._level(runner, shipped.replace(cone="elliptic"), near)
         if limit.failed:
             return None
-        return Gap(self._apart(limit.paths, near.paths).high, "elliptic cones")
+        return Gap(self._apart(limit.runs, near.runs).high, "elliptic cones")
 
     def _softness(self) -> Gap | None:
         """The distance to the hardest contacts that could be run at steps that resolve them."""
@@ -189,8 +189,8 @@ class ErrorSplit:
         fine = fine if coarse.failed else self._level(runner, settings, fine)
         if coarse.failed or fine.failed:
             return None
-        distance = self._apart(fine.paths, self.reference.paths).high
-        unsure = self._apart(coarse.paths, fine.paths).high + self.reference.high
+        distance = self._apart(fine.runs, self.reference.runs).high
+        unsure = self._apart(coarse.runs, fine.runs).high + self.reference.high
         return distance if unsure <= SETTLED * distance else None
 
     def _level(self, runner: Runner, settings: Settings, like: Level) -> Level:
@@ -208,7 +208,7 @@ class ErrorSplit:
         runs.spent += other.spent
         return level
 
-    def _double(self, settings: Settings) -> list[Path] | None:
+    def _double(self, settings: Settings) -> list[Run] | None:
         """The same runs in double precision, None if they fail."""
         if settings not in self.doubles:
             runs, bar = self.runs, Progress("", self.runs.starts, False)
@@ -219,9 +219,7 @@ class ErrorSplit:
             self.doubles[settings] = paths
         return self.doubles[settings]
 
-    def _apart(
-        self, paths: Sequence[Path], truth: Sequence[Path], cone: str = "pyramidal"
-    ) -> Errors:
+    def _apart(self, paths: Sequence[Run], truth: Sequence[Run], cone: str = "pyramidal") -> Errors:
         return errors(paths, truth, self.reference.scored, self.size, STICKS[cone])
 
 

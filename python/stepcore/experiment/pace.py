@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stepcore._core import SimulationError
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.run import Probe
 
 # From so many states along a run, so many steps are timed, so often; the quickest counts, as
 # whatever else the machine does only adds.

@@ -1,4 +1,4 @@
-"""The probes that make a path: `Recorder` measures all of it, `Positions` and `Means` a part.
+"""The probes that make a run: `Recorder` measures all of it, `Positions` and `Means` a part.
 
 A search records hundreds of runs with `Positions`; the errors in a table come from `Recorder`.
 """
@@ -9,10 +9,9 @@ import numpy as np
 
 from stepcore.engine.sim import Sim, touches
 from stepcore.experiment.bodies import Bodies
-from stepcore.experiment.path import Path
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.friction import Slips
+from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.schedule import Schedule
-from stepcore.experiment.slip import Slips
 
 # The state is recorded this often in a period (or every step), contacts are looked at less often;
 # and in a run of many periods about so often in all, states four times as often where the work of
@@ -33,14 +32,14 @@ class Positions(Probe):
         self.xpos.append(sim.xpos[self.bodies.moving])
         self.xquat.append(sim.xquat[self.bodies.moving])
 
-    def end(self, sim: Sim, path: Path) -> None:
-        self.place(path)
+    def end(self, sim: Sim, run: Run) -> None:
+        self.place(run)
 
-    def place(self, path: Path) -> None:
+    def place(self, run: Run) -> None:
         """Writes what was recorded."""
-        path.quat, path.gyration = np.array(self.xquat), self.bodies.gyration
+        run.quat, run.gyration = np.array(self.xquat), self.bodies.gyration
         with np.errstate(over="ignore", invalid="ignore"):
-            path.com = self.bodies.centres(np.array(self.xpos), path.quat)
+            run.com = self.bodies.centres(np.array(self.xpos), run.quat)
 
 
 class Means(Probe):
@@ -57,15 +56,15 @@ class Means(Probe):
         self.qvel.append(np.array(sim.qvel))
         self.touching.append(_touching(touches(sim)[1]) if self.meets else 0)
 
-    def end(self, sim: Sim, path: Path) -> None:
+    def end(self, sim: Sim, run: Run) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
             seen = self.bodies.states(np.array(self.qpos), np.array(self.qvel))
-            path.height = self.bodies.height(seen.com)
-        path.com, path.kinetic, path.touching = seen.com, seen.kinetic, np.array(self.touching)
+            run.height = self.bodies.height(seen.com)
+        run.com, run.kinetic, run.touching = seen.com, seen.kinetic, np.array(self.touching)
 
 
 class Recorder(Probe):
-    """All that `Path` holds: states every few steps, contacts at times, slips at the samples."""
+    """All that `Run` holds: states every few steps, contacts at times, slips at the samples."""
 
     def __init__(self, bodies: Bodies, schedule: Schedule) -> None:
         self.bodies, self.schedule = bodies, schedule
@@ -128,7 +127,7 @@ class Recorder(Probe):
             self.overlap = max(self.overlap, -float(dist.min(initial=0.0)))
             self.grounded = self.grounded or self.bodies.friction.grounded(pairs)
 
-    def end(self, sim: Sim, path: Path) -> None:
+    def end(self, sim: Sim, run: Run) -> None:
         """The poses and energies at the samples, in double precision whatever the run's."""
         bodies = self.bodies
         qpos, qvel = np.array(self.qpos), np.array(self.qvel)
@@ -137,17 +136,17 @@ class Recorder(Probe):
         with np.errstate(over="ignore", invalid="ignore"):
             seen = bodies.states(qpos[[0, *at]], qvel[[0, *at]])
             work = np.concatenate([[0.0], np.cumsum(self._work(qpos, qvel))])
-            path.balance = seen.energy[1:] - seen.energy[0] - work[at]
-            path.height = bodies.height(seen.com[1:])
+            run.balance = seen.energy[1:] - seen.energy[0] - work[at]
+            run.height = bodies.height(seen.com[1:])
             if bodies.conserved.known and not self.grounded:
                 times = np.concatenate([[0.0], self.schedule.times])
-                path.momentum, path.spin = bodies.conserved.lost(seen.momenta, seen.com, times)
-            path.joint, path.limit = bodies.joints.apart(seen.frames), bodies.joints.beyond(qpos)
-        path.com, path.quat, path.kinetic = seen.com[1:], seen.quat[1:], seen.kinetic[1:]
-        path.gyration = bodies.gyration
-        path.touching, path.slips = np.array(self.touching), self.slips
-        path.overlap, path.residual = self.overlap, self.residual
-        path.row_updates, path.rows = sim.row_updates, sim.most_rows
+                run.momentum, run.spin = bodies.conserved.lost(seen.momenta, seen.com, times)
+            run.joint, run.limit = bodies.joints.apart(seen.frames), bodies.joints.beyond(qpos)
+        run.com, run.quat, run.kinetic = seen.com[1:], seen.quat[1:], seen.kinetic[1:]
+        run.gyration = bodies.gyration
+        run.touching, run.slips = np.array(self.touching), self.slips
+        run.overlap, run.residual = self.overlap, self.residual
+        run.row_updates, run.rows = sim.row_updates, sim.most_rows
 
     def _work(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Work done on the bodies between two states by actuators and dampers [J].

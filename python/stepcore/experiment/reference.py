@@ -19,16 +19,17 @@ from itertools import pairwise
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.experiment.arguments import Workers
+from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.closed_form import Exact, closed
 from stepcore.experiment.converged import converged_settings
-from stepcore.experiment.errors import Errors, errors, extent
+from stepcore.experiment.errors import Errors, errors
+from stepcore.experiment.failure import runaway
 from stepcore.experiment.growth import DIRECTIONS, Growth, growth
 from stepcore.experiment.order import Known, known, observed, shown
-from stepcore.experiment.path import Path
-from stepcore.experiment.runaway import driven, runaway
+from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.together import screened
-from stepcore.experiment.workers import Workers
+from stepcore.experiment.sizes import scene_size
 from stepcore.report.progress import Progress
 
 # A tenth: the reference's error may then change the last digit of an error shown, no more.
@@ -57,12 +58,12 @@ class Level:
 
     dt: float
     integrator: str
-    paths: list[Path]
+    runs: list[Run]
     moved: Errors | None = None
 
     @property
     def failed(self) -> str | None:
-        return next((path.failure for path in self.paths if path.failure), None)
+        return next((run.failure for run in self.runs if run.failure), None)
 
     @property
     def distance(self) -> float:
@@ -156,9 +157,9 @@ class Reference:
         return self.growth.scored
 
     @property
-    def paths(self) -> list[Path]:
+    def runs(self) -> list[Run]:
         """The truth: the closed form, or the finest run."""
-        return self.level.paths if self.exact is None else self.exact.paths
+        return self.level.runs if self.exact is None else self.exact.runs
 
 
 class ReferenceRuns:
@@ -219,16 +220,16 @@ class ReferenceRuns:
         settings = self.settings(integrator, dt)
         if bare:
             starts = range(self.starts)
-            paths = screened(self.runner, settings, starts, self.workers, bar, until_fails=True)
+            runs = screened(self.runner, settings, starts, self.workers, bar, until_fails=True)
         else:
             job = partial(self.runner.run, settings)
-            paths = self.workers.until(lambda path: path.failure, job, range(self.starts), bar)
-        self.spent += self.cost(integrator, dt) * len(paths) / self.starts
-        return Level(dt, integrator, paths)
+            runs = self.workers.until(lambda run: run.failure, job, range(self.starts), bar)
+        self.spent += self.cost(integrator, dt) * len(runs) / self.starts
+        return Level(dt, integrator, runs)
 
     def reference(self, bar: Progress) -> Reference:
         """Two integrators at three halvings each, and perturbed runs; the better known one."""
-        steps, failed = self._steps(), None
+        steps, failed, schedule = self._steps(), None, self.runner.schedule
         for integrator in (self.second, "rk4"):
             levels, fails = self._levels(integrator, steps, bar)
             failed = fails or failed
@@ -236,16 +237,16 @@ class ReferenceRuns:
                 self.chains[integrator] = levels
         if not self.chains:
             raise ValueError(
-                f"the reference fails at dt = {steps[-1]:g} s{driven(self.runner)}, so there is "
+                f"the reference fails at dt = {steps[-1]:g} s{schedule.driven}, so there is "
                 f"nothing to compare with: {failed}"
             )
         for levels in self.chains.values():
-            explodes = runaway(self.runner, levels[-1].paths)
+            explodes = runaway(self.runner.model, schedule, levels[-1].runs)
             if explodes:
                 raise ValueError(explodes)
         # The finer of two where there are only those; rk4's, where it runs.
         base = list(self.chains.values())[-1][-3:][0]
-        self.size = extent(base.paths, self.runner.model.scene)
+        self.size = scene_size(self.runner.model.scene, base.runs)
         growth = self._growth(base, bar)
         for name, levels in self.chains.items():
             levels[1:] = [self._measured(*pair, growth) for pair in pairwise(levels)]
@@ -274,10 +275,10 @@ class ReferenceRuns:
 
     def _exact(self, reference: Reference) -> Exact | None:
         """The closed form, unless the converged run says that something was met on the way."""
-        exact = closed(self.runner, reference.level.paths)
+        exact = closed(self.runner, reference.level.runs)
         if exact is None:
             return None
-        truth = Level(0.0, "", exact.paths)
+        truth = Level(0.0, "", exact.runs)
         check = self.apart(reference.level, truth, reference.growth).median
         meets = check > FINER * reference.error + 1e-9 * self.size
         return None if meets else dataclasses.replace(exact, check=check)
@@ -302,10 +303,10 @@ class ReferenceRuns:
             for integrator in ("rk4", self.second):
                 base = self.level(integrator, dt, bar)
                 if not base.failed:
-                    explodes = runaway(self.runner, base.paths)
+                    explodes = runaway(self.runner.model, self.runner.schedule, base.runs)
                     if explodes:
                         raise ValueError(explodes)
-                    self.size = extent(base.paths, self.runner.model.scene)
+                    self.size = scene_size(self.runner.model.scene, base.runs)
                     return base, self._growth(base, bar)
         raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
 
@@ -355,7 +356,7 @@ class ReferenceRuns:
 
     def apart(self, coarse: Level, fine: Level, growth: Growth) -> Errors:
         """The distance of a level to another, as errors are measured."""
-        return errors(coarse.paths, fine.paths, growth.scored)
+        return errors(coarse.runs, fine.runs, growth.scored)
 
     def _measured(self, coarse: Level, fine: Level, growth: Growth) -> Level:
         """The finer level with its distance to the coarser."""
@@ -392,7 +393,7 @@ class ReferenceRuns:
         levels = self.chains[name]
         other, rival = self._rival(levels[-1], growth)
         moved = [level.moved for level in levels if level.moved is not None]
-        count = levels[-1].paths[0].com[..., 0].size
+        count = levels[-1].runs[0].com[..., 0].size
         return Reference(
             settings=self.settings(name, levels[-1].dt),
             level=levels[-1],
@@ -404,7 +405,7 @@ class ReferenceRuns:
             other=other,
             other_error=self.chains[other][-1].distance if other else np.nan,
             stiffens=self.shipped.law in DEPENDENT
-            and any(p.rows or p.overlap for p in levels[-1].paths),
+            and any(p.rows or p.overlap for p in levels[-1].runs),
         )
 
     def _rival(self, level: Level, growth: Growth) -> tuple[str, Errors | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -10,20 +11,34 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
+from stepcore.engine.control import Control, ControlError, control_name, controls, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import checkpoint
 from stepcore.experiment.bodies import Bodies
-from stepcore.experiment.control import Control, ControlError, control_name, controls, fresh
 from stepcore.experiment.coordinates import Coordinates
-from stepcore.experiment.explosion import Explosion
-from stepcore.experiment.path import Path
-from stepcore.experiment.probe import Probe
-from stepcore.experiment.recorder import Positions, Recorder
+from stepcore.experiment.failure import Explosion
+from stepcore.experiment.recorder import Means, Positions, Recorder
+from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.schedule import Schedule
 
-# So many control periods show whether a control function can be asked again.
+# This many control periods show whether a control function answers the same when asked again.
 REPEATED = 32
+
+
+def recorded(runner: Runner) -> Sequence[Probe]:
+    """The probes of a run of which everything is recorded."""
+    return [Recorder(runner.bodies, runner.schedule)]
+
+
+def positions(runner: Runner) -> Sequence[Probe]:
+    """The probes of a run of which positions are recorded: enough for errors, and much faster."""
+    return [Positions(runner.bodies)]
+
+
+def means(runner: Runner) -> Sequence[Probe]:
+    """The probes of a run of which heights, energies and contacts are recorded."""
+    return [Means(runner.bodies)]
 
 
 class Clock(Protocol):
@@ -34,7 +49,10 @@ class Clock(Protocol):
 
 
 class Runner:
-    """A model and a schedule: everything that runs under different settings share."""
+    """A model and a schedule: what all runs of a measurement share, in any process.
+
+    A subclass that overrides `sim`, `place` and `control` runs the schedule with another engine.
+    """
 
     def __init__(self, model: Model, schedule: Schedule) -> None:
         self.model, self.schedule = model, schedule
@@ -46,76 +64,79 @@ class Runner:
         # What is looked up by identity is made anew in another process.
         return type(self), (self.model, self.schedule)
 
-    def run(self, settings: Any, start: int, probes: Sequence[Probe] | None = None) -> Path:
+    @property
+    def starts(self) -> range:
+        """The indices of the schedule's starts."""
+        return range(len(self.schedule.starts))
+
+    def run(self, settings: Any, start: int, probes: Sequence[Probe] | None = None) -> Run:
         """The motion from one start; a failure ends it and says why.
 
         Raises ControlError for a control function that no settings can run.
 
-        settings: of `sim`. probes: they observe the run and fill the path; by default a `Recorder`.
+        settings: of `sim`. probes: they observe the run and fill it; by default a `Recorder`.
         """
-        path = Path()
-        if probes is None:
-            probes = [Recorder(self.bodies, self.schedule)]
+        run = Run()
+        probes = recorded(self) if probes is None else probes
         try:
             sim = self.sim(settings)
             self.follow(sim, start, probes)
         except ControlError:
             raise
         except (ValueError, SimulationError) as error:
-            path.failure = one_line(error)
-            return path
+            run.failure = one_line(error)
+            return run
         for probe in probes:
-            probe.end(sim, path)
-        if not np.all(np.isfinite(path.com)):
-            path.failure = "positions overflow"
-        return path
+            probe.end(sim, run)
+        run.refuse_overflow()
+        return run
 
-    def screen(self, settings: Any, start: int) -> Path:
-        """The same of which only positions are recorded: enough for errors, and much faster."""
-        return self.run(settings, start, [Positions(self.bodies)])
+    def observed(self, settings: Any, probes: Probes, start: int) -> Run:
+        """The motion from one start, observed by probes of its own."""
+        return self.run(settings, start, probes(self))
+
+    def screen(self, settings: Any, start: int) -> Run:
+        """A run of which positions alone are recorded."""
+        return self.run(settings, start, positions(self))
+
+    def runs(self, settings: Settings) -> list[Run]:
+        """The motion from every start, until one fails."""
+        runs: list[Run] = []
+        while len(runs) < len(self.starts) and not (runs and runs[-1].failure):
+            runs.append(self.run(settings, len(runs)))
+        return runs
 
     def check_repeatable(self) -> None:
         """Makes the beginning of a run twice; ControlError if the controls are not the same.
 
-        Then they depend on more than the motion, and no two runs can be compared.
+        They then depend on more than the motion, and no two runs can be compared.
         """
         function = self.schedule.control
         if function is None:
             return
-        first, again = self._asked(fresh(function)), self._asked(fresh(function))
-        if len(first) == len(again) and np.array_equal(first, again):
-            return
-        raise ControlError(
-            f"{control_name(function)} returned other controls when the same run was made again: "
-            "it is random, or remembers earlier calls. Runs with it cannot be compared; give a "
-            "callable object that keeps its memory in its attributes, of which each run gets a copy"
-        )
-
-    def _asked(self, function: Control) -> np.ndarray:
-        """The controls of the first periods of the first start."""
-        sim, asked = Sim(self.model), []
-        self.place(sim, 0)
-        count = self.schedule.steps(sim.settings.dt)
-        with contextlib.suppress(SimulationError):
-            for period in range(min(REPEATED, self.schedule.periods)):
-                self.control(sim, 0, period, function)
-                asked.append(np.array(sim.ctrl))
-                sim.step(count)
-        return np.array(asked)
-
-    def runs(self, settings: Settings) -> list[Path]:
-        """The motion from every start, until one fails."""
-        paths: list[Path] = []
-        while len(paths) < len(self.schedule.starts) and not (paths and paths[-1].failure):
-            paths.append(self.run(settings, len(paths)))
-        return paths
+        periods = min(REPEATED, self.schedule.periods)
+        beginning = Runner(self.model, dataclasses.replace(self.schedule, periods=periods))
+        first, again = _Controls(), _Controls()
+        for probe in (first, again):
+            with contextlib.suppress(SimulationError):
+                beginning.follow(self.sim(self.model.settings), 0, [probe])
+        if not np.array_equal(first.ctrl, again.ctrl):
+            raise ControlError(
+                f"{control_name(function)} returned other controls when the same run was made "
+                "again: it is random, or remembers earlier calls. Runs with it cannot be compared; "
+                "give a callable object that keeps its memory in its attributes, of which each run "
+                "gets a copy"
+            )
 
     def follow(
         self, sim: Any, start: int, probes: Sequence[Probe] = (), clock: Clock | None = None
     ) -> None:
-        """Steps a Sim through the motion from one start; the one loop over control periods.
+        """Steps a Sim through the motion from one start: the loop over control periods.
 
         clock: times the steps. Where there are no controls, all are then made in one call.
+
+        `stepcore.experiment.batched_runs.BatchRun.follow` is the same loop for the worlds of a
+        batch.
         """
         schedule = self.schedule
         periods, count = schedule.periods, schedule.steps(sim.settings.dt)
@@ -151,11 +172,7 @@ class Runner:
     def place(self, sim: Any, start: int) -> None:
         """Puts a Sim at a start of the schedule, at time 0, nothing warm."""
         sim.reset()
-        sim.qpos = self.schedule.starts[start].qpos
-        sim.qvel = self.schedule.starts[start].qvel
-        act = self.schedule.starts[start].act
-        if act is not None:
-            sim.act = act
+        self.schedule.starts[start].put(sim)
 
     def control(self, sim: Any, start: int, period: int, function: Control | None) -> None:
         """Sets the controls of a Sim at the beginning of a period; function: of this run."""
@@ -164,3 +181,17 @@ class Runner:
             sim.ctrl = controls(function, sim)
         elif schedule.ctrl is not None:
             sim.ctrl[:] = schedule.ctrl[start][period]
+
+
+# Makes the probes of a run.
+Probes = Callable[[Runner], Sequence[Probe]]
+
+
+class _Controls(Probe):
+    """The controls of each period."""
+
+    def __init__(self) -> None:
+        self.ctrl: list[np.ndarray] = []
+
+    def period(self, sim: Sim, period: int) -> None:
+        self.ctrl.append(np.array(sim.ctrl))

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stepcore.engine.control import Control, controls
 from stepcore.engine.sim import Sim
 from stepcore.engine.snapshots import Taking
 from stepcore.engine.trajectory import Trajectory, whole_steps
-from stepcore.experiment.control import Control, controls
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.run import Probe
 from stepcore.report.progress import Choice, Progress
 
 # About how often probes look at a run, unless they ask for more.

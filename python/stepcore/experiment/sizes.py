@@ -1,15 +1,32 @@
-"""How large geoms and bodies are: what a depth, a gap or a speed of creep is compared with."""
+"""How large a scene, its geoms and its bodies are: the scale of errors, depths and gaps."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.experiment.run import Run
+from stepcore.scene.assets import half_size
+from stepcore.scene.scene import Scene
 
 # Where nothing in a scene has a size [m].
 UNKNOWN = 1.0
+
+
+def scene_size(scene: Scene, runs: Sequence[Run] = ()) -> float:
+    """The size of a scene and of its motion [m]: where its bodies go in these runs, how long its
+    longest arm is and how thick its thickest geom. 1 where nothing of it has a length.
+    """
+    gone = 0.0
+    if runs:
+        centres = np.concatenate([run.com.reshape(-1, 3) for run in runs])
+        gone = float(np.linalg.norm(np.ptp(centres, axis=0)))
+    thick = max((half_size(geom) for geom in scene.geoms), default=0.0)
+    arm = max((float(np.linalg.norm(body.pos)) for body in scene.bodies), default=0.0)
+    return gone + thick + arm or UNKNOWN
 
 
 class Sizes:

@@ -14,7 +14,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.engine.model import Model
 from stepcore.engine.parameters import Variants
-from stepcore.experiment.workers import Workers
+from stepcore.experiment.arguments import Workers
 from stepcore.scene.value_paths import is_path
 
 Point = dict[str, Any]

@@ -12,13 +12,13 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.growth import DIRECTIONS, GROWTH, NEARBY, Growth
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import STARTS, scheduled, time_steps
-from stepcore.experiment.setup import Source, set_up
 from stepcore.report.progress import Choice
 from stepcore.report.result import Result
 from stepcore.report.table import Table
@@ -215,6 +215,6 @@ def predict(
         dt=level.dt,
         integrator=level.integrator,
         growth=growth,
-        batches=workers.saving.sentences,
+        batches=workers.speedup.sentences,
         ran=motion_in_words(model, motion, runner.schedule),
     )

@@ -13,8 +13,7 @@ from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.setup import Source
-from stepcore.experiment.workers import Workers
+from stepcore.experiment.arguments import Source, Workers
 from stepcore.loading import find_model
 from stepcore.measure.batch_sweep import measured_in_batches
 from stepcore.report.progress import Choice

@@ -13,7 +13,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.experiment.bodies import Bodies
 from stepcore.experiment.coordinates import Coordinates
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.run import Probe
 from stepcore.experiment.watch.actuators import ActuatorWatch
 from stepcore.experiment.watch.contacts import ContactWatch
 from stepcore.experiment.watch.joints import JointWatch

@@ -11,7 +11,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.errors import STICKS
-from stepcore.experiment.slip import Friction
+from stepcore.experiment.friction import Friction
 
 # The part of a run, at its end, in which something may have come to rest.
 REST = 0.25

@@ -13,16 +13,15 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
+from stepcore.experiment.arguments import Source, Workers, set_up
 from stepcore.experiment.cost import heaviness
-from stepcore.experiment.errors import extent, far_off
+from stepcore.experiment.failure import far_off, runaway
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.reference import Reference, ReferenceRuns
-from stepcore.experiment.runaway import runaway
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, STARTS, Schedule, scheduled, time_steps
-from stepcore.experiment.setup import Source, set_up
-from stepcore.experiment.workers import Workers
+from stepcore.experiment.sizes import scene_size
 from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
 from stepcore.measure.ablation.variants import (
@@ -113,7 +112,7 @@ def ablate(
     runs = ReferenceRuns(runner, model.settings, dt, BUDGET, workers, weight)
     reference, notes = _reference(runs)
     baseline = _baseline(runner, reference, workers)
-    tolerance = units.length("ablate", "error", error, extent(baseline.paths, model.scene))
+    tolerance = units.length("ablate", "error", error, scene_size(model.scene, baseline.paths))
     usage = usage_of(runner, model.settings, workers)
     selection = Selection(baseline, RemovableFeatures(model), tolerance, workers)
     removals = selection.features.removals(usage, model.settings)
@@ -152,7 +151,7 @@ def ablate(
             *_notes(reference, baseline, tolerance),
             *_screened(cut, few, starts),
         ],
-        batches=workers.saving.sentences,
+        batches=workers.speedup.sentences,
         ran=motion_in_words(model, motion, schedule.part(0, starts)),
     )
 
@@ -226,14 +225,14 @@ def _baseline(runner: Runner, reference: Reference | None, workers: Workers) -> 
     for start, path in enumerate(paths):
         if path.failure:
             raise ValueError(f"the whole model fails from start {start}: {path.failure}")
-    explodes = runaway(runner, paths)
+    explodes = runaway(runner.model, runner.schedule, paths)
     if explodes:
         raise ValueError(explodes)
     if reference is None:
         scored = np.ones((len(paths), len(runner.schedule.times)), bool)
         return Baseline(runner.model, runner.schedule, tuple(paths), None, scored)
-    truth = tuple(reference.paths)
-    wrong = far_off(paths, truth, extent(truth, runner.model.scene))
+    truth = tuple(reference.runs)
+    wrong = far_off(paths, truth, scene_size(runner.model.scene, truth))
     if wrong:
         dt = seconds(runner.model.settings.dt)
         raise ValueError(f"the whole model fails at its dt of {dt}: {wrong}; see stepcore diagnose")

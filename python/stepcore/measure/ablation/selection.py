@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal
+from stepcore.experiment.arguments import Workers
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.workers import Workers
 from stepcore.measure.ablation.variants import Baseline, VariantOutcome, outcome_of, usage_of
 from stepcore.report.progress import Progress
 

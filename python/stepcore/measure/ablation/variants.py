@@ -13,14 +13,13 @@ from stepcore.checks import one_line
 from stepcore.engine.features import MotionUsage, Removal, without
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.arguments import Workers
+from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.cost import TimedRun, costs
 from stepcore.experiment.errors import errors
-from stepcore.experiment.path import Path
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
-from stepcore.experiment.together import screened
-from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
 # Steps of the first start whose operations are counted, spread over the motion.
@@ -70,8 +69,8 @@ class Baseline:
 
     model: Model
     schedule: Schedule
-    paths: tuple[Path, ...]
-    truth: tuple[Path, ...] | None
+    paths: tuple[Run, ...]
+    truth: tuple[Run, ...] | None
     scored: np.ndarray
 
     @property
@@ -119,7 +118,7 @@ def outcome_of(
     return VariantOutcome(added.each, added.position_max, off, flops, rows)
 
 
-def positions(runner: Runner, settings: Settings, workers: Workers) -> list[Path]:
+def positions(runner: Runner, settings: Settings, workers: Workers) -> list[Run]:
     """The positions of the runs from all starts, until one fails."""
     starts = range(len(runner.schedule.starts))
     bar = Progress("", len(starts), False)

@@ -12,14 +12,13 @@ import numpy as np
 
 from stepcore.checks import one_line
 from stepcore.engine.model import Model
+from stepcore.experiment.arguments import Setup, Source, set_up
 from stepcore.experiment.coordinates import Start
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
-from stepcore.experiment.setup import Setup, Source, set_up
+from stepcore.experiment.schedule import HORIZON, Schedule, home, scheduled
 from stepcore.experiment.sizes import Sizes
-from stepcore.experiment.starts import home
 from stepcore.experiment.watch import Watch
 from stepcore.measure.check.commands import next_commands
 from stepcore.measure.check.limits import about_limits

@@ -13,14 +13,13 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.experiment.arguments import Source, Workers, set_up
+from stepcore.experiment.failure import runaway
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.path import Path
-from stepcore.experiment.runaway import runaway
+from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, scheduled
-from stepcore.experiment.setup import Source, set_up
-from stepcore.experiment.workers import Workers
 from stepcore.measure.convergence.result import Convergence
 from stepcore.measure.convergence.runs import (
     CandidateRun,
@@ -123,7 +122,7 @@ def converge(
     missing = [settings for settings in some.converged if settings not in paths]
     paths |= _runs(runner, missing, "converged runs", workers)
     fine, coarse = (paths[s] for s in some.references)
-    explodes = runaway(runner, fine)
+    explodes = runaway(model, schedule, fine)
     if explodes:
         raise ValueError(explodes)
     reference = halved_reference(fine, coarse, model.scene)
@@ -155,7 +154,7 @@ def converge(
 
 def _runs(
     runner: Runner, some: Sequence[Settings], label: str, workers: Workers
-) -> dict[Settings, list[Path]]:
+) -> dict[Settings, list[Run]]:
     """Every start under each of the settings."""
     starts = range(len(runner.schedule.starts))
     jobs = [partial(runner.run, settings, start) for settings in some for start in starts]

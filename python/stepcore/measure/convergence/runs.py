@@ -16,12 +16,11 @@ import numpy as np
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.sim import Sim
-from stepcore.experiment.errors import extent, far_off
-from stepcore.experiment.path import Path, distance
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.failure import failure
+from stepcore.experiment.run import Probe, Run, distance
 from stepcore.experiment.runner import Runner
+from stepcore.experiment.sizes import scene_size
 from stepcore.measure.convergence.sweeps import MotionState, solved
-from stepcore.report.units import joules
 from stepcore.scene.scene import Scene
 
 # Sweeps in a period of equal work, and their splits into steps × sweeps.
@@ -40,12 +39,6 @@ PERIODS = 4
 USUAL = 16
 # The reference at two time steps this far apart, over the scene's size, is unknown from there on.
 APART = 1e-2
-# A run that is further from the reference than this many times the scene's size has failed.
-FAR = 3.0
-# So has one that gains more energy than lifts the scene by so many times its size, and so many
-# times what the reference ever has in motion: an integrator's own energy error is less.
-GAIN = 10.0
-CLIMB = 1.0
 
 
 class Split(NamedTuple):
@@ -206,7 +199,7 @@ class HalvedReference:
     size: the scene's size [m].
     """
 
-    paths: list[Path]
+    paths: list[Run]
     scored: list[Floats]
     error: float
     size: float
@@ -223,12 +216,12 @@ class HalvedReference:
         ]
 
 
-def halved_reference(fine: list[Path], coarse: list[Path], scene: Scene) -> HalvedReference:
+def halved_reference(fine: list[Run], coarse: list[Run], scene: Scene) -> HalvedReference:
     """The reference from its runs at two time steps. Raises ValueError if one of them failed."""
     for path in (*fine, *coarse):
         if path.failure:
             raise ValueError(f"the reference fails: {path.failure}")
-    size = extent(fine, scene)
+    size = scene_size(scene, fine)
     masks, apart = [], []
     for path, other in zip(fine, coarse, strict=True):
         gap = distance(path, other)
@@ -240,14 +233,12 @@ def halved_reference(fine: list[Path], coarse: list[Path], scene: Scene) -> Halv
 
 
 def run_of(
-    settings: Settings, paths: list[Path], truth: HalvedReference, horizon: float, weight: float
+    settings: Settings, paths: list[Run], truth: HalvedReference, horizon: float, weight: float
 ) -> CandidateRun:
     """One setting's numbers. weight: of all bodies [N]."""
-    failures = (f"start {i}: {path.failure}" for i, path in enumerate(paths) if path.failure)
-    failure = next(failures, None) or far_off(paths, truth.paths, truth.size, FAR)
-    failure = failure or _climbs(paths, truth, weight)
-    if failure is not None:
-        return CandidateRun(settings, failure=failure)
+    failed = failure(paths, truth.paths, truth.size, weight)
+    if failed is not None:
+        return CandidateRun(settings, failure=failed)
     joints = [path.joint for path in paths if path.joint is not None]
     return CandidateRun(
         settings,
@@ -259,21 +250,8 @@ def run_of(
     )
 
 
-def _climbs(paths: Sequence[Path], truth: HalvedReference, weight: float) -> str | None:
-    """What fails a run with energy that nothing in the scene gave it: rows that push too much."""
-    for start, (path, true) in enumerate(zip(paths, truth.paths, strict=True)):
-        given = max(float(true.balance.max(initial=0.0)), 0.0)
-        moving = float(true.kinetic.max(initial=0.0)) + float(
-            np.ptp(true.balance) if len(true.balance) else 0.0
-        )
-        gained = float(path.balance.max(initial=0.0)) - given
-        if not gained <= GAIN * moving + CLIMB * weight * truth.size:
-            return f"start {start}: gains {joules(gained)} of energy that nothing gives it"
-    return None
-
-
 def ending(
-    runner: Runner, own: Sequence[Path], solved: Sequence[Path], reference: HalvedReference
+    runner: Runner, own: Sequence[Run], solved: Sequence[Run], reference: HalvedReference
 ) -> Ending:
     """Where the motion ends, in the start in which converged forces make the largest difference."""
     times = runner.schedule.times
@@ -293,7 +271,7 @@ def ending(
     return max(endings, key=lambda end: end.apart)
 
 
-def median_error(paths: Sequence[Path], others: Sequence[Path], scored: Sequence[Floats]) -> float:
+def median_error(paths: Sequence[Run], others: Sequence[Run], scored: Sequence[Floats]) -> float:
     """RMS distance over scored samples and bodies, median of the starts [m]."""
     parts = [rms(distance(a, b)[mask]) for a, b, mask in zip(paths, others, scored, strict=True)]
     return float(np.median(parts))

@@ -11,11 +11,10 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.linear_maps import INTEGRATORS
+from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.schedule import HORIZON, scheduled
-from stepcore.experiment.setup import Source, set_up
-from stepcore.experiment.starts import home
+from stepcore.experiment.schedule import HORIZON, home, scheduled
 from stepcore.measure.diagnosis.advice import advise
 from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
 from stepcore.measure.diagnosis.control_advice import advise_control, longest_period

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.control import Control, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.control import Control, fresh
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.advice import MARGIN, Advice
 from stepcore.measure.diagnosis.bounded_run import stays_bounded

@@ -20,8 +20,8 @@ from dataclasses import replace
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.control import Control, controls, fresh
 from stepcore.engine.model import Model
-from stepcore.experiment.control import Control, controls, fresh
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.linear_step import State, sim_at

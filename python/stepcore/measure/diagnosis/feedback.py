@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.experiment.control import Control
+from stepcore.engine.control import Control
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,9 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
+from stepcore.engine.control import Control, controls, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.control import Control, controls, fresh
 from stepcore.experiment.converged import converged_settings
 from stepcore.measure.diagnosis.element_id import (
     ElementId,

@@ -24,12 +24,11 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
+from stepcore.engine.control import ControlError, controls, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.control import ControlError, controls, fresh
 from stepcore.experiment.coordinates import Start
-from stepcore.experiment.schedule import Schedule
-from stepcore.experiment.starts import SPEED, SPIN
+from stepcore.experiment.schedule import SPEED, SPIN, Schedule
 from stepcore.measure.diagnosis.linear_step import State, state_now
 from stepcore.scene.layout import DOFS
 

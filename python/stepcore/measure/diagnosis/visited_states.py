@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
+from stepcore.engine.control import Control, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.control import Control, fresh
 from stepcore.experiment.coordinates import Coordinates
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.diagnosis.element_id import ElementId

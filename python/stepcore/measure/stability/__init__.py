@@ -13,10 +13,9 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
+from stepcore.experiment.arguments import Source, Workers, set_up
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
-from stepcore.experiment.setup import Source, set_up
-from stepcore.experiment.workers import Workers
 from stepcore.measure.stability import cases, theory
 from stepcore.measure.stability.cases import GROWS, MapCase, MapSetting
 from stepcore.measure.stability.points import CellMotion, run

@@ -13,8 +13,8 @@ from stepcore.engine.model import Model
 from stepcore.engine.plan import makes_rows
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import steps
+from stepcore.experiment.arguments import Workers
 from stepcore.experiment.converged import converged_settings
-from stepcore.experiment.workers import Workers
 from stepcore.measure.stability.points import BodyPoints, CellMotion
 from stepcore.measure.sweep import sweep
 from stepcore.report import units

@@ -9,16 +9,16 @@ from typing import Any, Unpack
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.experiment.arguments import Source, Workers, set_up
 from stepcore.experiment.cost import TimedRun, heaviness
-from stepcore.experiment.errors import errors, extent
+from stepcore.experiment.errors import errors
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.other_models import ErrorSplit, clamping
 from stepcore.experiment.reference import FINER, Reference, ReferenceRuns, smallest
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, scheduled, time_steps
-from stepcore.experiment.setup import Source, set_up
-from stepcore.experiment.workers import Workers
+from stepcore.experiment.sizes import scene_size
 from stepcore.measure.findings import watched
 from stepcore.measure.trade import frugal, notes
 from stepcore.measure.trade import mujoco as mujoco_points
@@ -150,10 +150,10 @@ def trade(
     runs = ReferenceRuns(runner, awake, min(steps), effort, workers, weight)
     with workers.bar("reference", runs.least) as bar:
         reference = runs.reference(bar)
-    size = extent(reference.paths, model.scene)
+    size = scene_size(model.scene, reference.runs)
     target = None if error is None else units.length("trade", "error", error, size)
     trials = Trials(runner, reference, size, workers)
-    counts, rows = Steps(period, shipped.dt), max(path.rows for path in reference.paths)
+    counts, rows = Steps(period, shipped.dt), max(path.rows for path in reference.runs)
     limits: list[str] = []
     if full:
         tried = grid(shipped, steps, rows=rows, stiff=is_stiff(model), **axes)
@@ -207,7 +207,7 @@ def trade(
         budget=limit,
         size=size,
         mujoco=mujoco_points.timed(points, timed),
-        batches=workers.saving.sentences,
+        batches=workers.speedup.sentences,
         screened=len({*trials.paths, *trials.screened}),
         runs=trials.runs,
         chosen=chosen,
@@ -251,7 +251,7 @@ def _refine(runs: ReferenceRuns, trials: Trials, tried: Sequence[Settings]) -> N
     whole = [trials.paths[setting] for setting in tried if not trials.failure(setting)]
     while whole and runs.can_refine(trials.reference):
         ref = trials.reference
-        least = smallest([errors(p, ref.paths, ref.scored).high for p in whole], runs.size)
+        least = smallest([errors(p, ref.runs, ref.scored).high for p in whole], runs.size)
         if not least or ref.high * FINER <= least:
             return
         with trials.workers.bar("finer reference", runs.starts) as bar:

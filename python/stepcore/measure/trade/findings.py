@@ -64,7 +64,7 @@ class TradeFindings:
     @property
     def starts(self) -> int:
         """From how many starts every setting ran."""
-        return len(self.reference.paths)
+        return len(self.reference.runs)
 
     @property
     def by(self) -> str:

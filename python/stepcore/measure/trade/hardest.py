@@ -90,8 +90,8 @@ class HardestStarts:
     def _reference(self, few: Sequence[int]) -> Reference:
         """The reference of these starts, as known as that of the search's own."""
         one = self.trials.reference
-        paths = [*one.paths, *self.confirm.truth.paths]
-        level = dataclasses.replace(one.level, paths=[paths[i] for i in few])
+        paths = [*one.runs, *self.confirm.truth.runs]
+        level = dataclasses.replace(one.level, runs=[paths[i] for i in few])
         ends = np.concatenate([one.growth.ends, self.confirm.ends])[list(few)]
         factor = np.ones((len(few), len(one.growth.times)))
         growth = Growth(one.growth.times, factor, ends)

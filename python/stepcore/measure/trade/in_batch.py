@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from stepcore._core import Settings
+from stepcore.experiment.batched_runs import BatchRun, can
 from stepcore.experiment.cost import Stopwatch, TimedRun
 from stepcore.experiment.errors import pareto
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.together import BatchRun, can
 from stepcore.measure.trade.finish import Finisher
 from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.row import TradeRow

@@ -18,18 +18,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stepcore.engine.control import Control
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.experiment.arguments import Workers
 from stepcore.experiment.bodies import Bodies
-from stepcore.experiment.control import Control
 from stepcore.experiment.cost import TimedRun
-from stepcore.experiment.errors import Errors, errors, far_off, pareto
-from stepcore.experiment.path import Path
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.errors import Errors, errors, pareto
+from stepcore.experiment.failure import far_off
 from stepcore.experiment.reference import Reference
+from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Clock, Runner
 from stepcore.experiment.schedule import Schedule
-from stepcore.experiment.workers import Workers
 from stepcore.loading import find_asset
 from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.row import TradeRow
@@ -228,7 +228,7 @@ class Poses(Probe):
         self.qpos.append(sim.data.qpos.copy())
         self.qvel.append(sim.data.qvel.copy())
 
-    def end(self, sim: World, path: Path) -> None:
+    def end(self, sim: World, path: Run) -> None:
         path.failure = _warned(sim.data)
         if path.failure is None:
             seen = self.bodies.states(np.array(self.qpos), np.array(self.qvel))
@@ -244,7 +244,7 @@ class MujocoTrials:
 
     def points(self, steps: Steps, workers: Workers) -> tuple[list[Point], list[TimedRun]]:
         """Integrators × solvers × steps, all run from every start; and the same to be timed."""
-        solvers = SOLVERS if any(path.rows for path in self.reference.paths) else ("newton",)
+        solvers = SOLVERS if any(path.rows for path in self.reference.runs) else ("newton",)
         pieces = sorted({max(1, round(steps.own / factor)) for factor in FACTORS})
         asked = [Setting(steps.dt(n), i, s) for n in pieces for i in TRIED for s in solvers]
         starts = len(self.runner.schedule.starts)
@@ -272,7 +272,7 @@ class MujocoTrials:
         )
         apart, moved = math.inf, math.inf
         if not any(path.failure for path in (*coarse, *fine)):
-            truth, scored = ref.paths[: len(few)], ref.scored[: len(few)]
+            truth, scored = ref.runs[: len(few)], ref.scored[: len(few)]
             apart = errors(fine, truth, scored).high
             moved = errors(fine, coarse, scored).high
         return Check(require().__version__, dt / 2, apart, moved, ref.high)
@@ -280,13 +280,13 @@ class MujocoTrials:
     def _point(self, setting: Setting, check: Check) -> Point:
         """One setting of MuJoCo's, from every start."""
         ref = self.reference
-        paths = [self._path(setting, start) for start in range(len(ref.paths))]
+        paths = [self._path(setting, start) for start in range(len(ref.runs))]
         failure = next((f"start {i}: {p.failure}" for i, p in enumerate(paths) if p.failure), None)
-        failure = failure or far_off(paths, ref.paths, self.size)
-        wrong = None if failure else errors(paths, ref.paths, ref.scored, self.size)
+        failure = failure or far_off(paths, ref.runs, self.size)
+        wrong = None if failure else errors(paths, ref.runs, ref.scored, self.size)
         return Point(setting.dt, setting.integrator, setting.solver, wrong, check, failure=failure)
 
-    def _path(self, setting: Setting, start: int) -> Path:
+    def _path(self, setting: Setting, start: int) -> Run:
         return self.runner.run(setting, start, [Poses(self.runner.bodies)])
 
 

@@ -84,7 +84,7 @@ def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float)
             f"the column max is uncertain by {metres(reference.largest)}, the largest error of the "
             f"converged motion; {marked} of the best rows are below that"
         )
-    rest = max(path.residual for path in reference.paths)
+    rest = max(path.residual for path in reference.runs)
     if rest > UNSOLVED:
         yield (
             "the converged motion that errors are measured from has rows that its solver left at a "

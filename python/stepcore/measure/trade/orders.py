@@ -20,7 +20,7 @@ CLOSE = 0.15
 
 def observed_orders(rows: Sequence[TradeRow], reference: Reference) -> dict[str, float]:
     """The orders from errors ten times the reference's and below a tenth of how far bodies move."""
-    return orders(rows, FINER * reference.high, SATURATED * moved(reference.paths))
+    return orders(rows, FINER * reference.high, SATURATED * moved(reference.runs))
 
 
 def orders(rows: Sequence[TradeRow], least: float, most: float = np.inf) -> dict[str, float]:

@@ -14,12 +14,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from stepcore._core import Settings
-from stepcore.experiment.errors import errors, far_off
+from stepcore.experiment.batched_runs import screened
+from stepcore.experiment.errors import errors
+from stepcore.experiment.failure import far_off
 from stepcore.experiment.growth import DIRECTIONS, growth
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
-from stepcore.experiment.together import screened
 from stepcore.measure.trade.frontier import MARGIN, Frontier
 from stepcore.measure.trade.moves import DENSER, Steps
 from stepcore.measure.trade.row import Further, TradeRow
@@ -134,7 +135,7 @@ class Confirmation:
         missing = [start for start in starts if start not in known]
         paths = screened(self.runner, settings, missing, self.workers, "further starts")
         for start, path in zip(missing, paths, strict=True):
-            truth = [self.truth.paths[start]]
+            truth = [self.truth.runs[start]]
             failure = path.failure or far_off([path], truth, self.trials.size)
             wrong = math.inf if failure else errors([path], truth, self.scored[[start]]).high
             known[start] = (start, wrong, failure)

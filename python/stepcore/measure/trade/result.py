@@ -101,7 +101,7 @@ class Trade(TradeFindings, Result):
 
     def _reference(self) -> dict[str, Any]:
         ref = self.reference
-        truth = ref.paths
+        truth = ref.runs
         return {
             "settings": ref.settings,
             "error": ref.error,

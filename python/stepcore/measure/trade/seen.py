@@ -11,7 +11,7 @@ import numpy as np
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.snapshots import RATE, Snapshots
 from stepcore.engine.trajectory import Trajectory
-from stepcore.experiment.probe import Probe
+from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
 
 

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore._core import Settings
-from stepcore.experiment.path import Path
 from stepcore.experiment.recorder import Means
 from stepcore.experiment.reference import Reference, ReferenceRuns
+from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
@@ -27,7 +27,7 @@ LEAST = 32
 # Best rows that are measured: all, or about so many along the front, as far as half the
 # reference's budget goes.
 MOST = 10
-# Names of `Statistics`, and of `Path`, with their units.
+# Names of `Statistics`, and of `Run`, with their units.
 QUANTITIES = {"height": "m", "kinetic": "J", "touching": "1"}
 # The normal distribution's 97.5 % point.
 POINT = 1.959963984540054
@@ -124,11 +124,11 @@ class AfterPrediction:
             return None
         return np.array([self._mean(path) for path in paths])
 
-    def _mean(self, path: Path) -> list[float]:
+    def _mean(self, path: Run) -> list[float]:
         return [float(np.mean(getattr(path, name)[self.window])) for name in QUANTITIES]
 
 
-def means_of(runner: Runner, settings: Settings, start: int) -> Path:
+def means_of(runner: Runner, settings: Settings, start: int) -> Run:
     """A run of which only what means are taken of is recorded."""
     return runner.run(settings, start, [Means(runner.bodies)])
 

@@ -164,10 +164,10 @@ def _cells(trade: TradeFindings, row: TradeRow) -> dict[str, Any]:
 def _reference_cells(trade: TradeFindings) -> dict[str, Any]:
     """The reference's own row, to compare with what the scene itself loses or overlaps."""
     ref = trade.reference
-    gained = max(float(path.balance.max()) for path in ref.paths)
-    lost = max(-float(path.balance.min()) for path in ref.paths)
-    overlap = max(path.overlap for path in ref.paths)
-    residual = max(path.residual for path in ref.paths)
+    gained = max(float(path.balance.max()) for path in ref.runs)
+    lost = max(-float(path.balance.min()) for path in ref.runs)
+    overlap = max(path.overlap for path in ref.runs)
+    residual = max(path.residual for path in ref.runs)
     numbers = (ref.high, ref.error, 0.0, 0.0, ref.largest, ref.angle)
     return {
         "": "ref",

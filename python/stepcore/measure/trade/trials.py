@@ -12,19 +12,19 @@ from functools import partial
 from typing import TypeVar
 
 from stepcore._core import Settings
+from stepcore.experiment.arguments import Timed, Workers
+from stepcore.experiment.batched_runs import can, helps, portions, timed
 from stepcore.experiment.cost import UNKNOWN, Counter, Work
-from stepcore.experiment.errors import errors, far_off
-from stepcore.experiment.path import Path
+from stepcore.experiment.errors import errors
+from stepcore.experiment.failure import far_off
 from stepcore.experiment.recorder import Positions
 from stepcore.experiment.reference import Reference
+from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.saving import Timed
-from stepcore.experiment.together import can, helps, portions, timed
-from stepcore.experiment.workers import Workers
 
 T = TypeVar("T")
 # Runs of a setting, and the work of the first.
-Ran = tuple[list[Path], Work]
+Ran = tuple[list[Run], Work]
 # The same of which some were made alone and others in batches.
 Made = tuple[Ran, list[Timed]]
 # A setting, the first start of its runs and the one after the last.
@@ -53,8 +53,8 @@ class Trials:
 
     def __init__(self, runner: Runner, reference: Reference, size: float, workers: Workers) -> None:
         self.runner, self.reference, self.size, self.workers = runner, reference, size, workers
-        self.screened: dict[Settings, list[Path]] = {}
-        self.paths: dict[Settings, list[Path]] = {}
+        self.screened: dict[Settings, list[Run]] = {}
+        self.paths: dict[Settings, list[Run]] = {}
         self.work: dict[Settings, Work] = {}
         self.runs = 0
 
@@ -94,7 +94,7 @@ class Trials:
             for (paths, _), took in made:
                 self.runs += len(paths)
                 if took:
-                    self.workers.saving.compare(took[0], took[1:])
+                    self.workers.speedup.compare(took[0], took[1:])
             return [ran for ran, _ in made]
         job = partial(screen_starts, self.runner)
         ran = []
@@ -116,7 +116,7 @@ class Trials:
         paths = self.screened[settings][:starts]
         if paths[-1].failure or self.far(paths):
             return FAILED
-        truth, scored = self.reference.paths[: len(paths)], self.reference.scored[: len(paths)]
+        truth, scored = self.reference.runs[: len(paths)], self.reference.scored[: len(paths)]
         return Score(self.work[settings].flops, errors(paths, truth, scored).high)
 
     def failure(self, settings: Settings) -> str | None:
@@ -126,12 +126,12 @@ class Trials:
             return f"start {len(paths) - 1}: {paths[-1].failure}"
         return self.far(paths)
 
-    def far(self, paths: Sequence[Path]) -> str | None:
+    def far(self, paths: Sequence[Run]) -> str | None:
         """Why paths count as failed: they are too far from the reference. None if they are not."""
-        return far_off(paths, self.reference.paths[: len(paths)], self.size)
+        return far_off(paths, self.reference.runs[: len(paths)], self.size)
 
 
-def priced(runner: Runner, settings: Settings) -> tuple[Path, Work]:
+def priced(runner: Runner, settings: Settings) -> tuple[Run, Work]:
     """The positions of the run from the first start, and its work."""
     counter = Counter(runner)
     return runner.run(settings, 0, [Positions(runner.bodies), counter]), counter.work
@@ -157,16 +157,16 @@ def several(runner: Runner, workers: Workers, job: Screened) -> Made:
     settings, first, last = job
     singly = first + 2 if first == 0 else first + 1
     left = last - singly
-    if not (can(runner) and helps(left, 1, workers.saving)):
+    if not (can(runner) and helps(left, 1, workers.speedup)):
         return screen_starts(runner, job), []
     paths, work = screen_starts(runner, (settings, first, singly - 1))
     if paths and paths[-1].failure:
         return (paths, work), []
     parts = [timed(runner, settings, [singly - 1])]
-    if not parts[0].paths[0].failure:
+    if not parts[0].runs[0].failure:
         rest = range(singly, last)
         parts += [timed(runner, settings, some) for some in portions(rest)]
-    paths += [path for part in parts for path in part.paths]
+    paths += [path for part in parts for path in part.runs]
     ends = next((k for k, path in enumerate(paths) if path.failure), len(paths))
     return (paths[: ends + 1], work), parts if len(parts) > 1 else []
 

@@ -1,0 +1,139 @@
+"""`Experiment`: one model and one motion; every measurement asks it for runs and judgements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property, partial
+from typing import Protocol
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.engine.model import Model
+from stepcore.experiment.arguments import Workers
+from stepcore.experiment.batched_runs import screened
+from stepcore.experiment.cost import TimedRun, costs, heaviness
+from stepcore.experiment.errors import STICKS, Errors, errors
+from stepcore.experiment.failure import failure
+from stepcore.experiment.reference import Reference, ReferenceRuns
+from stepcore.experiment.run import Run
+from stepcore.experiment.runner import Probes, Runner, positions, recorded
+from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.sizes import scene_size
+from stepcore.report.progress import Progress
+
+
+class Truth(Protocol):
+    """The motion that runs are compared with: a `Reference`, or the runs of another model.
+
+    runs: from every start. scored: the samples that count, (starts, n).
+    """
+
+    @property
+    def runs(self) -> Sequence[Run]: ...
+
+    @property
+    def scored(self) -> np.ndarray: ...
+
+
+class Experiment:
+    """One model and one motion, run under different settings and judged.
+
+    model: a `Model`. schedule: its motion made definite (`stepcore.experiment.schedule.scheduled`).
+    workers: where runs are made. runner: what makes a single run, in any process.
+    reference_runs: what made the reference; it can refine it.
+
+    >>> from stepcore import lesson
+    >>> from stepcore.experiment.errors import WORST_START
+    >>> from stepcore.experiment.motion import Motion
+    >>> from stepcore.experiment.schedule import scheduled
+    >>> model = lesson.spring().compile()
+    >>> motion = scheduled(Motion(horizon=0.2, starts=2), model, period=0.01)
+    >>> experiment = Experiment(model, motion)
+    >>> reference = experiment.reference(finest=0.005, effort=1e6)
+    >>> runs = experiment.run(model.settings.replace(dt=0.01))
+    >>> experiment.failure(runs, reference) is None
+    True
+    >>> WORST_START(experiment.errors(runs, reference)) < 0.1
+    True
+    """
+
+    def __init__(self, model: Model, schedule: Schedule, workers: Workers | None = None) -> None:
+        self.runner, self.workers = Runner(model, schedule), workers or Workers()
+        self.reference_runs: ReferenceRuns | None = None
+        self._size: float | None = None
+
+    @property
+    def model(self) -> Model:
+        return self.runner.model
+
+    @property
+    def schedule(self) -> Schedule:
+        return self.runner.schedule
+
+    def run(
+        self,
+        settings: Settings,
+        starts: Sequence[int] | None = None,
+        probes: Probes = recorded,
+        bar: Progress | str = "",
+    ) -> list[Run]:
+        """The runs from some starts, by default from all, until one fails.
+
+        probes: makes the probes of each run: `recorded` records everything, `positions` positions
+        alone. Runs of positions are worlds of batches where those end sooner; their bits are the
+        same. bar: a progress bar, or the label of one.
+        """
+        starts = self.runner.starts if starts is None else starts
+        if probes is positions:
+            return screened(self.runner, settings, starts, self.workers, bar, until_fails=True)
+        job = partial(self.runner.observed, settings, probes)
+        return self.workers.until(lambda run: run.failure, job, starts, bar)
+
+    def reference(
+        self, finest: float, effort: float, settings: Settings | None = None
+    ) -> Reference:
+        """The converged motion. Raises ValueError if it fails or runs away.
+
+        finest: the shortest time step that is to be judged [s]. effort: what the runs may cost, in
+        steps × (dofs + 2). settings: by default the model's own.
+        """
+        shipped = settings or self.model.settings
+        weight = heaviness(self.runner, self.model.settings)
+        made = ReferenceRuns(self.runner, shipped, finest, effort, self.workers, weight)
+        with self.workers.bar("reference", made.least) as bar:
+            reference = made.reference(bar)
+        self.reference_runs = made
+        if self._size is None:
+            self._size = scene_size(self.model.scene, reference.runs)
+        return reference
+
+    @property
+    def size(self) -> float:
+        """The size of the scene and its motion [m], by the first reference, or by runs under the
+        model's own settings where none was made."""
+        if self._size is None:
+            self._size = scene_size(self.model.scene, self.run(self.model.settings))
+        return self._size
+
+    @cached_property
+    def weight(self) -> float:
+        """The weight of all bodies [N]."""
+        return float(np.sum(self.model.body_mass) * np.linalg.norm(self.runner.bodies.gravity))
+
+    def errors(self, runs: Sequence[Run], truth: Truth, cone: str = "pyramidal") -> Errors:
+        """Errors of runs from the first starts; a `Score` makes one number of them.
+
+        cone: that of the runs, by which a contact counts as sticking.
+        """
+        count = len(runs)
+        return errors(runs, truth.runs[:count], truth.scored[:count], self.size, STICKS[cone])
+
+    def failure(self, runs: Sequence[Run], truth: Truth) -> str | None:
+        """Why runs from the first starts failed, or None; see `stepcore.experiment.failure`."""
+        return failure(runs, truth.runs[: len(runs)], self.size, self.weight)
+
+    def cost(self, *settings: Settings, bar: Progress | None = None) -> list[float]:
+        """Computing time of the first start's motion [µs per simulated second], by setting."""
+        timed = [TimedRun(self.runner, setting) for setting in settings]
+        return costs(timed, bar or Progress("", len(timed), False))
