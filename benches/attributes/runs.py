@@ -20,7 +20,7 @@ BASE = BASES | sensors.BASE
 STEPS = 6
 # How far motions may differ, of the largest coordinate.
 EXACT = 1e-7
-# Where answers differ for reasons that docs/method.md gives: contacts of height fields have no
+# Where answers differ for reasons that docs/method gives: contacts of height fields have no
 # walls between prisms, hulls of few vertices keep others, three sweeps have not converged, and
 # MuJoCo keeps vertices in single precision.
 LOOSE = {

@@ -106,7 +106,7 @@ class Loop:
     def detect(self, guess: Array) -> tuple[Array, Array, Array, Array]:
         """The rows: J, the target velocity t, the regulariser c and the denominator s.
 
-        Each law says when a row exists and what its t, c and s are (docs/method.md, "The row").
+        Each law says when a row exists and what its t, c and s are (docs/method/rows.md).
         """
         law, dt, beta = self.settings.law, self.settings.dt, self.settings.beta
         phi, soft = self.J @ self.qpos, self.settings.softness
