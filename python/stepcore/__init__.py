@@ -132,9 +132,6 @@ __all__ = ["__version__", *_MODULE_OF, *_SUBMODULES]
 def __getattr__(name: str) -> Any:
     if name in _MODULE_OF:
         value: Any = getattr(importlib.import_module(_MODULE_OF[name]), name)
-        if name in ("Sim", "Batch"):
-            stepped = importlib.import_module("stepcore.engine.stepped")
-            stepped.read_with(lambda path: __getattr__("load")(path))
     elif name in _SUBMODULES:
         value = importlib.import_module(f"stepcore.{name}")
     elif name == "__version__":

@@ -6,9 +6,10 @@ import importlib.util
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from stepcore.checks import brief, nearest
+from stepcore.mjcf.from_mujoco import is_mujoco, read_mujoco
 from stepcore.mjcf.reader import read_file
 from stepcore.scene.scene import Scene
 
@@ -22,19 +23,21 @@ WITH_MODELS = ("gymnasium", "dm_control")
 LESSON = ("spring", "drop", "stack", "grasp")
 
 
-def find_scene(
-    source: str | os.PathLike[str], without: Iterable[str] = (), fuse: bool | None = None
-) -> Scene:
+def find_scene(source: Any, without: Iterable[str] = (), fuse: bool | None = None) -> Scene:
     """The scene that `source` names; without, fuse: see `stepcore.load`.
 
     "lesson:stack" is one of the lesson's scenes. "package:name" is the MJCF file name.xml among
     the files of an installed package, such as "gymnasium:half_cheetah"; the package is found but
     not imported. If several files have this name, give more of the path: "package:folder/name".
-    Files in a folder of tests count only if there is no other. Anything else is the path of an
-    MJCF file.
+    Files in a folder of tests count only if there is no other. An MjModel or an MjSpec is read from
+    its XML. Anything else is the path of an MJCF file.
 
     Raises ValueError for a name that does not exist, and what `stepcore.load` raises for a path.
     """
+    if is_mujoco(source):
+        scene = Scene()
+        read_mujoco(scene, source, without, fuse)
+        return scene
     text = os.fsdecode(source)
     package, _, name = text.partition(":")
     if not _is_name(text):
@@ -46,14 +49,14 @@ def find_scene(
     return scene
 
 
-def find_model(source: Model | Scene | str | os.PathLike[str]) -> Model:
+def find_model(source: Any) -> Model:
     """The compiled model of a Model, a Scene, or whatever `find_scene` knows.
 
     Raises ValueError for anything else.
     """
     from stepcore.engine.stepped import compiled
 
-    if isinstance(source, (str, os.PathLike)):
+    if isinstance(source, (str, os.PathLike)) or is_mujoco(source):
         source = find_scene(source)
     return compiled(source)
 

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from stepcore import checks
 from stepcore.loading import find_scene
 from stepcore.measure.diagnosis.stiffness_warning import warn_of_stiffness
+from stepcore.mjcf.from_mujoco import is_mujoco
 from stepcore.mjcf.reader import read_text
 from stepcore.scene.scene import Scene
 
+if TYPE_CHECKING:
+    import mujoco
+
 
 def load(
-    path: str | os.PathLike[str], *, without: Iterable[str] = (), fuse: bool | None = None
+    path: str | os.PathLike[str] | mujoco.MjModel | mujoco.MjSpec,
+    *,
+    without: Iterable[str] = (),
+    fuse: bool | None = None,
 ) -> Scene:
-    """Reads a scene from an MJCF or a URDF file.
+    """Reads a scene from an MJCF or a URDF file, or from a model or a spec of MuJoCo's.
 
     A URDF becomes the scene that MuJoCo makes of it: its root link stands on the world, efforts
     clamp what actuators put on joints, mimic joints are joint equalities, visuals are never read,
@@ -25,6 +33,10 @@ def load(
         (such as "gymnasium:ant"), or "lesson:name" for a scene of the lesson. The file's
         ``<option>`` becomes ``scene.settings``. Angles become radians and orientations unit
         quaternions; default classes, includes and frames are resolved.
+        An `mujoco.MjSpec` is read from the XML that MuJoCo writes of it, with all digits of its
+        numbers, and so is an `mujoco.MjModel` with the values that its arrays have now; but MuJoCo
+        keeps the XML only of the model that it loaded last from a file or a text, and any other
+        MjModel is a ValueError.
     without: kinds of things that are left out of the file on purpose, with all that refers to
         them: an element ("weld", "actuator/muscle"), an attribute ("geom/surfacevel"), a section
         ("contact", "tendon", "equality", "actuator", "sensor", "keyframe"), "flex" or "plugin".
@@ -43,10 +55,10 @@ def load(
     >>> load("lesson:stack").compile().nv
     2
     """
-    if not isinstance(path, (str, bytes, os.PathLike)):
-        limit = 'the path of an MJCF file, or "package:name"'
+    if not isinstance(path, (str, bytes, os.PathLike)) and not is_mujoco(path):
+        limit = 'the path of an MJCF file, "package:name", or a MjModel or MjSpec of mujoco'
         raise checks.refuse("load", "path", path, limit)
-    scene = find_scene(os.fsdecode(path), without, fuse)
+    scene = find_scene(path, without, fuse)
     warn_of_stiffness(scene)
     return scene
 

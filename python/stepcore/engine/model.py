@@ -72,7 +72,7 @@ class Model(ModelData):
         with collector.held():
             self._scene = copy.deepcopy(scene)
             merged = _merged(self._scene.settings, settings, fields)
-            super().__init__(_engine(self._scene), merged)
+            super().__init__(_engine_once(scene, self._scene), merged)
 
     @property
     def scene(self) -> Scene:
@@ -150,10 +150,7 @@ class Model(ModelData):
 
     @functools.cached_property
     def _pickled(self) -> bytes:
-        """The scene without its file's own text, which no step needs."""
-        scene = copy.copy(self._scene)
-        scene._source = None
-        return zlib.compress(pickle.dumps(scene))
+        return zlib.compress(_bare(self._scene))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpickled, (self._pickled, self._settings)
@@ -237,6 +234,28 @@ class ModelVariation(Variation):
     def compiled(self, data: dict[str, Any] | ValueError) -> _core.Model:
         """The engine's model of `data`; raises the error if it is one. Any thread may ask."""
         return _compiled(self.scene, data)
+
+
+def _bare(scene: Scene) -> bytes:
+    """A pickle of the scene without its file's own text, which no step needs."""
+    scene = copy.copy(scene)
+    scene._source = None
+    return pickle.dumps(scene)
+
+
+def _engine_once(scene: Scene, copied: Scene) -> _core.Model:
+    """The engine's model of a scene, which is kept with it until the scene is edited.
+
+    `stepcore.load` compiles most scenes to warn of their time step, before anybody else does.
+    """
+    try:
+        key = hashlib.blake2b(_bare(scene), digest_size=16).digest()
+    except Exception:  # what the pickling of a user's own data raises is of any type
+        return _engine(copied)
+    if scene._compiled is None or scene._compiled[0] != key:
+        scene._compiled = key, _engine(copied)
+    model: _core.Model = scene._compiled[1]
+    return model
 
 
 def _engine(scene: Scene) -> _core.Model:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import _core, checks
@@ -24,33 +25,24 @@ if TYPE_CHECKING:
     from stepcore._core import SimulationError
     from stepcore.engine.arrays import Floats
     from stepcore.engine.model import Model
-    from stepcore.scene.scene import Scene
-
-
-# Makes a scene of what `stepcore.load` takes. The readers stand above the engine, which is handed
-# theirs together with the public names `Sim` and `Batch`.
-_readers: list[Callable[[Any], Scene]] = []
-
-
-def read_with(reader: Callable[[Any], Scene]) -> None:
-    """Lets `Sim` and `Batch` take paths, which `reader` reads."""
-    _readers[:] = [reader]
 
 
 # The arrays that a keyframe has, in its order.
 OF_KEYS = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat")
 
 
-def compiled(model: Model | Scene | str | os.PathLike[str]) -> Model:
-    """The model, or the compiled model of a scene or a file; ValueError for anything else."""
+def compiled(model: Any) -> Model:
+    """The model, or the compiled model of a scene or of what `stepcore.load` takes."""
     if isinstance(getattr(model, "core", None), _core.Model):
-        return model  # type: ignore[return-value]
-    if isinstance(model, (str, os.PathLike)) and _readers:
-        model = _readers[0](model)
+        return model  # type: ignore[no-any-return]
+    if isinstance(model, (str, os.PathLike)) or type(model).__name__ in ("MjModel", "MjSpec"):
+        # The readers stand above the engine; it knows them by their public name alone.
+        model = importlib.import_module("stepcore").load(model)
     if not hasattr(model, "compile") or not hasattr(model, "to_dict"):
         limit = "a stepcore.Model, a stepcore.Scene or the path of an MJCF file"
         raise ValueError(f"model = {checks.shown(model)}: must be {limit}")
-    return model.compile()
+    own: Model = model.compile()
+    return own
 
 
 class Stepped(World):

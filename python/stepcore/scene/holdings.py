@@ -34,6 +34,7 @@ from stepcore.signatures import takes_settings
 if TYPE_CHECKING:
     from typing import Self, Unpack
 
+    from stepcore import _core
     from stepcore._core import Settings
     from stepcore.mjcf.nodes import Source
     from stepcore.scene.fields import (
@@ -87,6 +88,8 @@ class Holdings(checks.KnownNames):
         self.fused: dict[str, str] = {}
         # The text that the scene was read from, so that saving can keep it.
         self._source: Source | None = None
+        # What was compiled last, with a hash of the scene then; `Model` keeps and uses it.
+        self._compiled: tuple[bytes, _core.Model] | None = None
         # By kind, so that what an element refers to is found without looking at all of them.
         self._names: dict[str, Names] = {}
 
@@ -222,6 +225,9 @@ class Holdings(checks.KnownNames):
         return self._names.setdefault(kind, Names())
 
     # How it is computed.
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_compiled": None}
 
     @property
     def settings(self) -> Settings:
