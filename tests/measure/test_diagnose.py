@@ -296,7 +296,7 @@ def test_refsafe_is_told_as_it_is():
     """A contact that refsafe softens limits nothing; without refsafe it does."""
     soft = diagnosed(stiff.pad((0.02, 1.0), dt=5e-3))
     assert math.isinf(soft.limit("euler"))
-    note = "above dt 10 ms the setting refsafe softens contact `floor`/`ball` as far as"
+    note = "above dt 10 ms the setting refsafe (MuJoCo's) softens contact `floor`/`ball`;"
     assert any(note in n for n in soft.notes)
     hard = diagnosed(stiff.pad((0.02, 1.0), dt=5e-3, refsafe=False))
     assert 0.005 < hard.limit("euler") < 0.05

@@ -247,7 +247,7 @@ def test_armature_on_the_whole_chain():
     )
     chain = next(a for a in d.advice if a.what == "armature of the whole chain")
     assert [value.owner for value in chain.values] == [f"joint `j{i}`" for i in range(6)]
-    assert "of the inertia that each moves" in chain.text
+    assert " times the inertia that each moves" in chain.text
 
 
 def bounces(scene, dt):
@@ -328,9 +328,9 @@ def test_growth_faster_than_any_step_is_not_told_in_numbers():
     """Law: a spring that pushes away, k = −1e40 on 1 kg, grows e-fold in 1e-20 s: no number of a
     wrong question is printed, of the growth or of a solref of 1e-20 s."""
     text = diagnosed(stiff.slider(-1e40, dt=2e-3, integrator="euler"), horizon=0.02).text(full=True)
-    assert "grows e-fold in less than " in text and not re.search(r"e-\d+ n?s\b", text)
+    assert "diverge e-fold in less than " in text and not re.search(r"e-\d+ n?s\b", text)
     soft = diagnosed(stiff.pad((1e-20, 1.0), dt=2e-3), horizon=0.02)
-    assert any(note.startswith("above dt 1 µs the setting refsafe softens") for note in soft.notes)
+    assert any(note.startswith("above dt 1 µs the setting refsafe") for note in soft.notes)
     assert not re.search(r"e-\d+ n?s\b", soft.text(full=True))
 
 

@@ -87,10 +87,10 @@ def test_softened_elements_are_named_whole():
     note = next(
         n
         for n in diagnosed(scene).notes
-        if n.startswith("above dt 10 ms the setting refsafe softens")
+        if n.startswith("above dt 10 ms the setting refsafe (MuJoCo's) softens")
     )
     assert note.count("limit of joint `a rather long name of joint") == 4
-    assert note.count("`") == 8 and " and 2 more as far as stability needs" in note
+    assert note.count("`") == 8 and " and 2 more; refsafe=False" in note
 
 
 def test_it_prints_exports_and_plots(tmp_path):

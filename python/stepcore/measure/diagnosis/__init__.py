@@ -28,15 +28,14 @@ from stepcore.measure.diagnosis.judgement import Judge, Runaway, judge, judged_l
 from stepcore.measure.diagnosis.limiters import limiters
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
 from stepcore.measure.diagnosis.observation import kicked, look
-from stepcore.measure.diagnosis.outcomes import gentle_chatter
 from stepcore.measure.diagnosis.real_step import RealStep
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.saturation import holds_when_kicked
-from stepcore.measure.diagnosis.sentences import notes
 from stepcore.measure.diagnosis.solref import softened_from
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
 from stepcore.measure.diagnosis.visited_states import eased, nudged, start, visited
+from stepcore.measure.diagnosis.words import gentle_chatter, notes
 from stepcore.report.progress import Choice
 from stepcore.scene.layout import Layout
 
@@ -171,7 +170,7 @@ def diagnose(
         advice=advice,
         notes=[
             *notes(here, visit, list(elements.values()), horizon, _confirmed(found)),
-            *gentle_chatter(seen.saturations),
+            *(gentle_chatter(s) for s in seen.saturations if not (s.reached or s.severe)),
         ],
         rate=_rate(here, limits[own], wanted),
         ran=motion_in_words(model, motion, held, *_driven(motion)),

@@ -106,7 +106,7 @@ def _settings(
             short = limit.longest < LONGEST
             dt = f"at every dt tried, up to {seconds(limit.longest)}" if short else "at any dt"
         met = limit.dt >= MARGIN * wanted and _bounded(now, now.model, name, wanted, limit.state)
-        text = f"use integrator {name}, stable {dt}" if met else f"integrator {name}, stable {dt}"
+        text = f"use integrator {name}, stable {dt}" if met else f"integrator {name} (stable {dt})"
         yield Advice("integrator", (), {"integrator": name}, met, text)
     if settings.law == "solref" and not settings.refsafe:
         safe = step_stability(now.model.with_settings(refsafe=True), now.states, now.horizon)
@@ -278,7 +278,7 @@ def _least(stable: Callable[[float], bool], good: float, bad: float) -> float:
 def _not_enough(change: Change, more: Sequence[ElementLimits]) -> Advice:
     """more: the elements that were changed beside those that limit dt."""
     names = named([limits.name for limits in more])
-    text = f"{change.what}, of {names} too" if more else change.what
+    text = f"{change.what} (of {names} too)" if more else change.what
     return Advice(change.what, (), {}, False, text)
 
 
@@ -287,6 +287,6 @@ def _chain_text(values: Sequence[NewValue], x: float) -> str:
     low, high = min(v.after[0] for v in values), max(v.after[0] for v in values)
     unit = values[0].unit if len({value.unit for value in values}) == 1 else ""
     return (
-        f"add armature to {joints}: {x:.3g} of the inertia that each moves, "
-        f"which makes it {low:.3g} to {high:.3g} {unit}".rstrip()
+        f"add armature to {joints}: {x:.3g} times the inertia that each moves, "
+        f"which makes the armature {low:.3g} to {high:.3g} {unit}".rstrip()
     )

@@ -6,11 +6,10 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from stepcore.measure.diagnosis.element_id import INERTIAL
 from stepcore.report.units import counted, plural
 
-# The most names in a list, and the last word of the name of several elements.
-NAMES, TOGETHER = 4, " together"
+# The most names in a list.
+NAMES = 4
 
 
 def listed(names: Sequence[str]) -> str:
@@ -34,7 +33,7 @@ def acting_in_words(names: Sequence[str]) -> str:
 
 def together(names: Sequence[str]) -> str:
     """One element by its name; several as what does something together."""
-    return named(names) + (TOGETHER if len(names) > 1 else "")
+    return named(names) + (" together" if len(names) > 1 else "")
 
 
 def named(names: Sequence[str]) -> str:
@@ -52,8 +51,3 @@ def named(names: Sequence[str]) -> str:
     several = re.sub(r"\w+(?= of\b|$)", lambda word: plural(word[0]), kind)
     owners = listed([name[len(kind) + 1 :] for name in names])
     return f"the {len(names)} {several} {owners}"
-
-
-def are_several(name: str) -> bool:
-    """Whether a name is that of several things, as the verb after it must be."""
-    return name == INERTIAL.name or name.endswith(TOGETHER)

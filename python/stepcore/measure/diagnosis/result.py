@@ -1,29 +1,40 @@
-"""`Diagnosis`: what `diagnose` returns, its findings in sentences, tables and data."""
+"""`Diagnosis`: what `diagnose` returns, with its sentences, tables and data."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+from stepcore import checks
+from stepcore._core import Settings
+from stepcore.experiment.motion import Motion
+from stepcore.measure.diagnosis import words
+from stepcore.measure.diagnosis.advice import MARGIN, Advice
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.element_id import ElementId
+from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
-from stepcore.measure.diagnosis.findings import DiagnosisFindings
-from stepcore.measure.diagnosis.sentences import sentences
+from stepcore.measure.diagnosis.element_names import acting_in_words
+from stepcore.measure.diagnosis.judgement import Outcome, Runaway
+from stepcore.measure.diagnosis.linear_step import State
+from stepcore.measure.diagnosis.saturation import Saturation
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, seconds
+from stepcore.report.units import counted, seconds, times
 
 DT = "largest stable dt [s]"
 # The elements that are printed unless all are asked for.
 PRINTED = 6
+# A stability margin from which accuracy, and no longer stability, is what limits dt.
+AMPLE = 10.0
+# Slower growth, by less than e to this power over the horizon, is not called an explosion.
+SLOW = 10.0
 
 
 @dataclass(eq=False, repr=False)
-class Diagnosis(DiagnosisFindings, Result):
+class Diagnosis(Result):
     """Which element limits the time step of a scene; `stepcore.diagnose` returns it.
 
     name: the name of the scene.
@@ -37,8 +48,8 @@ class Diagnosis(DiagnosisFindings, Result):
     limiters: by integrator, the elements that limit dt; several where none does by itself.
     rows: the elements on their own, the stiffest first.
     advice: changes that make the wanted step stable.
+    notes: remarks on the limits of the diagnosis.
     physical: the fastest growth of the motion itself [1/s].
-    ran: what motion was run, in words.
     rate: the growth at the wanted step that the integrator causes [1/s]; None if the step is
         stable.
     observed: what the motion did at the wanted step; None where that is too long to tell.
@@ -46,6 +57,7 @@ class Diagnosis(DiagnosisFindings, Result):
     lasting: when a growth that is the integrator's explodes after the horizon [s]; None where none
         was seen in ten horizons.
     runaway: that the motion blows up at every step that was tried; None where it does not.
+    ran: what motion was run, in words.
     longest_period: the longest stable control period at the wanted step [s], inf beyond the
         horizon; None without a control function and a period of its own.
     """
@@ -60,6 +72,95 @@ class Diagnosis(DiagnosisFindings, Result):
         "softened": "s",
     }
 
+    name: str
+    settings: Settings
+    motion: Motion
+    wanted: float
+    states: list[State]
+    limits: dict[str, Limit]
+    element_shares: dict[str, dict[ElementId, float]]
+    limiters: dict[str, tuple[ElementId, ...]]
+    rows: list[ElementLimits]
+    advice: list[Advice] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    physical: float = 0.0
+    rate: float | None = None
+    observed: Outcome | None = None
+    saturations: list[Saturation] = field(default_factory=list)
+    lasting: float | None = None
+    runaway: Runaway | None = None
+    ran: str = ""
+    longest_period: float | None = None
+
+    @property
+    def horizon(self) -> float:
+        """Length of the motion [s], over which undamped growth counts."""
+        return self.motion.horizon or 0.0
+
+    def limit(self, integrator: str | None = None) -> float:
+        """The largest stable dt [s] under an integrator (default: the scene's).
+
+        inf where nothing limits it, 0 where no step is stable. An integrator that was not
+        diagnosed is a ValueError.
+        """
+        return self.limits[self._known(integrator)].dt
+
+    def stiffest(self, integrator: str | None = None) -> str:
+        """What limits dt under an integrator (default: the scene's), by name.
+
+        It shares the mode that sets the limit, and softened it raises the limit most; equal
+        elements that do so only together are named together (`together`). Where nothing limits dt
+        it has the largest share in the fastest motion. "" where no element has a share in it.
+        """
+        return words.named(self._stiffest(self._known(integrator)))
+
+    def together(self, integrator: str | None = None) -> list[str]:
+        """The names of the elements that limit dt together; in most scenes it is a single one."""
+        return [element.name for element in self._stiffest(self._known(integrator))]
+
+    def limiting(self, integrator: str | None = None) -> ElementLimits | None:
+        """Frequency, damping and limits of the element that `stiffest` names, on its own.
+
+        Of several, those of the stiffest.
+        """
+        elements = self._stiffest(self._known(integrator))
+        return next((row for row in self.rows if row.element in elements), None)
+
+    def _stiffest(self, integrator: str) -> tuple[ElementId, ...]:
+        unlimited = math.isinf(self.limits[integrator].dt)
+        elements = self.limiters[integrator]
+        if elements and not (unlimited and INERTIAL in elements):
+            return elements
+        if unlimited:
+            shares = dict(self.element_shares[integrator])
+            shares.pop(INERTIAL, None)
+            largest = max(shares, key=lambda element: shares[element], default=None)
+            return (largest,) if largest is not None and shares[largest] else ()
+        # A row that begins to act within the step has no share at its start.
+        alone = [row for row in self.rows if math.isfinite(row.limits[integrator])]
+        return (min(alone, key=lambda row: row.limits[integrator]).element,) if alone else ()
+
+    def _known(self, integrator: str | None) -> str:
+        name = self.settings.integrator if integrator is None else integrator
+        if name not in self.limits:
+            near = checks.nearest(str(name), self.limits)
+            raise ValueError(f"integrator = {checks.shown(name)}: was not diagnosed{near}")
+        return name
+
+    def element(self, name: str) -> ElementLimits | None:
+        """An element on its own, by its name; None where no such element acts."""
+        return next((row for row in self.rows if row.name == name), None)
+
+    @property
+    def shares(self) -> dict[str, dict[str, float]]:
+        """`element_shares` by the elements' names."""
+        return {
+            integrator: {element.name: share for element, share in shares.items()}
+            for integrator, shares in self.element_shares.items()
+        }
+
+    # --- sentences --------------------------------------------------------------------------------
+
     @property
     def title(self) -> str:
         """What was measured, in a few words."""
@@ -71,6 +172,109 @@ class Diagnosis(DiagnosisFindings, Result):
         return ""
 
     @property
+    def sentences(self) -> list[str]:
+        """The answer, the advice, and the state that decides."""
+        return list(self._sentences())
+
+    def _sentences(self) -> Iterator[str]:
+        limit = self.limits[self.settings.integrator]
+        if self.runaway is not None:
+            yield words.blown_up(self.runaway)
+        yield self._answer(limit)
+        yield from (words.chatter(s) for s in self.saturations if s.reached or s.severe)
+        if self.lasting is not None:
+            yield words.late_growth(self.horizon, self.wanted, self.lasting)
+        if self.longest_period is not None and self.motion.control_dt is not None:
+            yield words.period_in_words(self.longest_period, self.motion.control_dt, self.wanted)
+        yield from self._advised(limit)
+        if self.ran:
+            yield f"The motion: {self.ran}."
+        if limit.state > 0:
+            state = self.states[limit.state]
+            acting = acting_in_words([element.name for element in state.rows])
+            verb = "acts" if len(state.rows) == 1 else "act"
+            where = f", where {acting} {verb}" if acting else ""
+            yield f"The limiting state is {state.label}{where}."
+
+    def _answer(self, limit: Limit) -> str:
+        """Whether the wanted dt is stable, and which element limits it."""
+        own, step = limit.integrator, f"A step of {seconds(self.wanted)}"
+        elements, limiting = self._stiffest(own), self.limiting(own)
+        traits = words.traits_of(limiting, len(elements) > 1) if limiting else ""
+        if math.isinf(limit.dt):
+            judged = (
+                "until then" if self.runaway else f"judged over {seconds(self.horizon)} of motion"
+            )
+            fastest = (
+                f" The fastest element is {words.named(elements)}{traits}." if elements else ""
+            )
+            below = seconds(limit.longest)
+            return f"No element limits dt below {below} under {own}, {judged}.{fastest}"
+        if limit.dt <= 0:
+            cause = words.no_stable_dt(elements, limit.shortest, traits)
+            return f"{step} explodes under {own}: {cause}."
+        cause = words.limits_dt(elements, limit.dt, traits)
+        if self.wanted > limit.dt:
+            return f"{step} {self._failure(limit, limiting)} under {own}: {cause}."
+        until = "until then" if self.runaway else f"over {seconds(self.horizon)}"
+        margin = limit.dt / self.wanted
+        stable = f"{step} is stable under {own} {until}, with a stability margin of {times(margin)}"
+        if margin < AMPLE:
+            return f"{stable}: {cause}."
+        return (
+            f"{stable}, so stability does not limit dt; accuracy does: run stepcore trade. "
+            f"{cause[0].upper()}{cause[1:]}."
+        )
+
+    def _failure(self, limit: Limit, limiting: ElementLimits | None) -> str:
+        """What happens beyond the limit."""
+        if limit.outcome == "explodes" and self.observed is not None:
+            return f"explodes after {seconds(self.observed.time)}"
+        kind = limiting.element.kind if limiting else ""
+        if limit.outcome == "chatters" or kind in words.FRICTION:
+            # The force of a friction loss is bounded.
+            return "chatters"
+        if kind in words.OPEN:
+            # What opens may come to rest again, and open again.
+            return "explodes or rattles"
+        if self.rate is None or not self.rate * self.horizon < SLOW:
+            return "explodes"
+        return f"slowly gains energy from the integrator (e-fold in {seconds(1 / self.rate)})"
+
+    def _advised(self, limit: Limit) -> Iterator[str]:
+        """The changes that were tried, and the step that is stable without one."""
+        met = [advice.text for advice in self.advice if advice.met]
+        failed = [advice.text for advice in self.advice if not advice.met]
+        wanted = seconds(self.wanted)
+        if met:
+            yield (
+                f"Any one of these changes makes {wanted} stable with a margin of {times(MARGIN)}, "
+                "the smallest change of the model first:"
+            )
+            yield from (f"- {text}" for text in met)
+            states = counted(len(self.states), "state")
+            yield (
+                "Each was made on a copy of the model, and verified on the linearised step at "
+                f"{states} and in a run of the real step."
+            )
+        elif limit.dt < self.wanted:
+            yield f"No change that was tried makes {wanted} stable."
+        if failed:
+            yield f"Tried without success: {', '.join(_shortly(failed))}."
+        if 0 < limit.dt < self.wanted:
+            safe = seconds(round_below(limit.dt / MARGIN))
+            yield f"Unchanged, the scene needs a step of {safe} for the same margin."
+
+    # --- tables and data --------------------------------------------------------------------------
+
+    def text(self, width: int | None = None, full: bool = False) -> str:
+        """The report, which begins with the answer; `full`: with every element on its own.
+
+        width: as in `Result.text`.
+        """
+        return dataclasses.replace(self.report(full), title="").text(width, full)
+
+    @property
     def table(self) -> Table:
         """The elements on their own, the stiffest first.
 
@@ -79,11 +283,7 @@ class Diagnosis(DiagnosisFindings, Result):
         stable dt [s] in a column for each integrator, softened (the dt [s] from which refsafe
         softens it), state (where it is stiffest), kind and index (the element as data).
         """
-        return Table(self._records(self.rows), columns=self._columns())
-
-    def _records(self, rows: Iterable[ElementLimits]) -> Iterator[dict[str, Any]]:
-        shares = self.element_shares[self.settings.integrator]
-        return (self._record(row, shares) for row in rows)
+        return Table([self._record(row) for row in self.rows], columns=self._columns())
 
     def _columns(self) -> list[str]:
         own = self.settings.integrator
@@ -91,7 +291,8 @@ class Diagnosis(DiagnosisFindings, Result):
         numbers = ("omega", "rate", "softened", "state", "kind", "index")
         return ["element", "frequency", "ratio", "share", own, *others, *numbers]
 
-    def _record(self, row: ElementLimits, shares: dict[ElementId, float]) -> dict[str, Any]:
+    def _record(self, row: ElementLimits) -> dict[str, Any]:
+        shares = self.element_shares[self.settings.integrator]
         record: dict[str, Any] = {
             "element": row.name,
             "kind": row.element.kind,
@@ -106,18 +307,6 @@ class Diagnosis(DiagnosisFindings, Result):
         }
         return record | {name: row.limits[name] for name in self.limits}
 
-    @property
-    def sentences(self) -> list[str]:
-        """The answer, the advice, and the state that decides."""
-        return list(sentences(self))
-
-    def text(self, width: int | None = None, full: bool = False) -> str:
-        """The report, which begins with the answer; `full`: with every element on its own.
-
-        width: as in `Result.text`.
-        """
-        return dataclasses.replace(self.report(full), title="").text(width, full)
-
     def tables(self, full: bool) -> list[Table]:
         """All elements together by integrator, and the stiffest on their own (`full`: each)."""
         own = self.settings.integrator
@@ -125,7 +314,7 @@ class Diagnosis(DiagnosisFindings, Result):
             (self._limit_record(name, limit) for name, limit in self.limits.items()),
             formats={"share": ".2f", DT: ".3g"},
             heading=f"All elements together (* the scene's integrator, at dt {self.wanted:g} s)",
-            legend=self._zero(limit.dt for limit in self.limits.values()),
+            legend=self._extremes([limit.dt for limit in self.limits.values()]),
         )
         if not self.rows:
             return [together]
@@ -138,80 +327,80 @@ class Diagnosis(DiagnosisFindings, Result):
         columns = self._columns() if full else ["element", "frequency", "ratio", "share", own]
         shown = [row.limits[name] for row in rows for name in columns if name in row.limits]
         alone = Table(
-            self._records(rows),
+            [self._record(row) for row in rows],
             columns=columns,
             formats=formats | dict.fromkeys(self.limits, ".3g"),
             heading=(
                 "Each element on its own: frequency [Hz], damping ratio, share in the mode that "
                 f"limits {own}, largest stable dt [s]{' by integrator' if full else ''}"
             ),
-            legend=" ".join(filter(None, (self._zero(shown), "" if full else more))),
+            legend=" ".join(filter(None, (self._extremes(shown), "" if full else more))),
         )
         return [together, alone]
 
-    def _zero(self, limits: Iterable[float]) -> str:
+    def _extremes(self, limits: Iterable[float]) -> str:
         """What limits of 0 and inf mean, if there are any."""
-        shortest = self.limits[self.settings.integrator].shortest
-        known = list(limits)
-        unstable = f"0: every step tried is unstable, down to {seconds(shortest)}."
-        stable = "inf: nothing limits dt."
-        return " ".join(
-            said
-            for said, shown in (
-                (unstable, any(limit <= 0 for limit in known)),
-                (stable, any(math.isinf(limit) for limit in known)),
-            )
-            if shown
-        )
+        limits, meanings = list(limits), []
+        if any(limit <= 0 for limit in limits):
+            shortest = self.limits[self.settings.integrator].shortest
+            meanings.append(f"0: every step tried is unstable, down to {seconds(shortest)}.")
+        if any(math.isinf(limit) for limit in limits):
+            meanings.append("inf: nothing limits dt.")
+        return " ".join(meanings)
 
     def _limit_record(self, name: str, limit: Limit) -> dict[str, Any]:
         limited = math.isfinite(limit.dt)
-        shares = self.element_shares[name].values()
+        # Found in the motion itself, or at a state.
+        at = self.states[limit.state].label if limit.state >= 0 else ""
         return {
             "integrator": name + (" *" if name == self.settings.integrator else ""),
             DT: limit.dt,
             "by": self.stiffest(name) if limited else "",
-            "share": max(shares, default=None) if limited else None,
-            "at": self._where(limit),
+            "share": max(self.element_shares[name].values(), default=None) if limited else None,
+            "at": "the motion" if limit.outcome else at,
         }
-
-    def _where(self, limit: Limit) -> str:
-        """Where a limit was found: at a state, or in the motion itself."""
-        if limit.outcome:
-            return "the motion"
-        return self.states[limit.state].label if limit.state >= 0 else ""
 
     def details(self) -> dict[str, Any]:
-        """The limits with their shares, the states and the advice."""
-        return {
-            "wanted": self.wanted,
-            "limits": {
-                name: {
-                    "dt": limit.dt,
-                    "limited": math.isfinite(limit.dt),
-                    "stiffest": self.stiffest(name),
-                    "together": self.together(name),
-                    "state": limit.state,
-                    "longest": limit.longest,
-                    "outcome": limit.outcome,
-                    "shares": shares,
-                }
-                for (name, limit), shares in zip(
-                    self.limits.items(), self.shares.values(), strict=True
-                )
-            },
-            "states": [
-                {"label": s.label, "time": s.time, "rows": [e.name for e in s.rows]}
-                for s in self.states
-            ],
-            "advice": self.advice,
-            "physical": self.physical,
-            "ran": self.ran,
-            "rate": self.rate,
-            "horizon": self.horizon,
-            "observed": self.observed,
-            "saturations": self.saturations,
-            "lasting": self.lasting,
-            "runaway": self.runaway,
-            "longest_period": self.longest_period,
+        """The limits with their shares, the states, the advice and what the motion did."""
+        limits = {
+            name: {
+                "dt": limit.dt,
+                "limited": math.isfinite(limit.dt),
+                "stiffest": self.stiffest(name),
+                "together": self.together(name),
+                "state": limit.state,
+                "longest": limit.longest,
+                "outcome": limit.outcome,
+                "shares": self.shares[name],
+            }
+            for name, limit in self.limits.items()
         }
+        states = [
+            {"label": s.label, "time": s.time, "rows": [e.name for e in s.rows]}
+            for s in self.states
+        ]
+        plain = (
+            *("wanted", "advice", "physical", "ran", "rate", "horizon", "observed", "saturations"),
+            *("lasting", "runaway", "longest_period"),
+        )
+        return {"limits": limits, "states": states} | {name: getattr(self, name) for name in plain}
+
+
+def _shortly(failed: Sequence[str]) -> list[str]:
+    """The changes that failed; two gains that also failed together are "both".
+
+    >>> _shortly(["kp", "kv", "kp and kv", "armature"])
+    ['kp', 'kv', 'both', 'armature']
+    """
+    pairs = {f"{a} and {b}" for a in failed for b in failed}
+    return ["both" if text in pairs else text for text in failed]
+
+
+def round_below(value: float) -> float:
+    """The largest round number that is not above a value > 0.
+
+    >>> round_below(0.00071), round_below(0.0199), round_below(0.001)
+    (0.0005, 0.01, 0.001)
+    """
+    place = math.floor(math.log10(value) + 1e-9)
+    return max(x for k in (1, 2, 5) if (x := float(f"{k}e{place}")) <= value * (1 + 1e-9))

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 from stepcore import escapes
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from stepcore._core import Settings
     from stepcore.engine.model import Model
+    from stepcore.measure.diagnosis.element_id import ElementId
     from stepcore.scene.elements import Joint, Tendon
     from stepcore.scene.scene import Scene
 
@@ -101,7 +104,6 @@ def _linearised(model: Model) -> str:
     import numpy as np
 
     from stepcore.measure.diagnosis.dt_limits import SHORTEST, Limit
-    from stepcore.measure.diagnosis.element_names import together
     from stepcore.measure.diagnosis.growth import bisected
     from stepcore.measure.diagnosis.limiters import limiters
     from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
@@ -128,16 +130,16 @@ def _linearised(model: Model) -> str:
     limit = bisected(stable, near, 2 * near, fine=5e-3) if near > low else 0.0
     least = Limit(settings.integrator, limit, 0, shortest=low)
     elements = limiters(here, least, limiting_shares(here, least))
-    return _text(settings, limit, low, together([element.name for element in elements]))
+    return _text(settings, limit, low, elements)
 
 
-def _text(settings: Settings, limit: float, shortest: float, name: str) -> str:
-    """One line: whether dt [s] is unstable or nearly so, and which element limits it."""
-    from stepcore.measure.diagnosis.sentences import limits_dt, no_stable_dt
+def _text(settings: Settings, limit: float, shortest: float, elements: Sequence[ElementId]) -> str:
+    """One line: whether dt [s] is unstable or nearly so, and which elements limit it."""
+    from stepcore.measure.diagnosis.words import limits_dt, no_stable_dt
     from stepcore.report.units import seconds, times
 
     dt, own = settings.dt, f"dt {seconds(settings.dt)}"
-    cause = limits_dt(name, limit) if limit > 0 else no_stable_dt(name, shortest)
+    cause = limits_dt(elements, limit) if limit > 0 else no_stable_dt(elements, shortest)
     cause += " (run stepcore diagnose for advice)"
     if dt > limit:
         return f"{own} explodes under {settings.integrator}: {cause}"

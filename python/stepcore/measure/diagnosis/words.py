@@ -1,0 +1,198 @@
+"""A diagnosis in words: what limits dt, what the motion itself did, and notes on the limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from stepcore.measure.diagnosis.dt_limits import SHORTEST
+from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
+from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.element_names import listed, together
+from stepcore.measure.diagnosis.judgement import Runaway
+from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
+from stepcore.measure.diagnosis.saturation import Saturation
+from stepcore.measure.diagnosis.step_stability import StepStability
+from stepcore.measure.diagnosis.visited_states import Visit
+from stepcore.report.units import counted, hertz, seconds
+
+# Growth of the motion itself from which a note is made, and beyond which no dt resolves it [1/s].
+NOTABLE, UNRESOLVED = 0.1, 1e6
+# Frequencies and rates in this range [1/s] are printed.
+PRINTED = (1e-3, 1e9)
+# A damping ratio above the first is printed as a rate instead; one below the second, as 0.
+OVERDAMPED, UNDAMPED = 100.0, 1e-6
+# A speed over the fastest of the fine run from which the answer says how fast a servo throws.
+THROWN = 1.5
+# Rows that can open.
+OPEN = ("contact", "limit", "tendon limit")
+FRICTION = ("friction loss", "tendon friction loss")
+
+
+def named(elements: Sequence[ElementId]) -> str:
+    """Elements by name; "" for none."""
+    return together([element.name for element in elements])
+
+
+def limits_dt(elements: Sequence[ElementId], dt: float, traits: str = "") -> str:
+    """Which elements limit dt to how much [s]; traits: of the elements, in brackets."""
+    verb = _verb(elements, "limit")
+    return f"{named(elements) or 'no single element'}{traits} {verb} dt to {seconds(dt)}"
+
+
+def no_stable_dt(elements: Sequence[ElementId], shortest: float, traits: str = "") -> str:
+    """Which elements make every step that was tried, down to `shortest` [s], unstable."""
+    tried = f"every step tried unstable, down to {seconds(shortest)}"
+    return f"{named(elements) or 'the motion'}{traits} {_verb(elements, 'make')} {tried}"
+
+
+def _verb(elements: Sequence[ElementId], verb: str) -> str:
+    """The verb as it follows the elements' names."""
+    return verb if len(elements) > 1 or INERTIAL in elements else verb + "s"
+
+
+def traits_of(limits: ElementLimits, several: bool) -> str:
+    """Frequency and damping of an element, in brackets; several: of the stiffest of equal ones."""
+    low, high = PRINTED
+    traits = ["the stiffest by itself"] if several else []
+    damped = not math.isnan(limits.ratio) and limits.element.kind != "spin"
+    if low < limits.omega < high and not (damped and limits.ratio > OVERDAMPED):
+        traits.append(f"{hertz(limits.omega)}, {limits.omega:.4g} rad/s")
+        if damped:
+            traits.append(f"damping ratio {limits.ratio if limits.ratio > UNDAMPED else 0:.2g}")
+    elif low < limits.rate < high:
+        traits.append(f"damping rate {limits.rate:.4g}/s")
+    return f" ({', '.join(traits)})" if len(traits) > several else ""
+
+
+def period_in_words(longest: float, asked: float, dt: float) -> str:
+    """How long the user's controls are held [s], and how long they may be at steps of dt [s]."""
+    stable = f"a period of up to {seconds(longest)} is stable"
+    if math.isinf(longest):
+        stable = "every period is stable"
+    elif longest <= 0:
+        stable = "no period is stable, however short"
+    held = f"The control function is sampled every {seconds(asked)}"
+    return f"{held}; at steps of {seconds(dt)} {stable}."
+
+
+def blown_up(runaway: Runaway) -> str:
+    """What is known of a motion that blows up at every step."""
+    coarse, fine = (seconds(dt) for dt in runaway.dts)
+    before, after = (seconds(time) for time in runaway.times)
+    if not runaway.alike:
+        return (
+            f"The motion blows up at every step tried: after {before} at {coarse}, after {after} "
+            f"at {fine}. These do not agree: the cause may be the step or the motion."
+        )
+    grows = ""
+    if runaway.element:
+        grows = f": {runaway.element.name} {_verb([runaway.element], 'make')} it grow"
+    return (
+        f"The motion itself blows up after {after}, at a step of {fine} as at {coarse}{grows}. "
+        "No dt cures that."
+    )
+
+
+def late_growth(horizon: float, dt: float, lasting: float) -> str:
+    """A growth that the integrator causes and that shows after the horizon; all [s]."""
+    return (
+        f"Beyond the {seconds(horizon)} that was judged the integrator's error adds up: at "
+        f"{seconds(dt)} the motion explodes after {seconds(lasting)}; at a quarter of the step it "
+        "does not."
+    )
+
+
+def chatter(servo: Saturation) -> str:
+    """A servo whose force jumps from end to end."""
+    kicked = "" if servo.reached else f"kicked beyond {_speed(servo, servo.speed)}, "
+    begins = f"{kicked}{servo.element.name} reaches its force range of ±{_force(servo)}"
+    chatters = (
+        "saturated, its kv has no effect, and its force jumps from one end to the other within a "
+        "step"
+    )
+    if servo.swinging:
+        chatters = (
+            "its force jumps from one end to the other, for good. Where friction or the range "
+            "holds it, the linearised step does not show this"
+        )
+    elif servo.thrown > THROWN * servo.usual:
+        chatters += f", which throws {servo.joint} to {_speed(servo, servo.thrown)}"
+    return f"{begins[0].upper()}{begins[1:]}: {chatters}. The motion stays finite."
+
+
+def gentle_chatter(servo: Saturation) -> str:
+    """A note on a servo that chatters only after a kick, and gently."""
+    return (
+        f"kicked beyond {_speed(servo, servo.speed)}, {servo.element.name} saturates, so its kv "
+        f"has no effect, and it chatters between the ends of its force range, ±{_force(servo)}, at "
+        f"up to {_speed(servo, servo.thrown)}; below dt {seconds(servo.dt)} it does not"
+    )
+
+
+def _speed(servo: Saturation, value: float) -> str:
+    return f"{value:.3g} {'rad/s' if servo.angular else 'm/s'}"
+
+
+def _force(servo: Saturation) -> str:
+    return f"{servo.force:.4g} {'N·m' if servo.angular else 'N'}"
+
+
+def notes(
+    here: StepStability,
+    visit: Visit,
+    elements: Sequence[ElementLimits],
+    horizon: float,
+    confirmed: bool,
+) -> Iterator[str]:
+    """Notes on the limits of the diagnosis.
+
+    confirmed: whether two runs at fine steps agree on what the motion itself does.
+    """
+    labels = ", ".join(state.label for state in here.states)
+    run = f"a run of {seconds(visit.reached)} at dt {seconds(visit.dt)} under implicitfast"
+    yield f"linearised at {counted(len(here.states), 'state')} of {run}: {labels}"
+    if visit.failure:
+        yield f"this run ended early: {visit.failure}"
+    elif visit.reached < 0.99 * horizon:
+        yield (
+            f"this run stopped at {seconds(visit.reached)} of {seconds(horizon)}: at a dt that the "
+            "stiffest element allows, the whole horizon would take too many steps"
+        )
+    growing = max(float(rates.real.max(initial=0.0)) for rates in here.rates)
+    if growing > NOTABLE:
+        yield growth(growing, confirmed)
+    softened = [limits for limits in elements if math.isfinite(limits.softened)]
+    if softened:
+        least = min(limits.softened for limits in softened)
+        names = listed([limits.name for limits in softened if limits.softened == least])
+        yield (
+            f"above dt {seconds(max(least, SHORTEST))} the setting refsafe (MuJoCo's) softens "
+            f"{names}; refsafe=False, or a solref of negative numbers, keeps the stiffness"
+        )
+    if any(limits.element.kind in (*OPEN, "friction loss") for limits in elements):
+        yield (
+            "contacts, limits and friction losses are linearised as they act at each state; above "
+            "their largest stable dt contacts and limits may rattle, but do not explode"
+        )
+    if here.model.settings.law in VELOCITY_LAWS:
+        yield (
+            f"under the law {here.model.settings.law} the stiffness of a row is 1/dt², so rows "
+            "do not limit dt"
+        )
+
+
+def growth(rate: float, confirmed: bool) -> str:
+    """A note on growth of the motion itself. rate: the fastest at any state [1/s]."""
+    if rate > UNRESOLVED:
+        return (
+            f"at some state nearby motions diverge e-fold in less than {seconds(1 / UNRESOLVED)}, "
+            "faster than any step that is tried: check masses and gains"
+        )
+    doubling = f"nearby motions diverge, doubling every {seconds(math.log(2) / rate)}"
+    if confirmed:
+        return (
+            f"{doubling} at the fastest, as where a body falls, balances or is driven; two fine "
+            "steps agree, so this is physical, and no dt changes it"
+        )
+    return f"{doubling} at some state; no finer step confirms that this is physical"
