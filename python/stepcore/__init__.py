@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from stepcore.measure.diagnosis import Diagnosis as Diagnosis
     from stepcore.measure.diagnosis import diagnose as diagnose
     from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning as StiffnessWarning
-    from stepcore.measure.findings import Finding as Finding
+    from stepcore.measure.monitors import Finding as Finding
     from stepcore.measure.plan import plan as plan
     from stepcore.measure.predictability import Predictability as Predictability
     from stepcore.measure.predictability import predict as predict
@@ -105,7 +105,7 @@ _MODULES = {
     "stepcore.measure.convergence": "Convergence converge",
     "stepcore.measure.diagnosis": "Diagnosis diagnose",
     "stepcore.measure.diagnosis.stiffness_warning": "StiffnessWarning",
-    "stepcore.measure.findings": "Finding",
+    "stepcore.measure.monitors": "Finding",
     "stepcore.measure.plan": "plan",
     "stepcore.measure.predictability": "Predictability predict",
     "stepcore.measure.stability": "StabilityMap stability_map",

@@ -1,10 +1,16 @@
 """`stepcore check`: what it prints and writes, and how a scene that is refused is told."""
 
 import json
+import shlex
 
 import pytest
 
-from stepcore.cli import main
+import stepcore as sc
+from stepcore.cli import main, parser
+from stepcore.measure.check import Check
+from stepcore.measure.check.bodies import LIST
+from stepcore.measure.monitors import Finding, Next
+from stepcore.measure.monitors.contacts import TEST_CONTACTS
 
 SCENE = """<mujoco model="arm"><worldbody><body name="arm">
 <joint name="knee" axis="0 0 1" range="-90 90" damping="1"/><geom size=".1"/></body></worldbody>
@@ -36,7 +42,7 @@ def test_it_prints_findings_the_diagnosis_and_commands(capsys, scene):
     status, out, err = call(capsys, file, "--horizon", 0.2)
     assert status == 0 and not err
     out = " ".join(out.split())
-    found = "Found 1 thing: - error: Keyframe `home` has joint `knee` at 2 rad"
+    found = "1 finding: - error: Keyframe `home` has joint `knee` at 2 rad"
     assert out.startswith(f"arm: check {found}")
     assert "The motion: 200 ms from keyframe `home`; servos hold the" in out
     assert "A step of 2 ms is stable under euler over 200 ms" in out
@@ -44,7 +50,7 @@ def test_it_prints_findings_the_diagnosis_and_commands(capsys, scene):
     # A long path is cut where the line ends.
     assert f"stepcoretrade{file}--error1mm" in out.replace(" ", "")
     status, out, _ = call(capsys, scene(0.5), "--horizon", 0.2)
-    assert status == 0 and "Nothing found." in out
+    assert status == 0 and "No problems found." in out
 
 
 def test_it_writes_data_and_a_page(capsys, scene, tmp_path):
@@ -64,6 +70,46 @@ def test_the_motion_is_the_user_s(capsys, scene, tmp_path):
     assert status == 0 and "The control of servo `servo` is clamped for 100 % of the run" in (
         " ".join(out.split())
     )
+
+
+def test_every_command_takes_the_same_file_and_motion(capsys, scene, tmp_path):
+    """Each is one that the command line takes, with all that it has of what `check` was given."""
+    control = f"{tmp_path / 'own.py'}:still"
+    (tmp_path / "own.py").write_text("def still(time, sim):\n    return [0.0]\n")
+    data = tmp_path / "check.json"
+    options = {"--control": control, "--control-dt": "0.004", "--horizon": "0.1", "--seed": "3"}
+    words = [word for option in options.items() for word in option]
+    file = scene(2.0)
+    given = [file, "--without", "sensor", "--no-fuse", "--key", "home", *words]
+    assert call(capsys, *given, "--json", data)[0] == 0
+    commands = [shlex.split(line) for line in json.loads(data.read_text())["next"]]
+    assert len(commands) == 3
+    for _, *argv in commands:
+        args = parser(argv).parse_args(argv)
+        assert (args.file, args.without, args.fuse, args.key) == (file, ["sensor"], False, "home")
+        if argv[0] in ("trade", "predict", "diagnose", "converge"):
+            assert (args.control, args.control_dt, args.horizon) == (control, 0.004, 0.1)
+            assert args.seed == 3
+        if argv[0] == "run":
+            assert (args.control, args.control_dt, args.duration) == (control, 0.004, 0.1)
+
+
+@pytest.mark.parametrize("kind", ["overlap", "creep", "failure", "residual", "units"])
+def test_commands_are_ones_that_the_command_line_takes(kind):
+    findings = {
+        "overlap": TEST_CONTACTS,
+        "creep": (Next("run", "", ("--set", "impratio=100")),),
+        "failure": (Next("run", ""),),
+        "residual": (Next("converge", ""),),
+        "units": LIST,
+    }
+    found = Finding(kind, "error", "It is so", commands=findings[kind])
+    every = {"horizon": "1", "seed": "2", "key": "0", "ctrl": "a b.csv", "control_dt": "0.1"}
+    made = Check("name", sc.Settings(), sc.Motion(), [found], None, options=every)
+    assert len(made.commands) == 3
+    for line, _ in made.commands:
+        argv = shlex.split(line)[1:]
+        parser(argv).parse_args(argv)
 
 
 def test_a_scene_that_is_refused_is_told_with_what_is_wrong(capsys, scene):

@@ -7,7 +7,7 @@ import warnings
 import pytest
 
 import stepcore as sc
-from stepcore.measure.findings.softness import yielding
+from stepcore.measure.monitors.soft_rows import yielding
 
 G = 9.81
 
@@ -55,10 +55,10 @@ def servo(more="", kp=10):
 )
 def test_nothing_is_found_in_a_healthy_scene(name):
     result = sc.check(name, horizon=0.5, threads=1, progress=False)
-    assert result.findings == [] and result.sentences[0] == "Nothing found."
+    assert result.findings == [] and result.sentences[0] == "No problems found."
     assert result.sentences[1] == result.diagnosis.sentences[0]
     commands = [command for command, _ in result.commands]
-    assert commands[0] == f"stepcore trade {name} --error 1mm" and len(commands) == 3
+    assert commands[0] == f"stepcore trade {name} --error 1mm --horizon 0.5" and len(commands) == 3
 
 
 def test_a_step_that_explodes_is_not_nothing():
@@ -70,7 +70,10 @@ def test_a_step_that_explodes_is_not_nothing():
     motor = '<actuator><motor joint="knee"/></actuator>'
     scene = sc.loads(f"<mujoco><worldbody>{body}</worldbody>{motor}</mujoco>")
     result = sc.check(scene, control=pd, horizon=0.2, threads=1, progress=False)
-    assert result.findings == [] and result.sentences[0] == "Nothing found but the time step."
+    assert (
+        result.findings == []
+        and result.sentences[0] == "No problems found other than the time step."
+    )
 
 
 # Units.
@@ -328,8 +331,8 @@ def test_a_run_that_fails_and_its_diagnosis():
     assert result.findings[0].kind == "failure" and result.findings[0].severity == "error"
     assert "spring of joint `knee`" in result.findings[0].text
     assert "explodes under euler" in str(result) and "Any one of these changes" in str(result)
-    assert result.commands[0][0] == "stepcore diagnose FILE"
-    assert re.fullmatch(r"stepcore run FILE --dt \S+", result.commands[1][0])
+    assert result.commands[0][0] == "stepcore diagnose FILE --horizon 4.0"
+    assert re.fullmatch(r"stepcore run FILE --dt \S+ --duration 4.0", result.commands[1][0])
 
 
 def test_what_the_run_shows_is_found():

@@ -15,10 +15,9 @@ from stepcore.experiment.motion import Motion
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 from stepcore.experiment.single_run import SingleRun
-from stepcore.experiment.watch import Watch
-from stepcore.measure.findings import findings_of
-from stepcore.measure.findings import watched as in_runner
-from stepcore.measure.findings.softness import impedance, yielding
+from stepcore.measure.monitors import Monitor
+from stepcore.measure.monitors import monitored as in_runner
+from stepcore.measure.monitors.soft_rows import impedance, yielding
 
 G = 9.81
 SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
@@ -29,9 +28,9 @@ def watched(scene, time=1.0, key=None, control=None, **settings):
     model = scene.compile().with_settings(**settings)
     sim = sc.Sim(model)
     sim.reset(0 if key is None and model.keys else key)
-    watch = Watch(model)
+    watch = Monitor(model)
     SingleRun(sim, control=control, probes=[watch]).run(round(time / sim.settings.dt))
-    return watch, findings_of(model, watch)
+    return watch, watch.findings()
 
 
 def the(findings, kind):
@@ -85,7 +84,7 @@ def test_the_solref_of_a_wanted_depth_gives_it(solref):
     scene = ball(0.05, solref)
     watch, findings = watched(scene)
     assert findings == []
-    wanted = findings_of(sc.Sim(scene.compile()).model, watch, depth=1e-4)
+    wanted = watch.findings(depth=1e-4)
     one = the(wanted, "depth at rest")
     assert one.severity == "remark" and "leaves 100 µm" in one.text
     new = pair(one.text)
@@ -382,7 +381,7 @@ def test_saturated_servos_are_named_in_one_sentence(count):
     assert f"Servos {names} are" in one.text or count == 3
     force = "(100 mN·m)" if count == 2 else "(up to 200 mN·m)"
     assert f"are at the ends of their forceranges {force} for " in one.text
-    assert "where they have no damping: wider forceranges" in one.text
+    assert "where kv has no effect: slow the motion" in one.text
 
 
 @pytest.mark.parametrize("force", [5, 100])
@@ -443,6 +442,31 @@ def test_an_overlap_at_the_start_is_told_with_its_depth():
     assert watched(two(0.201, False))[1] == []
 
 
+def test_a_slash_in_a_name_is_part_of_it():
+    """Attached models have such names."""
+    scene = two(0.17, False)
+    scene.geoms[0].name = "walker/left_foot"
+    one = the(watched(scene)[1], "overlap at the start")
+    assert one.text.startswith("Geoms `walker/left_foot` and `b` overlap by 30 mm")
+    scene.geoms[0].name = ""
+    one = the(watched(scene)[1], "overlap at the start")
+    assert one.text.startswith("Geom 0 of body `a` and geom `b` overlap by 30 mm")
+
+
+@pytest.mark.parametrize(("stiffness", "thrown"), [("-10000 -1", True), ("0.02 1", False)])
+def test_geoms_are_thrown_apart_only_if_they_were(stiffness, thrown):
+    """A ball 30 mm in the floor: a spring throws it up, a critically damped contact lifts it."""
+    one = the(watched(ball(0.1, stiffness, height=0.07))[1], "overlap at the start")
+    assert one.value == pytest.approx(0.03)
+    assert ("thrown apart at" in one.text) == thrown
+    assert one.severity == ("error" if thrown else "warning")
+
+
+def test_a_limit_and_what_pushes_are_elements_of_their_finding():
+    one = the(watched(stop(5.0, "0.1 1"), time=3.0, control=lambda t, s: [1.0])[1], "limit")
+    assert [tuple(element) for element in one.elements] == [("limit", 0, "limit of joint `elbow`")]
+
+
 WHEEL = """<mujoco><option cone="elliptic"/><worldbody>
 <geom name="floor" type="plane" size="1 1 1"/>
 <body name="wheel" pos="0 0 .099"><joint axis="0 1 0" name="axle"/>
@@ -481,7 +505,7 @@ def test_rows_that_stay_unsolved_are_told(sweeps, told):
         assert one.value > 10 * G * 0.002 and "not solved by pgs 5 sweeps" in one.text
         model = scene.compile()
         assert one.element in {model.element_name("contact", k) for k in (0, 1)}
-        assert watch.most >= one.value
+        assert watch.worst >= one.value
 
 
 # Healthy scenes.

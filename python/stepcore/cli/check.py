@@ -10,11 +10,12 @@ Example:
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
-from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
+from stepcore.cli.motion import OPTIONS, add_file, add_motion, model_of, motion_of
 from stepcore.cli.output import add_output
 from stepcore.experiment.schedule import HORIZON
-from stepcore.measure.check import check
+from stepcore.measure.check import check, file_in_words
 from stepcore.report.result import Result
 
 
@@ -33,4 +34,11 @@ def call(args: argparse.Namespace) -> Result:
     # What would be warned of is what the result says in full.
     model = model_of(args, warn=False)
     source = model if args.without or args.fuse is False else args.file
-    return check(source, depth=args.depth, **motion_of(args, model))
+    result = check(source, depth=args.depth, **motion_of(args, model))
+    # The commands that it names take the same file and motion.
+    given = {name: getattr(args, name, None) for name in OPTIONS}
+    return replace(
+        result,
+        file=file_in_words(args.file, args.without, args.fuse is not False),
+        options={name: str(value) for name, value in given.items() if value is not None},
+    )

@@ -23,8 +23,7 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import RECORDED, Trajectory
 from stepcore.experiment.pace import Pace
 from stepcore.experiment.single_run import LOOKS, SingleRun
-from stepcore.experiment.watch import Watch
-from stepcore.measure.findings import Finding, findings_of
+from stepcore.measure.monitors import Finding, Monitor
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.report import NARROWEST, wrapped
 from stepcore.report.table import window
@@ -107,7 +106,7 @@ def call(args: argparse.Namespace) -> int:
             f"{sim.settings.dt:g} s: the run is {run:g} s long"
         )
     record = _recorded(args)
-    watch, control = Watch(sim.model), control_of(args, sim)
+    monitor, control = Monitor(sim.model), control_of(args, sim)
     pace = Pace(min(steps, LOOKS))
     ran = in_words(args, sim, control, key, run)
     single = SingleRun(
@@ -115,7 +114,7 @@ def call(args: argparse.Namespace) -> int:
         control=control,
         control_dt=args.control_dt,
         pushes=pushes_of(args, model),
-        probes=[watch, pace] if steps else [],
+        probes=[monitor, pace] if steps else [],
         record=record,
         progress=None,
     )
@@ -124,13 +123,13 @@ def call(args: argparse.Namespace) -> int:
         sim.balance()
     except SimulationError as error:
         said = [f"{one_line(error)}."]
-        said += [finding.text for finding in findings_of(sim.model, watch, failed=True)]
+        said += [finding.text for finding in monitor.findings(failed=True)]
         # The failure is known before anything else can go wrong.
         say(" ".join(said), end=" ")
         _keep(error, args, single.trajectory)
         return 1
     unsaved = attempted(_saves(args, single.trajectory))
-    found = findings_of(sim.model, watch) if steps else []
+    found = monitor.findings() if steps else []
     step = pace.seconds(Sim(model, sim.settings)) if steps else 0.0
     _report(sim, shown, ran, steps, step, notes, found, args.json)
     for other in unsaved:
@@ -216,7 +215,7 @@ def _report(
             "residual": sim.residual,
             "us_per_step": cost,
             "notes": notes,
-            "findings": found,
+            "findings": [finding.record() for finding in found],
         }
         print_json(data)
         return

@@ -23,9 +23,22 @@ if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
 T = TypeVar("T")
-# How a note ends on a range that MuJoCo takes for none.
-EMPTY = "is empty: no limit"
 AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
+
+
+class EmptyRange(str):
+    """The note on a range of the file that limits nothing: its first number is not the smaller."""
+
+    where: str
+    field: str
+    bounds: tuple[float, ...]
+
+    @classmethod
+    def of(cls, where: str, field: str, bounds: tuple[float, ...]) -> EmptyRange:
+        """The note, with where the range stands in the file."""
+        note = cls(f"{where}: {field} = {bounds[0]:g} {bounds[1]:g} is empty: no limit")
+        note.where, note.field, note.bounds = where, field, bounds
+        return note
 
 
 @dataclass(frozen=True)
@@ -260,8 +273,7 @@ class WorldReader:
             if bounds[0] >= bounds[1]:
                 if any(bounds):
                     where = f"{node.file}:{node.line}"
-                    text = f"{field} = {bounds[0]:g} {bounds[1]:g} {EMPTY}"
-                    self.scene.notes.append(f"{where}: {text}")
+                    self.scene.notes.append(EmptyRange.of(where, field, bounds))
                 return None
         bounds = bounds or (0.0, 0.0)
         # A ball may be held at no angle at all.

@@ -14,6 +14,7 @@ Units = Sequence[tuple[str, float]]
 TIMES: Units = (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9))
 LENGTHS: Units = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9), ("pm", 1e-12))
 FORCES: Units = (("kN", 1e3), ("N", 1.0), ("mN", 1e-3), ("µN", 1e-6), ("nN", 1e-9))
+TORQUES: Units = tuple((f"{unit}·m", size) for unit, size in FORCES)
 ENERGIES: Units = (("kJ", 1e3), ("J", 1.0), ("mJ", 1e-3), ("µJ", 1e-6), ("nJ", 1e-9))
 ANGLES: Units = (("rad", 1.0), ("mrad", 1e-3), ("µrad", 1e-6), ("nrad", 1e-9))
 FREQUENCIES: Units = (("MHz", 1e6), ("kHz", 1e3), ("Hz", 1.0))
@@ -136,6 +137,16 @@ def plural(noun: str) -> str:
     if re.search("[^aeiou]y$", noun):
         return noun[:-1] + "ies"
     return noun + ("es" if noun.endswith(("s", "sh")) else "s")
+
+
+def beginning(text: str, sentences: int = 1) -> str:
+    """The first sentences of a text, without the last full stop.
+
+    >>> beginning("start 0: diverged at 0.1 s. The cause is spring `a`, 9 %.")
+    'start 0: diverged at 0.1 s'
+    """
+    parts = re.split(r"(?<=\.)\s+(?=[A-Z])", text)
+    return " ".join(parts[:sentences]).rstrip(".")
 
 
 def compact(value: float) -> str:

@@ -1,56 +1,77 @@
-"""Starts and keyframes outside of limits, controls outside of their range, one-sided forces."""
+"""Starts and keyframes outside of limits, controls outside of their range, limits that do not hold,
+tendons that nothing uses."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Start
-from stepcore.measure.findings.finding import Finding, others
-from stepcore.mjcf.worldbody import EMPTY
-from stepcore.report.units import metres, radians
+from stepcore.measure.monitors.actuators import on_one_dof, strength
+from stepcore.measure.monitors.finding import Finding, listed, named
+from stepcore.measure.monitors.joints import (
+    BEYOND,
+    LEFT,
+    PLOT,
+    harder_limit,
+    is_angular,
+    length_of,
+    width_of,
+)
+from stepcore.measure.monitors.soft_rows import yielding
+from stepcore.mjcf.worldbody import EmptyRange
+from stepcore.report.units import metres
+from stepcore.scene.layout import Layout
 
-# A coordinate this part of its range beyond a limit is outside: a pose of rest is not.
+# A value this part of its range beyond a limit is outside: a pose of rest is not.
 OUTSIDE = 0.02
 
 
 def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Finding]:
-    """The start, every keyframe, every range; key: the keyframe that is the start."""
+    """The start, every keyframe and every range; key: the keyframe that is the start."""
     yield from _inverted(model)
-    if key is None:
-        yield from _outside(model, start.qpos, "The start")
+    states = [(start.qpos, "The start", False)] if key is None else []
+    states += [
+        (frame.qpos, f"Keyframe `{frame.name or index}`", True)
+        for index, frame in enumerate(model.keys)
+    ]
+    sim = Sim(model) if model.ntendon else None
+    for qpos, where, keyed in states:
+        if model.scene.features.limit:
+            yield from _joints_outside(model, qpos, where, keyed)
+            if sim is not None:
+                yield from _tendons_outside(model, sim, qpos, where, keyed)
     for index, frame in enumerate(model.keys):
-        name = f"Keyframe `{frame.name or index}`"
-        yield from _outside(model, frame.qpos, name)
-        yield from _clamped(model, frame.ctrl, name)
+        yield from _clamped(model, frame.ctrl, f"Keyframe `{frame.name or index}`")
     yield from _one_sided(model)
+    yield from _overpowered(model)
+    yield from _pressed(model)
+    yield from _unused(model)
 
 
 def _inverted(model: Model) -> Iterator[Finding]:
     """Ranges of the file whose first number is not the smaller one: they limit nothing."""
     for note in model.scene.notes:
-        if not note.endswith(EMPTY):
-            continue
-        field, _, rest = note.rpartition(": ")[0].rpartition(": ")[2].partition(" = ")
-        low, high = rest.removesuffix(EMPTY.partition(":")[0]).split()
-        order = f'write {field}="{high} {low}"' if low != high else "give it two different numbers"
-        yield Finding(
-            "inverted range",
-            "error",
-            "",
-            f"{note.removesuffix(EMPTY)}limits nothing, because its first number must be the "
-            f"smaller one: {order}.",
-            float(low),
-        )
+        if isinstance(note, EmptyRange):
+            low, high = (f"{bound:g}" for bound in note.bounds)
+            order = f'write {note.field}="{high} {low}"'
+            yield Finding(
+                "inverted range",
+                "error",
+                f"{note.where}: {note.field} = {low} {high} limits nothing, because its first "
+                "number must be the smaller one",
+                order if low != high else "give it two different numbers",
+                value=float(low),
+            )
 
 
-def _outside(model: Model, qpos: np.ndarray, where: str) -> Iterator[Finding]:
+def _joints_outside(model: Model, qpos: np.ndarray, where: str, keyed: bool) -> Iterator[Finding]:
     """Joints that a state puts outside of their limits."""
-    if not model.scene.features.limit:
-        return
-    found = []
+    outside = []
     for k, kind in enumerate(model.jnt_type):
         low, high = (float(bound) for bound in model.jnt_range[k])
         if kind not in ("hinge", "slide") or not np.isfinite([low, high]).all():
@@ -58,26 +79,60 @@ def _outside(model: Model, qpos: np.ndarray, where: str) -> Iterator[Finding]:
         value = float(qpos[model.jnt_qposadr[k]])
         over = max(low - value, value - high)
         if over > OUTSIDE * (high - low):
-            found.append((over / (high - low), k, value, low, high))
-    if not found:
+            outside.append((over / (high - low), k, value, low, high))
+    if not outside:
         return
-    found.sort(reverse=True)
-    _, k, value, low, high = found[0]
-    names = [model.element_name("joint", one[1]) for one in found]
-    length = radians if model.jnt_type[k] == "hinge" else metres
-    nearest = low if value < low else high
-    keyed = where.startswith("Key")
+    outside.sort(reverse=True)
+    _, k, value, low, high = outside[0]
+    joints = named(model, "joint", [entry[1] for entry in outside])
+    bounds = f"{length_of(model, k, low)} to {length_of(model, k, high)}"
     cure = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
     yield Finding(
         "outside a limit",
         "error" if keyed else "warning",
-        names[0],
-        f"{where} has {names[0]}{others(names, 'joints')} at {length(value)}, outside of its range "
-        f"of {length(low)} to {length(high)}, whose limit throws it back: {cure} (the nearest is "
-        f"{nearest:.4g}), or widen the range.",
+        f"{where} has {listed(joints, 'joints')} at {length_of(model, k, value)}, outside of its "
+        f"range of {bounds}, whose limit throws it back",
+        f"{cure} (the nearest is {low if value < low else high:.4g}), or widen the range",
+        joints,
         value,
-        "rad" if model.jnt_type[k] == "hinge" else "m",
+        "rad" if is_angular(model, k) else "m",
     )
+
+
+def _tendons_outside(
+    model: Model, sim: Sim, qpos: np.ndarray, where: str, keyed: bool
+) -> Iterator[Finding]:
+    """Tendons whose length a state puts outside of their range."""
+    sim.qpos = qpos
+    sim.forward()
+    outside = []
+    ranges = model.tendon_range.tolist()
+    for i, (length, (low, high)) in enumerate(zip(sim.ten_length, ranges, strict=True)):
+        over = max(low - length, length - high)
+        # Without a limit the range is infinite, and nothing is outside of it.
+        if over > OUTSIDE * (high - low):
+            outside.append((float(over / (high - low)), i, float(length)))
+    if not outside:
+        return
+    outside.sort(key=lambda entry: -entry[0])
+    _, i, length = outside[0]
+    tendons = named(model, "tendon", [entry[1] for entry in outside])
+    yield Finding(
+        "outside a limit",
+        "error" if keyed else "warning",
+        f"{where} has {listed(tendons, 'tendons')} at a length of {_tendon(model, i, length)}, "
+        f"outside of its range of {_tendon(model, i, *ranges[i])}, whose limit throws it back",
+        "correct the pose, or widen the range",
+        tendons,
+        length,
+        "" if model.scene.tendons[i].path.fixed else "m",
+    )
+
+
+def _tendon(model: Model, tendon: int, *lengths: float) -> str:
+    """In metres; a fixed tendon's length is a sum of joints, and has no unit of its own."""
+    fixed = model.scene.tendons[tendon].path.fixed
+    return " to ".join(f"{length:.4g}" if fixed else metres(length) for length in lengths)
 
 
 def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
@@ -86,41 +141,149 @@ def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
         return
     bounds = model.actuator_ctrlrange
     over = np.maximum(bounds[:, 0] - ctrl, ctrl - bounds[:, 1])
-    found = np.flatnonzero(over > 1e-9 * np.maximum(1.0, np.abs(ctrl)))
-    if len(found):
-        k = int(found[np.argmax(over[found])])
-        names = [model.element_name("actuator", int(i)) for i in (k, *found) if i == k or i != k]
-        low, high = bounds[k]
+    outside = np.flatnonzero(over > 1e-9 * np.maximum(1.0, np.abs(ctrl)))
+    if len(outside):
+        k = int(outside[np.argmax(over[outside])])
+        actuators, (low, high) = named(model, "actuator", (k, *outside)), bounds[k]
         yield Finding(
             "clamped control",
             "warning",
-            names[0],
-            f"{where} has a control of {ctrl[k]:.4g} for {names[0]}{_rest(names)}, clamped to its "
-            f"ctrlrange of {low:.4g} to {high:.4g}: correct its ctrl, or widen the ctrlrange.",
+            f"{where} has a control of {ctrl[k]:.4g} for {listed(actuators, 'actuators')}, clamped "
+            f"to its ctrlrange of {low:.4g} to {high:.4g}",
+            "correct its ctrl, or widen the ctrlrange",
+            actuators,
             float(ctrl[k]),
+            commands=(PLOT,),
         )
-
-
-def _rest(names: list[str]) -> str:
-    return others(list(dict.fromkeys(names)), "actuators")
 
 
 def _one_sided(model: Model) -> Iterator[Finding]:
     """Servos whose force range does not hold 0, or only one direction."""
-    found = []
-    for k in range(model.nu):
-        low, high = model.actuator_forcerange[k]
-        if model.actuator_bias[k, 1] < 0 and (low >= 0 or high <= 0):
-            found.append((k, float(low), float(high)))
-    if found:
-        k, low, high = found[0]
-        names = [model.element_name("actuator", one[0]) for one in found]
-        most = max(abs(low), abs(high))
+    low, high = model.actuator_forcerange.T
+    wrong = np.flatnonzero((model.actuator_bias[:, 1] < 0) & ((low >= 0) | (high <= 0)))
+    if len(wrong):
+        low, high = (float(end) for end in model.actuator_forcerange[wrong[0]])
+        servos, most = named(model, "actuator", wrong), max(abs(low), abs(high))
         yield Finding(
             "force range",
             "warning",
-            names[0],
-            f"The forcerange of {names[0]}{others(names, 'servos')}, {low:.4g} to {high:.4g}, lets "
-            f"it push in one direction only: {-most:.4g} to {most:.4g} lets it hold a position.",
+            f"the forcerange of {listed(servos, 'servos')}, {low:.4g} to {high:.4g}, lets it push "
+            "in one direction only",
+            f"{-most:.4g} to {most:.4g} lets it hold a position",
+            servos,
             most,
+        )
+
+
+def _overpowered(model: Model) -> Iterator[Finding]:
+    """Actuators that can push their joint far beyond its limit, by the closed form of a soft row.
+
+    By their largest force outwards; gravity and other actuators are left out.
+    """
+    features, settings = model.scene.features, model.settings
+    if settings.law != "solref" or not features.limit or not features.actuation:
+        return
+    joints, dt = Layout(model.scene).joints, settings.dt if settings.refsafe else 0.0
+    strong = []
+    for k in on_one_dof(model):
+        index = int(model.actuator_joint[k])
+        low, high = (float(bound) for bound in model.jnt_range[index])
+        if not np.isfinite([low, high]).all():
+            continue
+        force = _largest_force(model, k, low, high)
+        load = force * float(model.dof_invweight0[model.jnt_dofadr[index]])
+        if not math.isfinite(load):
+            continue
+        width = width_of(model, index)
+        beyond = yielding(joints[index].solreflimit, joints[index].solimplimit, load, dt)
+        if beyond > BEYOND * width:
+            strong.append((beyond / width, k, index, force, beyond))
+    if not strong:
+        return
+    strong.sort(reverse=True)
+    ratio, k, index, force, beyond = strong[0]
+    actuators = named(model, "actuator", [entry[1] for entry in strong])
+    name, wanted = actuators[0].name, LEFT * BEYOND * beyond / ratio
+    range_ = "forcerange" if model.actuator_bias[k, 1] < 0 else "ctrlrange"
+    yield Finding(
+        "limit",
+        "warning",
+        f"{listed(actuators, 'actuators')} can push {model.element_name('joint', index)} "
+        f"{length_of(model, index, beyond)} beyond its range with {strength(model, k, force)}",
+        f"a smaller {range_} of {name}, or {harder_limit(model, index, beyond, wanted)}",
+        named(model, "limit", [index]),
+        beyond,
+        "rad" if is_angular(model, index) else "m",
+        commands=(PLOT,),
+    )
+
+
+def _largest_force(model: Model, k: int, low: float, high: float) -> float:
+    """The largest force that an actuator pushes outwards with at an end of a joint's range."""
+    gear, gain = float(model.actuator_gear[k, 0]), model.actuator_gain[k]
+    bias, controls = model.actuator_bias[k], model.actuator_ctrlrange[k]
+    if not model.scene.features.clampctrl or not np.isfinite(controls).all():
+        if bias[1] < 0 or not np.isfinite(model.actuator_forcerange[k]).all():
+            # Nothing says how far the control of a servo may go.
+            return 0.0
+        controls = np.array([-np.inf, np.inf])
+    most = 0.0
+    for end, outwards in ((low, -1.0), (high, 1.0)):
+        for control in controls:
+            with np.errstate(invalid="ignore"):
+                force = gain * control + bias[0] + bias[1] * gear * end
+            force = float(np.clip(force, *model.actuator_forcerange[k])) * gear * outwards
+            most = max(most, force)
+    return most
+
+
+def _pressed(model: Model) -> Iterator[Finding]:
+    """Springs that are at rest beyond the tendon's range: they always press on its limit."""
+    if not (model.scene.features.limit and model.scene.features.spring):
+        return
+    rests, ranges = model.tendon_lengthspring.tolist(), model.tendon_range.tolist()
+    wrong = [
+        (i, slack if slack < low else rest)
+        for i, ((rest, slack), (low, high)) in enumerate(zip(rests, ranges, strict=True))
+        if model.scene.tendons[i].sprung and (slack < low or rest > high)
+    ]
+    if wrong:
+        i, rest = wrong[0]
+        tendons = named(model, "tendon", [index for index, _ in wrong])
+        yield Finding(
+            "spring beyond a limit",
+            "warning",
+            f"the spring of {listed(tendons, 'tendons')} is at rest at a length of "
+            f"{_tendon(model, i, rest)}, outside of the tendon's range of "
+            f"{_tendon(model, i, *ranges[i])}, so it always presses on the limit",
+            "correct its springlength, or widen the range",
+            tendons,
+            rest,
+            "" if model.scene.tendons[i].path.fixed else "m",
+        )
+
+
+def _unused(model: Model) -> Iterator[Finding]:
+    """Tendons without a force, a limit or an armature that nothing refers to."""
+    scene = model.scene
+    used = {id(actuator.tendon) for actuator in scene.actuators}
+    used |= {id(end) for tie in scene.equalities for end in (tie.tendon1, tie.tendon2)}
+    used |= {id(sensor.object) for sensor in scene.sensors}
+    idle = [
+        i
+        for i, tendon in enumerate(scene.tendons)
+        if id(tendon) not in used
+        and tendon.range is None
+        and not (tendon.sprung or tendon.damped or tendon.frictionloss or tendon.armature)
+    ]
+    if idle:
+        tendons = named(model, "tendon", idle)
+        verb, its = ("does", "it has") if len(idle) == 1 else ("do", "they have")
+        yield Finding(
+            "unused tendon",
+            "remark",
+            f"{listed(tendons, 'tendons')} {verb} nothing",
+            f"{its} no spring, damping, friction loss, armature or limit (a range needs limited or "
+            "autolimits), and no actuator, equality or sensor uses it",
+            tendons,
         )

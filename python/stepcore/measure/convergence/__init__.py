@@ -39,7 +39,7 @@ from stepcore.measure.convergence.sweeps import (
     SweepTheory,
     residual_history,
 )
-from stepcore.measure.findings import watched
+from stepcore.measure.monitors import monitored
 from stepcore.report.progress import Choice
 
 __all__ = [
@@ -147,7 +147,7 @@ def converge(
         ending=end,
         notes=list(model.scene.notes),
         # The residual is this measurement's own answer.
-        findings=[finding for finding in watched(runner, own) if finding.kind != "residual"],
+        findings=[finding for finding in monitored(runner, own) if finding.kind != "residual"],
         ran=motion_in_words(model, motion, schedule),
     )
 

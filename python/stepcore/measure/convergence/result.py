@@ -13,7 +13,7 @@ from stepcore._core import Settings
 from stepcore.experiment.motion import Motion
 from stepcore.measure.convergence.runs import CandidateRun, Candidates, Ending, HalvedReference
 from stepcore.measure.convergence.sweeps import ResidualHistory, RowForce, SweepTheory
-from stepcore.measure.findings import Finding
+from stepcore.measure.monitors import Finding
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
@@ -309,7 +309,7 @@ class Convergence(Result):
             "reference_error": self.reference.error,
             "size": self.reference.size,
             "ending": self.ending,
-            "findings": self.findings,
+            "findings": [finding.record() for finding in self.findings],
             "sweeps": self.sweeps.records,
             "steps": self.steps.records,
             "work": self.work.records,

@@ -19,7 +19,7 @@ from stepcore.experiment.reference import FINER, Reference, ReferenceRuns, small
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, scheduled, time_steps
 from stepcore.experiment.sizes import scene_size
-from stepcore.measure.findings import watched
+from stepcore.measure.monitors import monitored
 from stepcore.measure.trade import frugal, notes
 from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade.finish import Finisher
@@ -211,7 +211,7 @@ def trade(
         screened=len({*trials.paths, *trials.screened}),
         runs=trials.runs,
         chosen=chosen,
-        findings=watched(runner, shipped),
+        findings=monitored(runner, shipped),
         runner=runner,
     )
     answer = (found.recommended, found.shipped, *found.offered)

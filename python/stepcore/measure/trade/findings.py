@@ -11,7 +11,7 @@ from stepcore._core import Settings
 from stepcore.experiment.motion import Motion, picklable
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.runner import Runner
-from stepcore.measure.findings import Finding
+from stepcore.measure.monitors import Finding
 from stepcore.measure.trade.frontier import MARGIN, NOTABLE, Frontier
 from stepcore.measure.trade.in_batch import BatchPoint
 from stepcore.measure.trade.mujoco import Point

@@ -96,7 +96,7 @@ class Trade(TradeFindings, Result):
             "in_batch": [point.record() for point in self.in_batch],
             "screened": self.screened,
             "runs": self.runs,
-            "findings": self.findings,
+            "findings": [finding.record() for finding in self.findings],
         }
 
     def _reference(self) -> dict[str, Any]:

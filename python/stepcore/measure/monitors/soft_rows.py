@@ -16,7 +16,10 @@ import math
 from collections.abc import Sequence
 
 from stepcore._core import Settings
+from stepcore.engine.model import Model
 from stepcore.report.units import metres, seconds
+from stepcore.scene.frames import Vec
+from stepcore.scene.layout import Layout
 
 # MuJoCo's bounds of an impedance.
 LEAST, MOST = 1e-4, 0.9999
@@ -51,7 +54,12 @@ def yielding(solref: Sequence[float], solimp: Sequence[float], load: float, dt: 
     """
 
     def deeper(violation: float) -> bool:
-        return load * _compliance(solref, solimp, violation, dt) > violation
+        return load * _slope(solimp, violation) * square > violation
+
+    if solref[0] > 0:
+        square = (max(solref[0], 2 * dt) * solref[1]) ** 2
+    else:
+        square = 1 / -solref[0] if solref[0] < 0 else math.inf
 
     high = 1e-12
     while deeper(high) and high < 1e12:
@@ -61,18 +69,6 @@ def yielding(solref: Sequence[float], solimp: Sequence[float], load: float, dt: 
         middle = (low + high) / 2
         low, high = (middle, high) if deeper(middle) else (low, middle)
     return high
-
-
-def _compliance(
-    solref: Sequence[float], solimp: Sequence[float], violation: float, dt: float
-) -> float:
-    """Violation over load [s²]."""
-    d, most = impedance(solimp, violation), min(max(solimp[1], LEAST), MOST)
-    if solref[0] > 0:
-        square = (max(solref[0], 2 * dt) * solref[1]) ** 2
-    else:
-        square = 1 / -solref[0] if solref[0] < 0 else math.inf
-    return (1 - d) / d**2 * most**2 * square
 
 
 def stiffer(
@@ -133,3 +129,14 @@ def advised(
 def _resolved(solref: Sequence[float], settings: Settings) -> bool:
     """Whether refsafe leaves a solref as it is."""
     return not settings.refsafe or solref[0] <= 0 or solref[0] >= 2 * settings.dt
+
+
+def pair_solimp(model: Model, geom1: int, geom2: int) -> Vec:
+    """The solimp that two geoms have together: of the higher priority, or mixed by solmix."""
+    geoms = Layout(model.scene).geoms
+    a, b = geoms[geom1], geoms[geom2]
+    if a.priority != b.priority:
+        return a.solimp if a.priority > b.priority else b.solimp
+    total = a.solmix + b.solmix
+    share = a.solmix / total if total > 0 else 0.5
+    return tuple(share * x + (1 - share) * y for x, y in zip(a.solimp, b.solimp, strict=True))

@@ -1,0 +1,342 @@
+"""Masses and inertias that no real thing has, and numbers that look like another unit's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.engine.model import Model
+from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.sizes import Sizes
+from stepcore.measure.monitors.finding import Finding, Next, listed, named
+from stepcore.report.units import metres, times
+from stepcore.scene.elements import Geom
+from stepcore.scene.layout import Layout
+
+# Gravity in m/s² is near this; in mm/s² it is above that.
+EARTH, MILLI = (1.0, 50.0), 500.0
+# Sizes of things that move which millimetres look like, and which metres look like [m].
+LARGE, SMALL = 10.0, 5.0
+# Radians written where degrees are read, in degrees: never more than a turn, seldom less than this.
+TURN, LEAST = 2 * math.pi * 1.001, 0.5
+# Degrees written where radians are read, in radians: more turns than a joint with limits makes.
+TURNS = 20.0
+# A control range in degrees over a joint range in radians.
+DEGREES, NEAR = 180 / math.pi, 0.1
+# [kg/m³]: of water, of steel; above osmium and below air there is nothing solid.
+WATER, STEEL = 1000.0, 7850.0
+DENSEST, LIGHTEST = 25_000.0, 1.0
+# A body's radius of gyration is below its largest extent, and not far below: allowed factors.
+TOO_FAR, TOO_NEAR = 3.0, 0.02
+# Bodies that touch and whose masses differ by more are hard to solve with sweeps.
+RATIO = 1e4
+LIST = (Next("plan", "every body, geom and row that a step computes", ("--all",)),)
+
+
+def about_bodies(model: Model, sizes: Sizes) -> Iterator[Finding]:
+    """Units, and the densities, inertias and mass ratios of the bodies that move."""
+    layout, moving = Layout(model.scene), Coordinates(model).moving
+    yield from _lengths(model, moving, sizes)
+    yield from _angles(model)
+    yield from _controls(model)
+    yield from _densities(model, layout, moving)
+    yield from _repaired(model, layout, moving)
+    yield from _inertias(model, layout, moving, sizes)
+    yield from _ratios(model)
+
+
+# Units.
+
+
+def _units(severity: str, problem: str, cure: str, *more: Any) -> Finding:
+    return Finding("units", severity, problem, cure, *more, commands=LIST)
+
+
+def _lengths(model: Model, moving: list[int], sizes: Sizes) -> Iterator[Finding]:
+    reaches = [
+        reach
+        for reach, body in zip(sizes.reach, model.geom_body.tolist(), strict=True)
+        if body in moving and math.isfinite(reach)
+    ]
+    gravity = float(np.linalg.norm(model.scene.gravity)) if model.scene.features.gravity else 0.0
+    if not reaches or not gravity:
+        return
+    typical = float(np.median(reaches))
+    if EARTH[0] < gravity < EARTH[1] and typical >= LARGE:
+        problem = (
+            f"Half of the geoms that move are larger than {metres(typical)}, under a gravity of "
+            f"{gravity:.3g} m/s², so sizes and positions look like mm"
+        )
+        cure = (
+            "divide lengths by 1000 (masses that come from density fall by 1e9), or check that the "
+            "scene is meant to be so large"
+        )
+        yield _units("error", problem, cure, (), typical, "m")
+    if gravity > MILLI and typical < SMALL:
+        problem = (
+            f"Gravity is {gravity:.4g} m/s² while half of the geoms that move are smaller than "
+            f"{metres(typical)}, so gravity looks like mm/s²"
+        )
+        cure = 'write gravity="0 0 -9.81" where lengths are in m'
+        yield _units("error", problem, cure, (), gravity, "m/s²")
+
+
+def _angles(model: Model) -> Iterator[Finding]:
+    """Ranges of hinges that are all below a turn in degrees; ranges and keyframes of many turns."""
+    joints: list[int] = []
+    if model.scene.features.limit:
+        finite = np.isfinite(model.jnt_range).all(axis=1)
+        joints = [k for k, kind in enumerate(model.jnt_type) if kind == "hinge" and finite[k]]
+    most = max((float(np.abs(np.degrees(model.jnt_range[k])).max()) for k in joints), default=0.0)
+    if LEAST <= most <= TURN:
+        small, (low, high) = named(model, "joint", joints), np.degrees(model.jnt_range[joints[0]])
+        problem = (
+            f"the range of {listed(small, 'joints')} is {low:.4g} to {high:.4g} degrees, as if "
+            "radians were meant"
+        )
+        yield _units("warning", problem, 'write <compiler angle="radian"/>', small, most, "deg")
+    wide = [k for k in joints if np.abs(model.jnt_range[k]).max() > TURNS]
+    if wide:
+        large, (low, high) = named(model, "joint", wide), model.jnt_range[wide[0]]
+        furthest = float(max(abs(low), abs(high)))
+        problem = (
+            f"the range of {listed(large, 'joints')} is {low:.4g} to {high:.4g} rad, "
+            f"{furthest / 2 / math.pi:.2g} turns, as if degrees were meant"
+        )
+        cure = 'write <compiler angle="degree"/>, or multiply by π/180'
+        yield _units("warning", problem, cure, large, furthest, "rad")
+    for index, key in enumerate(model.keys):
+        turned = [
+            k
+            for k, kind in enumerate(model.jnt_type)
+            if kind == "hinge" and abs(key.qpos[model.jnt_qposadr[k]]) > TURNS
+        ]
+        if turned:
+            far, value = named(model, "joint", turned), key.qpos[model.jnt_qposadr[turned[0]]]
+            problem = (
+                f"keyframe `{key.name or index}` puts {listed(far, 'joints')} at {value:.4g} rad"
+            )
+            cure = (
+                "keyframes are in radians whatever the compiler's angle; multiply degrees by π/180"
+            )
+            yield _units("warning", problem, cure, far, float(value), "rad")
+
+
+def _controls(model: Model) -> Iterator[Finding]:
+    """Servos whose control range is the joint's range in degrees: it is not converted."""
+    wrong = []
+    for k, joint in enumerate(model.actuator_joint.tolist()):
+        servo = model.actuator_bias[k, 1] < 0 and joint >= 0
+        if not servo or model.jnt_type[joint] != "hinge":
+            continue
+        bounds, limits = model.actuator_ctrlrange[k], model.jnt_range[joint]
+        if not np.isfinite([*bounds, *limits]).all():
+            continue
+        ratio = float(np.abs(bounds).max() / np.abs(limits).max())
+        if abs(ratio / DEGREES - 1) < NEAR:
+            wrong.append(k)
+    if wrong:
+        servos, (low, high) = named(model, "actuator", wrong), model.actuator_ctrlrange[wrong[0]]
+        problem = (
+            f"the ctrlrange of {listed(servos, 'servos')} is {low:.4g} to {high:.4g} rad, its "
+            "joint's range in degrees"
+        )
+        cure = (
+            "control ranges are in radians whatever the compiler's angle; multiply degrees by π/180"
+        )
+        yield _units("error", problem, cure, servos, float(max(abs(low), abs(high))), "rad")
+
+
+# Masses.
+
+
+def volume(model: Model, geom: Geom, index: int) -> float:
+    """The volume of a geom [m³]; of a mesh that of its hull, inf of planes and height fields."""
+    if geom.type == "mesh":
+        return _hull_volume(*model.geom_hull(index))
+    if geom.type == "hfield":
+        return math.inf
+    a, b, c = geom.size
+    ball = 4 / 3 * math.pi
+    return {
+        "plane": math.inf,
+        "sphere": ball * a**3,
+        "capsule": ball * a**3 + 2 * b * math.pi * a**2,
+        "ellipsoid": ball * a * b * c,
+        "cylinder": 2 * b * math.pi * a**2,
+        "box": 8 * a * b * c,
+    }[geom.type]
+
+
+def _hull_volume(vertices: NDArray[np.float64], triangles: NDArray[np.int_]) -> float:
+    """Of a closed surface, by tetrahedra from one of its points; inf where there is none."""
+    if not len(triangles):
+        return math.inf
+    a, b, c = np.moveaxis(vertices[triangles] - vertices[0], 1, 0)
+    return float(np.sum(a * np.cross(b, c))) / 6
+
+
+def _geoms(layout: Layout, body: int, heavy: bool) -> dict[int, Geom]:
+    """A body's geoms by index; heavy: those that give it mass."""
+    rules = layout.scene.mass_rules
+    low, high = rules.inertiagrouprange
+    return {
+        index: geom
+        for index, geom in enumerate(layout.geoms)
+        if geom.body is layout.bodies[body]
+        and (
+            not heavy
+            or (geom.mass != 0 and (geom.mass or geom.density) > 0 and low <= geom.group <= high)
+        )
+    }
+
+
+def _densities(model: Model, layout: Layout, moving: list[int]) -> Iterator[Finding]:
+    """Bodies whose mass comes from geoms, against their volume."""
+    dense, light = [], []
+    for body in moving:
+        if layout.bodies[body].mass is not None and not model.scene.mass_rules.inertiafromgeom:
+            continue
+        geoms = _geoms(layout, body, heavy=True)
+        filled = sum(volume(model, geom, index) for index, geom in geoms.items())
+        hollow = any(geom.shellinertia for geom in geoms.values())
+        if not filled or not math.isfinite(filled) or hollow:
+            continue
+        density = float(model.body_mass[body]) / filled
+        if density > DENSEST:
+            dense.append((density, body))
+        elif density < LIGHTEST:
+            light.append((density, body))
+    for wrong in (sorted(dense)[::-1], sorted(light)):
+        if not wrong:
+            continue
+        density, body = wrong[0]
+        bodies = named(model, "body", [body for _, body in wrong])
+        than = f"{density / WATER:.2g} of the density of water, lighter than air"
+        if density > DENSEST:
+            steel, water = times(density / STEEL), times(density / WATER)
+            than = f"{steel} the density of steel and {water} that of water"
+        yield Finding(
+            "density",
+            "remark",
+            f"{listed(bodies, 'bodies')} has {float(model.body_mass[body]):.3g} kg in its geoms, "
+            f"{density:.3g} kg/m³, which is {than}",
+            "check mass, density and size of its geoms",
+            bodies,
+            density,
+            "kg/m³",
+            commands=LIST,
+        )
+
+
+def _repaired(model: Model, layout: Layout, moving: list[int]) -> Iterator[Finding]:
+    """Inertias that balanceinertia repairs: without it, no scene with them is compiled."""
+    if not model.scene.mass_rules.balanceinertia:
+        return
+    wrong = []
+    for index in moving:
+        body = layout.bodies[index]
+        if body.mass is None:
+            continue
+        xx, yy, zz, xy, xz, yz = body.inertia
+        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if moments[0] + moments[1] < moments[2] * (1 - 1e-9):
+            wrong.append((index, moments))
+    if wrong:
+        a, b, c = wrong[0][1]
+        bodies = named(model, "body", [index for index, _ in wrong])
+        yield Finding(
+            "inertia",
+            "error",
+            f"{listed(bodies, 'bodies')} has principal moments {a:.3g}, {b:.3g} and {c:.3g} kg·m², "
+            "although no body has one greater than the sum of the others; balanceinertia replaces "
+            "them by their mean",
+            "write those of the real body",
+            bodies,
+            float(c),
+            "kg·m²",
+            commands=LIST,
+        )
+
+
+def _inertias(model: Model, layout: Layout, moving: list[int], sizes: Sizes) -> Iterator[Finding]:
+    """Inertias that are written, against the extent of the body."""
+    # Where meshes were not read, nothing tells how far a body reaches.
+    if any("only draws" in line for line in model.scene.ignored):
+        return
+    wrong = []
+    for body in moving:
+        mass, geoms = float(model.body_mass[body]), _geoms(layout, body, heavy=False)
+        if layout.bodies[body].mass is None or not geoms or mass <= 0:
+            continue
+        ipos = np.asarray(model.body_ipos[body])
+        reach = max(
+            float(np.linalg.norm(np.asarray(geom.pos) - ipos)) + sizes.reach[index]
+            for index, geom in geoms.items()
+        )
+        trace = float(np.trace(np.asarray(model.body_inertia[body])))
+        gyration = math.sqrt(max(trace, 0.0) / 2 / mass)
+        if not math.isfinite(reach):
+            continue
+        if gyration > TOO_FAR * reach or 0 < gyration < TOO_NEAR * reach:
+            wrong.append((gyration, reach, body, mass))
+    if not wrong:
+        return
+    gyration, reach, _, mass = wrong[0]
+    bodies = named(model, "body", [body for _, _, body, _ in wrong])
+    large = gyration > reach
+    yield Finding(
+        "inertia",
+        "error" if large else "warning",
+        f"the inertia of {listed(bodies, 'bodies')} belongs to mass {metres(gyration)} from its "
+        f"centre, but the body reaches {'only ' * large}{metres(reach)} (a ball of its mass and "
+        f"size has {0.4 * mass * reach**2:.2g} kg·m²)",
+        'correct its <inertial>, or let it come from the geoms (inertiafromgeom="true")',
+        bodies,
+        gyration,
+        "m",
+        commands=LIST,
+    )
+
+
+def _ratios(model: Model) -> Iterator[Finding]:
+    """Bodies that can touch, one much heavier than the other."""
+    if model.settings.solver != "pgs":
+        return
+    worst, pair = 0.0, (0, 0)
+    # In a heap any two bodies are taken to meet, as their extremes do.
+    every = _extremes(model) if model.is_heap else model.pair_geoms
+    for a, b in {tuple(sorted(model.geom_body[pair].tolist())) for pair in every}:
+        light, heavy = sorted((a, b), key=lambda body: float(model.body_mass[body]))
+        if a == 0 or float(model.body_mass[light]) <= 0:
+            continue
+        ratio = float(model.body_mass[heavy] / model.body_mass[light])
+        if ratio > worst:
+            worst, pair = ratio, (heavy, light)
+    if worst > RATIO:
+        bodies = named(model, "body", pair)
+        yield Finding(
+            "mass ratio",
+            "remark",
+            f"{bodies[0].name} is {times(worst)} as heavy as {bodies[1].name}, which it can touch, "
+            "so sweeps converge slowly there",
+            "use solver newton, which is not slowed down by mass ratios (law solref only)",
+            bodies,
+            worst,
+            "1",
+            commands=LIST,
+        )
+
+
+def _extremes(model: Model) -> list[list[int]]:
+    """A geom of the lightest and one of the heaviest body that moves and has geoms."""
+    owner = model.geom_body
+    movers = [g for g in range(model.ngeom) if owner[g] and model.body_mass[owner[g]] > 0]
+    if not movers:
+        return []
+    by_mass = sorted(movers, key=lambda geom: float(model.body_mass[owner[geom]]))
+    return [[by_mass[0], by_mass[-1]]]

@@ -1,0 +1,122 @@
+"""`Monitor`: watches any run, and finds what goes wrong in it: creep, gaps, depths, saturation.
+
+What it finds is measured on the run itself and needs no reference. `run`, `trade`, `converge` and
+`check` monitor a run of the scene as shipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.engine.model import Model
+from stepcore.experiment.bodies import Bodies
+from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.run import Probe
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.sizes import Sizes
+from stepcore.measure.monitors.actuators import ActuatorMonitor
+from stepcore.measure.monitors.contacts import REST, ContactMonitor
+from stepcore.measure.monitors.finding import Finding, Named, Next, named, ordered
+from stepcore.measure.monitors.joints import JointMonitor
+from stepcore.report.settings import solver_words
+from stepcore.report.units import percent, speed, times
+
+__all__ = ["Finding", "Monitor", "Named", "Next", "monitored", "ordered"]
+
+# A run is looked at about this often.
+LOOKS = 1000
+# What a run that failed still shows; the rest is what it exploded into.
+BEFORE = ("overlap at the start", "clamped control")
+# Rows are unsolved where this share of the speed that gravity gives in a step remains.
+UNSOLVED = 0.1
+
+
+class Monitor(Probe):
+    """Watches a run. periods: the control periods of the run, in each of which it looks."""
+
+    def __init__(self, model: Model, bodies: Bodies | None = None, periods: int = 1) -> None:
+        bodies = bodies or Bodies(model, Coordinates(model))
+        self.model, self.looks = model, max(1, LOOKS // periods)
+        sizes = Sizes(model)
+        self.contacts = ContactMonitor(model, bodies.friction, sizes)
+        self.joints = JointMonitor(model, bodies.joints, sizes)
+        self.actuators = ActuatorMonitor(model)
+        # When it looked [s]; the residual of each look [m/s], the worst, and the row that had it.
+        self.times: list[float] = []
+        self.residuals: list[float] = []
+        self.worst, self.unsolved = 0.0, ("", 0)
+
+    @property
+    def span(self) -> float:
+        """How long was watched [s]."""
+        return self.times[-1] - self.times[0] if self.times else 0.0
+
+    def stride(self, steps: int) -> int:
+        return max(1, steps // self.looks)
+
+    def begin(self, sim: Any) -> None:
+        self.times.append(sim.time)
+        self.contacts.begin(sim)
+
+    def step(self, sim: Any) -> None:
+        self.times.append(sim.time)
+        residual = float(sim.residual)
+        if residual > self.worst:
+            rows = sim.rows
+            row = rows[np.argmax(np.abs(rows["residual"]))]
+            self.worst, self.unsolved = residual, (str(row["kind"]), int(row["index"]))
+        self.residuals.append(residual)
+        self.contacts.look(sim)
+        self.joints.look(sim)
+        self.actuators.look(sim)
+
+    def findings(self, depth: float | None = None, failed: bool = False) -> list[Finding]:
+        """What the run shows, the most severe first.
+
+        depth: at which contacts are wanted to rest [m]; by default a depth is only a finding where
+        it is large beside the geoms. failed: whether the run did.
+        """
+        every = (
+            *self.contacts.findings(self.times, depth),
+            *self.joints.findings(),
+            *self.actuators.findings(),
+            *self._unsolved_rows(),
+        )
+        return ordered(each for each in every if not failed or each.kind in BEFORE)
+
+    def _unsolved_rows(self) -> Iterator[Finding]:
+        """A residual that stays: the median over the last part of the run, beside gravity."""
+        model, settings = self.model, self.model.settings
+        gravity = float(np.linalg.norm(model.scene.gravity)) if model.scene.features.gravity else 0
+        given = gravity * settings.dt
+        if not self.residuals or not given:
+            return
+        stays = float(np.median(self.residuals[-max(1, int(REST * len(self.residuals))) :]))
+        if not stays > UNSOLVED * given:
+            return
+        share = percent(stays / given) if stays < given else times(stays / given)
+        pgs = settings.law == "solref" and settings.solver == "pgs"
+        worst = named(model, self.unsolved[0], [self.unsolved[1]])
+        yield Finding(
+            "residual",
+            "warning",
+            f"the rows are not solved by {solver_words(settings)}: a residual of {speed(stays)} "
+            f"stays, {share} of the speed that gravity gives in a step, worst in {worst[0].name}",
+            f"use more sweeps{', solver newton' * pgs} or smaller time steps; `stepcore converge` "
+            "says how many",
+            worst,
+            stays,
+            "m/s",
+            commands=(Next("converge", "how many sweeps, or how small a step, solve the rows"),),
+        )
+
+
+def monitored(runner: Runner, settings: Settings) -> list[Finding]:
+    """The findings of a measurement's motion from its first start, under some settings."""
+    monitor = Monitor(runner.model.with_settings(settings), runner.bodies, runner.schedule.periods)
+    path = runner.run(settings, 0, [monitor])
+    return monitor.findings(failed=path.failure is not None)

@@ -1,0 +1,277 @@
+"""What a run's actuators do: clamped controls, saturated forces, servos that do not hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.measure.monitors.contacts import FEWEST, REST
+from stepcore.measure.monitors.finding import Finding, Named, Next, named
+from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
+
+# A force this near to the end of its range is at it.
+AT_END = 1e-9
+# A servo pushes against what carries this part of its force.
+HALF = 0.5
+# At rest an error changes by less than this share of itself over the end of a run.
+STEADY = 0.05
+# Clamping and saturation are worth saying from these shares of a run on.
+CLAMPED, SATURATED = 0.05, 0.5
+# How far a servo may sag: of a radian, or of the range of a slide; and what a cure leaves of that.
+SAGS, LEFT = 0.1, 0.1
+PLOT = Next("run", "energy over time", ("--plot", "run.png"))
+
+
+@dataclass(frozen=True)
+class Clamped:
+    """An actuator whose control was clamped for a share of the run; value: furthest outside."""
+
+    actuator: int
+    share: float
+    value: float
+
+
+@dataclass(frozen=True)
+class Saturated:
+    """An actuator whose force was at the end of its range for a share of the run."""
+
+    actuator: int
+    share: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A position servo at rest under a constant control.
+
+    error: of its length from what the control asks for [rad or m], before the gear. force: what it
+    pushes with [N·m or N]; saturated: whether that is the end of its force range. loaded: whether
+    it pushes against a weight, and not against a limit or a thing that it holds or presses.
+    """
+
+    actuator: int
+    error: float
+    force: float
+    saturated: bool
+    loaded: bool
+
+
+class ActuatorMonitor:
+    """The actuators of one run."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.works = model.nu > 0 and model.scene.features.actuation
+        # Position feedback that pulls back, on a joint of one coordinate.
+        servos = [k for k in on_one_dof(model) if model.actuator_bias[k, 1] < 0]
+        self.servos = np.array(servos, dtype=int)
+        self.joints = [int(joint) for joint in model.actuator_joint[self.servos]]
+        self.at = model.jnt_qposadr[self.joints] if self.joints else self.servos
+        self.ctrl: list[np.ndarray] = []
+        self.force: list[np.ndarray] = []
+        self.length: list[np.ndarray] = []
+        self.sim: Sim | None = None
+
+    def look(self, sim: Sim) -> None:
+        """Records every actuator."""
+        if self.works:
+            self.sim = sim
+            self.ctrl.append(np.array(sim.ctrl))
+            self.force.append(np.array(sim.actuator_force))
+            gear = self.model.actuator_gear[self.servos, 0]
+            self.length.append(gear * np.array(sim.qpos)[self.at])
+
+    def clamped(self) -> Iterator[Clamped]:
+        """Controls outside of their range."""
+        if not self.ctrl or not self.model.scene.features.clampctrl:
+            return
+        ctrl, bounds = np.array(self.ctrl), self.model.actuator_ctrlrange
+        outside = np.maximum(bounds[:, 0] - ctrl, ctrl - bounds[:, 1])
+        for k in np.flatnonzero((outside > 0).any(axis=0)):
+            share = float(np.mean(outside[:, k] > 0))
+            yield Clamped(int(k), share, float(ctrl[outside[:, k].argmax(), k]))
+
+    def saturated(self) -> Iterator[Saturated]:
+        """Forces at the end of their range."""
+        if not self.force:
+            return
+        force, bounds = np.array(self.force), self.model.actuator_forcerange
+        room = AT_END * np.abs(bounds)
+        with np.errstate(invalid="ignore"):
+            low, high = force <= bounds[:, 0] + room[:, 0], force >= bounds[:, 1] - room[:, 1]
+        # One that rests at 0 is not saturated where its range begins there.
+        low, high = low & (force != 0), high & (force != 0)
+        for k in np.flatnonzero((low | high).any(axis=0)):
+            end = bounds[k, 0] if low[:, k].sum() > high[:, k].sum() else bounds[k, 1]
+            yield Saturated(int(k), float(np.mean(low[:, k] | high[:, k])), float(end))
+
+    def at_rest(self) -> Iterator[Servo]:
+        """Position servos whose control and error are constant over the end of the run."""
+        count = max(FEWEST, int(REST * len(self.ctrl)))
+        if len(self.ctrl) < count or not len(self.servos):
+            return
+        model = self.model
+        ends = {saturated.actuator for saturated in self.saturated() if saturated.share > 0}
+        ctrl, length = np.array(self.ctrl[-count:]), np.array(self.length[-count:])
+        if model.scene.features.clampctrl:
+            ctrl = np.clip(ctrl, *model.actuator_ctrlrange.T)
+        for column, k in enumerate(self.servos):
+            gain, bias = model.actuator_gain[k], model.actuator_bias[k]
+            asked = (gain * ctrl[:, k] + bias[0]) / -bias[1]
+            error = asked - length[:, column]
+            mean = float(error.mean())
+            if np.ptp(ctrl[:, k]) == 0 and float(np.ptp(error)) < STEADY * abs(mean):
+                force = float(self.force[-1][k])
+                low, high = model.actuator_forcerange[k]
+                full = int(k) in ends and not low * (1 - 1e-6) < force < high * (1 - 1e-6)
+                loaded = self._loaded(column, float(asked[-1]), force)
+                yield Servo(int(k), mean, force, full, loaded)
+
+    def _loaded(self, column: int, asked: float, force: float) -> bool:
+        """Whether a servo pushes against a weight at the end of the run.
+
+        The weight of what hangs on its joint, or, in a tree that stands on a floor, of the tree.
+        """
+        model, joint, sim = self.model, self.joints[column], self.sim
+        gear = float(model.actuator_gear[self.servos[column], 0])
+        low, high = model.jnt_range[joint]
+        if sim is None or not gear or not low <= asked / gear <= high:
+            return False
+        dof = int(model.jnt_dofadr[joint])
+        weight = float(sim.bias[dof] - sim.passive[dof]) / gear
+        if weight * force >= HALF * force**2:
+            return True
+        tree = model.root(int(model.jnt_body[joint]))
+        free = (j for j, kind in enumerate(model.jnt_type) if kind == "free")
+        if tree not in [model.root(int(model.jnt_body[j])) for j in free]:
+            return False
+        touched = {
+            frozenset(model.root(int(model.geom_body[geom])) for geom in pair)
+            for pair in zip(sim.contacts["geom1"], sim.contacts["geom2"], strict=True)
+        }
+        touches = [pair for pair in touched if tree in pair]
+        return bool(touches) and all(pair <= {tree, 0} for pair in touches)
+
+    def findings(self) -> Iterator[Finding]:
+        """All findings on actuators."""
+        model, explained = self.model, set()
+        for servo in self.at_rest():
+            # One that presses against a thing or a limit is meant to, and may be saturated.
+            finding = self._sags(servo) if servo.loaded else None
+            if finding is not None or not servo.loaded:
+                explained.add(servo.actuator)
+            if finding is not None:
+                yield finding
+        for clamped in self.clamped():
+            if clamped.share < CLAMPED:
+                continue
+            actuator = named(model, "actuator", [clamped.actuator])
+            low, high = model.actuator_ctrlrange[clamped.actuator]
+            yield Finding(
+                "clamped control",
+                "warning",
+                f"the control of {actuator[0].name} is clamped for {percent(clamped.share)} of the "
+                f"run, {clamped.value:.4g} to its ctrlrange of {low:.4g} to {high:.4g}",
+                "widen the ctrlrange, or scale the control",
+                actuator,
+                clamped.share,
+                "1",
+                commands=(PLOT,),
+            )
+        servos = set(self.servos.tolist()) - explained
+        full = [s for s in self.saturated() if s.share >= SATURATED and s.actuator in servos]
+        if full:
+            yield self._saturated(sorted(full, key=lambda saturated: -saturated.share))
+
+    def _saturated(self, full: list[Saturated]) -> Finding:
+        """Servos at the ends of their force ranges, in one sentence; the longest there first."""
+        model = self.model
+        actuators = named(model, "actuator", [saturated.actuator for saturated in full])
+        ends = dict.fromkeys(strength(model, at.actuator, abs(at.end)) for at in full)
+        largest = max(full, key=lambda saturated: abs(saturated.end))
+        force = f"up to {strength(model, largest.actuator, abs(largest.end))}"
+        force = next(iter(ends)) if len(ends) == 1 else force
+        shares = list(dict.fromkeys(percent(saturated.share) for saturated in reversed(full)))
+        share = f"{shares[0].removesuffix(' %')} to {shares[-1]}" if shares[1:] else shares[0]
+        one = "is at the end of its forcerange"
+        ranges = one if len(full) == 1 else "are at the ends of their forceranges"
+        return Finding(
+            "saturation",
+            "warning",
+            f"{self._all(actuators)} {ranges} ({force}) for {share} of the run, where kv has "
+            "no effect",
+            "slow the motion or lower kp; a wider forcerange must be one that the hardware has",
+            actuators,
+            full[0].share,
+            "1",
+            commands=(PLOT,),
+        )
+
+    def _all(self, actuators: tuple[Named, ...]) -> str:
+        """All of some actuators by name: "servos `a`, `b` and `c`"."""
+        names = [actuator.name for actuator in actuators]
+        given = [self.model.actuator_names[actuator.index] for actuator in actuators]
+        if len(names) > 1 and all(given):
+            names = [f"`{name}`" for name in given]
+            names[0] = f"servos {names[0]}"
+        return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+    def _sags(self, servo: Servo) -> Finding | None:
+        """A servo that rests away from what its control asks for, if its load causes that."""
+        model, k = self.model, servo.actuator
+        joint = int(model.actuator_joint[k])
+        angular = model.jnt_type[joint] == "hinge"
+        low, high = (float(bound) for bound in model.jnt_range[joint])
+        gear = abs(float(model.actuator_gear[k, 0])) or 1.0
+        error = abs(servo.error) / gear
+        notable = SAGS if angular else SAGS * min(high - low, 1.0)
+        if error <= notable:
+            return None
+        actuator, length = named(model, "actuator", [k]), radians if angular else metres
+        force, kp = strength(model, k, abs(servo.force)), -float(model.actuator_bias[k, 1])
+        if servo.saturated:
+            kind, severity = "servo too weak", "error"
+            problem = (
+                f"cannot hold its load: it rests {length(error)} from where its control asks it to "
+                f"be, at the end of its forcerange ({force})"
+            )
+            cure = "widen the forcerange, raise the gear, or lighten the load"
+        else:
+            kind, severity = "servo sags", "warning"
+            problem = (
+                f"sags by {length(error)} under its load of {force}, which is load / kp with kp "
+                f"{kp:.4g}"
+            )
+            enough, leaves = kp * error / (LEFT * notable), length(LEFT * notable)
+            cure = f"kp {enough:.3g} leaves {leaves}, or let the control carry the load"
+        return Finding(
+            kind,
+            severity,
+            f"{actuator[0].name} {problem}",
+            cure,
+            actuator,
+            error,
+            "rad" if angular else "m",
+            commands=(PLOT,),
+        )
+
+
+def on_one_dof(model: Model) -> list[int]:
+    """Actuators on a hinge or a slide that have no activation."""
+    both = zip(model.actuator_joint, model.actuator_actadr, strict=True)
+    return [
+        k
+        for k, (joint, act) in enumerate(both)
+        if joint >= 0 and act < 0 and model.jnt_type[joint] in ("hinge", "slide")
+    ]
+
+
+def strength(model: Model, actuator: int, force: float) -> str:
+    """An actuator's force in words, as a torque where its joint turns."""
+    joint = int(model.actuator_joint[actuator])
+    linear = joint < 0 or model.jnt_type[joint] == "slide"
+    return quantity(force, FORCES if linear else TORQUES)

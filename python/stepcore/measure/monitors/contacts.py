@@ -1,0 +1,487 @@
+"""What a run's contacts do: overlap at the start, creep, rest too deep, slide without friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.experiment.errors import STICKS
+from stepcore.experiment.friction import Friction
+from stepcore.experiment.sizes import Sizes
+from stepcore.measure.monitors.finding import Finding, Named, Next, listed, named, others
+from stepcore.measure.monitors.soft_rows import advised, pair_solimp
+from stepcore.report.units import metres, newtons, percent, speed
+
+# Something may have come to rest in this part of a run, at its end. At rest a quantity varies by
+# less than this share of its mean. Fewer looks than this say nothing of rest or of creep.
+REST, STEADY, FEWEST = 0.25, 0.2, 8
+# A creep's velocity differs by less than this share from its mean, over this many time constants;
+# it is under a load of more than this share of what friction could be.
+UNSTEADY, WINDOW, RUBS = 0.5, 10.0, 0.05
+# An edge of a friction pyramid does not push if its force is below this share of the strongest.
+EDGE = 1e-6
+# Worth saying, as a part of the thickness of the thinner geom: creep in a second, a depth at rest,
+# an overlap at the start, an overlap that joints keep up, sliding without friction in a second.
+CREEP, DEEP, OVERLAP, JAMMED, SLIDES = 0.01, 0.1, 0.01, 0.2, 0.1
+# An overlap at the start that is at most this many times as deep at rest is how the scene rests.
+RESTS = 3.0
+# What a cure leaves, as a part of what is worth saying.
+LEFT = 0.1
+# A larger impratio is not advised: the rows would be too unequal to be solved.
+IMPRATIO = 1e4
+
+# A pair of geoms, and which of its contacts.
+Key = tuple[int, int]
+
+
+class Look(NamedTuple):
+    """One contact at one look: held says whether friction holds it; past: tangential velocity."""
+
+    look: int
+    depth: float
+    force: float
+    share: float
+    held: bool
+    past: np.ndarray
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Two geoms that overlap at the start by a depth [m].
+
+    movable: whether some joint moves them apart. apart: how fast they left the overlap [m/s]; 0
+    if they did not.
+    """
+
+    pair: int
+    depth: float
+    movable: bool = True
+    apart: float = 0.0
+
+
+@dataclass(frozen=True)
+class Creep:
+    """A contact that moves at a mean speed [m/s] although its friction holds it for a time [s].
+
+    share: friction over μ × normal force.
+    """
+
+    pair: int
+    part: int
+    speed: float
+    held: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Slide:
+    """A contact without friction that slides at a mean speed [m/s]."""
+
+    pair: int
+    part: int
+    speed: float
+
+
+@dataclass(frozen=True)
+class Resting:
+    """A contact at rest at the end of a run: its depth [m] and normal force [N]."""
+
+    pair: int
+    part: int
+    depth: float
+    force: float
+
+
+class ContactMonitor:
+    """The contacts of one run."""
+
+    def __init__(self, model: Model, friction: Friction, sizes: Sizes) -> None:
+        self.model, self.friction, self.sizes = model, friction, sizes
+        self.separation: Separation | None = None
+        self.seen: dict[Key, list[Look]] = {}
+        self.looks = 0
+
+    def begin(self, sim: Sim) -> None:
+        """The overlaps of the start, by another Sim: this one keeps its warm impulses."""
+        if not self.model.npair:
+            return
+        aside = Sim(self.model, sim.settings)
+        aside.qpos[:] = sim.qpos
+        aside.forward()
+        contacts = aside.contacts[aside.contacts["dist"] < 0]
+        if len(contacts):
+            movable = self.friction.movable(aside, contacts)
+            self.separation = Separation(aside, contacts, movable, sim.time)
+
+    def look(self, sim: Sim) -> None:
+        """Records every contact."""
+        if not self.model.npair:
+            return
+        look, self.looks = self.looks, self.looks + 1
+        if self.separation is not None:
+            self.separation.look(sim)
+        contacts = sim.contacts
+        if not len(contacts):
+            return
+        # What diverges may be too large to multiply.
+        with np.errstate(over="ignore", invalid="ignore"):
+            force, normal = contacts["force"], contacts["normal"]
+            pushed = np.einsum("ci,ci->c", force, normal)
+            rubbed = np.linalg.norm(force - pushed[:, None] * normal, axis=1)
+            past = self.friction.passing(sim, contacts)
+            past = past - np.einsum("ci,ci->c", past, normal)[:, None] * normal
+        sticks = self._sticks(sim)
+        for k in np.flatnonzero(pushed > 0):
+            key = int(contacts["index"][k]), int(contacts["part"][k])
+            most = self.friction.of(key[0]) * pushed[k]
+            share = rubbed[k] / most if most > 0 else 0.0
+            held = share < STICKS[sim.settings.cone] or sticks.get(key, False)
+            depth = -float(contacts["dist"][k])
+            seen = Look(look, depth, float(pushed[k]), float(share), bool(held), past[k])
+            self.seen.setdefault(key, []).append(seen)
+
+    def _sticks(self, sim: Sim) -> dict[Key, bool]:
+        """Contacts whose friction is within its pyramid, because every edge pushes.
+
+        Between its edges a pyramid yields at less friction than along them.
+        """
+        settings = sim.settings
+        if settings.law != "solref" or settings.cone != "pyramidal":
+            return {}
+        rows = sim.rows
+        rows = rows[rows["kind"] == "contact"]
+        forces: dict[Key, list[float]] = {}
+        for index, part, force in zip(rows["index"], rows["part"], rows["force"], strict=True):
+            forces.setdefault((int(index), int(part)), []).append(float(force))
+        return {key: min(edges) > EDGE * max(edges) for key, edges in forces.items()}
+
+    # What the looks show.
+
+    @property
+    def starts(self) -> list[Overlap]:
+        """The overlaps at the start, the deepest first."""
+        return [] if self.separation is None else self.separation.overlaps()
+
+    def creeps(self, times: list[float]) -> Iterator[Creep]:
+        """Contacts that move steadily for a while although friction holds them.
+
+        Soft friction is a damper: the speed that a contact begins with dies away within its time
+        constant, and under a load a speed remains. Of all windows of `WINDOW` time constants (and
+        at least a tenth of the run) the fastest steady speed counts. times: of the looks [s].
+        """
+        spacing = (times[-1] - times[0]) / max(1, len(times) - 1) if len(times) > 1 else 0.0
+        for (pair, part), seen in self.seen.items():
+            if self.friction.of(pair) <= 0 or not spacing:
+                continue
+            constant = self.model.contact_pair(pair).solref[0]
+            least = WINDOW * constant / spacing if constant > 0 else 0.0
+            count = math.ceil(max(FEWEST, least, 0.1 * self.looks))
+            creeps = [
+                creep
+                for held in _spells(seen)
+                for first in range(0, len(held) - count + 1, max(1, count // 2))
+                if (creep := _steady(pair, part, held[first : first + count], times))
+            ]
+            if creeps:
+                yield max(creeps, key=lambda creep: creep.speed)
+
+    def slides(self) -> Iterator[Slide]:
+        """Contacts without friction that were there for a fifth of the run or more."""
+        for (pair, part), seen in self.seen.items():
+            if self.friction.of(pair) > 0 or len(seen) < max(FEWEST, 0.2 * self.looks):
+                continue
+            yield Slide(pair, part, float(np.mean([np.linalg.norm(at.past) for at in seen])))
+
+    def resting(self) -> Iterator[Resting]:
+        """Contacts that keep their depth to the end of the run."""
+        first = self.looks - max(FEWEST, int(REST * self.looks))
+        for (pair, part), seen in self.seen.items():
+            late = [at for at in seen if at.look >= first]
+            depth = np.array([at.depth for at in late])
+            if len(late) < self.looks - first or depth.min() <= 0:
+                continue
+            if np.ptp(depth) < STEADY * depth.mean():
+                force = float(np.mean([at.force for at in late]))
+                yield Resting(pair, part, float(depth.mean()), force)
+
+    # What is worth saying of them.
+
+    def findings(self, times: list[float], depth: float | None) -> Iterator[Finding]:
+        """All findings on contacts; times: of the looks [s]; depth: see `Monitor.findings`."""
+        resting, starts = list(self.resting()), self.starts
+        jammed = self._jammed(starts, resting)
+        if jammed:
+            yield self._jam(list(jammed.values()))
+        resting = [rest for rest in resting if rest.pair not in jammed]
+        yield from self._overlaps([at for at in starts if at.pair not in jammed], resting)
+        if self.model.settings.law == "solref":
+            yield from self._creeps(times)
+            yield from self._depths(resting, depth)
+        yield from self._slides()
+
+    def _thick(self, pair: int) -> float:
+        return self.sizes.contact(*self.model.contact_pair(pair).geoms)
+
+    def _named(self, pairs: Iterable[int]) -> tuple[Named, ...]:
+        return named(self.model, "contact", pairs)
+
+    def _geoms(self, pair: int) -> str:
+        """The two geoms of a pair as the subject of a sentence."""
+        model, geoms = self.model, self.model.contact_pair(pair).geoms
+        names = [model.geom_names[geom] for geom in geoms]
+        if all(names):
+            return "geoms " + " and ".join(f"`{name}`" for name in names)
+        return " and ".join(model.element_name("geom", geom) for geom in geoms)
+
+    def _jammed(self, starts: list[Overlap], resting: list[Resting]) -> dict[int, Resting]:
+        """Pairs of one tree that overlap from the start to the end: their joints hold them."""
+        rest = {at.pair: at for at in resting}
+        jammed: dict[int, Resting] = {}
+        for start in starts:
+            at, geoms = rest.get(start.pair), self.model.contact_pair(start.pair).geoms
+            roots = {self.model.root(int(self.model.geom_body[g])) for g in geoms}
+            deep = JAMMED * self.sizes.contact(*geoms)
+            if at is not None and len(roots) == 1 and min(start.depth, at.depth) > deep:
+                jammed.setdefault(at.pair, at)
+        return jammed
+
+    def _jam(self, jammed: list[Resting]) -> Finding:
+        worst, contacts = jammed[0], self._named(at.pair for at in jammed)
+        also = others([contact.name for contact in contacts[1:]], "pairs")
+        return Finding(
+            "overlap",
+            "warning",
+            f"{self._geoms(worst.pair)} overlap by {metres(worst.depth)}{also}, as their joints "
+            f"hold them, and push each other with {newtons(worst.force)} all the time",
+            self._apart(worst.pair),
+            contacts,
+            worst.depth,
+            "m",
+            commands=TEST_CONTACTS,
+        )
+
+    def _overlaps(self, starts: list[Overlap], resting: list[Resting]) -> Iterator[Finding]:
+        """Pairs that overlap at the start, and not because they rest like that."""
+        rest: dict[int, float] = {}
+        for at in resting:
+            rest[at.pair] = max(rest.get(at.pair, 0.0), at.depth)
+        deep: dict[int, Overlap] = {}
+        for start in starts:
+            notable = OVERLAP * self._thick(start.pair)
+            known = RESTS * rest.get(start.pair, 0.0)
+            if start.depth > (max(notable, known) if start.movable else LEFT * notable):
+                deep.setdefault(start.pair, start)
+        if not deep:
+            return
+        worst, contacts = next(iter(deep.values())), self._named(deep)
+        share = worst.depth / self._thick(worst.pair)
+        thrown = self._thrown(worst)
+        becomes = f" and are thrown apart at {speed(worst.apart)}" if thrown else ""
+        if not worst.movable:
+            becomes = " and no joint can move them apart"
+        also = others([contact.name for contact in contacts[1:]], "pairs")
+        yield Finding(
+            "overlap at the start",
+            "error" if share > OVERLAP * 10 and (thrown or not worst.movable) else "warning",
+            f"{self._geoms(worst.pair)} overlap by {metres(worst.depth)} at the start, "
+            f"{percent(share)} of the thinner one's half thickness{also},{becomes}".rstrip(","),
+            self._apart(worst.pair),
+            contacts,
+            worst.depth,
+            "m",
+            commands=TEST_CONTACTS,
+        )
+
+    def _thrown(self, overlap: Overlap) -> bool:
+        """Whether an overlap threw its geoms further apart than it was deep: v²/2g > depth."""
+        features = self.model.scene.features
+        gravity = float(np.linalg.norm(self.model.scene.gravity)) if features.gravity else 0.0
+        return overlap.apart**2 > 2 * gravity * overlap.depth
+
+    def _apart(self, pair: int) -> str:
+        """How two geoms come apart: other positions, or no contact between the two bodies."""
+        model = self.model
+        bodies = [int(model.geom_body[geom]) for geom in model.contact_pair(pair).geoms]
+        tree = [model.root(body) for body in bodies]
+        if tree[0] == tree[1] and tree[0]:
+            a, b = (model.body_names[body] or "…" for body in bodies)
+            exclude = f'<exclude body1="{a}" body2="{b}"/>'
+            return f"leave them out with {exclude}, or make the geoms smaller"
+        mover = model.element_name("body", bodies[1] if tree[1] else bodies[0])
+        return f"move {mover} away by that much in the model or in the keyframe"
+
+    def _creeps(self, times: list[float]) -> Iterator[Finding]:
+        """Contacts that move although their friction holds."""
+        settings = self.model.settings
+        creeps = [
+            (ratio, creep)
+            for creep in self.creeps(times)
+            if (ratio := creep.speed / (CREEP * self._thick(creep.pair))) > 1
+        ]
+        if not creeps or settings.stiction:
+            return
+        creeps.sort(key=lambda entry: -entry[0])
+        ratio, worst = creeps[0]
+        contacts = self._named(creep.pair for _, creep in creeps)
+        impratio = _round_up(settings.impratio * ratio / LEFT)
+        cure = 'stiction=True or law="rigid" (solver pgs, integrator semi-implicit) leaves none'
+        changes = {}
+        if impratio <= IMPRATIO:
+            changes = {"cone": "elliptic", "impratio": impratio}
+            less = speed(worst.speed * settings.impratio / impratio)
+            cure = f'cone="elliptic" with impratio="{impratio:g}" leaves {less} or less, and {cure}'
+        sets = [word for name, value in changes.items() for word in ("--set", _set(name, value))]
+        yield Finding(
+            "creep",
+            "warning",
+            f"{listed(contacts, 'contacts')} creeps at {speed(worst.speed)} although its friction "
+            f"holds ({percent(worst.share)} of what it could be)",
+            cure,
+            contacts,
+            worst.speed,
+            "m/s",
+            changes,
+            (Next("run", "whether the creep is gone", tuple(sets)),) if sets else (),
+        )
+
+    def _depths(self, resting: list[Resting], asked: float | None) -> Iterator[Finding]:
+        """How deep contacts rest, and the solref that makes it less."""
+        notable = []
+        for at in resting:
+            thick = self._thick(at.pair)
+            ratio = at.depth / (DEEP * thick)
+            if ratio > 1 or (asked is not None and at.depth > asked):
+                notable.append((ratio, thick, at))
+        if not notable:
+            return
+        notable.sort(key=lambda entry: -entry[2].depth if asked is not None else -entry[0])
+        ratio, thick, worst = notable[0]
+        contacts = self._named(at.pair for _, _, at in notable)
+        pair = self.model.contact_pair(worst.pair)
+        wanted = asked if asked is not None else LEFT * DEEP * thick
+        solimp = pair_solimp(self.model, *pair.geoms)
+        yield Finding(
+            "depth at rest",
+            "warning" if ratio > 1 else "remark",
+            f"{listed(contacts, 'contacts')} rests {metres(worst.depth)} deep, "
+            f"{percent(worst.depth / thick)} of the thinner geom's half thickness, under "
+            f'solref="{pair.solref[0]:g} {pair.solref[1]:g}"',
+            advised("", pair.solref, solimp, worst.depth, wanted, self.model.settings),
+            contacts,
+            worst.depth,
+            "m",
+            commands=TEST_CONTACTS,
+        )
+
+    def _slides(self) -> Iterator[Finding]:
+        """Contacts that have no friction, and slide."""
+        fast = [at for at in self.slides() if at.speed > SLIDES * self._thick(at.pair)]
+        if not fast:
+            return
+        fast.sort(key=lambda slide: -slide.speed)
+        contacts = self._named(slide.pair for slide in fast)
+        frictionless = self.model.contact_pair(fast[0].pair).condim == 1
+        cure = 'condim="3"' if frictionless else 'friction="0.8"'
+        why = "condim is 1" if frictionless else "its friction is 0"
+        yield Finding(
+            "no friction",
+            "remark",
+            f"{listed(contacts, 'contacts')} slides at {speed(fast[0].speed)} without friction, "
+            f"because {why}",
+            f"{cure} on one of the two geoms gives it friction",
+            contacts,
+            fast[0].speed,
+            "m/s",
+        )
+
+
+TEST_CONTACTS = (
+    Next("converge", "whether the contacts are solved"),
+    Next("run", "energy and overlap over time", ("--plot", "run.png")),
+)
+
+
+class Separation:
+    """How fast the geoms that overlap at the start come apart."""
+
+    def __init__(self, sim: Sim, contacts: np.ndarray, movable: list[bool], time: float) -> None:
+        owner = sim.model.geom_body
+        self.pairs, self.movable = contacts["index"].tolist(), movable
+        self.depth, self.normal = -contacts["dist"], np.array(contacts["normal"])
+        self.bodies = [owner[contacts[name]] for name in ("geom1", "geom2")]
+        # The point of the contact in the frame of each of the two bodies.
+        self.points = [
+            np.einsum("cji,cj->ci", sim.xmat[body], contacts["pos"] - sim.xpos[body])
+            for body in self.bodies
+        ]
+        self.time, self.moved = time, np.zeros(len(contacts))
+        self.speed = np.zeros(len(contacts))
+
+    def look(self, sim: Sim) -> None:
+        """Notes the speed of those that leave their overlap."""
+        place, turn = sim.xpos, sim.xmat
+        with np.errstate(over="ignore", invalid="ignore"):
+            first, second = (
+                place[body] + np.einsum("cij,cj->ci", turn[body], point)
+                for body, point in zip(self.bodies, self.points, strict=True)
+            )
+            moved = np.einsum("ci,ci->c", self.normal, second - first)
+            if sim.time > self.time:
+                leaves = (self.moved < self.depth) & (moved >= self.depth)
+                speed = (moved - self.moved) / (sim.time - self.time)
+                self.speed = np.where(leaves, np.maximum(self.speed, speed), self.speed)
+        self.time, self.moved = sim.time, moved
+
+    def overlaps(self) -> list[Overlap]:
+        """The overlaps with what became of them, the deepest first."""
+        values = zip(
+            self.pairs, self.depth.tolist(), self.movable, self.speed.tolist(), strict=True
+        )
+        return sorted((Overlap(*value) for value in values), key=lambda at: -at.depth)
+
+
+def settled(series: np.ndarray) -> float | None:
+    """The mean of the end of a series; None where it still varies there."""
+    late = series[-max(FEWEST, int(REST * len(series))) :]
+    mean = float(late.mean())
+    steady = len(late) >= FEWEST and mean > 0 and float(np.ptp(late)) < STEADY * mean
+    return mean if steady else None
+
+
+def _spells(seen: list[Look]) -> Iterator[list[Look]]:
+    """Spells of looks in a row in which friction held."""
+    spell: list[Look] = []
+    for at in seen:
+        if spell and (not at.held or at.look != spell[-1].look + 1):
+            yield spell
+            spell = []
+        if at.held:
+            spell.append(at)
+    if spell:
+        yield spell
+
+
+def _steady(pair: int, part: int, held: list[Look], times: list[float]) -> Creep | None:
+    """The creep in a window; None where its speed changes, or nothing rubs."""
+    past = np.array([at.past for at in held])
+    drift, share = past.mean(axis=0), float(np.mean([at.share for at in held]))
+    mean = float(np.linalg.norm(drift))
+    if share < RUBS or np.linalg.norm(past - drift, axis=1).max() > UNSTEADY * mean:
+        return None
+    return Creep(pair, part, mean, times[held[-1].look] - times[held[0].look], share)
+
+
+def _round_up(value: float) -> float:
+    """1, 2 or 5 times a power of ten, not below the value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(power * step for step in (1, 2, 5, 10) if power * step >= value * (1 - 1e-9))
+
+
+def _set(name: str, value: str | float) -> str:
+    return f"{name}={value}" if isinstance(value, str) else f"{name}={value:g}"
