@@ -206,3 +206,10 @@ def test_an_option_is_read_as_its_setting(attribute, setting):
     mujoco.MjModel.from_xml_string(text)
     name, _, value = setting.partition("=")
     assert getattr(sc.loads(text).settings, name) == eval(value)
+
+
+def test_what_only_draws_is_listed_where_the_page_says():
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
+    named = re.search(r"what only draws is listed in `scene\.(\w+)`", text)[1]
+    scene = sc.loads("<mujoco><worldbody><light/><geom size='1'/></worldbody></mujoco>")
+    assert "light" in " ".join(getattr(scene, named))
