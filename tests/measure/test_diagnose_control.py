@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.measure.diagnosis.control_probe import with_feedback
+from stepcore.measure.diagnosis.control import with_feedback
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import State, step_map
 

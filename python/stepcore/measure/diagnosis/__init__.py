@@ -17,13 +17,11 @@ from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import HORIZON, home, scheduled
 from stepcore.measure.diagnosis.advice import advise
 from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
+from stepcore.measure.diagnosis.control import KIND, with_feedback
 from stepcore.measure.diagnosis.control_advice import advise_control, longest_period
-from stepcore.measure.diagnosis.control_elements import KIND
-from stepcore.measure.diagnosis.control_probe import with_feedback
 from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST, Limit, dt_limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
-from stepcore.measure.diagnosis.held_control import held_for, sampled_often
 from stepcore.measure.diagnosis.judgement import Judge, Runaway, judge, judged_limit
 from stepcore.measure.diagnosis.limiters import limiters
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
@@ -34,7 +32,7 @@ from stepcore.measure.diagnosis.saturation import holds_when_kicked
 from stepcore.measure.diagnosis.solref import softened_from
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
-from stepcore.measure.diagnosis.visited_states import eased, nudged, start, visited
+from stepcore.measure.diagnosis.visited_states import eased, nudged, sampled_often, start, visited
 from stepcore.measure.diagnosis.words import gentle_chatter, notes
 from stepcore.report.progress import Choice
 from stepcore.scene.layout import Layout
@@ -122,8 +120,7 @@ def diagnose(
         visit = visited(model, schedule, safe)
         states = visit.states
         if control is not None:
-            states = with_feedback(model, states, control, period, horizon)
-            states = [held_for(state, motion.control_dt) for state in states]
+            states = with_feedback(model, states, control, period, horizon, motion.control_dt)
         here = step_stability(model, states, horizon)
         bar.advance()
     longest = max(LONGEST, 2 * wanted, 2 * settings.dt)

@@ -7,7 +7,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.control import fresh
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.held_control import steps_held
+from stepcore.measure.diagnosis.control import steps_held
 from stepcore.measure.diagnosis.linear_step import State, ask_control, sim_at
 from stepcore.measure.diagnosis.saturation import FASTEST, FASTEST_SLIDE, KICK
 from stepcore.measure.diagnosis.servo_range import driven_dof, reaching_speed

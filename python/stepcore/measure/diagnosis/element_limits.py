@@ -14,7 +14,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import INTEGRATORS, STIFFNESS_IMPLICIT
-from stepcore.measure.diagnosis.control_elements import KIND, control_dt
+from stepcore.measure.diagnosis.control import KIND, control_dt
 from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST
 from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
 from stepcore.measure.diagnosis.linear_motion import LinearMotion

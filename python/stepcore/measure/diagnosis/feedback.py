@@ -12,7 +12,7 @@ Wittenmark, Computer-Controlled Systems, chapter 3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,17 +48,17 @@ class Feedback:
         """Whether the controls depend on the state at all."""
         return bool(np.any(self.gain) or np.any(self.b))
 
+    @classmethod
+    def prompt_law(cls, function: Control, gain: Floats, period: float | None = None) -> Feedback:
+        """A function that remembers nothing."""
+        nu, width = gain.shape
+        none = np.zeros((0, 0)), np.zeros((0, width)), np.zeros((nu, 0))
+        return cls(function, period, gain, gain, *none)
+
     @property
     def prompt(self) -> Feedback:
-        """The same without its memory, with its settled gain: as the motion itself has it."""
-        none = np.zeros((0, 0)), np.zeros((0, self.gain.shape[1])), np.zeros((len(self.gain), 0))
-        return replace(self, gain=self.settled, a=none[0], b=none[1], c=none[2])
-
-    def scaled(self, position: float, velocity: float) -> Feedback:
-        """The same with its gains on positions and on velocities multiplied."""
-        n = self.gain.shape[1] // 2
-        by = np.repeat([position, velocity], n)
-        return replace(self, gain=self.gain * by, settled=self.settled * by, b=self.b * by)
+        """The law without its memory, with its settled gain: as the motion itself has it."""
+        return self.prompt_law(self.function, self.settled, self.period)
 
     def controls(self, x: Any, z: Any) -> Any:
         """u of blocks of x, shape (2 nv, …), and z, shape (m, …)."""

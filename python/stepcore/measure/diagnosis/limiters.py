@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.measure.diagnosis.control import steps_held
 from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.growth import step_growth
-from stepcore.measure.diagnosis.held_control import steps_held
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.shares import BEYOND, Shares
 from stepcore.measure.diagnosis.spectrum import eigenvalues

@@ -19,7 +19,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import DAMPING_IMPLICIT, STIFFNESS_IMPLICIT, stepped
 from stepcore.engine.model import Model
 from stepcore.experiment.joint_gains import implicit_kinds
-from stepcore.measure.diagnosis.control_elements import (
+from stepcore.measure.diagnosis.control import (
     KIND,
     control_inputs,
     control_matrices,

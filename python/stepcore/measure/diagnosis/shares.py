@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.measure.diagnosis.control import folded, steps_held
 from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.growth import step_growth
-from stepcore.measure.diagnosis.held_control import folded, steps_held
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.linear_step import State, step_map
 from stepcore.measure.diagnosis.spectrum import eigenvalues

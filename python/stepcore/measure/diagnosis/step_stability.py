@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.measure.diagnosis.control import CLEAR, growth_when_held
 from stepcore.measure.diagnosis.growth import (
     SLOW_TURN,
     StepGrowth,
     growth_beyond_motion,
     step_growth,
 )
-from stepcore.measure.diagnosis.held_control import CLEAR, growth_when_held
 from stepcore.measure.diagnosis.linear_motion import LinearMotion, linear_motion
 from stepcore.measure.diagnosis.linear_step import (
     VELOCITY_LAWS,

@@ -78,6 +78,17 @@ def nudged(schedule: Schedule, model: Model, growth: float) -> Schedule:
     return replace(schedule, starts=(replace(first, qvel=first.qvel + push), *schedule.starts[1:]))
 
 
+def sampled_often(schedule: Schedule, dt: float) -> Schedule:
+    """The schedule with a control period of at most dt [s]."""
+    count = max(1, math.ceil(schedule.period / dt * (1 - 1e-9)))
+    return replace(
+        schedule,
+        period=schedule.period / count,
+        periods=schedule.periods * count,
+        every=schedule.every * count,
+    )
+
+
 def start(model: Model, schedule: Schedule) -> State:
     """Where the motion begins."""
     first = schedule.starts[0]

@@ -1,0 +1,339 @@
+"""A user's control function in the linearised step: its linear law, its elements, its hold.
+
+The law is found by calling the function, a black box that may remember. Its answers to a change of
+each position and velocity, for one sample, are read over the samples that follow. From this impulse
+response the memory is realised as by Ho and Kalman (1966): the Hankel matrix of the response is
+split by its singular values. A function that remembers nothing has the response zero after the
+first sample, which two random changes show; its gain is then the central difference of two calls.
+
+A function may count its calls or look at the time between them. So every response begins with the
+memory that the function has at the state, and with as many calls without a change, at times one
+period apart; it is read as a difference to the last of them. What no copy reaches, such as an
+integral in a closure, falls out of the difference of both signs.
+
+A control u = D x (+ C z) of an actuator with the force b u on the dofs is an element with
+K = −b D_q and D = −b D_v, "control of motor `ankle`". Unlike a spring it is held: in every stage of
+a step, and in all steps of a control period, its force is that of the sample. With a period T that
+was asked for, a step dt < T is stable if the step itself is, with the controls sampled at every
+step, and if the map over T is, with its controls held. The motion itself has the controls at every
+instant, so what grows because they are held belongs to the control.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from stepcore._core import SimulationError
+from stepcore.engine.arrays import Floats
+from stepcore.engine.control import Control, controls, fresh
+from stepcore.engine.linear_maps import DAMPING_IMPLICIT, stepped
+from stepcore.engine.model import Model
+from stepcore.experiment.coordinates import Coordinates
+from stepcore.measure.diagnosis.element_id import ElementId
+from stepcore.measure.diagnosis.element_matrices import ElementMatrices
+from stepcore.measure.diagnosis.feedback import Feedback
+from stepcore.measure.diagnosis.growth import (
+    StepGrowth,
+    growth_beyond_motion,
+    largest_stable,
+    step_growth,
+    worst_growth,
+)
+from stepcore.measure.diagnosis.linear_step import TINY_STEP, State, closed_step, sim_at
+
+KIND = "control"
+# Changes of a position or velocity: the smaller, unless the answers are too coarse for it (a
+# network in single precision); they are if the answers to both differ by more than this share.
+SMALL, LARGE, COARSE = 1e-5, 1e-3, 1e-2
+# Samples of a response. Delays of up to half as many are found.
+SAMPLES = 32
+# A smaller part of a response, or singular value, is rounding.
+NOTHING = 1e-4
+# Models of more dofs have the memory that is found at the first state at every state.
+MOST_DOFS = 10
+# An eigenvalue of this size is an explosion whatever the motion does.
+CLEAR = 1.5
+
+
+# --- the linear law -------------------------------------------------------------------------------
+
+
+def with_feedback(
+    model: Model,
+    states: Sequence[State],
+    control: Control,
+    dt: float,
+    horizon: float,
+    period: float | None = None,
+) -> list[State]:
+    """The states with the control function linearised at each, and its controls there.
+
+    dt: the time between two calls [s]. horizon: of the motion [s]; the function is not called at it
+    or beyond. period: of each `Feedback`.
+    """
+    made: list[State] = []
+    first: Feedback | None = None
+    for state in states:
+        # As it was when the run came by; before the first sample, as it begins.
+        control = control if state.control is None else state.control
+        probe = _Probe(model, state, control, dt, horizon)
+        if first is None or (first.order and model.nv <= MOST_DOFS):
+            feedback = probe.feedback()
+        elif first.order:
+            feedback = first
+        else:
+            feedback = Feedback.prompt_law(control, probe.gain())
+        first = first or feedback
+        held = replace(feedback, period=period) if feedback.acts else None
+        made.append(replace(state, ctrl=probe.now(), feedback=held))
+    return made
+
+
+class _Probe:
+    """Calls a control function at changed states."""
+
+    def __init__(
+        self, model: Model, state: State, control: Control, dt: float, horizon: float
+    ) -> None:
+        self.model, self.state, self.dt = model, state, dt
+        self.begun = self.control = control
+        self.last = max(0.0, horizon - dt)
+        # Where the samples around it lie within the motion.
+        around = SAMPLES * dt
+        self.middle = max(min(state.time, self.last - around), around)
+        self.sim = sim_at(model, state)
+        self.coordinates = Coordinates(model)
+        self.small = SMALL
+
+    def answer(self, change: Floats | None, sample: int | None = None) -> Floats:
+        """The controls at the state changed by [dq, dv]; sample: of a response, 0 in its middle."""
+        sim, n = self.sim, self.model.nv
+        qpos, qvel = self.state.qpos, self.state.qvel
+        if change is not None:
+            qpos, qvel = self.coordinates.moved(qpos, change[:n]), qvel + change[n:]
+        sim.qpos[:], sim.qvel[:], sim.ctrl[:] = qpos, qvel, self.state.ctrl
+        time = self.state.time if sample is None else self.middle + sample * self.dt
+        sim.time = min(max(time, 0.0), self.last)
+        sim.forward()
+        return controls(self.control, sim)
+
+    def now(self) -> Floats:
+        """The controls at the state."""
+        self.control = fresh(self.begun)
+        return self.answer(None)
+
+    def slope(self, answer: Callable[[Floats], Floats], direction: Floats) -> Floats:
+        """The derivative of an answer along a change."""
+        change, answers = self.small * direction, []
+        for signed in (change, -change):
+            # Both begin with the same memory.
+            self.control = fresh(self.begun)
+            answers.append(answer(signed))
+        slope: Floats = (answers[0] - answers[1]) / (2 * self.small)
+        return slope
+
+    def gain(self) -> Floats:
+        """D of a function that remembers nothing, shape (nu, 2 nv)."""
+        columns = [self.slope(self.answer, unit) for unit in np.eye(2 * self.model.nv)]
+        return np.array(columns).T.reshape(self.model.nu, 2 * self.model.nv)
+
+    def response(self, change: Floats) -> Floats:
+        """Answers to a change of one sample, less the last before it, shape (SAMPLES, nu)."""
+        for sample in range(-SAMPLES, 0):
+            before = self.answer(None, sample)
+        answers = [self.answer(change, 0)]
+        answers += [self.answer(None, sample) for sample in range(1, SAMPLES)]
+        return np.array(answers) - before
+
+    def feedback(self) -> Feedback:
+        """The function with what it remembers."""
+        rng = np.random.default_rng(0)
+        directions = rng.choice([-1.0, 1.0], (2, 2 * self.model.nv))
+        fine = [self.slope(self.response, direction) for direction in directions]
+        self.small = LARGE
+        coarse = [self.slope(self.response, direction) for direction in directions]
+        apart = max(float(np.abs(a - b).max()) for a, b in zip(fine, coarse, strict=True))
+        if apart <= COARSE * max(float(np.abs(b).max()) for b in coarse):
+            self.small, coarse = SMALL, fine
+        size = max(float(np.abs(some).max()) for some in coarse)
+        if all(float(np.abs(some[1:]).max()) <= NOTHING * size for some in coarse):
+            return Feedback.prompt_law(self.begun, self.gain())
+        columns = [self.slope(self.response, unit) for unit in np.eye(2 * self.model.nv)]
+        return realised(self.begun, np.array(columns).transpose(1, 2, 0))
+
+
+def realised(control: Control, response: Floats) -> Feedback:
+    """The least memory that has an impulse response, shape (samples, nu, 2 nv)."""
+    count, nu, width = response.shape
+    half = count // 2
+    later = response[1:]
+    hankel, shifted = (
+        np.block([[later[i + j + shift] for j in range(half - 1)] for i in range(half)])
+        for shift in (0, 1)
+    )
+    left, sizes, right = np.linalg.svd(hankel, full_matrices=False)
+    order = int(np.sum(sizes > NOTHING * sizes[0])) if sizes.size and sizes[0] > 0 else 0
+    root = np.sqrt(sizes[:order])
+    left, right = left[:, :order], right[:order]
+    a = (left.T @ shifted @ right.T) / root[:, None] / root[None, :]
+    b = root[:, None] * right[:, :width]
+    c = left[:nu] * root[None, :]
+    # What an integral keeps for ever is no delay.
+    kept = response[-1] if np.any(np.abs(np.linalg.eigvals(a)) > 0.99) else 0.0 * response[-1]
+    settled = response[0] - kept + (later - kept).sum(axis=0)
+    return Feedback(control, None, response[0], settled, a, b, c)
+
+
+# --- elements -------------------------------------------------------------------------------------
+
+
+def control_inputs(model: Model, state: State, mass: Floats) -> Floats:
+    """The force on the dofs of a unit of each control, shape (nv, nu)."""
+    sim = sim_at(model, state, integrator="explicit", dt=TINY_STEP, refsafe=False)
+    inputs: Floats = mass @ sim.linearize().B[model.nv : 2 * model.nv] / TINY_STEP
+    return inputs
+
+
+def control_matrices(
+    model: Model, feedback: Feedback, inputs: Floats
+) -> dict[ElementId, ElementMatrices]:
+    """Stiffness and damping of every control that depends on the state, its delays over."""
+    n = model.nv
+    matrices = {}
+    for actuator, gain in enumerate(feedback.settled):
+        force = inputs[:, actuator]
+        if np.any(force) and (np.any(feedback.gain[actuator]) or np.any(gain)):
+            pulls = -np.outer(force, gain)
+            element = ElementId.of(model, KIND, actuator)
+            matrices[element] = ElementMatrices(pulls[:, :n], pulls[:, n:])
+    return matrices
+
+
+def held_step(
+    integrator: str,
+    dt: float,
+    hold: int,
+    rates: Callable[[Any], Any],
+    block: Any,
+    mass: Floats,
+    late: tuple[Floats, Floats],
+    smooth: Callable[[Any], Any] | None,
+    feedback: Feedback,
+    inputs: Floats,
+) -> Any:
+    """The map of (x, z) over `hold` steps of dt [s] times a block, the controls of the first held.
+
+    rates: J without the controls, times a block. late: implicit damping and stiffness. smooth:
+    rates without the accelerations that `midpoint` adds after its implicit step, or None without
+    those. inputs: force of each control, shape (nv, nu).
+    """
+    n, (implicit, stiff) = len(mass), late
+    x, z = block[: 2 * n], block[2 * n :]
+    push = np.zeros_like(x)
+    push[n:] = np.linalg.solve(mass, inputs @ feedback.controls(x, z))
+    remembered = feedback.remembered(x, z)
+    for _ in range(hold):
+        if integrator == "midpoint":
+            whole = np.eye(2 * n)
+            within = (smooth or rates)(whole)
+            after = None if smooth is None else lambda y: (rates(y) - smooth(y))[n:]
+            x = stepped(integrator, dt, rates, x, mass, implicit, after)
+            x = x + np.linalg.solve(whole - dt / 2 * within, dt * push)
+        else:
+            pushed = lambda y: rates(y) + push  # noqa: E731
+            x = stepped(integrator, dt, pushed, x, mass, implicit, stiff=stiff)
+    return np.concatenate([x, remembered])
+
+
+def control_dt(
+    omega: float, damping: float, implicit: float, integrator: str, horizon: float, longest: float
+) -> float:
+    """The largest stable period [s] of a control alone on a unit mass, one step a period.
+
+    omega² and damping: its gains on position [1/s²] and velocity [1/s]. implicit: damping of the
+    joint that the integrator treats implicitly [1/s]. With p = dt ω² and d = dt c the z-map is
+
+        explicit             v⁺ = v − p q − d v,                        q⁺ = q + dt v
+        midpoint, rk4        v⁺ = v − p q − d v,                        q⁺ = q + dt (v + v⁺)/2
+        all others           v⁺ = v − (p q + d v + dt i v)/(1 + dt i),  q⁺ = q + dt v⁺
+
+    The second is exact: it is stable for dt < 2/c and dt < 2 c/ω².
+    """
+    rates = np.linalg.eigvals(np.array([[0.0, 1.0], [-omega * omega, -damping]]))
+    hidden = implicit if integrator in DAMPING_IMPLICIT else 0.0
+    rest, velocity = np.eye(2)
+
+    def stable(dt: float) -> bool:
+        pull = np.array([omega * omega, damping + hidden]) / (1 + dt * hidden)
+        after = velocity - dt * pull
+        moving = {"explicit": velocity, "midpoint": (velocity + after) / 2}
+        moving["rk4"] = moving["midpoint"]
+        step = np.array([rest + dt * moving.get(integrator, after), after])
+        return worst_growth(np.linalg.eigvals(step), dt, rates, horizon).stable
+
+    fastest = max(omega, damping)
+    if fastest <= 0:
+        return float("inf")
+    return largest_stable(stable, min(1e-3 / fastest, longest / 2), longest)
+
+
+# --- controls held over several steps -------------------------------------------------------------
+
+
+def steps_held(state: State, dt: float) -> tuple[int, float]:
+    """How many steps of at most dt [s] a control of a state is held for, and how long they are.
+
+    (1, dt) where the control is sampled at every step.
+    """
+    period = state.feedback.period if state.feedback is not None else None
+    if period is None or dt >= period * (1 - 1e-9):
+        return 1, dt
+    count = math.ceil(period / dt * (1 - 1e-9))
+    return count, period / count
+
+
+def folded(rates: Any, period: float) -> Any:
+    """Rates [1/s] as they are seen once a period [s]: turns by whole circles are not."""
+    turns = np.round(rates.imag * period / (2 * math.pi))
+    return rates - 2j * math.pi * turns / period
+
+
+def growth_when_held(
+    model: Model,
+    state: State,
+    rates: Any,
+    integrator: str,
+    dt: float,
+    horizon: float,
+    period: float | None = None,
+) -> StepGrowth | None:
+    """The worst growth over a control period at a state; None where controls are held for a step.
+
+    rates: those of the motion there [1/s]. period: [s], in place of the one that was asked for.
+    """
+    if state.feedback is None:
+        return None
+    if period is not None:
+        state = replace(state, feedback=replace(state.feedback, period=period))
+    count, step = steps_held(state, dt)
+    if count == 1 and period is None:
+        return None
+    span = count * step
+    sim = sim_at(model, state, integrator=integrator, dt=step)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix = closed_step(sim, state.feedback, count)
+            often = np.linalg.matrix_power(closed_step(sim, state.feedback), count)
+    except (SimulationError, ValueError):
+        return step_growth(None, span, rates, horizon)
+    if not np.isfinite(matrix).all():
+        return step_growth(None, span, rates, horizon)
+    growth = step_growth(matrix, span, folded(rates, span), horizon)
+    if growth.stable or abs(growth.value) > CLEAR or not np.isfinite(often).all():
+        return growth
+    return growth_beyond_motion(growth, often, span, horizon)
