@@ -165,7 +165,7 @@ def test_converged_settings_solve_to_rounding_as_the_law_allows():
         False,
         0.1,
     )
-    other = converged_settings(sc.Settings(law="rigid", solver="pgs"), refsafe=False, pgs=99)
+    other = converged_settings(sc.Settings(law="rigid", solver="pgs"), refsafe=False, sweeps=99)
     assert (other.solver, other.sweeps, other.acceleration) == ("pgs", 99, "none")
     assert other.refsafe == sc.Settings().refsafe
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.sim import Sim
+from stepcore.experiment.converged import MEASURES, Known
 from stepcore.experiment.coordinates import Start, product, rotated, rotation
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
@@ -41,17 +42,23 @@ BALANCINGS = 50
 
 @dataclass(frozen=True)
 class Exact:
-    """The truth in closed form.
+    """The motion in closed form.
 
     error [m], angle [rad]: of the matrix exponential and of its entries, see `closed`. check [m]:
-    how far the reference is from it, as errors are measured.
+    the distance to the converged runs, as errors are measured.
     """
 
     runs: list[Run]
     error: float
     angle: float
-    basis: str = "closed form"
     check: float = np.nan
+
+    @property
+    def known(self) -> Known:
+        """The error in all measures."""
+        measures = dict.fromkeys(MEASURES, self.error) | {"angle": self.angle}
+        bases = dict.fromkeys(MEASURES, "closed form")
+        return Known(**measures, orders=dict.fromkeys(MEASURES), bases=bases)
 
 
 class Unfit(Exception):

@@ -1,17 +1,18 @@
-"""The scene's own limit dt → 0 with converged forces, and how well it is known.
+"""The converged motion of a scene, dt → 0 with rows solved to rounding, and how well it is known.
 
-Two integrators run at halved steps, their rows solved to rounding. What is modelled, the softness
-of contacts above all, stays the scene's, and `refsafe` does not touch it. The better known of the
-two is the reference; it is halved further until its error is a tenth of the smallest that the
-table shows, or the budget is spent. How its error is known is in `stepcore.experiment.order`. Where
-the motion has a closed form (`stepcore.experiment.closed_form`), that is the truth, and checks the
-reference.
+Two integrators run at halved time steps. What is modelled, the softness of contacts above all,
+stays the scene's. The integrator that its last halving moved less is the reference; it is halved
+further until its error is a tenth of the smallest error in the table, or the budget is spent.
+
+The error is known from the order that the halvings show (Richardson), or else from the distance of
+the two integrators. Where the motion has a closed form (`stepcore.experiment.closed_form`), that is
+the reference, and the converged runs check it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -22,39 +23,42 @@ from stepcore._core import Settings
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.closed_form import Exact, closed
-from stepcore.experiment.converged import converged_settings
+from stepcore.experiment.converged import (
+    Known,
+    known,
+    observed,
+    reference_settings,
+    shown,
+)
 from stepcore.experiment.errors import Errors, errors
 from stepcore.experiment.failure import runaway
 from stepcore.experiment.growth import DIRECTIONS, Growth, growth
-from stepcore.experiment.order import Known, known, observed, shown
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.sizes import scene_size
 from stepcore.report.progress import Progress
 
-# A tenth: the reference's error may then change the last digit of an error shown, no more.
+# A reference finer than the errors judged by this factor changes at most their last digit shown.
 FINER = 10.0
-# Halvings that no longer halve the error have met rounding, or something that does not converge.
+# A halving that leaves more than this share of the error has met rounding, or does not converge.
 STALLED = 0.9
-# Of the scene's size: distances below it are rounding, grown by what a predictable scene allows.
+# Of the scene's size: shorter distances are rounding, grown by what a predictable scene allows.
 ROUNDING = 1e-11
-# To see an order.
-HALVINGS = 3
-# The first of them, in steps of the finest that is to be judged: the less the dearer.
-BEGIN = (2.0, 4.0, 8.0, 16.0)
-# From here on the other integrator, not the reference's own halving, decides what is known.
+# Three halvings show an order. The first step may be one of these, in steps of the finest that is
+# to be judged: the shorter the dearer.
+HALVINGS, BEGIN = 3, (2.0, 4.0, 8.0, 16.0)
+# Where the error is more than this many times the last halving of the reference, the halvings of
+# the other integrator decide it.
 EAGER = 4.0
-# Coarser runs that may be added where the finer ones have met rounding, in steps of the finest.
+# Coarser runs are added up to this many steps of the finest, where the finer ones met rounding.
 COARSEST = 64
-
-
 # Laws whose stiffness is β/dt: there is no scene that stays the same as dt shrinks.
 DEPENDENT = ("lesson", "relaxed")
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """All starts at one time step. moved: from the level of twice the step to this one."""
+    """The runs from all starts at one time step. moved: from the level of twice the step."""
 
     dt: float
     integrator: str
@@ -72,7 +76,7 @@ class Level:
 
     @property
     def high(self) -> float:
-        """The same of the worst start [m]."""
+        """To the level of twice the step, of the worst start [m]; inf without one."""
         return np.inf if self.moved is None else self.moved.high
 
 
@@ -93,7 +97,7 @@ class Gap:
 class Reference:
     """The converged motion of a scene.
 
-    level: the finest run of one integrator; levels: its halvings.
+    level: the finest runs of one integrator; levels: its halvings.
     known: the error of `level`.
     orders: the order that the halvings of each integrator showed in the median start, coarsest
         first.
@@ -122,43 +126,48 @@ class Reference:
     gaps: dict[str, Gap] = field(default_factory=dict)
 
     @property
+    def sure(self) -> Known:
+        """The error of the motion: that of the closed form, or of `level`."""
+        return self.known if self.exact is None else self.exact.known
+
+    @property
     def error(self) -> float:
-        """What the truth may be wrong by in the median start [m], measured as errors are."""
-        return self.known.error if self.exact is None else self.exact.error
+        """The error of the median start [m]."""
+        return self.sure.error
 
     @property
     def high(self) -> float:
-        """The same of the worst start [m]."""
-        return self.known.high if self.exact is None else self.exact.error
+        """The error of the worst start [m]."""
+        return self.sure.high
 
     @property
     def largest(self) -> float:
-        """The same of any body, sample and start [m]."""
-        return self.known.largest if self.exact is None else self.exact.error
+        """The largest error of any body, sample and start [m]."""
+        return self.sure.largest
 
     @property
     def angle(self) -> float:
-        """The same of orientations [rad]."""
-        return self.known.angle if self.exact is None else self.exact.angle
+        """The error of orientations [rad]."""
+        return self.sure.angle
 
     @property
     def basis(self) -> str:
         """How `high` is known, in words."""
-        return self.known.bases["high"] if self.exact is None else self.exact.basis
+        return self.sure.bases["high"]
 
     @property
     def order(self) -> int | None:
         """The order that Richardson used for `high` (1, 2 or 4); None where it did not."""
-        return self.known.orders["high"] if self.exact is None else None
+        return self.sure.orders["high"]
 
     @property
     def scored(self) -> np.ndarray:
-        """Samples that count: those that can be predicted, (starts, n)."""
+        """The samples that count: those that can be predicted, (starts, n)."""
         return self.growth.scored
 
     @property
     def runs(self) -> list[Run]:
-        """The truth: the closed form, or the finest run."""
+        """The motion: the closed form, or the finest runs."""
         return self.level.runs if self.exact is None else self.exact.runs
 
 
@@ -166,7 +175,7 @@ class ReferenceRuns:
     """Makes the runs that a reference needs; counts what they cost in steps × (dofs + 2).
 
     shipped: settings of the scene. finest: the shortest time step that is to be judged [s].
-    budget: what all runs may cost. weight: of a step (`cost.heaviness`).
+    budget: the most that all runs may cost. weight: of a step (`cost.heaviness`).
     chains: the halvings of each integrator, coarsest first.
     size: of the scene [m], once runs were made.
     """
@@ -188,12 +197,12 @@ class ReferenceRuns:
 
     @property
     def starts(self) -> int:
-        """How many starts the schedule has."""
-        return len(self.runner.schedule.starts)
+        """The number of starts."""
+        return len(self.runner.starts)
 
     @property
     def least(self) -> int:
-        """How many runs `reference` makes, at least."""
+        """The number of runs that `reference` makes, at least."""
         return (2 * (HALVINGS + 1) + 1 + DIRECTIONS) * self.starts
 
     @property
@@ -202,14 +211,12 @@ class ReferenceRuns:
         return "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
 
     def settings(self, integrator: str, dt: float) -> Settings:
-        """Reference settings: rows solved to rounding, contacts as soft as the scene says."""
-        return converged_settings(
-            self.shipped, dt=dt, integrator=integrator, warm_start=True, refsafe=False
-        )
+        """See `reference_settings`."""
+        return reference_settings(self.shipped, integrator, dt)
 
     def cost(self, integrator: str, dt: float) -> float:
-        """Of all starts at one step, in steps of rk4, which solves four times, × (dofs + 2), of the
-        usual weight."""
+        """The cost of all starts at one step: steps of rk4, which solves four times, × (dofs + 2),
+        of the usual weight."""
         schedule = self.runner.schedule
         steps = schedule.periods * schedule.steps(dt) * self.starts
         solves = 1.0 if integrator == "rk4" else 0.25
@@ -217,36 +224,27 @@ class ReferenceRuns:
 
     def level(self, integrator: str, dt: float, bar: Progress, bare: bool = False) -> Level:
         """All starts at one step, until one fails; bare: only positions are recorded."""
-        settings = self.settings(integrator, dt)
+        settings, starts = self.settings(integrator, dt), self.runner.starts
         if bare:
-            starts = range(self.starts)
             runs = screened(self.runner, settings, starts, self.workers, bar, until_fails=True)
         else:
             job = partial(self.runner.run, settings)
-            runs = self.workers.until(lambda run: run.failure, job, range(self.starts), bar)
+            runs = self.workers.until(lambda run: run.failure, job, starts, bar)
         self.spent += self.cost(integrator, dt) * len(runs) / self.starts
         return Level(dt, integrator, runs)
 
     def reference(self, bar: Progress) -> Reference:
         """Two integrators at three halvings each, and perturbed runs; the better known one."""
-        steps, failed, schedule = self._steps(), None, self.runner.schedule
-        for integrator in (self.second, "rk4"):
-            levels, fails = self._levels(integrator, steps, bar)
-            failed = fails or failed
-            if len(levels) > 1:
-                self.chains[integrator] = levels
+        steps = self._steps()
+        failures = [self._add_levels(name, steps, bar) for name in (self.second, "rk4")]
         if not self.chains:
             raise ValueError(
-                f"the reference fails at dt = {steps[-1]:g} s{schedule.driven}, so there is "
-                f"nothing to compare with: {failed}"
+                f"the reference fails at dt = {steps[-1]:g} s{self.runner.schedule.driven}, so "
+                f"there is nothing to compare with: {failures[1] or failures[0]}"
             )
-        for levels in self.chains.values():
-            explodes = runaway(self.runner.model, schedule, levels[-1].runs)
-            if explodes:
-                raise ValueError(explodes)
+        self._refuse_runaway(levels[-1] for levels in self.chains.values())
         # The finer of two where there are only those; rk4's, where it runs.
         base = list(self.chains.values())[-1][-3:][0]
-        self.size = scene_size(self.runner.model.scene, base.runs)
         growth = self._growth(base, bar)
         for name, levels in self.chains.items():
             levels[1:] = [self._measured(*pair, growth) for pair in pairwise(levels)]
@@ -255,39 +253,46 @@ class ReferenceRuns:
         if reference.known.high > EAGER * reference.level.high:
             self._catch_up(reference, bar)
             reference = self._better_known(growth, reference.level.integrator)
-        return dataclasses.replace(reference, exact=self._exact(reference))
+        return self._checked_exact(reference)
 
-    def _levels(
-        self, integrator: str, steps: Sequence[float], bar: Progress
-    ) -> tuple[list[Level], str | None]:
-        """Levels at steps, which are given coarsest first, and why the next coarser one failed.
+    def _add_levels(self, integrator: str, steps: Sequence[float], bar: Progress) -> str | None:
+        """Adds an integrator's levels at steps, coarsest first; says why a coarser one failed.
 
         The finest is run first: what is coarser than one that fails is of no use, and a run that
         explodes can cost more than all that do not.
         """
         levels: list[Level] = []
+        failed = None
         for dt in reversed(steps):
             level = self.level(integrator, dt, bar)
-            if level.failed:
-                return levels, level.failed
+            failed = level.failed
+            if failed:
+                break
             levels.insert(0, level)
-        return levels, None
+        if len(levels) > 1:
+            self.chains[integrator] = levels
+        return failed
 
-    def _exact(self, reference: Reference) -> Exact | None:
-        """The closed form, unless the converged run says that something was met on the way."""
+    def _refuse_runaway(self, levels: Iterable[Level]) -> None:
+        for level in levels:
+            explodes = runaway(self.runner.model, self.runner.schedule, level.runs)
+            if explodes:
+                raise ValueError(explodes)
+
+    def _checked_exact(self, reference: Reference) -> Reference:
+        """With the closed form, unless the converged run says that something was met on the way."""
         exact = closed(self.runner, reference.level.runs)
         if exact is None:
-            return None
+            return reference
         truth = Level(0.0, "", exact.runs)
         check = self.apart(reference.level, truth, reference.growth).median
-        meets = check > FINER * reference.error + 1e-9 * self.size
-        return None if meets else dataclasses.replace(exact, check=check)
+        if check > FINER * reference.error + 1e-9 * self.size:
+            return reference
+        return dataclasses.replace(reference, exact=dataclasses.replace(exact, check=check))
 
     def _steps(self) -> list[float]:
-        """Three halvings, from twice the finest step; coarser by so much as that costs too much.
-
-        What is judged finer than these can be asks for refinements.
-        """
+        """Three halvings from twice the finest step, or from a coarser one where that costs too
+        much; what is judged finer than these can ask for refinements."""
         chosen = [self.finest / 2**k for k in range(HALVINGS + 1)]
         for begin in BEGIN:
             steps = [self.finest * begin / 2**k for k in range(HALVINGS + 1)]
@@ -303,10 +308,7 @@ class ReferenceRuns:
             for integrator in ("rk4", self.second):
                 base = self.level(integrator, dt, bar)
                 if not base.failed:
-                    explodes = runaway(self.runner.model, self.runner.schedule, base.runs)
-                    if explodes:
-                        raise ValueError(explodes)
-                    self.size = scene_size(self.runner.model.scene, base.runs)
+                    self._refuse_runaway([base])
                     return base, self._growth(base, bar)
         raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
 
@@ -322,8 +324,8 @@ class ReferenceRuns:
     def refined(self, reference: Reference, bar: Progress) -> Reference | None:
         """The reference with the step halved that decides its error; None if that run fails.
 
-        That is the reference's own where Richardson tells its error; elsewhere that of the
-        integrator which its last halving moved more, or of both.
+        Richardson's error falls with the reference's own step. The distance of two integrators
+        falls with the step of the one that its last halving moved more, or of both.
         """
         for name in self._deciding(reference):
             if not self._halve(name, reference.growth, bar):
@@ -340,10 +342,10 @@ class ReferenceRuns:
 
     def _deciding(self, reference: Reference) -> list[str]:
         """The integrators that a refinement halves."""
-        own = reference.level.integrator
+        chosen = reference.level.integrator
         if reference.order is not None or not reference.other:
-            return [own]
-        moved = {name: self.chains[name][-1].high for name in (own, reference.other)}
+            return [chosen]
+        moved = {name: self.chains[name][-1].high for name in (chosen, reference.other)}
         return [name for name in moved if moved[name] >= max(moved.values()) / 2]
 
     def _halve(self, integrator: str, growth: Growth, bar: Progress) -> bool:
@@ -368,7 +370,8 @@ class ReferenceRuns:
         return count >= 0.5 and abs(count - round(count)) < 1e-6 * count
 
     def _growth(self, base: Level, bar: Progress) -> Growth:
-        """That of runs perturbed at a level."""
+        """The growth of runs perturbed at a level, which gives the scene's size."""
+        self.size = scene_size(self.runner.model.scene, base.runs)
         settings = self.settings(base.integrator, base.dt)
         self.spent += (1 + DIRECTIONS) * self.cost(base.integrator, base.dt)
         return growth(self.runner, settings, self.size, self.workers, bar)
@@ -388,15 +391,17 @@ class ReferenceRuns:
             levels[:1] = [coarse, self._measured(coarse, levels[0], growth)]
 
     def _better_known(self, growth: Growth, kept: str | None = None) -> Reference:
-        """Of the integrator which its last halving moved least, or of the one `kept`."""
+        """The integrator that its last halving moved least, or the one `kept`."""
         name = kept or min(self.chains, key=lambda name: self.chains[name][-1].high)
         levels = self.chains[name]
-        other, rival = self._rival(levels[-1], growth)
+        last = levels[-1]
+        other = next((key for key in self.chains if key != name), "")
+        rival = self.apart(self.chains[other][-1], last, growth) if other else None
         moved = [level.moved for level in levels if level.moved is not None]
-        count = levels[-1].runs[0].com[..., 0].size
+        count = last.runs[0].com[..., 0].size
         return Reference(
-            settings=self.settings(name, levels[-1].dt),
-            level=levels[-1],
+            settings=self.settings(name, last.dt),
+            level=last,
             levels=tuple(levels),
             growth=growth,
             known=known(moved, ROUNDING * self.size, rival, other, count),
@@ -405,17 +410,10 @@ class ReferenceRuns:
             other=other,
             other_error=self.chains[other][-1].distance if other else np.nan,
             stiffens=self.shipped.law in DEPENDENT
-            and any(p.rows or p.overlap for p in levels[-1].runs),
+            and any(run.rows or run.overlap for run in last.runs),
         )
-
-    def _rival(self, level: Level, growth: Growth) -> tuple[str, Errors | None]:
-        """The other integrator, and the distance of its finest run."""
-        for name, levels in self.chains.items():
-            if name != level.integrator:
-                return name, self.apart(levels[-1], level, growth)
-        return "", None
 
 
 def smallest(values: Sequence[float], size: float = 0.0) -> float:
-    """The smallest that is more than rounding in a scene of this size, or 0."""
+    """The smallest value that is more than rounding in a scene of this size [m], or 0."""
     return min((value for value in values if value > ROUNDING * size), default=0.0)

@@ -147,7 +147,7 @@ def _solved(own: Settings, dt: float, speed: float, rows: int, horizon: float) -
         return solved(own, speed * dt, rows)
     sweeps = round(min(max(MOST_UPDATES / (max(rows, 1) * horizon / dt), FEWEST), MOST))
     tolerance = TOLERANCE * speed * dt
-    return solved(own, speed * dt, rows, pgs=sweeps, tolerance=tolerance, warm_start=True)
+    return solved(own, speed * dt, rows, sweeps=sweeps, tolerance=tolerance, warm_start=True)
 
 
 @dataclass(frozen=True)

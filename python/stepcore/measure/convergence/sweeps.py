@@ -220,8 +220,7 @@ def solved(settings: Settings, speed: float, rows: int, **changes: Any) -> Setti
     """
     convex = settings.law == "solref"
     chosen = {
-        "newton": 1000,
-        "pgs": int(max(1000, MOST_UPDATES / max(rows, 1))),
+        "sweeps": int(max(1000, MOST_UPDATES / max(rows, 1))),
         "tolerance": 0.0 if convex else ROUNDING * speed,
     }
     return converged_settings(settings, **chosen | changes)

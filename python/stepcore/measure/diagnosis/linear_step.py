@@ -71,7 +71,7 @@ def with_converged_rows(model: Model) -> Model:
     """
     s = model.settings
     count = 200 if s.sweeps == "auto" else max(s.sweeps, 200)
-    converged = converged_settings(s, newton=count, pgs=count, tolerance=TOLERANCE)
+    converged = converged_settings(s, sweeps=count, tolerance=TOLERANCE)
     if s.sweeps == "auto":
         converged = converged.replace(sweeps="auto")
     return model.with_settings(converged.replace(sleep=False))

@@ -124,8 +124,7 @@ def reference_settings(model: Model) -> Settings:
         integrator = "semi-implicit"
     return converged_settings(
         settings,
-        newton=100,
-        pgs=1000,
+        sweeps=1000,
         tolerance=0.0 if settings.law == "solref" else 1e-12,
         warm_start=True,
         integrator=integrator,

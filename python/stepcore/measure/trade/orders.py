@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.experiment.converged import ORDERS
 from stepcore.experiment.errors import moved
-from stepcore.experiment.order import ORDERS
 from stepcore.experiment.reference import FINER, Reference
 from stepcore.measure.trade.row import TradeRow
 
