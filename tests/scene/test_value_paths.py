@@ -42,7 +42,7 @@ def test_a_map_varies_what_diagnose_names():
     scene = sc.loads(ROPE)
     advice = str(sc.diagnose(scene, dt=0.5, horizon=1.0))
     assert "rope" in advice
-    result = sc.stability_map(scene, PATH, [100.0, 400.0], dts=[0.01, 0.1])
+    result = sc.stability_map(scene, path=PATH, values=[100.0, 400.0], dts=[0.01, 0.1])
     assert result.path == PATH
 
 

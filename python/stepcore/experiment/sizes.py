@@ -9,7 +9,6 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.experiment.run import Run
-from stepcore.scene.assets import half_size
 from stepcore.scene.scene import Scene
 
 # Where nothing in a scene has a size [m].
@@ -24,7 +23,7 @@ def scene_size(scene: Scene, runs: Sequence[Run] = ()) -> float:
     if runs:
         centres = np.concatenate([run.com.reshape(-1, 3) for run in runs])
         gone = float(np.linalg.norm(np.ptp(centres, axis=0)))
-    thick = max((half_size(geom) for geom in scene.geoms), default=0.0)
+    thick = max((geom.half_size for geom in scene.geoms), default=0.0)
     arm = max((float(np.linalg.norm(body.pos)) for body in scene.bodies), default=0.0)
     return gone + thick + arm or UNKNOWN
 

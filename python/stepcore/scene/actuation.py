@@ -158,7 +158,6 @@ def plain(actuator: Actuator) -> dict[str, Any]:
         "muscle_gain": _listed(own.muscle_gain),
         "muscle_bias": _listed(own.muscle_bias),
         "lengthrange": list(lengthrange),
-        "damping": [actuator.damping, *actuator.dampingpoly],
     }
 
 

@@ -1,9 +1,15 @@
-"""`Element`: a record whose fields are checked whenever they are assigned."""
+"""`Element`: a record whose fields are checked whenever they are assigned.
+
+The annotations of an element class are the table of its attributes (`table`). The reader and the
+writer of MJCF, value paths, the records for the engine, the types of keyword arguments and
+docs/mjcf_attributes.md are all made from this table.
+"""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import typing
 import weakref
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -11,15 +17,50 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from stepcore import checks
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from typing import Self
 
 _CONSTANT = frozenset((str, int, float, bool, tuple, type(None)))
 
-# By class and field: the check, the default, and what the check makes of that.
+
+@dataclasses.dataclass(frozen=True)
+class FieldType:
+    """What a field holds.
+
+    check: makes a given value the field's, or refuses it.
+    given: the type of what may be assigned, for type checkers; "" for a reference.
+    attribute: the notation of MJCF's attribute (`stepcore.mjcf.schema`); None: MJCF has none.
+    read, write: convert an attribute's value to the field's, and back.
+    refers: the classes of elements that the field refers to.
+    """
+
+    check: checks.Check
+    given: str
+    attribute: str | None = None
+    read: Callable[[Any], Any] | None = None
+    write: Callable[[Any], Any] | None = None
+    refers: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """A field of an element class, as a row of the table.
+
+    unit: "" for numbers without one and for what is no number. checked: the default as the check
+    returns it. poly: the field of the higher coefficients of the same polynomial, or "".
+    """
+
+    name: str
+    type: FieldType
+    unit: str
+    default: Any
+    checked: Any
+    poly: str = ""
+
+
+_TABLES: dict[type, dict[str, Row]] = {}
+# By class: the check of each field, its default, and what the check makes of the default.
 _CHECKS: dict[type, dict[str, tuple[checks.Check, object, object]]] = {}
-# By class: the names of its fields.
-_FIELDS: dict[type, tuple[str, ...]] = {}
 E = typing.TypeVar("E", bound="Element")
 # How often an element has got another name.
 _renamed = [0]
@@ -44,18 +85,35 @@ def _named(element: Element, error: checks.ElementError) -> checks.ElementError:
     return result
 
 
-def _checks_of(kind: type[Element]) -> dict[str, tuple[checks.Check, object, object]]:
-    """The check of each field of an element class, read once from its annotations."""
-    if kind not in _CHECKS:
+def table(kind: type[Element]) -> dict[str, Row]:
+    """The fields of an element class by name, in order."""
+    if kind not in _TABLES:
         hints = typing.get_type_hints(kind, include_extras=True)
-        known = {}
+        rows = {}
         for spec in dataclasses.fields(kind):  # type: ignore[arg-type]
-            check, default = hints[spec.name].__metadata__[0], spec.default
-            missing = default is dataclasses.MISSING
-            checked = None if missing else check(kind.__name__, spec.name, default)
-            known[spec.name] = (check, default, checked)
-        _CHECKS[kind] = known
+            held, *unit = hints[spec.name].__metadata__
+            missing = spec.default is dataclasses.MISSING
+            checked = None if missing else held.check(kind.__name__, spec.name, spec.default)
+            poly = f"{spec.name}poly" if f"{spec.name}poly" in hints else ""
+            rows[spec.name] = Row(spec.name, held, "".join(unit), spec.default, checked, poly)
+        _TABLES[kind] = rows
+        _CHECKS[kind] = {n: (row.type.check, row.default, row.checked) for n, row in rows.items()}
+    return _TABLES[kind]
+
+
+def _checks_of(kind: type[Element]) -> dict[str, tuple[checks.Check, object, object]]:
+    if kind not in _CHECKS:
+        table(kind)
     return _CHECKS[kind]
+
+
+# Fields whose name in the engine is not MJCF's.
+ENGINE_NAMES = {
+    **{"type": "kind", "ref": "reference", "shellinertia": "shell_inertia"},
+    **{"inertiafromgeom": "from_geoms", "inertiagrouprange": "group_range"},
+    **{"boundmass": "bound_mass", "boundinertia": "bound_inertia"},
+    **{"balanceinertia": "balance_inertia", "settotalmass": "total_mass", "fitaabb": "fit_aabb"},
+}
 
 
 class Element:
@@ -90,14 +148,36 @@ class Element:
         return result
 
     def values(self) -> dict[str, Any]:
-        """The fields as MJCF's attributes hold them, each under its name."""
-        own = self.__dict__
-        return {field: own[field] for field in fields_of(type(self))}
+        """The fields as MJCF's attributes hold them, each under its name.
 
-    def record(self) -> dict[str, Any]:
-        """The fields as plain data, lists for tuples: what the engine is handed."""
-        values = self.values().items()
-        return {field: list(v) if isinstance(v, tuple) else v for field, v in values}
+        The coefficients of a polynomial stand together, if there are any beyond the first.
+        """
+        own, values = self.__dict__, {}
+        for name, row in table(type(self)).items():
+            value = own[name]
+            if row.poly and any(own[row.poly]):
+                value = (value, *own[row.poly])
+            if not name.endswith("poly"):
+                values[name] = value
+        return values
+
+    def record(self, *skip: str) -> dict[str, Any]:
+        """The fields as the engine reads them, but for those to `skip`.
+
+        Tuples become lists, the coefficients of a polynomial one list, and each pair of solref and
+        solimp a dict.
+        """
+        own, record = self.__dict__, {}
+        for name, engine_name, poly, solimp in _record_plan(type(self), skip):  # type: ignore[arg-type]
+            value = own[name]
+            if poly:
+                value = [value, *own[poly]]
+            elif solimp:
+                value = {"solref": list(value), "solimp": list(own[solimp])}
+            elif type(value) is tuple:
+                value = list(value)
+            record[engine_name] = value
+        return record
 
     def __str__(self) -> str:
         kind = type(self).__name__.lower()
@@ -118,6 +198,23 @@ class Element:
         return f"{type(self).__name__}({', '.join(parts)})"
 
 
+@functools.cache
+def _record_plan(kind: type[Element], skip: tuple[str, ...]) -> list[tuple[str, str, str, str]]:
+    """The fields of a record: name, the engine's name, and those that stand with it."""
+    rows = table(kind)
+    plan, inside = [], {*skip, *(row.poly for row in rows.values())}
+    for name, row in rows.items():
+        solimp = name.replace("solref", "solimp") if name.startswith("solref") else ""
+        if name in inside:
+            continue
+        if solimp in rows:
+            inside.add(solimp)
+            plan.append((name, name.removeprefix("solref") or "soft", "", solimp))
+        else:
+            plan.append((name, ENGINE_NAMES.get(name, name), row.poly, ""))
+    return plan
+
+
 def made(kind: type[E], values: Mapping[str, Any]) -> E:
     """`kind(**values)`, without looking at the fields one by one that keep their defaults."""
     element = object.__new__(kind)
@@ -135,7 +232,4 @@ def made(kind: type[E], values: Mapping[str, Any]) -> E:
 
 def fields_of(kind: type[Element]) -> tuple[str, ...]:
     """The names of the fields of an element class, in order."""
-    if kind not in _FIELDS:
-        specs = dataclasses.fields(kind)  # type: ignore[arg-type]
-        _FIELDS[kind] = tuple(spec.name for spec in specs)
-    return _FIELDS[kind]
+    return tuple(table(kind))

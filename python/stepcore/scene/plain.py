@@ -4,52 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stepcore.scene import actuation, assets, sensing, tying
-from stepcore.scene.elements import (
-    Body,
-    ContactOverride,
-    Element,
-    Geom,
-    Joint,
-    Pair,
-    Tendon,
-    fields_of,
-)
+from stepcore.scene import actuation, sensing, tying
+from stepcore.scene.elements import Element
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import ORIGIN
 from stepcore.scene.layout import SIZES, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
-    from stepcore.scene.elements import Actuator, Key
+    from numpy.typing import NDArray
 
-# Fields whose name in the engine is not MuJoCo's word.
-RENAMED = {"type": "kind", "ref": "reference", "shellinertia": "shell_inertia"}
-SOFTNESS = {
-    Joint: {
-        "limit": ("solreflimit", "solimplimit"),
-        "friction": ("solreffriction", "solimpfriction"),
-    },
-    Tendon: {
-        "limit": ("solreflimit", "solimplimit"),
-        "friction": ("solreffriction", "solimpfriction"),
-    },
-    Geom: {"soft": ("solref", "solimp")},
-    Pair: {"soft": ("solref", "solimp")},
-    ContactOverride: {"soft": ("solref", "solimp")},
-}
-# What `_names` gave.
-_NAMES: dict[tuple[type[Element], tuple[str, ...]], list[tuple[str, str]]] = {}
-MASS_RULES = {
-    "inertiafromgeom": "from_geoms",
-    "inertiagrouprange": "group_range",
-    "boundmass": "bound_mass",
-    "boundinertia": "bound_inertia",
-    "balanceinertia": "balance_inertia",
-    "settotalmass": "total_mass",
-    "fitaabb": "fit_aabb",
-}
+    from stepcore.scene.elements import Actuator, Body, Geom, HField, Key, Pair, Tendon
 
 
 def plain(layout: Layout) -> dict[str, Any]:
@@ -64,13 +30,13 @@ def plain(layout: Layout) -> dict[str, Any]:
         "name": scene.name,
         **records.whole(),
         **lists,
-        "meshes": [assets.plain_mesh(mesh) for mesh in scene.meshes],
-        "hfields": assets.plain_hfields(scene.hfields),
+        "meshes": [mesh.record() for mesh in scene.meshes],
+        "hfields": _hfields(scene.hfields),
         "sensors": [sensing.plain(layout, sensor) for sensor in scene.sensors],
         "excludes": [[layout.body("exclude", b) for b in pair] for pair in scene.excludes],
-        "contact_override": _record(override, "enable") if override.enable else None,
-        "mass_rules": {MASS_RULES[f]: value for f, value in scene.mass_rules.record().items()},
-        "features": _record(scene.features),
+        "contact_override": override.record("enable") if override.enable else None,
+        "mass_rules": scene.mass_rules.record(),
+        "features": scene.features.record(),
     }
 
 
@@ -115,7 +81,7 @@ class Records:
         }
 
     def _attached(self, element: Any, *skip: str) -> dict[str, Any]:
-        return _record(element, "body", *skip) | {"body": self.body_of[id(element.body)]}
+        return element.record("body", *skip) | {"body": self.body_of[id(element.body)]}
 
     def _geom(self, geom: Geom) -> dict[str, Any]:
         ends = {
@@ -125,23 +91,23 @@ class Records:
         return self._attached(geom, "mesh", "hfield") | ends
 
     def _tendon(self, tendon: Tendon) -> dict[str, Any]:
-        return _record(tendon, "path") | {"path": [_stop(stop, self.index) for stop in tendon.path]}
+        return tendon.record("path") | {"path": [_stop(stop, self.index) for stop in tendon.path]}
 
     def _actuator(self, actuator: Actuator) -> dict[str, Any]:
         owner = actuator.feeds
         feeds = None if owner is None else self.actuator_of.get(id(owner), -1)
         return (
-            _record(actuator, "type", "dampingpoly", *actuation.LAW, *actuation.TARGET)
+            actuator.record("type", *actuation.LAW, *actuation.TARGET)
             | {"target": actuation.target(actuator, self.index), "feeds": feeds}
             | actuation.plain(actuator)
         )
 
     def _key(self, key: Key) -> dict[str, Any]:
-        return _record(key) | {"qpos": key.qpos and self.layout.unit_quaternions(key.qpos)}
+        return key.record() | {"qpos": key.qpos and self.layout.unit_quaternions(key.qpos)}
 
     def _pair(self, pair: Pair) -> dict[str, Any]:
         ends = {end: self.geom_of.get(id(getattr(pair, end)), -1) for end in ("geom1", "geom2")}
-        return _record(pair, "geom1", "geom2") | ends
+        return pair.record("geom1", "geom2") | ends
 
 
 def essence(layout: Layout) -> dict[str, Any]:
@@ -185,23 +151,17 @@ def _stop(stop: Stop, index: dict[int, int]) -> dict[str, Any]:
     return {"site": at(stop)}
 
 
-def _record(element: Element, *skip: str) -> dict[str, Any]:
-    record = element.record()
-    names = _names(type(element), skip)
-    result = {name: record[field] for field, name in names if field in record}
-    for group, (solref, solimp) in SOFTNESS.get(type(element), {}).items():
-        result[group] = {"solref": record[solref], "solimp": record[solimp]}
-    return result
-
-
-def _names(kind: type[Element], skip: tuple[str, ...]) -> list[tuple[str, str]]:
-    """The fields that stand by themselves in a record, and what the engine calls them."""
-    if (kind, skip) in _NAMES:
-        return _NAMES[kind, skip]
-    grouped = {field for pair in SOFTNESS.get(kind, {}).values() for field in pair}
-    own = [field for field in fields_of(kind) if field not in grouped and field not in skip]
-    _NAMES[kind, skip] = [(field, RENAMED.get(field, field)) for field in own]
-    return _NAMES[kind, skip]
+def _hfields(hfields: Iterable[HField]) -> list[dict[str, Any]]:
+    """Height fields with their rows from −y to y; those of one file share their heights."""
+    heights: dict[int, NDArray[Any]] = {}
+    records = []
+    for hfield in hfields:
+        (nrow, ncol), key = hfield.elevation.shape, id(hfield.elevation)
+        if key not in heights:
+            heights[key] = hfield.elevation[::-1].ravel()
+        own = {"name": hfield.name, "nrow": nrow, "ncol": ncol, "size": list(hfield.size)}
+        records.append(own | {"data": heights[key]})
+    return records
 
 
 def _body(body: Body, index: dict[int, int]) -> dict[str, Any]:

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore import checks
-from stepcore.scene.elements import Body, Element, fields_of
+from stepcore.scene.element import table
+from stepcore.scene.elements import Body, Element
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
@@ -21,11 +22,6 @@ KINDS = (
 
 # Values of the whole scene.
 WHOLE = ("gravity", "density", "viscosity", "wind")
-# Names and references.
-_NO_VALUES = (
-    *("name", "file", "body", "parent", "joint", "geom1", "geom2", "mesh", "hfield"),
-    *("body1", "body2", "site1", "site2", "joint1", "joint2", "tendon1", "tendon2", "path"),
-)
 
 
 def is_path(name: str) -> bool:
@@ -76,7 +72,8 @@ def find(scene: Contents, path: object) -> tuple[Element, str]:
         element: Element = getattr(scene, kind)(name)
     except ValueError as error:
         raise ValueError(f"{shown}: {error}") from None
-    known = [f for f in fields_of(type(element)) if f not in _NO_VALUES]
+    rows = table(type(element)).values()
+    known = [row.name for row in rows if row.name not in ("name", "file") and not row.type.refers]
     if field not in known:
         near = checks.nearest(field, known)
         raise ValueError(f"{shown}: a {kind} has no value {checks.quoted(field)}{near}")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.scene import frames
-from stepcore.scene.surfaces import HField, Mesh
+from stepcore.scene.elements import HField, Mesh
 
 # Vertices, shape (n, 3) [m], and triangles as indices of them, shape (m, 3).
 Surface = tuple[NDArray[Any], NDArray[Any]]

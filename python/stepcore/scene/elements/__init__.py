@@ -19,6 +19,8 @@ from stepcore.scene.elements.field_types import SOLIMP as SOLIMP
 from stepcore.scene.elements.field_types import SOLREF as SOLREF
 from stepcore.scene.elements.geom import Geom as Geom
 from stepcore.scene.elements.joint import Joint as Joint
+from stepcore.scene.elements.mesh import HField as HField
+from stepcore.scene.elements.mesh import Mesh as Mesh
 from stepcore.scene.elements.sensor import Sensor as Sensor
 from stepcore.scene.elements.site import Site as Site
 from stepcore.scene.elements.tendon import Pulley as Pulley
@@ -27,5 +29,3 @@ from stepcore.scene.elements.world import Features as Features
 from stepcore.scene.elements.world import Key as Key
 from stepcore.scene.elements.world import LengthRange as LengthRange
 from stepcore.scene.elements.world import MassRules as MassRules
-from stepcore.scene.surfaces import HField as HField
-from stepcore.scene.surfaces import Mesh as Mesh

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from stepcore import checks
-from stepcore.scene.element import Element
+from stepcore.scene.element import Element, FieldType
 from stepcore.scene.elements.body import Body
 from stepcore.scene.elements.field_types import (
     GEAR,
     Bias,
+    Delay,
     DynPrm,
     Flag,
     Gain,
     Gear,
+    Lengths,
+    Limit,
     NonNegative,
+    OwnFlag,
     Poly,
     Range,
     Real,
     Text,
+    element,
+    optional,
+    vector,
+    whole,
+    words,
 )
 from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
@@ -104,16 +113,17 @@ def _inputs(owner: Any, field: str, value: object) -> Any:
     return " ".join(words)
 
 
-Terms = Annotated[Any, _one_or(10)]
-Times = Annotated[Any, _one_or(2)]
-Limit = Annotated[float | None, checks.optional(checks.real(low=0))]
-Thermal = Annotated[Vec | None, checks.optional(checks.vector(5))]
-Cogging = Annotated[Vec | None, checks.optional(checks.vector(3, fill=ORIGIN))]
-Lugre = Annotated[Vec | None, checks.optional(checks.vector(5, low=0))]
-AnyJoint = Annotated[Joint | None, checks.optional(checks.element("Joint"))]
-AnyTendon = Annotated[Tendon | None, checks.optional(checks.element("Tendon"))]
-AnyBody = Annotated[Body | None, checks.optional(checks.element("Body"))]
-AnySite = Annotated[Site | None, checks.optional(checks.element("Site"))]
+Terms = Annotated[Any, FieldType(_one_or(10), "Numbers | None", "*")]
+Times = Annotated[Any, FieldType(_one_or(2), "Numbers | None", "1")]
+Inputs = Annotated[str | None, FieldType(checks.optional(_inputs), "str | None", "")]
+Thermal = Annotated[Vec | None, replace(optional(vector(5)), attribute="1-6")]
+Cogging = Annotated[Vec | None, optional(vector(3, fill=ORIGIN))]
+Lugre = Annotated[Vec | None, replace(optional(vector(5, low=0)), attribute="1-5")]
+Samples = Annotated[int, replace(whole(0, MOST_SAMPLES), read=lambda value: max(value, 0))]
+AnyJoint = Annotated[Joint | None, optional(element("Joint"))]
+AnyTendon = Annotated[Tendon | None, optional(element("Tendon"))]
+AnyBody = Annotated[Body | None, optional(element("Body"))]
+AnySite = Annotated[Site | None, optional(element("Site"))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -221,28 +231,28 @@ class Actuator(Element):
     refsite: AnySite = None
     cranksite: AnySite = None
     slidersite: AnySite = None
-    cranklength: NonNegative = 0.0
+    cranklength: Annotated[NonNegative, "m"] = 0.0
     body: AnyBody = None
-    type: Annotated[str, checks.one_of(*ACTUATOR_TYPES)] = "motor"
+    type: Annotated[str, words(*ACTUATOR_TYPES)] = "motor"
     gear: Gear = GEAR
     kp: Gain = None
     kv: Gain = None
     dampratio: Gain = None
-    timeconst: Times = None
-    input: Annotated[str | None, checks.optional(_inputs)] = None
-    feeds: Annotated[Actuator | None, checks.optional(checks.element("Actuator"))] = None
+    timeconst: Annotated[Times, "s"] = None
+    input: Inputs = None
+    feeds: Annotated[Actuator | None, optional(element("Actuator"))] = None
     ki: Limit = None
     imax: Limit = None
-    slewmax: Limit = None
-    motorconst: Gain = None
-    resistance: Gain = None
-    inductance: Limit = None
-    current_rate: Limit = None
-    thermal: Thermal = None
+    slewmax: Annotated[Limit, "1/s"] = None
+    motorconst: Annotated[Gain, "N·m/A"] = None
+    resistance: Annotated[Gain, "Ω"] = None
+    inductance: Annotated[Limit, "H"] = None
+    current_rate: Annotated[Limit, "A/s"] = None
+    thermal: Annotated[Thermal, "K/W, J/K, 1/K, °C and °C"] = None
     cogging: Cogging = None
     lugre: Lugre = None
-    gain: Gain = None
-    area: Gain = None
+    gain: Annotated[Gain, "N"] = None
+    area: Annotated[Gain, "m²"] = None
     bias: Bias = None
     range: Range = None
     force: Gain = None
@@ -253,24 +263,24 @@ class Actuator(Element):
     fpmax: Gain = None
     fvmax: Gain = None
     tausmooth: Gain = None
-    gaintype: Annotated[str | None, checks.optional(checks.one_of(*GAINS))] = None
+    gaintype: Annotated[str | None, optional(words(*GAINS))] = None
     gainprm: Terms = None
-    biastype: Annotated[str | None, checks.optional(checks.one_of(*BIASES))] = None
+    biastype: Annotated[str | None, optional(words(*BIASES))] = None
     biasprm: Terms = None
-    dyntype: Annotated[str | None, checks.optional(checks.one_of(*DYNAMICS))] = None
+    dyntype: Annotated[str | None, optional(words(*DYNAMICS))] = None
     dynprm: DynPrm = None
     ctrlrange: Range = None
     actrange: Range = None
     forcerange: Range = None
     actearly: Flag = False
-    lengthrange: Range = None
+    lengthrange: Lengths = None
     damping: Real = 0.0
     dampingpoly: Poly = (0.0, 0.0)
     armature: NonNegative = 0.0
-    delay: NonNegative = 0.0
-    nsample: Annotated[int, checks.whole(0, MOST_SAMPLES)] = 0
-    interp: Annotated[str, checks.one_of(*INTERPS)] = "zoh"
-    enabled: Flag = True
+    delay: Annotated[Delay, "s"] = 0.0
+    nsample: Samples = 0
+    interp: Annotated[str, words(*INTERPS)] = "zoh"
+    enabled: OwnFlag = True
 
     @property
     def target(self) -> tuple[str, Any]:
@@ -285,10 +295,3 @@ class Actuator(Element):
         """The value of a field of the law; where it is None, the default of the actuator's type."""
         value = getattr(self, field)
         return LAW_FIELDS[self.type].get(field) if value is None else value
-
-    def values(self) -> dict[str, Any]:
-        """As for every element; coefficients of one polynomial stand together, if there are any."""
-        values = super().values()
-        if any(poly := values.pop("dampingpoly")):
-            values["damping"] = (values["damping"], *poly)
-        return values

@@ -5,9 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from stepcore import checks
 from stepcore.scene.element import Element
-from stepcore.scene.elements.field_types import Flag, Inertia, Mass, Quat, Real, Text, Vec3
+from stepcore.scene.elements.field_types import (
+    Flag,
+    Inertia,
+    Mass,
+    Quat,
+    Real,
+    Text,
+    Vec3,
+    element,
+    optional,
+    unit,
+    words,
+)
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, turned_inertia
 
 # Who may sleep, said of the root of a tree.
@@ -42,16 +53,16 @@ class Body(Element):
     """
 
     name: Text = ""
-    parent: Annotated[Body | None, checks.optional(checks.element("Body"))] = None
-    pos: Vec3 = ORIGIN
+    parent: Annotated[Body | None, optional(element("Body"))] = None
+    pos: Annotated[Vec3, "m"] = ORIGIN
     quat: Quat = IDENTITY
-    mass: Mass = None
-    ipos: Vec3 = ORIGIN
-    inertia: Inertia = (0.0,) * 6
-    iquat: Annotated[Vec | None, checks.optional(checks.unit(4))] = None
+    mass: Annotated[Mass, "kg"] = None
+    ipos: Annotated[Vec3, "m"] = ORIGIN
+    inertia: Annotated[Inertia, "kg·m²"] = (0.0,) * 6
+    iquat: Annotated[Vec | None, optional(unit(4))] = None
     gravcomp: Real = 0.0
     mocap: Flag = False
-    sleep: Annotated[str, checks.one_of(*SLEEP)] = "auto"
+    sleep: Annotated[str, words(*SLEEP)] = "auto"
 
     def __setattr__(self, field: str, value: object) -> None:
         super().__setattr__(field, value)
@@ -67,4 +78,4 @@ def _principal(axes: Vec, inertia: Vec) -> bool:
 
 
 # A reference to one.
-ABody = Annotated[Body, checks.element("Body")]
+ABody = Annotated[Body, element("Body")]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from stepcore import checks
 from stepcore.scene.element import Element
 from stepcore.scene.elements.field_types import (
     PAIR_FRICTION,
     SOLIMP,
     SOLREF,
+    Condim,
     Flag,
     NonNegative,
     PairFriction,
@@ -46,14 +46,14 @@ class Pair(Element):
     name: Text = ""
     geom1: AGeom
     geom2: AGeom
-    condim: Annotated[int, checks.one_of(1, 3, 4, 6)] = 3
+    condim: Condim = 3
     friction: PairFriction = PAIR_FRICTION
     solref: SolRef = SOLREF
     solimp: SolImp = SOLIMP
     solreffriction: SolRefFriction = None
-    margin: Real = 0.0
-    gap: NonNegative = 0.0
-    adhesion: NonNegative = 0.0
+    margin: Annotated[Real, "m"] = 0.0
+    gap: Annotated[NonNegative, "m"] = 0.0
+    adhesion: Annotated[NonNegative, "N"] = 0.0
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -66,7 +66,7 @@ class ContactOverride(Element):
     """
 
     enable: Flag = False
-    margin: Real = 0.0
+    margin: Annotated[Real, "m"] = 0.0
     solref: SolRef = SOLREF
     solimp: SolImp = SOLIMP
     friction: PairFriction = PAIR_FRICTION

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from stepcore import checks
 from stepcore.scene.element import Element
 from stepcore.scene.elements.body import Body
 from stepcore.scene.elements.field_types import (
@@ -20,6 +19,9 @@ from stepcore.scene.elements.field_types import (
     SolRef,
     Text,
     Vec3,
+    element,
+    optional,
+    words,
 )
 from stepcore.scene.elements.geom import Geom
 from stepcore.scene.elements.joint import Joint
@@ -35,10 +37,10 @@ ROW_KINDS = {
     "tendon": "tendon equality",
 }
 
-SomeBody = Annotated[Body | None, checks.optional(checks.element("Body"))]
-SomeSite = Annotated[Site | None, checks.optional(checks.element("Site"))]
-SomeTendon = Annotated[Tendon | None, checks.optional(checks.element("Tendon"))]
-SomeJoint = Annotated[Joint | None, checks.optional(checks.element("Joint"))]
+SomeBody = Annotated[Body | None, optional(element("Body"))]
+SomeSite = Annotated[Site | None, optional(element("Site"))]
+SomeTendon = Annotated[Tendon | None, optional(element("Tendon"))]
+SomeJoint = Annotated[Joint | None, optional(element("Joint"))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -65,7 +67,7 @@ class Equality(Element):
     """
 
     name: Text = ""
-    type: Annotated[str, checks.one_of(*ROW_KINDS)] = "connect"
+    type: Annotated[str, words(*ROW_KINDS)] = "connect"
     body1: SomeBody = None
     body2: SomeBody = None
     site1: SomeSite = None
@@ -74,10 +76,10 @@ class Equality(Element):
     joint2: SomeJoint = None
     tendon1: SomeTendon = None
     tendon2: SomeTendon = None
-    anchor: Vec3 = ORIGIN
-    relpose: RelPose = None
-    torquescale: Real = 1.0
-    polycoef: PolyCoef = POLYCOEF
+    anchor: Annotated[Vec3, "m"] = ORIGIN
+    relpose: Annotated[RelPose, "m and 1"] = None
+    torquescale: Annotated[Real, "m/rad"] = 1.0
+    polycoef: Annotated[PolyCoef, "rad or m"] = POLYCOEF
     active: Flag = True
     solref: SolRef = SOLREF
     solimp: SolImp = SOLIMP

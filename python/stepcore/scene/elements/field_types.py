@@ -1,10 +1,13 @@
-"""The types of fields: each with the check that every assigned value passes."""
+"""The types of fields: the check of every assigned value, and MJCF's notation of the attribute."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Annotated
 
 from stepcore import checks
+from stepcore.scene.element import FieldType
 from stepcore.scene.frames import ORIGIN, Vec
 
 GRAVITY: Vec = (0.0, 0.0, -9.81)
@@ -16,36 +19,134 @@ STILL: Vec = (0.0,) * 6
 FLUIDCOEF: Vec = (0.5, 0.25, 1.5, 1.0, 1.0)
 POLYCOEF: Vec = (0.0, 1.0, 0.0, 0.0, 0.0)
 GEAR: Vec = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+# MJCF's notation of a switch, and of one that other attributes can turn.
+BOOL, AUTO = "false|true", "false|true|auto"
 
-Text = Annotated[str, checks.text]
-Flag = Annotated[bool, checks.flag]
-Real = Annotated[float, checks.real()]
-Gain = Annotated[float | None, checks.optional(checks.real())]
-NonNegative = Annotated[float, checks.real(low=0)]
-Mass = Annotated[float | None, checks.optional(checks.real(low=0))]
-Int = Annotated[int, checks.whole(-(2**31), 2**31 - 1)]
-Mask = Annotated[int, checks.whole(0, 2**32 - 1)]
-Vec3 = Annotated[Vec, checks.vector(3)]
-Axis = Annotated[Vec, checks.unit(3)]
-Quat = Annotated[Vec, checks.unit(4)]
-Size = Annotated[Vec, checks.vector(3, low=0, fill=(0.0, 0.0, 0.0))]
-Friction = Annotated[Vec, checks.vector(3, low=0, fill=FRICTION)]
-PairFriction = Annotated[Vec, checks.vector(5, low=0, fill=PAIR_FRICTION)]
-Gear = Annotated[Vec, checks.vector(6, fill=GEAR)]
-SurfaceVel = Annotated[Vec, checks.vector(6, fill=STILL)]
-FluidCoef = Annotated[Vec, checks.vector(5, fill=FLUIDCOEF)]
-SpringDamper = Annotated[Vec | None, checks.optional(checks.vector(2, low=0))]
-PolyCoef = Annotated[Vec, checks.vector(5, fill=POLYCOEF)]
-RelPose = Annotated[Vec | None, checks.optional(checks.pose)]
-Poly = Annotated[Vec, checks.vector(2, fill=(0.0, 0.0))]
-DynPrm = Annotated[Vec | None, checks.optional(checks.vector(3, fill=(1.0, 0.0, 0.0)))]
-Bias = Annotated[Vec | None, checks.optional(checks.vector(3, fill=ORIGIN))]
-SolRef = Annotated[Vec, checks.solref]
-SolRefFriction = Annotated[Vec | None, checks.optional(checks.solreffriction)]
-SolImp = Annotated[Vec, checks.vector(5, fill=SOLIMP)]
-Range = Annotated[tuple[float, float] | None, checks.optional(checks.interval)]
+
+def real(low: float = -math.inf, above: float = -math.inf) -> FieldType:
+    """A number within limits."""
+    return FieldType(checks.real(low, above), "float", "1")
+
+
+def vector(count: int, *, low: float = -math.inf, fill: Vec = ()) -> FieldType:
+    """`count` numbers; with `fill` fewer may be given."""
+    check = checks.vector(count, low=low, fill=fill)
+    return (
+        FieldType(check, "Numbers", f"1-{count}")
+        if fill
+        else FieldType(check, "Vector", str(count))
+    )
+
+
+def unit(count: int) -> FieldType:
+    """A direction, or a quaternion."""
+    return FieldType(checks.unit(count), "Vector", str(count))
+
+
+def words(*allowed: str) -> FieldType:
+    """One of a few words."""
+    return FieldType(checks.one_of(*allowed), "str", "|".join(allowed))
+
+
+def whole(low: int, high: int) -> FieldType:
+    """A whole number within limits."""
+    return FieldType(checks.whole(low, high), "int", "int")
+
+
+def element(*kinds: str) -> FieldType:
+    """An element of one of these classes, which MJCF names."""
+    return FieldType(checks.element(*kinds), "", "", refers=kinds)
+
+
+def optional(held: FieldType) -> FieldType:
+    """None, or what a field of this type holds."""
+    given = held.given and f"{held.given} | None"
+    return replace(held, check=checks.optional(held.check), given=given)
+
+
+Text = Annotated[str, FieldType(checks.text, "str", "")]
+Flag = Annotated[bool, FieldType(checks.flag, "bool", BOOL)]
+# A switch that MJCF has no attribute for.
+OwnFlag = Annotated[bool, FieldType(checks.flag, "bool")]
+Real = Annotated[float, real()]
+Gain = Annotated[float | None, optional(real())]
+Limit = Annotated[float | None, optional(real(low=0))]
+NonNegative = Annotated[float, real(low=0)]
+Positive = Annotated[float, real(above=0)]
+Mass = Annotated[float | None, optional(real(low=0))]
+Delay = Annotated[float, replace(real(low=0), read=lambda value: max(value, 0.0))]
+Int = Annotated[int, whole(-(2**31), 2**31 - 1)]
+Condim = Annotated[int, FieldType(checks.one_of(1, 3, 4, 6), "int", "int")]
+# MJCF's masks are signed.
+Mask = Annotated[
+    int,
+    replace(
+        whole(0, 2**32 - 1),
+        read=lambda value: value % 2**32,
+        write=lambda value: (value + 2**31) % 2**32 - 2**31,
+    ),
+]
+Vec3 = Annotated[Vec, vector(3)]
+Axis = Annotated[Vec, unit(3)]
+Quat = Annotated[Vec, unit(4)]
+Size = Annotated[Vec, vector(3, low=0, fill=(0.0, 0.0, 0.0))]
+Friction = Annotated[Vec, vector(3, low=0, fill=FRICTION)]
+PairFriction = Annotated[Vec, vector(5, low=0, fill=PAIR_FRICTION)]
+Gear = Annotated[Vec, vector(6, fill=GEAR)]
+SurfaceVel = Annotated[Vec, vector(6, fill=STILL)]
+FluidCoef = Annotated[Vec, vector(5, fill=FLUIDCOEF)]
+# Both count only where both are positive.
+SpringDamper = Annotated[
+    Vec | None,
+    replace(optional(vector(2, low=0)), read=lambda value: value if min(value) > 0 else None),
+]
+PolyCoef = Annotated[Vec, vector(5, fill=POLYCOEF)]
+# MuJoCo's "0 1 0 0 0 0 0" means: as in the pose of the scene.
+RelPose = Annotated[
+    Vec | None,
+    FieldType(
+        checks.optional(checks.pose),
+        "Vector | None",
+        "7",
+        read=lambda value: value if any(value[3:]) else None,
+    ),
+]
+# The higher coefficients of a polynomial, which MJCF writes behind the first.
+Poly = Annotated[Vec, replace(vector(2, fill=(0.0, 0.0)), attribute=None)]
+DynPrm = Annotated[Vec | None, replace(optional(vector(3, fill=(1.0, 0.0, 0.0))), attribute="*")]
+Bias = Annotated[Vec | None, replace(optional(vector(3, fill=ORIGIN)), attribute="3")]
+SolRef = Annotated[
+    Vec, FieldType(checks.solref, "Vector", "1-2", read=lambda value: value + SOLREF[len(value) :])
+]
+# MuJoCo's "0 0" means: as the normal.
+SolRefFriction = Annotated[
+    Vec | None,
+    FieldType(
+        checks.optional(checks.solreffriction),
+        "Vector | None",
+        "1-2",
+        read=lambda value: (*value, 0.0)[:2] if any(value) else None,
+    ),
+]
+SolImp = Annotated[Vec, vector(5, fill=SOLIMP)]
+Range = Annotated[
+    tuple[float, float] | None, FieldType(checks.optional(checks.interval), "Vector | None", "2")
+]
 # Of a ball joint, which may turn through no angle.
-Reach = Annotated[tuple[float, float] | None, checks.optional(checks.interval_or_zero)]
-Numbers = Annotated[Vec | None, checks.optional(checks.numbers)]
-Groups = Annotated[tuple[int, ...], checks.whole_pair]
-Inertia = Annotated[Vec, checks.inertia]
+Reach = Annotated[
+    tuple[float, float] | None,
+    FieldType(checks.optional(checks.interval_or_zero), "Vector | None", "2"),
+]
+# A range that is empty in a file is none.
+Lengths = Annotated[
+    tuple[float, float] | None,
+    FieldType(
+        checks.optional(checks.interval),
+        "Vector | None",
+        "2",
+        read=lambda value: value if value[0] < value[1] else None,
+    ),
+]
+Numbers = Annotated[Vec | None, FieldType(checks.optional(checks.numbers), "Vector | None", "*")]
+Groups = Annotated[tuple[int, ...], FieldType(checks.whole_pair, "Sequence[int]", "int2")]
+Inertia = Annotated[Vec, FieldType(checks.inertia, "Vector", None)]

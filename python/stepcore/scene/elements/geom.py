@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from stepcore import checks
+import numpy as np
+
 from stepcore.scene.element import Element
 from stepcore.scene.elements.body import ABody
 from stepcore.scene.elements.field_types import (
@@ -14,6 +15,7 @@ from stepcore.scene.elements.field_types import (
     SOLIMP,
     SOLREF,
     STILL,
+    Condim,
     Flag,
     FluidCoef,
     Friction,
@@ -21,6 +23,8 @@ from stepcore.scene.elements.field_types import (
     Mask,
     Mass,
     NonNegative,
+    OwnFlag,
+    Positive,
     Quat,
     Real,
     Size,
@@ -29,9 +33,12 @@ from stepcore.scene.elements.field_types import (
     SurfaceVel,
     Text,
     Vec3,
+    element,
+    optional,
+    words,
 )
+from stepcore.scene.elements.mesh import HField, Mesh
 from stepcore.scene.frames import IDENTITY, ORIGIN
-from stepcore.scene.surfaces import HField, Mesh
 
 GEOM_TYPES = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 
@@ -75,33 +82,42 @@ class Geom(Element):
 
     name: Text = ""
     body: ABody
-    type: Annotated[str, checks.one_of(*GEOM_TYPES)] = "sphere"
-    size: Size = ORIGIN
-    pos: Vec3 = ORIGIN
+    type: Annotated[str, words(*GEOM_TYPES)] = "sphere"
+    size: Annotated[Size, "m"] = ORIGIN
+    pos: Annotated[Vec3, "m"] = ORIGIN
     quat: Quat = IDENTITY
-    mesh: Annotated[Mesh | None, checks.optional(checks.element("Mesh"))] = None
-    fitscale: Annotated[float, checks.real(above=0)] = 1.0
-    hfield: Annotated[HField | None, checks.optional(checks.element("HField"))] = None
-    mass: Mass = None
-    density: NonNegative = 1000.0
+    mesh: Annotated[Mesh | None, optional(element("Mesh"))] = None
+    fitscale: Positive = 1.0
+    hfield: Annotated[HField | None, optional(element("HField"))] = None
+    mass: Annotated[Mass, "kg"] = None
+    density: Annotated[NonNegative, "kg/m³ or kg/m²"] = 1000.0
     shellinertia: Flag = False
     group: Int = 0
-    hidden: Flag = False
+    hidden: OwnFlag = False
     contype: Mask = 1
     conaffinity: Mask = 1
-    condim: Annotated[int, checks.one_of(1, 3, 4, 6)] = 3
+    condim: Condim = 3
     priority: Int = 0
-    friction: Friction = FRICTION
-    margin: Real = 0.0
-    gap: NonNegative = 0.0
-    surfacevel: SurfaceVel = STILL
-    adhesion: NonNegative = 0.0
+    friction: Annotated[Friction, "1, m and m"] = FRICTION
+    margin: Annotated[Real, "m"] = 0.0
+    gap: Annotated[NonNegative, "m"] = 0.0
+    surfacevel: Annotated[SurfaceVel, "m/s and rad/s"] = STILL
+    adhesion: Annotated[NonNegative, "N"] = 0.0
     solmix: NonNegative = 1.0
     solref: SolRef = SOLREF
     solimp: SolImp = SOLIMP
-    fluidshape: Annotated[str, checks.one_of("none", "ellipsoid")] = "none"
+    fluidshape: Annotated[str, words("none", "ellipsoid")] = "none"
     fluidcoef: FluidCoef = FLUIDCOEF
+
+    @property
+    def half_size(self) -> float:
+        """The largest half size [m]; 0 of ground, which has none of its own."""
+        if self.type in ("plane", "hfield"):
+            return 0.0
+        if self.mesh is not None:
+            return 0.5 * float(np.ptp(self.mesh.placed(), axis=0).max()) * self.fitscale
+        return max(self.size)
 
 
 # A reference to one.
-AGeom = Annotated[Geom, checks.element("Geom")]
+AGeom = Annotated[Geom, element("Geom")]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from stepcore import checks
 from stepcore.scene.element import Element
 from stepcore.scene.elements.body import ABody
 from stepcore.scene.elements.field_types import (
@@ -23,6 +22,8 @@ from stepcore.scene.elements.field_types import (
     SpringDamper,
     Text,
     Vec3,
+    element,
+    words,
 )
 from stepcore.scene.frames import ORIGIN
 
@@ -63,22 +64,22 @@ class Joint(Element):
 
     name: Text = ""
     body: ABody
-    type: Annotated[str, checks.one_of(*JOINT_TYPES)] = "hinge"
-    pos: Vec3 = ORIGIN
+    type: Annotated[str, words(*JOINT_TYPES)] = "hinge"
+    pos: Annotated[Vec3, "m"] = ORIGIN
     axis: Axis = (0.0, 0.0, 1.0)
-    range: Reach = None
-    margin: Real = 0.0
-    ref: Real = 0.0
-    springref: Real = 0.0
-    stiffness: Real = 0.0
+    range: Annotated[Reach, "rad or m"] = None
+    margin: Annotated[Real, "rad or m"] = 0.0
+    ref: Annotated[Real, "rad or m"] = 0.0
+    springref: Annotated[Real, "rad or m"] = 0.0
+    stiffness: Annotated[Real, "N·m/rad or N/m"] = 0.0
     stiffnesspoly: Poly = (0.0, 0.0)
-    damping: Real = 0.0
+    damping: Annotated[Real, "N·m·s/rad or N·s/m"] = 0.0
     dampingpoly: Poly = (0.0, 0.0)
-    springdamper: SpringDamper = None
+    springdamper: Annotated[SpringDamper, "s and 1"] = None
     actuatorgravcomp: Flag = False
-    armature: NonNegative = 0.0
-    actuatorfrcrange: Range = None
-    frictionloss: NonNegative = 0.0
+    armature: Annotated[NonNegative, "kg·m² or kg"] = 0.0
+    actuatorfrcrange: Annotated[Range, "N·m or N"] = None
+    frictionloss: Annotated[NonNegative, "N·m or N"] = 0.0
     solreflimit: SolRef = SOLREF
     solimplimit: SolImp = SOLIMP
     solreffriction: SolRef = SOLREF
@@ -87,31 +88,17 @@ class Joint(Element):
     @property
     def sprung(self) -> bool:
         """Whether it has a spring."""
-        return self.springdamper is not None or any(self.record()["stiffness"])
+        return self.springdamper is not None or any((self.stiffness, *self.stiffnesspoly))
 
     @property
     def damped(self) -> bool:
         """Whether it has a damper."""
-        return self.springdamper is not None or any(self.record()["damping"])
+        return self.springdamper is not None or any((self.damping, *self.dampingpoly))
 
-    def values(self) -> dict[str, Any]:
-        """As for every element; coefficients of one polynomial stand together, if there are any."""
-        values = super().values()
-        for field in ("stiffness", "damping"):
-            if any(poly := values.pop(field + "poly")):
-                values[field] = (values[field], *poly)
-        return values
-
-    def record(self) -> dict[str, Any]:
-        """As for every element; stiffness and damping are lists of all three coefficients, and
-        springdamper is of two numbers, zero for none."""
-        coefficients = {
-            "stiffness": [self.stiffness, *self.stiffnesspoly],
-            "damping": [self.damping, *self.dampingpoly],
-            "springdamper": list(self.springdamper or (0.0, 0.0)),
-        }
-        return super().record() | coefficients
+    def record(self, *skip: str) -> dict[str, Any]:
+        """As for every element; without a springdamper its two numbers are zero."""
+        return super().record(*skip) | {"springdamper": list(self.springdamper or (0.0, 0.0))}
 
 
 # A reference to one.
-AJoint = Annotated[Joint, checks.element("Joint")]
+AJoint = Annotated[Joint, element("Joint")]

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from stepcore import checks
-from stepcore.scene.element import Element
-from stepcore.scene.elements.field_types import NonNegative, Text
+from stepcore.scene.element import Element, FieldType
+from stepcore.scene.elements.field_types import (
+    NonNegative,
+    Text,
+    element,
+    optional,
+    whole,
+    words,
+)
 
 # By type: the kinds of elements that it can look at, and those of its reference.
 FRAMES = ("site", "body", "geom")
@@ -67,7 +74,9 @@ def _words(owner: object, field: str, value: object) -> tuple[str, ...]:
     return tuple(words)
 
 
-AnObject = checks.element("Site", "Body", "Geom", "Joint", "Tendon", "Actuator")
+# What a body stands for; MJCF says it by the name of the attribute.
+STANDS_FOR = replace(words("", "body", "xbody", "subtree"), attribute=None)
+AnObject = element("Site", "Body", "Geom", "Joint", "Tendon", "Actuator")
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -97,13 +106,13 @@ class Sensor(Element):
     """
 
     name: Text = ""
-    type: Annotated[str, checks.one_of(*OBJECTS)]
-    object: Annotated[Element | None, checks.optional(AnObject)] = None
-    objtype: Annotated[str, checks.one_of("", "body", "xbody", "subtree")] = ""
-    reference: Annotated[Element | None, checks.optional(AnObject)] = None
-    reftype: Annotated[str, checks.one_of("", "body", "xbody", "subtree")] = ""
+    type: Annotated[str, words(*OBJECTS)]
+    object: Annotated[Element | None, optional(AnObject)] = None
+    objtype: Annotated[str, STANDS_FOR] = ""
+    reference: Annotated[Element | None, optional(AnObject)] = None
+    reftype: Annotated[str, STANDS_FOR] = ""
     cutoff: NonNegative = 0.0
     noise: NonNegative = 0.0
-    data: Annotated[tuple[str, ...], _words] = ()
-    reduce: Annotated[str, checks.one_of("none", "mindist", "maxforce", "netforce")] = "none"
-    num: Annotated[int, checks.whole(1, MOST_NUMBERS)] = 1
+    data: Annotated[tuple[str, ...], FieldType(_words, "str | Sequence[str]", "")] = ()
+    reduce: Annotated[str, words("none", "mindist", "maxforce", "netforce")] = "none"
+    num: Annotated[int, whole(1, MOST_NUMBERS)] = 1

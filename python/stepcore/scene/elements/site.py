@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from stepcore import checks
 from stepcore.scene.element import Element
 from stepcore.scene.elements.body import ABody
-from stepcore.scene.elements.field_types import Quat, Size, Text, Vec3
+from stepcore.scene.elements.field_types import Quat, Size, Text, Vec3, words
 from stepcore.scene.frames import IDENTITY, ORIGIN
 
 # MuJoCo's default size of a site.
@@ -26,9 +25,7 @@ class Site(Element):
 
     name: Text = ""
     body: ABody
-    pos: Vec3 = ORIGIN
+    pos: Annotated[Vec3, "m"] = ORIGIN
     quat: Quat = IDENTITY
-    type: Annotated[str, checks.one_of("sphere", "capsule", "ellipsoid", "cylinder", "box")] = (
-        "sphere"
-    )
-    size: Size = SITE_SIZE
+    type: Annotated[str, words("sphere", "capsule", "ellipsoid", "cylinder", "box")] = "sphere"
+    size: Annotated[Size, "m"] = SITE_SIZE

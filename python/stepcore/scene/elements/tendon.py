@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 from stepcore import checks
-from stepcore.scene.element import Element
+from stepcore.scene.element import Element, FieldType
 from stepcore.scene.elements.field_types import (
     SOLIMP,
     SOLREF,
@@ -18,6 +18,7 @@ from stepcore.scene.elements.field_types import (
     SolImp,
     SolRef,
     Text,
+    element,
 )
 from stepcore.scene.elements.geom import Geom
 from stepcore.scene.elements.joint import Joint
@@ -99,6 +100,9 @@ def spring_length(owner: Any, field: str, value: object) -> tuple[float, ...]:
     return low, high
 
 
+SpringLength = Annotated[tuple[float, ...], FieldType(spring_length, "Numbers", "1-2")]
+
+
 @dataclass(eq=False, repr=False, kw_only=True)
 class Tendon(Element):
     """A length, with what holds it and pulls along it.
@@ -126,17 +130,17 @@ class Tendon(Element):
     """
 
     name: Text = ""
-    path: Annotated[Path, path]
-    range: Range = None
-    margin: Real = 0.0
-    springlength: Annotated[tuple[float, ...], spring_length] = AUTOMATIC
-    stiffness: Real = 0.0
+    path: Annotated[Path, FieldType(path, "Iterable[Any]", refers=("Joint", "Site", "Geom"))]
+    range: Annotated[Range, "m"] = None
+    margin: Annotated[Real, "m"] = 0.0
+    springlength: Annotated[SpringLength, "m"] = AUTOMATIC
+    stiffness: Annotated[Real, "N/m"] = 0.0
     stiffnesspoly: Poly = (0.0, 0.0)
-    damping: Real = 0.0
+    damping: Annotated[Real, "N·s/m"] = 0.0
     dampingpoly: Poly = (0.0, 0.0)
-    armature: NonNegative = 0.0
-    frictionloss: NonNegative = 0.0
-    actuatorfrcrange: Range = None
+    armature: Annotated[NonNegative, "kg"] = 0.0
+    frictionloss: Annotated[NonNegative, "N"] = 0.0
+    actuatorfrcrange: Annotated[Range, "N"] = None
     solreflimit: SolRef = SOLREF
     solimplimit: SolImp = SOLIMP
     solreffriction: SolRef = SOLREF
@@ -163,22 +167,6 @@ class Tendon(Element):
             parts = (stop,) if isinstance(stop, Site) else stop
             yield from (part for part in parts if isinstance(part, (Joint, Site, Geom)))
 
-    def values(self) -> dict[str, Any]:
-        """As for every element; coefficients of one polynomial stand together, if there are any."""
-        values = super().values()
-        for field in ("stiffness", "damping"):
-            if any(poly := values.pop(field + "poly")):
-                values[field] = (values[field], *poly)
-        return values
-
-    def record(self) -> dict[str, Any]:
-        """As for every element; stiffness and damping are lists of all three coefficients."""
-        coefficients = {
-            "stiffness": [self.stiffness, *self.stiffnesspoly],
-            "damping": [self.damping, *self.dampingpoly],
-        }
-        return super().record() | coefficients
-
 
 # A reference to one.
-ATendon = Annotated[Tendon, checks.element("Tendon")]
+ATendon = Annotated[Tendon, element("Tendon")]

@@ -6,8 +6,17 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from stepcore import checks
-from stepcore.scene.element import Element
-from stepcore.scene.elements.field_types import Flag, Groups, NonNegative, Numbers, Real, Text
+from stepcore.scene.element import Element, FieldType
+from stepcore.scene.elements.field_types import (
+    AUTO,
+    Flag,
+    Groups,
+    NonNegative,
+    Numbers,
+    Real,
+    Text,
+    words,
+)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -21,13 +30,24 @@ class Key(Element):
     """
 
     name: Text = ""
-    time: Real = 0.0
+    time: Annotated[Real, "s"] = 0.0
     qpos: Numbers = None
     qvel: Numbers = None
     act: Numbers = None
     ctrl: Numbers = None
     mpos: Numbers = None
     mquat: Numbers = None
+
+
+FromGeoms = Annotated[
+    bool | None,
+    FieldType(
+        checks.one_of(None, True, False),
+        "bool | None",
+        AUTO,
+        read=lambda value: None if value == "auto" else value,
+    ),
+]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -44,12 +64,12 @@ class MassRules(Element):
         inertia.
     """
 
-    inertiafromgeom: Annotated[bool | None, checks.one_of(None, True, False)] = None
+    inertiafromgeom: FromGeoms = None
     inertiagrouprange: Groups = (0, 5)
-    boundmass: NonNegative = 0.0
-    boundinertia: NonNegative = 0.0
+    boundmass: Annotated[NonNegative, "kg"] = 0.0
+    boundinertia: Annotated[NonNegative, "kg·m²"] = 0.0
     balanceinertia: Flag = False
-    settotalmass: Real = -1.0
+    settotalmass: Annotated[Real, "kg"] = -1.0
     fitaabb: Flag = False
 
     def __str__(self) -> str:
@@ -76,15 +96,15 @@ class LengthRange(Element):
     tolrange: how far it may move there, of the whole range.
     """
 
-    mode: Annotated[str, checks.one_of("none", "muscle", "muscleuser", "all")] = "muscle"
+    mode: Annotated[str, words("none", "muscle", "muscleuser", "all")] = "muscle"
     useexisting: Flag = True
     uselimit: Flag = False
-    accel: NonNegative = 20.0
-    maxforce: NonNegative = 0.0
-    timeconst: NonNegative = 1.0
-    timestep: NonNegative = 0.01
-    inttotal: NonNegative = 10.0
-    interval: NonNegative = 2.0
+    accel: Annotated[NonNegative, "rad/s² or m/s²"] = 20.0
+    maxforce: Annotated[NonNegative, "N·m or N"] = 0.0
+    timeconst: Annotated[NonNegative, "s"] = 1.0
+    timestep: Annotated[NonNegative, "s"] = 0.01
+    inttotal: Annotated[NonNegative, "s"] = 10.0
+    interval: Annotated[NonNegative, "s"] = 2.0
     tolrange: NonNegative = 0.05
 
     def __str__(self) -> str:

@@ -1,15 +1,17 @@
-"""Meshes and height fields: elements that geoms refer to, with their numbers in arrays."""
+"""`Mesh` and `HField`: elements that geoms refer to, with their numbers in arrays."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks
-from stepcore.scene.element import Element
-from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
+from stepcore.scene.element import Element, FieldType
+from stepcore.scene.elements.field_types import Quat, Text, Vec3, optional, vector, words
+from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, rotated
 
 if TYPE_CHECKING:
     from typing import Self
@@ -35,8 +37,17 @@ class Asset(Element):
 
     def __repr__(self) -> str:
         shapes = {k: v.shape for k, v in self.__dict__.items() if hasattr(v, "shape")}
-        words = [f"{name} {shape[0]} × {shape[1]}" for name, shape in shapes.items()]
-        return f"<{self}: {', '.join(words)}>"
+        parts = [f"{name} {shape[0]} × {shape[1]}" for name, shape in shapes.items()]
+        return f"<{self}: {', '.join(parts)}>"
+
+
+Vertices = Annotated[NDArray[Any], FieldType(checks.table(3), "ArrayLike")]
+Faces = Annotated[
+    NDArray[Any] | None, optional(FieldType(checks.table(3, whole=True), "ArrayLike"))
+]
+HullVertices = Annotated[int, FieldType(checks.most_vertices, "int", "int")]
+FilePath = Annotated[str, FieldType(checks.text, "str | os.PathLike[str]", "")]
+Heights = Annotated[NDArray[Any], FieldType(checks.table(None), "ArrayLike")]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -56,15 +67,40 @@ class Mesh(Asset):
     file: the file that it was read from, or "".
     """
 
-    name: Annotated[str, checks.text] = ""
-    vertices: Annotated[NDArray[Any], checks.table(3)]
-    faces: Annotated[NDArray[Any] | None, checks.optional(checks.table(3, whole=True))] = None
-    scale: Annotated[Vec, checks.vector(3)] = (1.0, 1.0, 1.0)
-    refpos: Annotated[Vec, checks.vector(3)] = ORIGIN
-    refquat: Annotated[Vec, checks.unit(4)] = IDENTITY
-    inertia: Annotated[str, checks.one_of(*MESH_INERTIAS)] = "legacy"
-    maxhullvert: Annotated[int, checks.most_vertices] = -1
-    file: Annotated[str, checks.text] = ""
+    name: Text = ""
+    vertices: Annotated[Vertices, "m"]
+    faces: Faces = None
+    scale: Vec3 = (1.0, 1.0, 1.0)
+    refpos: Annotated[Vec3, "m"] = ORIGIN
+    refquat: Quat = IDENTITY
+    inertia: Annotated[str, words(*MESH_INERTIAS)] = "legacy"
+    maxhullvert: HullVertices = -1
+    file: FilePath = ""
+
+    def placed(self) -> NDArray[Any]:
+        """The vertices in the frame of the geom: scale · refquatᵀ (vertex − refpos)."""
+        vertices: NDArray[Any] = self.vertices
+        if self.refpos != ORIGIN:
+            vertices = vertices - np.array(self.refpos)
+        if self.refquat != IDENTITY:
+            axes = np.array([rotated(self.refquat, axis) for axis in np.eye(3).tolist()])
+            vertices = vertices @ axes.T
+        if self.scale != (1.0, 1.0, 1.0):
+            vertices = vertices * np.array(self.scale)
+        return np.ascontiguousarray(vertices)
+
+    def record(self, *_: str) -> dict[str, Any]:
+        """The mesh as the engine reads it: in place, a mirrored one with its faces turned over."""
+        faces = np.empty((0, 3), np.uintp) if self.faces is None else self.faces
+        if np.prod(np.sign(self.scale)) < 0:
+            faces = np.ascontiguousarray(faces[:, [0, 2, 1]])
+        return {
+            "name": self.name,
+            "vertices": self.placed(),
+            "faces": faces,
+            "inertia": self.inertia,
+            "maxhullvert": None if self.maxhullvert == -1 else self.maxhullvert,
+        }
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -79,7 +115,7 @@ class HField(Asset):
     file: the file that it was read from, or "".
     """
 
-    name: Annotated[str, checks.text] = ""
-    size: Annotated[Vec, checks.vector(4, low=0)]
-    elevation: Annotated[NDArray[Any], checks.table(None)]
-    file: Annotated[str, checks.text] = ""
+    name: Text = ""
+    size: Annotated[Vec, vector(4, low=0), "m"]
+    elevation: Heights
+    file: FilePath = ""
