@@ -89,7 +89,7 @@ def read_looks(scene: Contents) -> Looks | None:
     model = models.prepared(root, source.directory)
     world = read_sections(drawn, model, refusals, _DrawnAssets)
     refusals.raise_all()
-    finish(world, root, source.fuse)
+    finish(world, source.fuse)
     of_links = {id(node) for link in links for node in link.visuals}
     world.only_drawn |= {id(shape.geom) for shape in world.shapes if id(shape.node) in of_links}
     layout, own = Layout(drawn), Layout(scene)

@@ -1,10 +1,11 @@
-"""What bodies weigh once the scene is compiled, for the compiler options that move bodies by it."""
+"""The masses that bodies get once the scene is compiled, for what the reader does by them."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,22 @@ from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.scene.plain import plain
 
+if TYPE_CHECKING:
+    from stepcore.mjcf.worldbody import WorldReader
+
+# Sensors of the masses of bodies, also of those that cannot move.
+OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
+NOTE = (
+    "an attached model makes masses by other rules (<compiler>): bodies have the masses that their "
+    "own rules make, and changed densities or sizes of geoms would not change these"
+)
+
 
 @dataclass(frozen=True)
 class Weight:
     """A body's mass [kg], centre [m] and inertia about it [kg·m²], (3, 3), in the body's frame.
 
-    iquat: its principal axes; None: not known.
+    iquat: its principal axes; None of a sum.
     """
 
     mass: float
@@ -31,7 +42,7 @@ class Weight:
     iquat: Vec | None = None
 
     def seen_from(self, pos: Vec, quat: Vec) -> Weight:
-        """The same in the frame in which the body has this pose."""
+        """The same weight in the frame in which the body has this pose."""
         turn = np.array(frames.matrix(quat))
         return Weight(self.mass, np.array(pos) + turn @ self.ipos, turn @ self.inertia @ turn.T)
 
@@ -41,59 +52,131 @@ class Weight:
             return self
         ipos = (self.mass * self.ipos + other.mass * other.ipos) / mass
         inertia = np.zeros((3, 3))
-        for one in (self, other):
-            d = one.ipos - ipos
-            inertia += one.inertia + one.mass * (d @ d * np.eye(3) - np.outer(d, d))
+        for part in (self, other):
+            d = part.ipos - ipos
+            inertia += part.inertia + part.mass * (d @ d * np.eye(3) - np.outer(d, d))
         return Weight(mass, ipos, inertia)
 
+    @property
+    def six(self) -> Vec:
+        """The inertia as xx yy zz xy xz yz."""
+        places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        return tuple(float(self.inertia[place]) for place in places)
 
-def weights(scene: Contents) -> dict[int, Weight]:
-    """The weight of each body, by its ``id``, without the scaling to a total mass."""
-    total = scene.mass_rules.settotalmass
-    scene.mass_rules.settotalmass = -1.0
-    try:
-        layout = Layout(scene)
-        known = _weighed(layout)
-    finally:
-        scene.mass_rules.settotalmass = total
-    return {id(body): weight for body, weight in zip(layout.bodies, known, strict=True)}
+    def equals(self, other: Weight | None) -> bool:
+        """Whether the mass, the centre and the inertia have the same bits."""
+        return other is not None and (
+            self.mass == other.mass
+            and bool((self.ipos == other.ipos).all())
+            and bool((self.inertia == other.inertia).all())
+        )
+
+    def give(self, body: Body) -> None:
+        """Makes this weight the body's own."""
+        body.mass, body.inertia, body.iquat = self.mass, self.six, self.iquat
+        body.ipos = tuple(map(float, self.ipos))
 
 
-def weights_under(rules: MassRules, scene: Contents, bodies: Iterable[Body]) -> dict[int, Weight]:
-    """The weights of some bodies of a scene under other rules than its own, by their ``id``."""
+def weights(
+    scene: Contents, bodies: Iterable[Body], rules: MassRules | None = None
+) -> dict[int, Weight]:
+    """The weights of bodies by their ``id``, without the scaling to a total mass.
+
+    rules: others than those of the scene. Only these bodies and their geoms are compiled.
+    """
     part = Contents()
-    part.mass_rules = MassRules(**(rules.values() | {"settotalmass": -1.0}))
+    part.mass_rules = MassRules(**((rules or scene.mass_rules).values() | {"settotalmass": -1.0}))
     part.meshes, part.hfields = scene.meshes, scene.hfields
-    twins: dict[int, Body] = {}
-    for body in bodies:
-        twins[id(body)] = twin = copy.copy(body)
+    twins = {id(body): copy.copy(body) for body in bodies}
+    for twin in twins.values():
         twin.parent = part.world
         part.bodies.append(twin)
     for geom in scene.geoms:
         if id(geom.body) in twins:
             part.geoms.append(copy.copy(geom))
             part.geoms[-1].body = twins[id(geom.body)]
+    tables = _core.compile(plain(Layout(part))).tables()
+    columns = [tables[f"body_{name}"][1:] for name in ("mass", "ipos", "inertia", "iquat")]
     # Bodies of one parent keep their order.
-    return dict(zip(twins, _weighed(Layout(part))[1:], strict=True))
+    return {
+        key: Weight(float(mass), np.array(ipos), np.array(inertia), tuple(map(float, iquat)))
+        for key, mass, ipos, inertia, iquat in zip(twins, *columns, strict=True)
+    }
 
 
-def _weighed(layout: Layout) -> list[Weight]:
-    """The weight of each body, in the order of the compiled model."""
-    tables = _core.compile(plain(layout)).tables()
-    columns = (tables[f"body_{name}"] for name in ("mass", "ipos", "inertia", "iquat"))
-    return [
-        Weight(float(mass), np.array(ipos), np.array(inertia), tuple(map(float, iquat)))
-        for mass, ipos, inertia, iquat in zip(*columns, strict=True)
-    ]
+def place_weightless(world: WorldReader) -> None:
+    """Gives bodies in frames that weigh nothing an inertial of no mass.
+
+    As in MuJoCo, it has the pose that the file writes for the body, without that of the frames. It
+    counts where `boundmass` or `boundinertia` make a mass, at contacts, and for sensors of masses.
+    """
+    scene = world.scene
+    touching, sensed = {id(geom.body) for geom in scene.geoms}, _senses_mass(scene)
+    groups: dict[tuple[object, ...], tuple[MassRules, list[Body]]] = {}
+    for body in scene.bodies:
+        rules = world.rules_of(body)
+        counts = sensed or id(body) in touching or rules.boundmass > 0 or rules.boundinertia > 0
+        if counts and body.mass is None and id(body) in world.written:
+            unbounded = MassRules(**(rules.values() | {"boundmass": 0.0, "boundinertia": 0.0}))
+            key = tuple(unbounded.values().values())
+            groups.setdefault(key, (unbounded, []))[1].append(body)
+    for unbounded, bodies in groups.values():
+        known = weights(scene, bodies, unbounded)
+        for body in bodies:
+            if known[id(body)].mass == 0.0:
+                pos, quat = world.written[id(body)]
+                Weight(0.0, np.array(pos), np.zeros((3, 3)), quat).give(body)
 
 
-def give(body: Body, weight: Weight) -> None:
-    """Makes this weight the body's own."""
-    body.mass, body.inertia, body.iquat = weight.mass, six(weight.inertia), weight.iquat
-    x, y, z = map(float, weight.ipos)
-    body.ipos = (x, y, z)
+def _senses_mass(scene: Contents) -> bool:
+    """Whether a sensor depends on the masses or the centres of mass of bodies that cannot move."""
+    kinds = {(sensor.type, sensor.objtype, sensor.reftype) for sensor in scene.sensors}
+    centred = any(kind != "contact" and "body" in ends for kind, *ends in kinds)
+    return centred or any(kind in OF_MASS for kind, *_ in kinds)
 
 
-def six(inertia: NDArray[np.float64]) -> Vec:
-    """An inertia tensor as xx yy zz xy xz yz."""
-    return tuple(float(inertia[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+def settle_masses(world: WorldReader) -> None:
+    """Gives bodies of attached models their own mass where their model makes another of them.
+
+    As in MuJoCo, a body follows the `<compiler>` of the model that it comes from. A scene has one
+    set of rules: those of the outer model, unless these would change a mass that is given here.
+    """
+    scene = world.scene
+    groups: dict[tuple[object, ...], tuple[MassRules, list[Body]]] = {}
+    for body in Layout(scene).bodies[1:]:
+        rules = world.rules_of(body)
+        groups.setdefault(_for_one_body(rules), (rules, []))[1].append(body)
+    if not groups.keys() - {_for_one_body(scene.mass_rules)}:
+        return
+    kept = scene.mass_rules
+    if kept.inertiafromgeom is True or kept.boundmass > 0 or kept.boundinertia > 0:
+        kept = MassRules(settotalmass=kept.settotalmass)
+    settled = False
+    for rules, bodies in groups.values():
+        if _for_one_body(rules) == _for_one_body(kept):
+            continue
+        known, otherwise = weights(scene, bodies, rules), _weights_if(kept, scene, bodies)
+        for body in bodies:
+            if not known[id(body)].equals(otherwise.get(id(body))):
+                settled = True
+                known[id(body)].give(body)
+    scene.mass_rules = kept
+    world.settled = True
+    if settled:
+        scene.notes.append(NOTE)
+
+
+def _for_one_body(rules: MassRules) -> tuple[object, ...]:
+    """What of the rules concerns a single body."""
+    return tuple((rules.values() | {"settotalmass": None}).values())
+
+
+def _weights_if(rules: MassRules, scene: Contents, bodies: list[Body]) -> dict[int, Weight]:
+    """The weights of those bodies that have one under these rules, by their ``id``."""
+    try:
+        return weights(scene, bodies, rules)
+    except ValueError:
+        if len(bodies) == 1:
+            return {}
+    # A body that the rules refuse says nothing about the others.
+    return {key: w for body in bodies for key, w in _weights_if(rules, scene, [body]).items()}

@@ -28,20 +28,17 @@ from stepcore.mjcf import (
     sensors,
     tendons,
 )
-from stepcore.mjcf.align import align
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.discard import discard_visual
+from stepcore.mjcf.body_frames import align, fuse
 from stepcore.mjcf.expand.attach import Model
-from stepcore.mjcf.fuse import fuse
 from stepcore.mjcf.include import expand, read_main
 from stepcore.mjcf.left_out import LeftOut
+from stepcore.mjcf.masses import place_weightless, settle_masses
 from stepcore.mjcf.models import Models, inside, sections
 from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
 from stepcore.mjcf.references import check_references
 from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.settle import settle_masses
-from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
-from stepcore.mjcf.weightless import place_weightless
+from stepcore.mjcf.visual_geoms import discard_visual, leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import collector
 from stepcore.scene.consistency import check
@@ -123,7 +120,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     assert world is not None
     scene._source = source.of(root)
     try:
-        finish(world, root, source.fuse)
+        finish(world, source.fuse)
     except ElementError as error:
         # The check of the whole scene names an element, whose line is known.
         node = world.nodes.get(id(error.owner), root)
@@ -143,7 +140,7 @@ def read_sections(
     """Reads what can be read without the files of assets; errors are added to `refusals`."""
     root, compiler, defaults = model.root, model.compiler, model.defaults
     assets = kind(sections(root, "asset"), compiler, defaults)
-    world = WorldReader(scene, compiler, defaults, assets, refusals)
+    world = WorldReader(scene, root, compiler, defaults, assets, refusals)
     world.paired = {
         pair.attrs.get(end, "")
         for pair in inside(root, "contact")
@@ -166,35 +163,75 @@ def read_sections(
     return world
 
 
-def finish(world: WorldReader, root: Node, chosen: bool | None) -> None:
-    """Reads what needs the whole scene: keyframes, and the files of assets that are used.
+def finish(world: WorldReader, chosen: bool | None) -> None:
+    """Makes the scene whole by `PASSES`, once all elements of the file are in it.
 
     chosen: whether bodies that cannot move against their parent are fused; None: as the file says.
     """
-    scene = world.scene
-    layout = Layout(scene)
+    if chosen is not None:
+        world.main.values["fusestatic"] = chosen
+    for complete in PASSES:
+        complete(world)
+        world.refusals.raise_all()
+
+
+def _read_keyframes(world: WorldReader) -> None:
+    layout = Layout(world.scene)
     rest = keyframes.default_state(layout)
-    for node in inside(root, "keyframe"):
+    for node in inside(world.root, "keyframe"):
         world.refusals.at(node, partial(keyframes.read, world, layout, rest))
     world.refusals.raise_all()
-    keyframes.add_empty_keys(scene, sections(root, "size"))
-    check_references(world, root)
-    leave_out_visual_geoms(world)
-    world.assets.read_used(scene)
-    place_weightless(world)
-    settle_masses(world)
+    keyframes.add_empty_keys(world.scene, sections(world.root, "size"))
+
+
+def _read_assets(world: WorldReader) -> None:
+    world.assets.read_used(world.scene)
+
+
+def _discard_visual(world: WorldReader) -> None:
     if world.main.values.get("discardvisual"):
-        discard_visual(world, root)
-    asked = world.main.values.get("fusestatic", False)
-    if asked if chosen is None else chosen:
-        fuse(world, root)
-    align(world)
-    keyframes.follow_bodies(world)
-    layout = Layout(scene)
-    for node in custom.own_texts(inside(root, "custom")):
-        world.refusals.at(node, partial(custom.read, scene))
-    world.refusals.raise_all()
-    check(layout)
+        discard_visual(world)
+
+
+def _fuse(world: WorldReader) -> None:
+    if world.main.values.get("fusestatic"):
+        fuse(world)
+
+
+def _read_own_text(world: WorldReader) -> None:
+    for node in custom.own_texts(inside(world.root, "custom")):
+        world.refusals.at(node, partial(custom.read, world.scene))
+
+
+def _check(world: WorldReader) -> None:
+    check(Layout(world.scene))
+
+
+# What makes a scene of the elements of a file, each with why it stands where it does.
+PASSES: tuple[Callable[[WorldReader], None], ...] = (
+    # A keyframe has numbers for the joints and actuators of the file, in the order of its tree.
+    _read_keyframes,
+    # The names in sensors and materials are those of the file, before any body or geom leaves.
+    check_references,
+    # No file is opened of an asset that only such a geom uses.
+    leave_out_visual_geoms,
+    # Every pass below finds masses, which come from meshes too.
+    _read_assets,
+    # A body without mass gets the place of its inertia before a rule makes a mass of it.
+    place_weightless,
+    # The passes below know one set of rules for masses.
+    settle_masses,
+    # Geoms go while their bodies are those of the file, whose masses they hand on.
+    _discard_visual,
+    _fuse,
+    # A free body is aligned with the inertia that it has with all bodies that were fused with it.
+    align,
+    # Keyframes of attached models tell nothing of these joints, which start where bodies are now.
+    keyframes.follow_bodies,
+    # It takes names away, by which everything above refers to elements.
+    _read_own_text,
+    _check,
+)
 
 
 def _place(line: str) -> tuple[str, int]:

@@ -15,9 +15,9 @@ REFERENCES = {
 }
 
 
-def check_references(world: WorldReader, root: Node) -> None:
+def check_references(world: WorldReader) -> None:
     """Checks that the elements that ignored elements refer to exist."""
-    scene = world.scene
+    scene, root = world.scene, world.root
     known = {
         **world.names,
         "joint": {element.name for element in scene.joints},

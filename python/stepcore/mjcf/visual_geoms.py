@@ -1,39 +1,77 @@
-"""Geoms of a file that only draw: they neither collide nor give a body mass."""
+"""Geoms that neither collide nor give mass: which ones leave the scene.
+
+MuJoCo documentation, XML reference, compiler/discardvisual.
+"""
 
 from __future__ import annotations
 
+from stepcore.mjcf.expand.naming import references
+from stepcore.mjcf.masses import weights
+from stepcore.mjcf.refusals import below
 from stepcore.mjcf.worldbody import Shape, WorldReader
-from stepcore.scene.contents import Contents
-
-# Sensors that tell of the masses of bodies, of those that cannot move too.
-OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
 
 
 def leave_out_visual_geoms(world: WorldReader) -> None:
     """Adds the geoms that only draw to `Scene.ignored`.
 
-    A primitive that only draws stays in the scene, so that geoms keep MuJoCo's order; meshes,
-    primitives fitted to them and height fields leave it, and are then never read, but for those of
-    which a sensor tells. A scene with a rangefinder keeps them all.
+    A primitive that only draws stays in the scene, so that geoms keep MuJoCo's order. Meshes,
+    primitives fitted to them and height fields leave it and are never read, unless a sensor
+    measures at them. A scene with a rangefinder, which sees what only draws, keeps them all.
     """
     scene = world.scene
     if any(sensor.type == "rangefinder" for sensor in scene.sensors):
-        # They see what only draws.
         return
     sensed = {id(end) for sensor in scene.sensors for end in (sensor.object, sensor.reference)}
     gone = set()
     for shape in world.shapes:
-        drags = shape.geom.fluidshape != "none" and (scene.density > 0 or scene.viscosity > 0)
-        told = id(shape.geom) in sensed
-        if shape.collides or drags or told or weighs(world, shape):
+        geom = shape.geom
+        drags = geom.fluidshape != "none" and (scene.density > 0 or scene.viscosity > 0)
+        if shape.collides or drags or id(geom) in sensed or weighs(world, shape):
             continue
         scene.ignored.append(shape.node.listed("only draws: no collisions, no mass"))
-        if shape.geom.mesh is not None or shape.geom.hfield is not None:
-            gone.add(id(shape.geom))
+        if geom.mesh is not None or geom.hfield is not None:
+            gone.add(id(geom))
+    _remove(world, gone)
+
+
+def discard_visual(world: WorldReader) -> None:
+    """Removes all geoms that neither collide nor are referred to, as `discardvisual` asks.
+
+    A body that such a geom gives mass keeps the mass that it has with it.
+    """
+    scene = world.scene
+    nodes = below(world.root)
+    named = {name for node in nodes for _, kind, name in references(node) if kind == "geom"}
+    there = {id(geom) for geom in scene.geoms}
+    gone = [
+        shape
+        for shape in world.shapes
+        if id(shape.geom) in there
+        and not shape.collides
+        and not (shape.geom.name and shape.geom.name in named)
+        and not shape.fluid
+    ]
+    heavy = [shape for shape in gone if weighs(world, shape)]
+    if heavy and scene.mass_rules.inertiafromgeom is True:
+        raise heavy[0].node.error(
+            "discardvisual would change the inertia of the body, which inertiafromgeom takes "
+            "from its geoms"
+        )
+    bodies = {id(shape.geom.body): shape.geom.body for shape in heavy}
+    for key, weight in (weights(scene, bodies.values()) if heavy else {}).items():
+        weight.give(bodies[key])
+    _remove(world, {id(shape.geom) for shape in gone})
+    used = {id(asset) for geom in scene.geoms for asset in (geom.mesh, geom.hfield)}
+    scene.meshes = [mesh for mesh in scene.meshes if id(mesh) in used]
+    scene.hfields = [hfield for hfield in scene.hfields if id(hfield) in used]
+
+
+def _remove(world: WorldReader, gone: set[int]) -> None:
+    """Removes geoms by their ``id``, unless they are kept to be drawn."""
     if world.assets.drawn:
         world.only_drawn |= gone
-        return
-    scene.geoms = [geom for geom in scene.geoms if id(geom) not in gone]
+    else:
+        world.scene.geoms = [geom for geom in world.scene.geoms if id(geom) not in gone]
 
 
 def weighs(world: WorldReader, shape: Shape) -> bool:
@@ -49,10 +87,3 @@ def weighs(world: WorldReader, shape: Shape) -> bool:
     if rules.inertiafromgeom is None and body.mass is not None:
         return False
     return body is not world.scene.world
-
-
-def senses_mass(scene: Contents) -> bool:
-    """Whether a sensor tells of the masses or the centres of mass of bodies that cannot move."""
-    kinds = {(sensor.type, sensor.objtype, sensor.reftype) for sensor in scene.sensors}
-    centred = any(kind != "contact" and "body" in ends for kind, *ends in kinds)
-    return centred or any(kind in OF_MASS for kind, *_ in kinds)

@@ -76,17 +76,18 @@ class WorldReader:
     def __init__(
         self,
         scene: Contents,
+        root: Node,
         compiler: Compiler,
         defaults: Defaults,
         assets: Assets,
         refusals: Refusals,
     ) -> None:
-        self.refusals = refusals
-        self.main = compiler
         self.scene = scene
-        self.compiler = compiler
+        self.root = root
+        self.main = self.compiler = compiler
         self.defaults = defaults
         self.assets = assets
+        self.refusals = refusals
         # Geoms of explicit pairs collide whatever their masks say.
         self.paired: set[str] = set()
         self.nodes: dict[int, Node] = {}

@@ -1,0 +1,154 @@
+"""Compiler options that change the frames of bodies: `fusestatic`, and `align` with `alignfree`.
+
+MuJoCo documentation, XML reference, compiler/fusestatic and freejoint/align.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from stepcore.checks import cut
+from stepcore.mjcf.expand.naming import references
+from stepcore.mjcf.masses import Weight, weights
+from stepcore.mjcf.models import inside, sections
+from stepcore.mjcf.refusals import below
+from stepcore.scene import frames
+from stepcore.scene.elements import Body, Geom, Site
+from stepcore.scene.frames import Vec
+from stepcore.scene.layout import Layout
+
+if TYPE_CHECKING:
+    from stepcore.mjcf.worldbody import Shape, WorldReader
+
+Pose = tuple[Vec, Vec]
+# Rules under which the bodies alone and the fused one would not weigh the same.
+BOUNDS = ("boundmass", "boundinertia", "balanceinertia")
+
+
+def fuse(world: WorldReader) -> None:
+    """Makes bodies that cannot move against their parent part of it, from the world outwards."""
+    scene, root = world.scene, world.root
+    jointed = {id(joint.body) for joint in scene.joints}
+    # What any element refers to by name stays a body.
+    named = {name for node in below(root) for _, kind, name in references(node) if kind == "body"}
+    # So does what a sensor of forces measures, which act between a body and its parent.
+    sensors = inside(root, "sensor")
+    measured = {node.attrs.get("site") for node in sensors if node.tag in ("force", "torque")}
+    measured_on = {id(site.body) for site in scene.sites if site.name and site.name in measured}
+    options = [section.values for section in sections(root, "option")]
+    fluid = any(o.get(name, 0.0) > 0 for o in options for name in ("density", "viscosity"))
+    known = weights(scene, scene.bodies[1:])
+    layout = Layout(scene)
+    # Of a fused body: the body that it is part of, and its pose there.
+    whole: dict[int, Body] = {}
+    poses: dict[int, Pose] = {}
+    for body in layout.bodies[1:]:
+        carrier = body.parent
+        assert carrier is not None
+        if id(carrier) in whole:
+            body.pos, body.quat = frames.composed(poses[id(carrier)], body.pos, body.quat)
+            body.parent = carrier = whole[id(carrier)]
+        kept = id(body) in jointed or id(body) in measured_on or (body.name and body.name in named)
+        if kept or not _may_fuse(world, body, carrier, known, fluid):
+            continue
+        whole[id(body)], poses[id(body)] = carrier, (body.pos, body.quat)
+        if body.name:
+            scene.fused[body.name] = carrier.name
+        if carrier is not scene.world:
+            _add_weight(world, body, carrier, known)
+    placed: list[Geom | Site] = [*layout.geoms, *layout.sites]
+    for element in placed:
+        key = id(element.body)
+        if key in whole:
+            element.pos, element.quat = frames.composed(poses[key], element.pos, element.quat)
+            element.body = whole[key]
+    scene.bodies = [body for body in layout.bodies if id(body) not in whole]
+    # The elements of a body come before those of the bodies that are part of it.
+    scene.geoms, scene.sites = layout.geoms, layout.sites
+    if scene.fused:
+        names = cut(", ".join(scene.fused), 200)
+        scene.notes.append(
+            f"{root.file}:{root.line}: bodies that nothing moves against their parent are part of "
+            f"it (load(..., fuse=False) keeps them): {names}"
+        )
+
+
+def _may_fuse(
+    world: WorldReader, body: Body, carrier: Body, known: dict[int, Weight], fluid: bool
+) -> bool:
+    """Whether the body's own attributes, and the fluid, let it be part of the carrier."""
+    values = world.nodes[id(body)].values
+    if values.get("mocap") or values.get("fuse") is False or "sleep" in values:
+        return False
+    if known[id(body)].mass == 0.0 or carrier is world.scene.world:
+        return True
+    there = world.nodes[id(carrier)].values.get("gravcomp", 0.0)
+    return not fluid and bool(values.get("gravcomp", 0.0) == there)
+
+
+def _add_weight(world: WorldReader, body: Body, carrier: Body, known: dict[int, Weight]) -> None:
+    """Gives the carrier the weight of both, unless it comes from the geoms of both anyway."""
+    rules = world.scene.mass_rules
+    both = known[id(carrier)] + known[id(body)].seen_from(body.pos, body.quat)
+    bounded = any(getattr(rules, name) for name in BOUNDS)
+    known[id(carrier)] = both
+    if known[id(body)].mass == 0.0 and body.mass is None:
+        return
+    inferred = carrier.mass is None and body.mass is None
+    if not bounded and inferred and rules.inertiafromgeom is None:
+        return
+    if rules.inertiafromgeom is True:
+        if not bounded:
+            return
+        node = world.nodes[id(body)]
+        raise node.unbuilt("fusing bodies (fusestatic) with bounds of their inertia")
+    both.give(carrier)
+
+
+def align(world: WorldReader) -> None:
+    """Gives free bodies for which the file asks for it the frame of their inertia.
+
+    As in MuJoCo, only a body that carries no other is aligned, and what is given elsewhere in its
+    frame (anchors of equalities, keyframes) is not changed.
+    """
+    scene = world.scene
+    parents = {id(body.parent) for body in scene.bodies}
+    bodies = [j.body for j in scene.joints if id(j) in world.aligned and id(j.body) not in parents]
+    known = weights(scene, bodies) if bodies else {}
+    placed: dict[int, list[Geom | Site]] = {id(body): [] for body in bodies}
+    for element in (*scene.geoms, *scene.sites):
+        placed.setdefault(id(element.body), []).append(element)
+    shapes: dict[int, list[Shape]] = {}
+    for shape in world.shapes:
+        shapes.setdefault(id(shape.geom.body), []).append(shape)
+    for body in bodies:
+        weight = known[id(body)]
+        # A rule for masses that makes moments equal would make these axes any.
+        quat = _written_axes(world, body, shapes.get(id(body), [])) or weight.iquat
+        assert quat is not None
+        pose = (tuple(map(float, weight.ipos)), quat)
+        back = _inverse(pose)
+        for element in placed[id(body)]:
+            element.pos, element.quat = frames.composed(back, element.pos, element.quat)
+        if body.mass is not None:
+            moments = weight.seen_from(*back).six[:3]
+            body.ipos, body.inertia = frames.ORIGIN, (*moments, 0.0, 0.0, 0.0)
+            body.iquat = frames.IDENTITY
+        body.pos, body.quat = frames.composed((body.pos, body.quat), *pose)
+
+
+def _written_axes(world: WorldReader, body: Body, shapes: list[Shape]) -> Vec | None:
+    """The axes that the file itself gives an inertia: its own, or those of an only geom."""
+    rules = world.rules_of(body)
+    if body.mass is not None and rules.inertiafromgeom is not True:
+        return body.iquat
+    low, high = rules.inertiagrouprange
+    geoms = [shape.geom for shape in shapes if shape.heavy and low <= shape.geom.group <= high]
+    # A mesh has axes of its own.
+    return geoms[0].quat if len(geoms) == 1 and geoms[0].mesh is None else None
+
+
+def _inverse(pose: Pose) -> Pose:
+    pos, (w, x, y, z) = pose
+    back = (w, -x, -y, -z)
+    return tuple(-a for a in frames.rotated(back, pos)), back
