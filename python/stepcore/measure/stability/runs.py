@@ -1,0 +1,214 @@
+"""The runs of a map: where points on the bodies are at given times, and where they should be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepcore._core import Settings, SimulationError
+from stepcore.checks import one_line
+from stepcore.engine.model import Model
+from stepcore.engine.plan import makes_rows
+from stepcore.experiment.bodies import Bodies
+from stepcore.experiment.converged import converged_settings
+from stepcore.experiment.run import Probe, Run
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import Schedule, home
+from stepcore.experiment.sizes import scene_size
+from stepcore.measure.stability.result import Tolerance
+
+# Points are read this often in a run, and at every step of a run with fewer.
+READINGS = 32
+# The first run of a true motion has at least this many steps. Then dt is halved until two runs
+# agree to a tenth of the tolerance, a run would have too many steps, or halving no longer helps:
+# this many halvings brought two runs no nearer to each other than by this factor.
+FIRST, HALVINGS, MOST_STEPS = 1024, 9, 200_000
+FINER = 10.0
+STALLS, NEARER = 2, 0.7
+
+# Points at these times [s] for a value of the grid, shape (times, sets, 4, 3).
+Form = Callable[[float, np.ndarray], np.ndarray]
+
+
+class BodyPoints:
+    """Four points on each moving body with a mass: its centre, and three on its axes.
+
+    The three are one radius of gyration away, so that a rotation counts as a length too. Points on
+    a wheel stay near however fast it turns, so each hinge has one more set: its angle times that
+    radius, along a straight line.
+    """
+
+    def __init__(self, bodies: Bodies) -> None:
+        model, heavy = bodies.model, bodies.mass > 0
+        self.index = np.array(bodies.moving, int)[heavy]
+        self.radius, self.centre = bodies.gyration[heavy], bodies.ipos[heavy]
+        radius_of = dict(zip(self.index.tolist(), self.radius.tolist(), strict=True))
+        hinges = [j for j, kind in enumerate(model.jnt_type) if kind == "hinge"]
+        self.angle = model.jnt_qposadr[hinges]
+        # A body without mass moves those that hang on it: it gets the largest radius.
+        largest = float(self.radius.max(initial=0.0))
+        self.arm = np.array([radius_of.get(int(model.jnt_body[j]), largest) for j in hinges])
+
+    def at(self, sim: Any) -> np.ndarray:
+        """Where the points are now [m], shape (bodies + hinges, 4, 3)."""
+        turn = sim.xmat[self.index]
+        centre = sim.xpos[self.index] + np.einsum("bij,bj->bi", turn, self.centre)
+        around = centre[:, None] + self.radius[:, None, None] * turn.transpose(0, 2, 1)
+        turned = np.zeros((len(self.arm), 4, 3))
+        turned[..., 0] = (sim.qpos[self.angle] * self.arm)[:, None]
+        return np.concatenate([np.concatenate([centre[:, None], around], axis=1), turned])
+
+
+class Readings(Probe):
+    """The points at given times [s], of which the first is 0; interpolated between two steps.
+
+    Between steps the error is at most dt²/8 of the acceleration; halving dt shows it with the rest.
+    """
+
+    def __init__(self, bodies: Bodies, times: np.ndarray, dt: float) -> None:
+        self.points = BodyPoints(bodies)
+        before, share = np.divmod(times / dt, 1.0)
+        self.before = (before + (share > 1 - 1e-6)).astype(int)
+        self.share = np.where((share < 1e-6) | (share > 1 - 1e-6), 0.0, share)
+        self.steps = np.unique([self.before, self.before + (self.share > 0)]).tolist()
+        self.read: list[np.ndarray] = []
+
+    def stop(self, done: int, steps: int) -> int:
+        step: int = self.steps[len(self.read)]
+        return step
+
+    def begin(self, sim: Any) -> None:
+        self.read.append(self.points.at(sim))
+
+    def step(self, sim: Any) -> None:
+        self.read.append(self.points.at(sim))
+
+    def at_times(self) -> np.ndarray:
+        """The points at all times that the run reached, shape (times, sets, 4, 3)."""
+        read = np.array(self.read)
+        first = np.searchsorted(self.steps, self.before)
+        last = np.searchsorted(self.steps, self.before + (self.share > 0))
+        first, last, share = (part[last < len(read)] for part in (first, last, self.share))
+        share = share[:, None, None, None]
+        between = (1 - share) * read[first] + share * read[last]
+        return np.where(share > 0, between, read[first])
+
+
+@dataclass(frozen=True)
+class MapMotion:
+    """What every cell does: it starts at a keyframe, whose controls are held.
+
+    horizon [s]; key: the keyframe, or None for the scene's pose.
+    """
+
+    horizon: float
+    key: str | int | None
+
+    def times(self, dt: float) -> np.ndarray:
+        """When the points of a cell are read, the start included [s]."""
+        steps = max(1, round(self.horizon / dt))
+        return np.array(sorted({round(steps * k / READINGS) for k in range(READINGS + 1)})) * dt
+
+    def all_times(self, dts: Sequence[float]) -> np.ndarray:
+        """All times at which the points of any cell are read [s]."""
+        return np.unique(np.concatenate([self.times(dt) for dt in dts]))
+
+    def run(self, model: Model, dt: float, times: np.ndarray) -> tuple[np.ndarray, str | None]:
+        """The points at the times that a run reaches, and why it failed."""
+        start, ctrl = home(model, self.key)
+        steps = max(1, int(np.ceil(times[-1] / dt - 1e-6)))
+        schedule = Schedule(steps * dt, 1, 1, (start,), ctrl[None, None], None)
+        runner = Runner(model, schedule)
+        probe = Readings(runner.bodies, times, dt)
+        try:
+            runner.follow(runner.sim(model.settings.replace(dt=dt)), 0, [probe])
+        except SimulationError as error:
+            return probe.at_times(), one_line(error)
+        return probe.at_times(), None
+
+
+@dataclass(frozen=True, eq=False)
+class TrueMotion:
+    """The points at all times at which some cell is read.
+
+    points: None if no run came through. size: the length that errors are relative to [m].
+    error: the distance of the two finest runs over the size; 0 for a closed form; inf if unknown.
+    """
+
+    times: np.ndarray
+    points: np.ndarray | None
+    size: float
+    error: float = 0.0
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """The points at some of the times."""
+        assert self.points is not None
+        return self.points[np.searchsorted(self.times, times)]
+
+
+def closed_form(
+    form: Form, model: Model, value: float, times: np.ndarray, size: float | None
+) -> TrueMotion:
+    """The true motion by a formula."""
+    points = form(value, times)
+    return TrueMotion(times, points, size or size_of(model, points))
+
+
+def size_of(model: Model, points: np.ndarray) -> float:
+    """The size of the scene and its motion [m]; see `scene_size`."""
+    bodies = BodyPoints(Runner(model, EMPTY).bodies)
+    return scene_size(model.scene, [Run(com=points[:, : len(bodies.index), 0])])
+
+
+def converged(
+    model: Model, motion: MapMotion, dts: Sequence[float], tolerance: Tolerance, size: float | None
+) -> TrueMotion:
+    """The scene's own run with converged rows: dt is halved until the run no longer changes."""
+    model, times = model.with_settings(reference_settings(model)), motion.all_times(dts)
+    dt = min(*dts, motion.horizon / FIRST)
+    last: np.ndarray | None = None
+    best = TrueMotion(times, None, size or scene_size(model.scene), np.inf)
+    errors: list[float] = []
+    for _ in range(HALVINGS + 1):
+        if motion.horizon / dt > MOST_STEPS and last is not None:
+            break
+        read, failure = motion.run(model, dt, times)
+        points = None if failure else read
+        if points is not None:
+            span = size or size_of(model, points)
+            error = np.inf
+            if last is not None:
+                error = float(np.linalg.norm(points - last, axis=-1).max()) / span
+            best = TrueMotion(times, points, span, error)
+            errors.append(error)
+            if error <= tolerance.share(span) / FINER or _stalled(errors):
+                break
+        last = points
+        dt /= 2
+    return best
+
+
+def _stalled(errors: Sequence[float]) -> bool:
+    """Whether halving no longer helps: the motion is chaotic, or jumps with the steps."""
+    return len(errors) > STALLS + 1 and errors[-1] > NEARER * errors[-1 - STALLS]
+
+
+def reference_settings(model: Model) -> Settings:
+    """The scene's own laws, with converged rows and the integrator of the highest order allowed."""
+    settings = model.settings
+    integrator = settings.integrator
+    if not makes_rows(model):
+        integrator = "rk4"
+    elif integrator == "explicit":
+        integrator = "semi-implicit"
+    return converged_settings(
+        settings,
+        newton=100,
+        pgs=1000,
+        tolerance=0.0 if settings.law == "solref" else 1e-12,
+        warm_start=True,
+        integrator=integrator,
+    )
