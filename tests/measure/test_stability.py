@@ -11,8 +11,9 @@ import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
 from stepcore.engine.linear_maps import INTEGRATORS, step_matrix
-from stepcore.measure.stability import cases, reference, stability_map, theory
-from stepcore.measure.stability.result import SYMBOLS
+from stepcore.measure.stability import lesson_maps, runs, stability_map
+from stepcore.measure.stability.lesson_maps import largest_stable_dt
+from stepcore.measure.stability.result import SYMBOLS, Tolerance
 
 SPRING = "joint/spring/stiffness"
 ONE, NONE = np.eye(1), np.zeros((1, 1))
@@ -30,24 +31,24 @@ def test_limits_of_an_undamped_oscillator(omega):
     """ω dt = 2 for the Eulers that move by the new velocity, 2√2 for rk4, none, any; to 1e-5."""
     stiffness = omega**2 * ONE
     for name in ("semi-implicit", "euler", "implicitfast"):
-        found = theory.limit(name, ONE, stiffness, NONE, NONE)
+        found = largest_stable_dt(name, ONE, stiffness, NONE, NONE)
         assert omega * found == pytest.approx(2, rel=1e-5)
-    rk4 = theory.limit("rk4", ONE, stiffness, NONE, NONE)
+    rk4 = largest_stable_dt("rk4", ONE, stiffness, NONE, NONE)
     assert omega * rk4 == pytest.approx(2 * np.sqrt(2), rel=1e-5)
-    assert theory.limit("explicit", ONE, stiffness, NONE, NONE) == 0
-    assert theory.limit("midpoint", ONE, stiffness, NONE, NONE) == np.inf
+    assert largest_stable_dt("explicit", ONE, stiffness, NONE, NONE) == 0
+    assert largest_stable_dt("midpoint", ONE, stiffness, NONE, NONE) == np.inf
 
 
 @pytest.mark.parametrize("ratio", (0.05, 0.5, 2.0))
 def test_limits_of_a_damped_oscillator(ratio):
     """2√(ζ² + 1) + 2ζ with damping implicit, − 2ζ explicit; `explicit` itself 2ζ below ζ = 1."""
     damping, root = 2 * ratio * ONE, 2 * np.sqrt(ratio**2 + 1)
-    implicit = theory.limit("implicitfast", ONE, ONE, damping, damping)
+    implicit = largest_stable_dt("implicitfast", ONE, ONE, damping, damping)
     assert implicit == pytest.approx(root + 2 * ratio, rel=1e-5)
-    split = theory.limit("semi-implicit", ONE, ONE, damping, NONE)
+    split = largest_stable_dt("semi-implicit", ONE, ONE, damping, NONE)
     assert split == pytest.approx(root - 2 * ratio, rel=1e-5)
     if ratio < 1:
-        explicit = theory.limit("explicit", ONE, ONE, damping, NONE)
+        explicit = largest_stable_dt("explicit", ONE, ONE, damping, NONE)
         assert explicit == pytest.approx(2 * ratio, rel=1e-3)
 
 
@@ -67,12 +68,13 @@ def test_the_step_matrix_is_the_engines(integrator):
     implicit = joint if integrator == "euler" else joint + servo
     ours = step_matrix(integrator, 0.03, mass, stiffness, joint + servo, implicit)
     assert pytest.approx(ours, abs=1e-12) == sim.linearize().A
-    expected = theory.limit(integrator, mass, stiffness, joint + servo, implicit)
-    assert theory.limit_of(sim.model, None, integrator) == pytest.approx(expected, rel=1e-9)
+    expected = largest_stable_dt(integrator, mass, stiffness, joint + servo, implicit)
+    limit = lesson_maps.limit_of_springs(sim.model, None, integrator)
+    assert limit == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_scene_without_springs_has_no_boundary():
-    assert theory.limit_of(lesson.drop().compile(), None, "euler") is None
+    assert lesson_maps.limit_of_springs(lesson.drop().compile(), None, "euler") is None
 
 
 # --- the lesson's maps --------------------------------------------------------------------------
@@ -92,10 +94,10 @@ def test_the_spring_explodes_where_theory_says(integrator, limit):
         assert states(panel)[1:] == ["inaccurate", last]
         if np.isfinite(limit):
             assert panel.boundary == pytest.approx([limit / np.sqrt(stiffness)], rel=1e-5)
-            assert states(panel)[0] == "finite"
+            assert states(panel)[0] == "accurate"
 
 
-def test_the_error_of_a_cell_is_the_closed_forms():
+def test_the_deviation_of_a_cell_is_the_closed_forms():
     """v-first turns by φ a step, sin(φ/2) = ω dt/2, and starts 1/2 ω dt behind: its own formula."""
     dt, omega = 0.01, 10.0
     found = stability_map(values=[omega**2], dts=[dt], integrators="semi-implicit", horizon=1.0)
@@ -105,14 +107,14 @@ def test_the_error_of_a_cell_is_the_closed_forms():
     off = np.abs(ours - np.cos(omega * n * dt)).max()
     exact = np.cos(omega * np.concatenate([[0], n]) * dt)
     (cell,) = found.panels[0].cells
-    assert cell.error == pytest.approx(off / np.abs(exact - 1).max(), rel=1e-9)
+    assert cell.deviation == pytest.approx(off / np.abs(exact - 1).max(), rel=1e-9)
 
 
 @pytest.mark.parametrize(("ratio", "sweeps"), ((10.0, 4), (20.0, 4), (20.0, 64)))
 def test_a_stack_sinks_as_deep_as_its_closed_form(ratio, sweeps):
     """At the boundary's dt the heavy ball comes to rest 1 mm deep, to 1e-4, by cold sweeps."""
-    case = cases.stack(reference.Tolerance("10%"), None)
-    dt = cases.sinking(ratio, sweeps, 1e-3)
+    case = lesson_maps.stack(Tolerance("10%"), None)
+    dt = lesson_maps.sinking(ratio, sweeps, 1e-3)
     settings = {"law": "rigid", "beta": 0.2, "sweeps": sweeps, "warm_start": False}
     sim = sc.Sim(case.model.with_values({case.path: ratio}), dt=dt, **settings)
     sim.reset(key="start")
@@ -122,26 +124,27 @@ def test_a_stack_sinks_as_deep_as_its_closed_form(ratio, sweeps):
 
 def test_the_map_of_the_stack_has_that_boundary():
     """Suddenly let go it sinks deeper on the way: finite below 0.6 of it, inaccurate above."""
-    limit = cases.sinking(2.0, 4, 1e-3)
+    limit = lesson_maps.sinking(2.0, 4, 1e-3)
     dts = [0.6 * limit, 1.5 * limit]
     found = stability_map("lesson:stack", values=[2.0], dts=dts, horizon=1.0, threads=1)
     cold = found.panels[1]
     assert cold.label == "rows, 4 sweeps, cold"
     assert cold.boundary == pytest.approx([limit])
-    assert states(cold) == ["finite", "inaccurate"]
+    assert states(cold) == ["accurate", "inaccurate"]
 
 
 def test_impulses_carried_over_grow_beyond_a_ratio():
     """Warm-started and under-solved, the heavier stack throws itself up however small dt is."""
-    assert [cases.warm_starting(ratio, 4) for ratio in (1, 20, 23, 1000)] == [np.inf, np.inf, 0, 0]
+    limits = [lesson_maps.warm_starting(ratio, 4) for ratio in (1, 20, 23, 1000)]
+    assert limits == [np.inf, np.inf, 0, 0]
     dts = [2e-4, 1e-3]
-    found = stability_map("lesson:stack", values=[5, 300], dts=dts, horizon=1.0, threads=1)
+    found = stability_map("lesson:stack", values=[5, 300], dts=dts, horizon=3.0, threads=1)
     warm = found.panels[3]
     assert warm.boundary == [np.inf, 0.0]
-    assert states(warm) == ["finite"] * 2 + ["exploded"] * 2
+    assert states(warm) == ["accurate"] * 2 + ["exploded"] * 2
     # Penalised contacts shake beyond their own limit, and not below it.
     stiff = found.panels[0]
-    assert states(stiff)[:2] == ["finite"] * 2 and stiff.boundary[0] > max(dts)
+    assert states(stiff)[:2] == ["accurate"] * 2 and stiff.boundary[0] > max(dts)
 
 
 # --- scenes of the user's own -------------------------------------------------------------------
@@ -158,7 +161,7 @@ def test_a_converged_run_is_as_good_as_the_closed_form():
     ]
     assert states(closed.panels[0]) == states(own.panels[0])
     for ours, theirs in zip(own.panels[0].cells, closed.panels[0].cells, strict=True):
-        assert ours.error == pytest.approx(theirs.error, rel=1e-3, abs=0.01)
+        assert ours.deviation == pytest.approx(theirs.deviation, rel=1e-3, abs=0.01)
     assert own.panels[0].boundary == pytest.approx(closed.panels[0].boundary, rel=1e-6)
 
 
@@ -170,7 +173,7 @@ def test_turns_count_as_ways():
     scene.add_key("turned", qpos=[0.5])
     grid = {"path": "joint/axle/stiffness", "values": [10.0], "dts": [0.001, 0.05, 0.25]}
     found = stability_map(scene, **grid, integrators="euler")
-    assert states(found.panels[0]) == ["finite", "inaccurate", "exploded"]
+    assert states(found.panels[0]) == ["accurate", "inaccurate", "exploded"]
     assert found.panels[0].boundary == pytest.approx([0.2 + 0.001], rel=2e-3)
 
 
@@ -184,7 +187,7 @@ def test_contacts_are_judged_by_a_converged_run():
         horizon=0.4,
         threads=1,
     )
-    assert states(found.panels[0]) == ["finite"] * 4
+    assert states(found.panels[0]) == ["accurate"] * 4
     assert found.panels[0].boundary is None
 
 
@@ -229,23 +232,23 @@ ROW_MAKERS = {
 def test_the_true_motion_is_rk4s_only_where_nothing_makes_rows(kind):
     """rk4 holds a row's impulse through a step or solves it four times: it is no truth for rows."""
     model = ROW_MAKERS[kind]().compile()
-    assert reference.reference_settings(model).integrator == model.settings.integrator != "rk4"
+    assert runs.reference_settings(model).integrator == model.settings.integrator != "rk4"
 
 
 def test_the_true_motion_is_rk4s_without_rows():
     """A spring, a tendon's spring, and a limit that is switched off."""
     for scene in (sprung(), with_tendon(stiffness=5.0), sprung(range=(-1, 1))):
         scene.features.limit = False
-        assert reference.reference_settings(scene.compile()).integrator == "rk4"
+        assert runs.reference_settings(scene.compile()).integrator == "rk4"
 
 
 def test_what_has_no_converged_run_is_not_judged(monkeypatch):
     """One run alone shows no convergence: finite cells get a question mark, and no error."""
-    monkeypatch.setattr(reference, "HALVINGS", 0)
+    monkeypatch.setattr(runs, "HALVINGS", 0)
     found = stability_map("lesson:spring", path=SPRING, values=[100.0], dts=[0.01, 0.3])
     cells = found.panels[0].cells
     assert [cell.state for cell in cells] == ["finite", "exploded"]
-    assert not cells[0].judged and np.isnan(cells[0].error)
+    assert not cells[0].judged and np.isnan(cells[0].deviation)
     assert found.notes[0].startswith("1 finite run, marked ?, cannot be judged for accuracy")
     assert "unknown" in found.text()
     words = [text.get_text() for text in found.plot().legends[0].get_texts()]
@@ -278,18 +281,17 @@ def test_a_motion_and_its_fields_are_the_same():
         stability_map("lesson:spring", **grid, horizn=0.5)
 
 
-def test_an_error_is_a_length_or_a_share_of_the_motion():
+def test_a_deviation_is_a_length_or_a_share_of_the_size():
     """The spring swings from 1 m to -1 m, a motion of 2 m: 10 % of it are 20 cm."""
     dts = [0.01, 0.03, 0.05, 0.1]
-    states_of = [
-        states(stability_map(values=[100.0], dts=dts, integrators="euler", error=error).panels[0])
-        for error in ("10%", 0.2, "20 cm")
-    ]
+    grid = {"values": [100.0], "dts": dts, "integrators": "euler"}
+    maps = [stability_map(**grid, deviation=deviation) for deviation in ("10%", 0.2, "20 cm")]
+    states_of = [states(found.panels[0]) for found in maps]
     assert states_of[0] == states_of[1] == states_of[2]
-    assert {"finite", "inaccurate"} == set(states_of[0])
-    strict = stability_map(values=[100.0], dts=dts, integrators="euler", error="1um")
+    assert {"accurate", "inaccurate"} == set(states_of[0])
+    strict = stability_map(**grid, deviation="1um")
     assert states(strict.panels[0]) == ["inaccurate"] * 4
-    assert "the error stays within 1 µm" in strict.text()
+    assert "is at most 1 µm" in strict.text()
 
 
 # --- what leaves ---------------------------------------------------------------------------------
@@ -298,7 +300,8 @@ def test_an_error_is_a_length_or_a_share_of_the_motion():
 def test_text_data_and_picture(tmp_path):
     found = stability_map(values=[1.0, 1e5], dts=[1e-4, 1e-3, 1e-1])
     text = found.text()
-    assert "finite (·): " in text and "inaccurate (o): " in text and "exploded (X): " in text
+    words = " ".join(text.split())
+    assert "accurate (·): " in words and "inaccurate (o): " in words and "exploded (X): " in words
     # ω = 316/s: 100 ms is beyond 2/ω and 2√2/ω; at 1 ms only rk4 is accurate.
     marks = {p.label: "".join(SYMBOLS[cell.state] for cell in p.at(1e5)) for p in found.panels}
     assert marks["semi-implicit"] == "·oX" and marks["rk4"] == "··X"
@@ -313,7 +316,7 @@ def test_text_data_and_picture(tmp_path):
     assert "Not shown: the maps of 7 other settings (--all" in " ".join(text.split())
     data = json.loads(found.to_json())
     assert len(data["rows"]) == 8 * 2 * 3 and data["units"]["dt"] == "s"
-    assert {"setting", "value", "dt", "state", "error", "theory"} <= set(data["rows"][0])
+    assert {"setting", "value", "dt", "state", "deviation", "theory"} <= set(data["rows"][0])
     figure = found.plot(tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
     titles = [axes.get_title(loc="left") for axes in figure.axes]
@@ -352,7 +355,7 @@ def test_fills_are_told_apart_without_colour():
         ("lesson:spring", {"path": SPRING, "integrators": "rk5"}, "rk5"),
         ("lesson:spring", {"path": SPRING, "integrators": []}, "at least one"),
         ("lesson:spring", {"path": SPRING, "horizon": 1e-9}, "the largest dt"),
-        ("lesson:spring", {"path": SPRING, "error": 0}, "error = 0"),
+        ("lesson:spring", {"path": SPRING, "deviation": 0}, "deviation = 0"),
         ("lesson:spring", {"path": SPRING, "size": -1}, "size = -1"),
         ("lesson:spring", {"path": SPRING, "key": "nowhere"}, "nowhere"),
         ("lesson:spring", {"path": SPRING, "executor": 3}, "executor"),
@@ -380,7 +383,7 @@ def test_the_command(capsys, tmp_path):
     assert data["dts"] == pytest.approx([1e-3, 1e-2, 1e-1])
     assert [panel["setting"] for panel in data["panels"]] == ["rk4"]
     assert main([*command, "--html", str(tmp_path / "m.html")]) == 0
-    assert "largest finite" in capsys.readouterr().out
+    assert "largest accurate" in capsys.readouterr().out
     assert main(["map", *grid, "--integrator", "euler"]) == 0
     assert "stiffness [N/m]" in capsys.readouterr().out
     for wrong in ("a,b", "1:2", "2:1:3", "1:2:1"):

@@ -116,11 +116,11 @@ def test_a_stability_map_shows_a_panel_for_each_setting(results):
     ]
     assert figure.axes[0].get_ylabel() == "dt [s]"
     assert all(axes.get_xlabel() == found.axis for axes in figure.axes)
-    assert names(figure) == ["finite", "inaccurate", "exploded"]
+    assert names(figure) == ["accurate", "inaccurate", "exploded"]
     for axes, panel in zip(figure.axes, found.panels, strict=True):
         (mesh,) = axes.collections
         shown = mesh.get_array().reshape(2, 2).T.ravel()
-        states = ["finite", "inaccurate", "exploded"]
+        states = ["accurate", "inaccurate", "exploded"]
         assert [states[int(code)] for code in shown] == [cell.state for cell in panel.cells]
         # By theory, white under black.
         assert len(axes.lines) == 2

@@ -36,17 +36,18 @@ def add(command: argparse.ArgumentParser) -> None:
         help="integrator to map; may be given several times",
     )
     command.add_argument(
+        "--deviation",
         "--error",
         default="10%",
         metavar="E",
-        help="error above which a run is inaccurate: metres, 1mm, or a percentage of the size of "
-        "the motion (default: 10%%)",
+        help="deviation from the true motion above which a run is inaccurate: metres, 1mm, or a "
+        "percentage of the scene's size (default: 10%%)",
     )
     command.add_argument(
         "--size",
         type=float,
         metavar="M",
-        help="length that errors are relative to [m] (default: the size of the motion)",
+        help="length that deviations are relative to [m] (default: the scene's size)",
     )
     longest = f"1, or {STEPS} times the largest time step if that is longer"
     add_motion(command, without=WITHOUT, horizon=longest)
@@ -61,7 +62,7 @@ def call(args: argparse.Namespace) -> Result:
         values=None if args.values is None else numbers("--values", args.values),
         dts=None if args.dts is None else numbers("--dts", args.dts),
         integrators=args.integrator,
-        error=args.error,
+        deviation=args.deviation,
         size=args.size,
         **motion_of(args, model),
     )

@@ -83,6 +83,14 @@ class Probe:
         """
         return None
 
+    def stop(self, done: int, steps: int) -> int | None:
+        """The step of a period after which `step` is called next, if `done` are made; by `stride`.
+
+        A probe that reads at uneven times overrides this.
+        """
+        stride = self.stride(steps)
+        return None if stride is None else min(done + stride, steps)
+
     def begin(self, sim: Any) -> None:
         """The run is at its start."""
 

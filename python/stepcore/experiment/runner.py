@@ -151,14 +151,16 @@ class Runner:
                 periods, count = 1, count * periods
         elif self.explosion.watches and isinstance(sim, Sim):
             step = self.explosion.guarded(sim)
-        stride = min((n for probe in probes if (n := probe.stride(count))), default=count)
         for period in range(periods):
             checkpoint()
             self.control(sim, start, period, function)
             for probe in probes:
                 probe.period(sim, period)
-            for first in range(0, count, stride):
-                step(min(stride, count - first))
+            done = 0
+            while done < count:
+                stop = min((n for probe in probes if (n := probe.stop(done, count))), default=count)
+                step(stop - done)
+                done = stop
                 for probe in probes:
                     probe.step(sim)
             if (period + 1) % schedule.every == 0:

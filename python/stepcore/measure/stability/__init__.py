@@ -6,7 +6,8 @@ import dataclasses
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any, Unpack
+from itertools import product
+from typing import Unpack
 
 import numpy as np
 
@@ -14,36 +15,29 @@ from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.experiment.arguments import Source, Workers, set_up
+from stepcore.experiment.failure import FAR
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
-from stepcore.measure.stability import cases, theory
-from stepcore.measure.stability.cases import GROWS, MapCase, MapSetting
-from stepcore.measure.stability.points import CellMotion, run
-from stepcore.measure.stability.reference import (
-    FINER,
-    Tolerance,
-    TrueMotion,
-    closed_form,
-    converged_runs,
-)
+from stepcore.measure.stability import lesson_maps
+from stepcore.measure.stability.lesson_maps import GROWS, MapCase, MapSetting, limit_of_springs
 from stepcore.measure.stability.result import (
+    ACCURATE,
     EXPLODED,
     FINITE,
     INACCURATE,
     MapCell,
     MapPanel,
     StabilityMap,
+    Tolerance,
 )
-from stepcore.measure.sweep import sweep
+from stepcore.measure.stability.runs import FINER, MapMotion, TrueMotion, closed_form, converged
 from stepcore.report.progress import Choice
 from stepcore.report.units import seconds
 from stepcore.scene.value_paths import find
 
 __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
 
-# A run that is further off than this many sizes of the true motion has exploded.
-FAR = 10.0
-# The horizon is at least so many of the largest steps, so that growth has time to show.
+# The horizon is at least this many of the largest steps, so that growth has time to show.
 STEPS = 25
 # Of all cells together: above half an hour of the smallest scene.
 MOST_STEPS = 1e10
@@ -61,7 +55,7 @@ def stability_map(
     values: Sequence[float] | None = None,
     dts: Sequence[float] | None = None,
     integrators: str | Sequence[str] | None = None,
-    error: float | str = "10%",
+    deviation: float | str = "10%",
     size: float | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
@@ -72,8 +66,7 @@ def stability_map(
 
     model: a Model, a Scene, or what `stepcore.load` takes. None or "lesson:spring": the lesson's
         spring, stiffness against dt, by integrator; "lesson:stack": a heavy ball on a light one,
-        mass ratio against dt, by the way contacts act. With a path these two are scenes like
-        others.
+        mass ratio against dt, by how contacts act. With a path these two are scenes like others.
     motion: a `Motion`, or its fields as arguments: the horizon (by default 1 s, or 25 of the
         largest dt if that is more) and the keyframe to start from (by default the first), whose
         controls are held. It has one start and no other controls.
@@ -82,17 +75,19 @@ def stability_map(
         13 from a hundredth to a hundred times the present one.
     dts: [s]; by default 13 from a tenth to ten times the scene's.
     integrators: one or several, one panel each; by default the scene's own.
-    error: a run with a larger error is inaccurate: metres, "1mm", or "10%" of `size`.
-    size: [m]; by default how far the bodies move in the true motion.
+    deviation: a run with a larger deviation, its largest distance from the true motion, is
+        inaccurate: metres, "1mm", or "10%" of `size`.
+    size: the length that deviations are relative to [m]; by default the size of the scene and its
+        true motion, as in the other measurements.
     threads, executor, progress: as in `stepcore.sweep`.
 
     The true motion is a closed form for the two maps of the lesson that have one. Otherwise it is
-    the scene's own run at the same value, with dt halved until two runs agree to a tenth of `error`
-    (rk4 if nothing in the scene makes rows; converged rows). Errors are distances of the moving
-    bodies' centres, of three points a radius of gyration away, and of hinge angles times that
-    radius, read up to 32 times in a run. *exploded*: the error is larger than 10 sizes, or the run
-    failed; *inaccurate*: it is larger than `error`; *finite*: all else. Where the run of a value
-    does not converge, accuracy is not judged.
+    the scene's own run at the same value, with dt halved until two runs agree to a tenth of
+    `deviation` (rk4 if nothing in the scene makes rows; converged rows). Distances are those of the
+    moving bodies' centres, of three points a radius of gyration away, and of hinge angles times
+    that radius, read up to 32 times in a run. *exploded*: the deviation is larger than 100 sizes,
+    or the run failed; *inaccurate*: it is larger than `deviation`; *accurate*: it is not; *finite*:
+    accuracy is unknown, because the true motion at that value does not converge.
 
     The theoretical boundary is that of the linear system of joint springs, dampers and servos at
     the start: the dt beyond which its step matrix has a spectral radius above 1.
@@ -108,16 +103,16 @@ def stability_map(
     >>> result = stability_map(scene, path="joint/rail/stiffness", values=[100],
     ...     dts=[0.001, 0.1, 0.19, 0.21], integrators="semi-implicit", threads=1)
     >>> [cell.state for cell in result.panels[0].cells]
-    ['finite', 'inaccurate', 'inaccurate', 'exploded']
+    ['accurate', 'inaccurate', 'inaccurate', 'exploded']
     >>> round(result.panels[0].boundary[0], 6)  # 2 / ω
     0.2
     """
-    tolerance = Tolerance(error)
+    tolerance = Tolerance(deviation)
     size = None if size is None else _positive("size", size)
     lesson = "spring" if model is None else LESSON.get(model) if isinstance(model, str) else None
     case: MapCase | None = None
     if lesson is not None and path is None:
-        case = cases.spring(size) if lesson == "spring" else cases.stack(tolerance, size)
+        case = lesson_maps.stack(tolerance, size) if lesson == "stack" else lesson_maps.spring(size)
         _narrow(case, lesson, values, dts, integrators)
     setup = set_up(
         stability_map,
@@ -139,7 +134,7 @@ def stability_map(
         )
     horizon = setup.motion.horizon or case.horizon or max(1.0, STEPS * max(case.dts))
     _check_steps(case, horizon)
-    cell, converged = CellMotion(horizon, case.key), dict[str, list[TrueMotion]]()
+    panels = _Panels(case, MapMotion(horizon, case.key), tolerance, setup.workers)
     return StabilityMap(
         name=setup.name,
         settings=case.model.settings,
@@ -152,12 +147,12 @@ def stability_map(
         tolerance=tolerance,
         far=FAR,
         ran=_ran(case, horizon),
-        panels=[_panel(case, s, cell, tolerance, converged, setup.workers) for s in case.settings],
+        panels=[panels.panel(setting) for setting in case.settings],
     )
 
 
 def _ran(case: MapCase, horizon: float) -> str:
-    """What motion was run, in words; the law where all panels have the same."""
+    """The motion in words, and the law if all panels have the same."""
     model = case.model
     key = None if case.key is None else model.keys[model.index("key", case.key)]
     ctrl = np.zeros(model.nu) if key is None else key.ctrl
@@ -175,7 +170,7 @@ def _narrow(
     dts: Sequence[float] | None,
     integrators: str | Sequence[str] | None,
 ) -> None:
-    """Takes the axes and integrators that were asked for into a map of the lesson."""
+    """Replaces a lesson map's axes and integrators by those that are given."""
     if integrators is not None:
         if lesson == "stack":
             raise ValueError(
@@ -199,7 +194,7 @@ def _case(
     key: str | int | None,
     size: float | None,
 ) -> MapCase:
-    """A scene of the user's own."""
+    """The map of a scene over a value, by integrator."""
     if path is None:
         raise ValueError('path = None: must name the value to vary, as "joint/knee/stiffness"')
     element, field = find(model.scene, path)
@@ -231,8 +226,8 @@ def _case(
 def _linear(
     model: Model, path: str, key: str | int | None, integrator: str, values: Sequence[float]
 ) -> list[float]:
-    """The boundary of springs, dampers and servos; nan where a value leaves none."""
-    limits = [theory.limit_of(model.with_values({path: v}), key, integrator) for v in values]
+    """The boundary of springs, dampers and servos; nan at a value that leaves none."""
+    limits = (limit_of_springs(model.with_values({path: v}), key, integrator) for v in values)
     return [np.nan if limit is None else limit for limit in limits]
 
 
@@ -246,57 +241,77 @@ def _check_steps(case: MapCase, horizon: float) -> None:
     checks.steps(horizon, finest, runs, words, MOST_STEPS)
 
 
-def _panel(
-    case: MapCase,
-    setting: MapSetting,
-    motion: CellMotion,
-    tolerance: Tolerance,
-    converged: dict[str, list[TrueMotion]],
-    workers: Workers,
-) -> MapPanel:
-    """All cells of one setting, judged."""
-    model = case.model.with_settings(**setting.settings)
-    if setting.form is not None:
-        times = motion.all_times(case.dts)
-        truth = [closed_form(setting.form, value, times, case.size) for value in case.values]
-        reference = "closed form"
-    else:
-        # Integrators share a converged run, laws do not.
-        law = str({k: v for k, v in setting.settings.items() if k != "integrator"})
-        if law not in converged:
-            converged[law] = converged_runs(
-                model, case.path, case.values, motion, case.dts, tolerance, case.size, workers
-            )
-        truth, reference = converged[law], "converged run"
-    grid = {case.path: case.values, "dt": case.dts}
-    cells = []
-    for k, record in enumerate(sweep(model, grid, partial(run, motion), **workers.arguments)):
-        if record.get("failure"):
-            raise ValueError(f"{setting.label}: {record['failure']}")
-        true = truth[k // len(case.dts)]
-        cells.append(_judged(record, case.path, motion, true, tolerance))
-    boundary = setting.boundary(case.values) if setting.boundary else None
-    if boundary is not None and all(np.isnan(limit) for limit in boundary):
-        boundary = None
-    return MapPanel(setting.label, cells, reference, boundary, setting.beyond if boundary else "")
+class _Panels:
+    """Runs and judges the cells of a map.
+
+    truths: the true motions by law, which integrators share.
+    """
+
+    def __init__(
+        self, case: MapCase, motion: MapMotion, tolerance: Tolerance, workers: Workers
+    ) -> None:
+        self.case, self.motion, self.tolerance, self.workers = case, motion, tolerance, workers
+        self.truths: dict[str, list[TrueMotion]] = {}
+
+    def panel(self, setting: MapSetting) -> MapPanel:
+        """All cells of one setting."""
+        case = self.case
+        model = case.model.with_settings(**setting.settings)
+        if setting.form is not None:
+            times = self.motion.all_times(case.dts)
+            truth = [closed_form(setting.form, model, v, times, case.size) for v in case.values]
+        else:
+            law = str({k: v for k, v in setting.settings.items() if k != "integrator"})
+            if law not in self.truths:
+                job = partial(_true_motion, model, case, self.motion, self.tolerance)
+                self.truths[law] = self.workers.each(job, case.values, "true motion")
+            truth = self.truths[law]
+        grid = list(product(case.values, case.dts))
+        runs = self.workers.each(partial(_run, model, case.path, self.motion), grid, setting.label)
+        cells = [
+            self._judged(value, dt, run, truth[k // len(case.dts)])
+            for k, ((value, dt), run) in enumerate(zip(grid, runs, strict=True))
+        ]
+        boundary = setting.boundary(case.values) if setting.boundary else None
+        if boundary is not None and all(np.isnan(limit) for limit in boundary):
+            boundary = None
+        reference = "closed form" if setting.form is not None else "converged run"
+        beyond = setting.beyond if boundary else ""
+        return MapPanel(setting.label, cells, reference, boundary, beyond)
+
+    def _judged(
+        self, value: float, dt: float, run: tuple[np.ndarray, str | None], true: TrueMotion
+    ) -> MapCell:
+        """The state of one cell; see `stability_map`."""
+        points, stopped = run
+        share = self.tolerance.share(true.size)
+        known = true.points is not None and true.error <= share / FINER
+        with np.errstate(over="ignore", invalid="ignore"):
+            times = self.motion.times(dt)[: len(points)]
+            goal = true.at(times) if true.points is not None else points[:1]
+            apart = np.linalg.norm(points - goal, axis=-1) / max(true.size, 1e-300)
+            deviation = float(apart.max()) if np.all(np.isfinite(apart)) else np.inf
+        if stopped or not deviation <= FAR:
+            return MapCell(value, dt, EXPLODED, deviation, known, stopped)
+        if not known:
+            return MapCell(value, dt, FINITE, np.nan, False)
+        state = ACCURATE if deviation <= share else INACCURATE
+        return MapCell(value, dt, state, deviation)
 
 
-def _judged(
-    record: dict[str, Any], path: str, motion: CellMotion, true: TrueMotion, tolerance: Tolerance
-) -> MapCell:
-    """The state of one cell; see `stability_map`."""
-    value, dt, points = record[path], record["dt"], record["points"]
-    share = tolerance.share(true.size)
-    known = true.points is not None and true.error <= share / FINER
-    times = np.concatenate([[0.0], motion.times(dt)])[: len(points)]
-    with np.errstate(over="ignore", invalid="ignore"):
-        goal = true.at(times) if true.points is not None else points[:1]
-        apart = np.linalg.norm(points - goal, axis=-1) / max(true.size, 1e-300)
-        error = float(apart.max()) if np.all(np.isfinite(apart)) else np.inf
-    if record["stopped"] or not error <= FAR:
-        return MapCell(value, dt, EXPLODED, error, known, record["stopped"])
-    state = INACCURATE if known and error > share else FINITE
-    return MapCell(value, dt, state, error if known else np.nan, known)
+def _true_motion(
+    model: Model, case: MapCase, motion: MapMotion, tolerance: Tolerance, value: float
+) -> TrueMotion:
+    here = model.with_values({case.path: value})
+    return converged(here, motion, case.dts, tolerance, case.size)
+
+
+def _run(
+    model: Model, path: str, motion: MapMotion, cell: tuple[float, float]
+) -> tuple[np.ndarray, str | None]:
+    """The points of one cell as read, and why it failed."""
+    value, dt = cell
+    return motion.run(model.with_values({path: value}), dt, motion.times(dt))
 
 
 def _integrators(asked: str | Sequence[str]) -> list[str]:

@@ -1,38 +1,71 @@
-"""`StabilityMap`: which cells of a grid of dt and a value are finite, inaccurate or exploded."""
+"""`StabilityMap`: which cells of a grid of dt and a value are accurate, inaccurate or exploded."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from stepcore._core import Settings
 from stepcore.experiment.motion import Motion
-from stepcore.measure.stability.reference import Tolerance
+from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, seconds
 
-FINITE, INACCURATE, EXPLODED = "finite", "inaccurate", "exploded"
-SYMBOLS = {FINITE: "·", INACCURATE: "o", EXPLODED: "X"}
-UNJUDGED = "?"
+# The states of a cell, and their marks; a run is only called finite if its accuracy is not known.
+ACCURATE, INACCURATE, EXPLODED, FINITE = "accurate", "inaccurate", "exploded", "finite"
+SYMBOLS = {ACCURATE: "·", INACCURATE: "o", EXPLODED: "X", FINITE: "?"}
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """The deviation from which a run is inaccurate: metres, "1mm", or "10%" of the scene's size.
+
+    Raises ValueError for anything else.
+    """
+
+    value: float | str
+
+    def __post_init__(self) -> None:
+        _ = self.number
+
+    @property
+    def relative(self) -> bool:
+        """Whether it is a share of the scene's size."""
+        return isinstance(self.value, str) and "%" in self.value
+
+    @property
+    def number(self) -> float:
+        """A share if it is relative, else a length [m]."""
+        return units.length("stability_map", "deviation", self.value, 1.0)
+
+    def share(self, size: float) -> float:
+        """As a share of a scene of this size [m]."""
+        return self.number if self.relative else self.number / max(size, 1e-300)
+
+    def __str__(self) -> str:
+        if self.relative:
+            return f"{units.percent(self.number)} of the scene's size"
+        return units.metres(self.number)
 
 
 @dataclass(frozen=True)
 class MapCell:
     """One run of a stability map.
 
-    error: its largest distance from the true motion over the size of the motion; nan if not known.
-    judged: whether there is a true motion with which it can be compared.
+    state: "accurate", "inaccurate" or "exploded"; "finite" if it could not be judged.
+    deviation: its largest distance from the true motion over the scene's size; nan if not known.
+    judged: whether there is a true motion to compare it with.
     reason: why it failed.
     """
 
     value: float
     dt: float
     state: str
-    error: float
+    deviation: float
     judged: bool = True
     reason: str | None = None
 
@@ -41,10 +74,10 @@ class MapCell:
 class MapPanel:
     """The cells of one setting, values outermost, and its theory.
 
-    boundary: by value, the dt [s] at which theory says that the cells change: 0 if no step is
-        stable, inf if all are; None without a theory.
-    beyond: what happens beyond the boundary.
     reference: what the cells are compared with.
+    boundary: the theoretical limit of dt for each value [s]: 0 if no step is stable, inf if all
+        are; None without a theory.
+    beyond: what happens beyond the boundary.
     """
 
     label: str
@@ -65,8 +98,8 @@ class StabilityMap(Result):
     path: the value that is varied.
     axis: how the plot names it, with its unit.
     values, dts [s]: the grid.
-    tolerance: a run with a larger error is inaccurate.
-    far: a run with an error above this many sizes of the motion has exploded.
+    tolerance: a run with a larger deviation is inaccurate.
+    far: a run with a deviation above this many sizes of the scene has exploded.
     panels: one for each setting.
 
     >>> from stepcore import stability_map
@@ -75,7 +108,7 @@ class StabilityMap(Result):
     """
 
     kind = "stability"
-    units: ClassVar = {"dt": "s", "error": "1", "theory": "s"}
+    units: ClassVar = {"dt": "s", "deviation": "1", "theory": "s"}
 
     name: str
     settings: Settings
@@ -92,11 +125,11 @@ class StabilityMap(Result):
     ran: str = ""
 
     def __post_init__(self) -> None:
-        unjudged = sum(not c.judged and c.state == FINITE for c in self.rows)
+        unjudged = sum(cell.state == FINITE for cell in self.rows)
         if unjudged:
             self.notes.append(
-                f"{counted(unjudged, 'finite run')}, marked {UNJUDGED}, cannot be judged for "
-                "accuracy, because no converged run was found"
+                f"{counted(unjudged, 'finite run')}, marked {SYMBOLS[FINITE]}, cannot be judged "
+                "for accuracy, because the true motion did not converge"
             )
 
     @property
@@ -106,16 +139,17 @@ class StabilityMap(Result):
 
     @property
     def setup(self) -> str:
-        """How cells are told apart."""
+        """What the marks of cells mean."""
+        accurate, inaccurate, exploded = (f"{s} ({SYMBOLS[s]})" for s in list(SYMBOLS)[:3])
         return (
-            f"{_word(FINITE)}: the error stays within {self.tolerance}; "
-            f"{_word(INACCURATE)}: it is larger; {_word(EXPLODED)}: it is larger than "
-            f"{self.far:g} sizes of the motion, or the run failed."
+            f"{accurate}: the deviation from the true motion is at most {self.tolerance}; "
+            f"{inaccurate}: it is larger; {exploded}: it is larger than {self.far:g} times the "
+            "scene's size, or the run failed."
         )
 
     @property
     def sentences(self) -> list[str]:
-        """How many runs of each setting are finite, inaccurate and exploded; the scene's first."""
+        """The number of cells in each state for each setting, the scene's integrator first."""
         sentences = []
         for panel in sorted(self.panels, key=lambda panel: panel is not self._first):
             count = Counter(cell.state for cell in panel.cells)
@@ -130,22 +164,23 @@ class StabilityMap(Result):
 
     @property
     def table(self) -> Table:
-        """One row for each cell: setting, value, dt [s], state, error, theory's dt [s], reason."""
-        return Table(record for panel in self.panels for record in self._records(panel))
-
-    def _records(self, panel: MapPanel) -> Iterator[dict[str, Any]]:
-        theory = dict(zip(self.values, panel.boundary or [], strict=False))
-        for cell in panel.cells:
-            yield {
+        """One row for each cell; theory: its largest stable dt [s]."""
+        return Table(
+            {
                 "setting": panel.label,
                 "value": cell.value,
                 "dt": cell.dt,
                 "state": cell.state,
-                "error": cell.error,
+                "deviation": cell.deviation,
                 "judged": cell.judged,
-                "theory": theory.get(cell.value),
+                "theory": dict(zip(self.values, panel.boundary or [], strict=False)).get(
+                    cell.value
+                ),
                 "reason": cell.reason,
             }
+            for panel in self.panels
+            for cell in panel.cells
+        )
 
     def tables(self, full: bool) -> list[Table]:
         """The panels: one row for each value, one mark for each dt; not `full`: one panel."""
@@ -167,13 +202,12 @@ class StabilityMap(Result):
         rows = []
         for k, value in enumerate(self.values):
             cells = panel.at(value)
-            marks = "".join(_mark(cell) for cell in cells)
-            good = [cell.dt for cell in cells if cell.state == FINITE and cell.judged]
-            unknown = not good and UNJUDGED in marks
+            good = [cell.dt for cell in cells if cell.state == ACCURATE]
+            unknown = not good and any(cell.state == FINITE for cell in cells)
             row = {
                 "value": value,
-                across: marks,
-                "largest finite": "unknown" if unknown else _dt(max(good, default=0.0)),
+                across: "".join(SYMBOLS[cell.state] for cell in cells),
+                "largest accurate": "unknown" if unknown else _dt(max(good, default=0.0)),
             }
             if panel.boundary is not None:
                 row[panel.beyond] = _dt(panel.boundary[k])
@@ -188,7 +222,7 @@ class StabilityMap(Result):
             "value": self.path,
             "values": list(self.values),
             "dts": list(self.dts),
-            "error": str(self.tolerance),
+            "deviation": str(self.tolerance),
             "tolerance": self.tolerance.number,
             "far": self.far,
             "panels": [
@@ -204,15 +238,6 @@ class StabilityMap(Result):
 
     def __repr__(self) -> str:
         return f"<StabilityMap of {self.name}: {len(self.rows)} cells in {len(self.panels)} panels>"
-
-
-def _word(state: str) -> str:
-    """A state and its mark."""
-    return f"{state} ({SYMBOLS[state]})"
-
-
-def _mark(cell: MapCell) -> str:
-    return SYMBOLS[cell.state] if cell.judged or cell.state == EXPLODED else UNJUDGED
 
 
 def _dt(value: float) -> str:

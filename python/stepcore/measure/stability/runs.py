@@ -159,8 +159,8 @@ def closed_form(
 
 def size_of(model: Model, points: np.ndarray) -> float:
     """The size of the scene and its motion [m]; see `scene_size`."""
-    bodies = BodyPoints(Runner(model, EMPTY).bodies)
-    return scene_size(model.scene, [Run(com=points[:, : len(bodies.index), 0])])
+    hinges = list(model.jnt_type).count("hinge")
+    return scene_size(model.scene, [Run(com=points[:, : points.shape[1] - hinges, 0])])
 
 
 def converged(
@@ -197,7 +197,10 @@ def _stalled(errors: Sequence[float]) -> bool:
 
 
 def reference_settings(model: Model) -> Settings:
-    """The scene's own laws, with converged rows and the integrator of the highest order allowed."""
+    """The scene's own laws, with converged rows and the integrator of the highest order allowed.
+
+    Few sweeps, because many steps are made, each from the impulses of the one before.
+    """
     settings = model.settings
     integrator = settings.integrator
     if not makes_rows(model):
@@ -205,10 +208,5 @@ def reference_settings(model: Model) -> Settings:
     elif integrator == "explicit":
         integrator = "semi-implicit"
     return converged_settings(
-        settings,
-        newton=100,
-        pgs=1000,
-        tolerance=0.0 if settings.law == "solref" else 1e-12,
-        warm_start=True,
-        integrator=integrator,
+        settings, sweeps=1000, refsafe=False, warm_start=True, integrator=integrator
     )

@@ -1,4 +1,4 @@
-"""The plot of a stability map: finite, inaccurate and exploded cells, and theory's boundary."""
+"""The plot of a stability map: accurate, inaccurate and exploded cells, and theory's boundary."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from stepcore.measure.stability.result import MapPanel, StabilityMap
 
 # By state. Light, middle, dark: distinct without colour too.
-FINITE = "finite"
-FILLS = {FINITE: "#A9D8F5", "inaccurate": ORANGE, "exploded": "#4A3B52"}
+ACCURATE, FINITE = "accurate", "finite"
+FILLS = {ACCURATE: "#A9D8F5", "inaccurate": ORANGE, "exploded": "#4A3B52"}
 UNJUDGED = "finite, not judged"
 COLUMNS = 3
 DASHES = (0, (4, 2))
@@ -47,11 +47,12 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
 
     shape = (len(result.values), len(result.dts))
     states = list(FILLS)
-    grid = np.array([states.index(cell.state) for cell in panel.cells]).reshape(shape).T
+    filled = [ACCURATE if cell.state == FINITE else cell.state for cell in panel.cells]
+    grid = np.array([states.index(state) for state in filled]).reshape(shape).T
     across, up = _edges(result.values), _edges(result.dts)
     colours = ListedColormap(list(FILLS.values()))
     axes.pcolormesh(across, up, grid, cmap=colours, vmin=-0.5, vmax=2.5, edgecolors="none")
-    unknown = np.array([not c.judged and c.state == FINITE for c in panel.cells]).reshape(shape).T
+    unknown = np.array([cell.state == FINITE for cell in panel.cells]).reshape(shape).T
     if unknown.any():
         masked = np.ma.masked_where(~unknown, grid)
         axes.pcolor(across, up, masked, hatch="///", alpha=0.0, zorder=2)
@@ -125,6 +126,6 @@ def _legend(figure: Any, result: StabilityMap) -> None:
     from matplotlib.patches import Patch
 
     entries: list[Any] = [Patch(fc=fill, ec="black", lw=0.4, label=s) for s, fill in FILLS.items()]
-    if any(not c.judged and c.state == FINITE for p in result.panels for c in p.cells):
-        entries.append(Patch(fc=FILLS[FINITE], ec="black", lw=0.4, hatch="///", label=UNJUDGED))
+    if any(cell.state == FINITE for cell in result.rows):
+        entries.append(Patch(fc=FILLS[ACCURATE], ec="black", lw=0.4, hatch="///", label=UNJUDGED))
     legend(figure, entries, len(entries) if len(entries) < 4 or figure.get_figwidth() > 7 else 2)
