@@ -9,6 +9,7 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment import cost
+from stepcore.experiment.batched_runs import batched
 from stepcore.experiment.converged import converged_settings
 from stepcore.experiment.cost import USUAL, Counter, TimedRun, costs, heaviness
 from stepcore.experiment.motion import Motion
@@ -35,6 +36,20 @@ def driven():
 def stiff_spring():
     """ω dt = 1: stable under rk4; explicit Euler grows by √2 a step."""
     return lesson.spring(k=1e6, dt=1e-3, integrator="rk4").compile()
+
+
+def test_a_run_starts_with_the_keyframes_mocap_poses():
+    """A ball welded to a mocap body that only the keyframe puts aside: alone and in a batch."""
+    model = sc.loads(
+        """<mujoco><option gravity="0 0 0"/><worldbody>
+        <body name="hand" mocap="true"/>
+        <body name="ball" pos="1 0 0"><freejoint/><geom size=".1"/></body></worldbody>
+        <equality><weld body1="hand" body2="ball" relpose="0 0 0 1 0 0 0"/></equality>
+        <keyframe><key qpos="1 0 0 1 0 0 0" mpos="1 0 0"/></keyframe></mujoco>"""
+    ).compile()
+    runner = Runner(model, scheduled(Motion(horizon=0.2, starts=1), model, 0.02))
+    for run in (runner.run(model.settings, 0), *batched(runner, model.settings, [0, 0])):
+        assert run.com[:, 0] == pytest.approx(np.tile([1.0, 0.0, 0.0], (len(run.com), 1)))
 
 
 class Log(Probe):

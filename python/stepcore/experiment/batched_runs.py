@@ -97,6 +97,8 @@ class BatchRun:
             self.batch.qpos[world], self.batch.qvel[world] = start.qpos, start.qvel
             if start.act is not None:
                 self.batch.act[world] = start.act
+            if start.mocap is not None:
+                self.batch.mocap_pos[world], self.batch.mocap_quat[world] = start.mocap
 
     def timed(self, clock: Clock) -> None:
         """Makes the runs once more from their starts, timed and not observed."""

@@ -13,16 +13,23 @@ from stepcore.scene.layout import DOFS, Layout
 
 @dataclass(frozen=True)
 class Start:
-    """One initial state. qpos: shape (nq,); qvel: shape (nv,); act: shape (na,), None for zeros."""
+    """One initial state. qpos: shape (nq,); qvel: shape (nv,); act: shape (na,), None for zeros.
+
+    mocap: the positions [m] and quaternions of mocap bodies, (nmocap, 3) and (nmocap, 4); None for
+    those of the scene.
+    """
 
     qpos: np.ndarray
     qvel: np.ndarray
     act: np.ndarray | None = None
+    mocap: tuple[np.ndarray, np.ndarray] | None = None
 
     def put(self, sim: Sim) -> None:
         """Puts a Sim into this state; its time and its controls stay."""
         sim.qpos, sim.qvel = self.qpos, self.qvel
         sim.act[:] = 0.0 if self.act is None else self.act
+        if self.mocap is not None:
+            sim.mocap_pos, sim.mocap_quat = self.mocap
 
 
 class Coordinates:

@@ -90,12 +90,15 @@ def perturbed(runner: Runner, size: float) -> Schedule:
     rng = np.random.default_rng(0)
     coordinates, schedule = runner.coordinates, runner.schedule
     aside = ASIDE * coordinates.drawn(rng, size, 1.0)
-    starts = [Start(coordinates.moved(s.qpos, aside), s.qvel, s.act) for s in schedule.starts]
+    starts = [
+        dataclasses.replace(start, qpos=coordinates.moved(start.qpos, aside))
+        for start in schedule.starts
+    ]
     for _ in range(DIRECTIONS):
         for start in starts[: len(schedule.starts)]:
             sign = coordinates.scaled(rng.choice([-1.0, 1.0], coordinates.nv), size, 1.0)
             moved = coordinates.moved(start.qpos, NEARBY * sign)
-            starts.append(Start(moved, start.qvel, start.act))
+            starts.append(dataclasses.replace(start, qpos=moved))
     ctrl = None if schedule.ctrl is None else np.concatenate([schedule.ctrl] * (1 + DIRECTIONS))
     return dataclasses.replace(schedule, starts=tuple(starts), ctrl=ctrl)
 

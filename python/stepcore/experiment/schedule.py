@@ -183,7 +183,8 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
     if key is None and not model.keys:
         return Start(model.qpos0, np.zeros(model.nv)), np.zeros(model.nu)
     frame = model.keys[0 if key is None else model.index("key", key)]
-    return Start(frame.qpos, frame.qvel, frame.act), frame.ctrl
+    mocap = frame.mpos.reshape(-1, 3), frame.mquat.reshape(-1, 4)
+    return Start(frame.qpos, frame.qvel, frame.act, mocap), frame.ctrl
 
 
 def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Generator) -> Start:
@@ -195,7 +196,7 @@ def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Gen
     sim = Sim(model)
 
     def depth(start: Start) -> float:
-        sim.qpos[:] = start.qpos
+        start.put(sim)
         sim.forward()
         dist = sim.contacts["dist"]
         return -float(dist.min()) if len(dist) else 0.0
@@ -206,7 +207,7 @@ def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Gen
     for _ in range(64):
         step, rate = coordinates.drawn(rng, SHIFT, TURN), coordinates.drawn(rng, SPEED, SPIN)
         moved = coordinates.inside(coordinates.moved(home.qpos, step))
-        start = Start(moved, home.qvel + rate, home.act)
+        start = dataclasses.replace(home, qpos=moved, qvel=home.qvel + rate)
         tried.append((depth(start), start))
         if tried[-1][0] <= allowed:
             return start

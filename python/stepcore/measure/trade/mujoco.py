@@ -207,6 +207,8 @@ class MujocoRunner(Runner):
         begin = self.schedule.starts[start]
         sim.data.qpos[:], sim.data.qvel[:] = begin.qpos, begin.qvel
         sim.data.act[:] = 0.0 if begin.act is None else begin.act
+        if begin.mocap is not None:
+            sim.data.mocap_pos[:], sim.data.mocap_quat[:] = begin.mocap
 
     def control(self, sim: World, start: int, period: int, function: Control | None) -> None:
         data, shown = sim.data, self.shown
