@@ -17,8 +17,8 @@ from pathlib import Path
 import mujoco
 from attributes.runs import SCENES, case_of, measured
 
+from stepcore.mjcf.notation import Spec
 from stepcore.mjcf.schema import ROOT
-from stepcore.mjcf.schema.notation import Spec
 
 PAGE = Path(__file__).parent.parent / "docs" / "mjcf_attributes.md"
 # What the schema's text calls the elements of the tree, and those that stand outside of it.

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.schema.notation import ORIENTATION
+from stepcore.mjcf.notation import ORIENTATION
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import LengthRange, MassRules, fields_of

@@ -13,15 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore.checks import nearest
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.schema.option import FLAGS
-from stepcore.scene.elements import Features, fields_of
+from stepcore.mjcf.schema import OWN_FEATURES
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
 NAME = "stepcore"
-# Features without an MJCF flag.
-OWN_FEATURES = tuple(name for name in fields_of(Features) if name not in FLAGS.split())
 # Elements that others can name, and where a scene holds them.
 KINDS = {
     "geom": "geoms",

@@ -8,8 +8,8 @@ from typing import Any
 from stepcore.checks import nearest
 from stepcore.mjcf import gains
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.schema.default import ACTUATORS
-from stepcore.mjcf.schema.notation import ORIENTATION
+from stepcore.mjcf.notation import ORIENTATION
+from stepcore.mjcf.schema import ACTUATORS
 
 Values = dict[str, Any]
 MAIN = "main"

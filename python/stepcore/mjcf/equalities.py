@@ -6,7 +6,7 @@ from typing import Any
 
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.worldbody import WorldReader, soft
-from stepcore.scene.tying import FIELDS
+from stepcore.scene.elements.equality import FIELDS
 
 
 def read(world: WorldReader, node: Node) -> None:

@@ -11,11 +11,9 @@ from stepcore.checks import nearest, shown
 from stepcore.mjcf.custom import ours
 from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.notation import Spec
 from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.schema import ROOT
-from stepcore.mjcf.schema.notation import Spec
-from stepcore.mjcf.schema.tree import UNCHECKED
-from stepcore.mjcf.schema.visual import SEEN
+from stepcore.mjcf.schema import ROOT, SEEN, UNCHECKED
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)

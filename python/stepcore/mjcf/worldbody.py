@@ -12,7 +12,7 @@ from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.schema.tree import NOT_IN_WORLD
+from stepcore.mjcf.schema import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom, Joint, Key, MassRules

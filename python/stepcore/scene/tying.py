@@ -7,18 +7,11 @@ from typing import Any
 
 from stepcore import checks
 from stepcore.scene.elements import Equality, Joint
+from stepcore.scene.elements.equality import BODIES, FIELDS, SITES
 from stepcore.scene.elements.tendon import Tendon
 from stepcore.scene.frames import IDENTITY
 from stepcore.scene.layout import Layout
 
-# What each type can be given beside its name, softness and `active`.
-BODIES, SITES = ("body1", "body2", "anchor"), ("site1", "site2")
-FIELDS = {
-    "connect": (*BODIES, *SITES),
-    "weld": (*BODIES, *SITES, "relpose", "torquescale"),
-    "joint": ("joint1", "joint2", "polycoef"),
-    "tendon": ("tendon1", "tendon2", "polycoef"),
-}
 COMMON = ("name", "type", "active", "solref", "solimp")
 # Types that tie lengths.
 LENGTHS = ("joint", "tendon")

@@ -1,11 +1,11 @@
 """The elements of URDF that say how a robot moves; others are listed as ignored.
 
-Format documentation: wiki.ros.org/urdf/XML. The notation is that of `mjcf.schema.notation`.
+Format documentation: wiki.ros.org/urdf/XML. The notation is that of `mjcf.notation`.
 """
 
 from __future__ import annotations
 
-from stepcore.mjcf.schema.notation import spec
+from stepcore.mjcf.notation import spec
 
 ORIGIN = spec("xyz:3 rpy:3")
 GEOMETRY = spec(

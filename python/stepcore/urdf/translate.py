@@ -16,8 +16,8 @@ from typing import TypeVar
 
 from stepcore.checks import cut, nearest
 from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.notation import Spec
 from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.schema.notation import Spec
 from stepcore.mjcf.validation import bad, values_of
 from stepcore.scene import frames
 from stepcore.urdf.file_paths import mesh_path

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.schema.option import FLAGS
+from stepcore.mjcf.schema import FLAGS
 
 MINIMUM = (
     *("timestep", "tolerance", "ls_tolerance", "noslip_tolerance", "ccd_tolerance"),

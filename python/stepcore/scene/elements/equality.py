@@ -37,6 +37,15 @@ ROW_KINDS = {
     "tendon": "tendon equality",
 }
 
+# By type: the fields that it can have beside its name, softness and `active`.
+BODIES, SITES = ("body1", "body2", "anchor"), ("site1", "site2")
+FIELDS = {
+    "connect": (*BODIES, *SITES),
+    "weld": (*BODIES, *SITES, "relpose", "torquescale"),
+    "joint": ("joint1", "joint2", "polycoef"),
+    "tendon": ("tendon1", "tendon2", "polycoef"),
+}
+
 SomeBody = Annotated[Body | None, optional(element("Body"))]
 SomeSite = Annotated[Site | None, optional(element("Site"))]
 SomeTendon = Annotated[Tendon | None, optional(element("Tendon"))]

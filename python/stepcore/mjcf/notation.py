@@ -1,20 +1,18 @@
-"""The notation of the schema: elements, their attributes, and the type of each attribute.
+"""The notation of MJCF's schema: elements, their attributes, and the type of each attribute.
 
-Attributes are the words of a string: ``pos:3`` holds three reals, ``size:1-3`` one to three,
-``qpos:*`` any number, ``group:int`` an integer, ``limited:false|true|auto`` a keyword, and a bare
-name any text. ``!`` marks a required one.
+``pos:3`` holds three reals, ``size:1-3`` one to three, ``qpos:*`` any number, ``group:int`` an
+integer, ``limited:false|true|auto`` a keyword, and a bare name any text. ``!`` marks a required
+attribute.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-BOOL = "false|true"
-AUTO = "false|true|auto"
-ABLE = "disable|enable"
+from stepcore.scene.element import Element, table
 
 ORIENTATION = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
-POSE = "pos:3 quat:4 axisangle:4 xyaxes:6 zaxis:3 euler:3 "
+POSE = "pos:3 quat:4 axisangle:4 xyaxes:6 zaxis:3 euler:3"
 
 
 @dataclass
@@ -50,20 +48,32 @@ def spec(
     return Spec(types, tuple(required), children or {}, role, once)
 
 
+def of(kind: type[Element], *names: str, but: str = "") -> str:
+    """The fields of an element class that MJCF has, in the notation above.
+
+    names: only these; but: all but these. A number with higher coefficients is three numbers.
+    """
+    rows = [table(kind)[name] for name in names] if names else table(kind).values()
+    return " ".join(
+        f"{row.name}:{'1-3' if row.poly else row.type.attribute}".rstrip(":")
+        for row in rows
+        if row.type.attribute is not None and row.name not in but.split()
+    )
+
+
 def without(attrs: str, names: str) -> str:
     """`attrs` without the named ones."""
     drop = set(names.split())
     return " ".join(w for w in attrs.split() if w.partition(":")[0].rstrip("!") not in drop)
 
 
-def default_of(attrs: str) -> Spec:
-    """The element of a default class for an element with these attributes."""
-    kept = without(attrs, OWN)
-    return spec(kept.replace("!", ""))
-
-
 # References and names have no place in a default.
-OWN = (
+_OWN = (
     "name class geom1 geom2 target lengthrange joint jointinparent tendon slidersite cranksite "
     "site refsite body body1 body2 instance plugin"
 )
+
+
+def default_of(attrs: str) -> Spec:
+    """The element of a default class for an element with these attributes."""
+    return spec(without(attrs, _OWN).replace("!", ""))

@@ -1,0 +1,424 @@
+"""The schema of MJCF, from that of MuJoCo 4: which elements there are, with which attributes.
+
+Attributes that are fields of an element class come from its table (`stepcore.scene.element`); all
+others stand here, in the notation of `notation`.
+"""
+
+from __future__ import annotations
+
+from stepcore.mjcf.notation import POSE, Spec, default_of, of, spec, without
+from stepcore.scene.element import table
+from stepcore.scene.elements import (
+    Actuator,
+    Body,
+    ContactOverride,
+    Equality,
+    Features,
+    Geom,
+    HField,
+    Joint,
+    Key,
+    LengthRange,
+    MassRules,
+    Mesh,
+    Pair,
+    Sensor,
+    Site,
+    Tendon,
+)
+from stepcore.scene.elements.actuator import LAW_FIELDS
+from stepcore.scene.elements.equality import FIELDS as EQUALITY_FIELDS
+from stepcore.scene.elements.field_types import AUTO, BOOL
+
+ABLE = "disable|enable"
+_TURN = without(POSE, "pos quat")
+_POSE_NAMES = "pos quat axisangle xyaxes zaxis euler"
+
+# Plugins, which can stand in several sections: none is built.
+_CONFIG = spec("key! value")
+
+
+def plugin(attrs: str = "plugin instance") -> Spec:
+    """A plugin's element, with the attributes that it has beside its configuration."""
+    return spec(attrs, {"config": _CONFIG}, "unbuilt")
+
+
+_INSTANCE = spec("name", {"config": _CONFIG})
+EXTENSION = spec(
+    "",
+    {"plugin": spec("plugin!", {"instance": _INSTANCE, "config": _CONFIG}, "unbuilt")},
+)
+
+# The sections <option>, <size> and <compiler>.
+
+FLAGS = (
+    "constraint equality frictionloss limit contact spring damper gravity clampctrl warmstart "
+    "filterparent actuation refsafe sensor midphase eulerdamp autoreset nativeccd island "
+    "multiccd override energy fwdinv invdiscrete sleep diagexact ipc speculative"
+)
+# Features without an MJCF flag.
+OWN_FEATURES = tuple(name for name in table(Features) if name not in FLAGS.split())
+_OVERRIDES = " ".join(f"o_{word}" for word in of(ContactOverride, but="enable").split())
+OPTION = spec(
+    "timestep:1 impratio:1 tolerance:1 ls_tolerance:1 noslip_tolerance:1 ccd_tolerance:1 "
+    "sleep_tolerance:1 gravity:3 wind:3 magnetic:3 density:1 viscosity:1 "
+    f"{_OVERRIDES} "
+    "integrator:Euler|RK4|implicit|implicitfast|discrete cone:pyramidal|elliptic "
+    "jacobian:dense|sparse|auto solver:PGS|CG|Newton iterations:int ls_iterations:int "
+    "noslip_iterations:int ccd_iterations:int sdf_iterations:int sdf_initpoints:int "
+    "actuatorgroupdisable:int*",
+    {"flag": spec(" ".join(f"{name}:{ABLE}" for name in FLAGS.split()))},
+    once=("flag",),
+)
+SIZE = spec(
+    "memory njmax nconmax nstack nuserdata nkey:int nuser_body nuser_jnt nuser_geom nuser_site "
+    "nuser_cam nuser_tendon nuser_actuator nuser_sensor"
+)
+COMPILER = spec(
+    f"autolimits:{BOOL} {of(MassRules)} strippath:{BOOL} coordinate:local|global "
+    f"angle:radian|degree eulerseq meshdir texturedir discardvisual:{BOOL} usethread:{BOOL} "
+    f"fusestatic:{BOOL} saveinertial:{BOOL} savecompiled:{BOOL} savecanonical:{BOOL} assetdir "
+    f"alignfree:{BOOL} conflict:warning|merge|error passthrough:none|textures",
+    {"lengthrange": spec(of(LengthRange))},
+)
+
+# What only draws: of it only the names of attributes are checked when a scene is read.
+
+
+def _draws(attrs: str, children: dict[str, Spec] | None = None) -> Spec:
+    return spec(attrs, children, "draws")
+
+
+_CAMERA = (
+    f"name class projection fovy ipd resolution output {_POSE_NAMES} mode target focal focalpixel "
+    "principal principalpixel sensorsize user"
+)
+_LIGHT = (
+    "name class directional type castshadow active pos dir bulbradius intensity range "
+    "attenuation cutoff softness exponent ambient diffuse specular mode target texture"
+)
+_TEXTURE_LOOK = (
+    "type colorspace gridsize gridlayout builtin rgb1 rgb2 mark markrgb random width height "
+    "hflip vflip nchannel embed"
+)
+_TEXTURE = (
+    f"name class content_type file fileright fileleft fileup filedown filefront fileback "
+    f"{_TEXTURE_LOOK}"
+)
+_MATERIAL = (
+    "name class texture texrepeat texuniform emission specular shininess reflectance metallic "
+    "roughness rgba"
+)
+_SKIN = _draws(
+    "name file material rgba inflate vertex texcoord face group",
+    {"bone": _draws("body bindpos bindquat vertid vertweight")},
+)
+STATISTIC = _draws("meaninertia meanmass meansize extent center")
+_VIEWS = {
+    "global": "cameraid orthographic fovy ipd azimuth elevation linewidth glow offwidth offheight "
+    "realtime ellipsoidinertia bvactive",
+    "quality": "shadowsize offsamples numslices numstacks numquads",
+    "headlight": "ambient diffuse specular active",
+    "map": "stiffness stiffnessrot force torque alpha fogstart fogend znear zfar haze shadowclip "
+    "shadowscale actuatortendon",
+    "scale": "forcewidth contactwidth contactheight connect com camera light selectpoint "
+    "jointlength jointwidth actuatorlength actuatorwidth framelength framewidth constraint "
+    "slidercrank frustum",
+    "rgba": "fog haze force inertia joint actuator actuatornegative actuatorpositive com camera "
+    "light selectpoint connect contactpoint contactforce contactfriction contacttorque contactgap "
+    "rangefinder constraint slidercrank crankbroken frustum bv bvactive",
+}
+VISUAL = _draws("", {tag: _draws(words) for tag, words in _VIEWS.items()})
+# What views show of these, checked when something is drawn.
+SEEN = {
+    "light": spec(
+        f"type:spot|directional|point|image directional:{BOOL} active:{BOOL} "
+        "pos:3 dir:3 diffuse:3 cutoff:1"
+    ),
+    "headlight": spec("active:0|1|2|false|true ambient:3 diffuse:3"),
+    "material": spec("texture rgba:4"),
+    "texture": spec("file builtin:none|gradient|checker|flat rgb1:3 rgb2:3"),
+}
+
+# The sections <asset> and <deformable>.
+
+_MESH_DEFAULT = of(Mesh, "scale", "maxhullvert", "inertia")
+ASSET = spec(
+    "",
+    {
+        "mesh": spec(
+            f"{of(Mesh)} class content_type vertex:* normal:* texcoord:* face:int* "
+            f"smoothnormal:{BOOL} builtin params:* material",
+            {"plugin": plugin()},
+        ),
+        "hfield": spec(
+            f"{of(HField, 'name', 'file')} size!:4 content_type nrow:int ncol:int elevation:*"
+        ),
+        "model": spec("name file! content_type"),
+        "skin": _SKIN,
+        "texture": _draws(_TEXTURE),
+        "material": _draws(_MATERIAL, {"layer": _draws("texture! role!")}),
+    },
+)
+_FLEX_CONTACT = spec(
+    "contype conaffinity condim priority friction solmix solref solimp margin gap selfcollide "
+    "activelayers passive"
+)
+_ELASTICITY = spec("young poisson shear damping thickness yield elastic2d section sectionsize")
+_FLEX = spec(
+    "name group dim radius material rgba flatskin body vertex element texcoord elemtexcoord "
+    "node nodecoord cellcount dof",
+    {"contact": _FLEX_CONTACT, "edge": spec("stiffness damping"), "elasticity": _ELASTICITY},
+    "unbuilt",
+)
+_FLEXCOMP = spec(
+    "name type group dim dof count cellcount spacing radius rigid mass inertiabox scale file "
+    f"mesh point element texcoord material rgba flatskin {_POSE_NAMES} origin",
+    {
+        "edge": spec("equality solref solimp stiffness damping"),
+        "elasticity": _ELASTICITY,
+        "contact": _FLEX_CONTACT,
+        "pin": spec("id range grid gridrange"),
+        "plugin": plugin(),
+    },
+    "unbuilt",
+)
+DEFORMABLE = spec("", {"flex": _FLEX, "skin": _SKIN})
+
+# The section <worldbody>.
+
+_JOINT = (
+    f"{of(Joint, but='body')} class group:int limited:{AUTO} actuatorfrclimited:{AUTO} "
+    "springyield:1 user:*"
+)
+_GEOM = (
+    f"{of(Geom, but='body type')} type:plane|hfield|sphere|capsule|ellipsoid|cylinder|box|mesh|sdf "
+    f"class material fromto:6 {_TURN} rgba:4 castshadow:{BOOL} user:*"
+)
+_SITE = (
+    f"{of(Site, but='body type')} type:sphere|capsule|ellipsoid|cylinder|box|mesh class group:int "
+    f"{_TURN} material mesh fromto:6 rgba:4 user:*"
+)
+_CHILDREN: dict[str, Spec] = {
+    "inertial": spec(without(POSE, "pos") + " pos!:3 mass!:1 diaginertia:3 fullinertia:6"),
+    "joint": spec(_JOINT),
+    "freejoint": spec(f"name group:int align:{AUTO}"),
+    "geom": spec(_GEOM, {"plugin": plugin()}),
+    "site": spec(_SITE),
+    "camera": _draws(_CAMERA),
+    "light": _draws(_LIGHT),
+    "plugin": plugin(),
+    "attach": spec("model body frame prefix!"),
+    "flexcomp": _FLEXCOMP,
+    "composite": spec(role="unbuilt"),
+}
+_BODY = spec(
+    f"{of(Body, 'name', 'pos', 'quat', 'gravcomp', 'mocap', 'sleep')} childclass {_TURN} "
+    "simple:false|auto fuse:false|auto user:*",
+    once=("inertial",),
+)
+_FRAME = spec(f"name childclass {POSE} scale:1-3 scaling:similar|geometry massscale:1")
+_REPLICATE = spec("count!:int sep offset:3 euler:3 childclass")
+# Where MuJoCo checks no attributes: those that it does not know do nothing.
+UNCHECKED = ("frame", "replicate")
+for _parent in (_BODY, _FRAME, _REPLICATE):
+    _parent.children = _CHILDREN
+_CHILDREN |= {"body": _BODY, "frame": _FRAME, "replicate": _REPLICATE}
+NOT_IN_WORLD = ("joint", "freejoint", "inertial")
+WORLDBODY = spec("", {tag: inner for tag, inner in _CHILDREN.items() if tag not in NOT_IN_WORLD})
+
+# The sections <contact>, <tendon>, <equality> and <keyframe>.
+
+_PAIR = of(Pair).replace("geom1", "geom1!").replace("geom2", "geom2!") + " class"
+CONTACT = spec("", {"exclude": spec("name body1! body2!"), "pair": spec(_PAIR)})
+_TENDON = (
+    f"{of(Tendon)} class group:int limited:{AUTO} actuatorfrclimited:{AUTO} springyield:1 user:*"
+)
+_SPATIAL = f"{_TENDON} width:1 material rgba:4"
+TENDON = spec(
+    "",
+    {
+        "spatial": spec(
+            _SPATIAL,
+            {"site": spec("site!"), "geom": spec("geom! sidesite"), "pulley": spec("divisor!:1")},
+        ),
+        "fixed": spec(_TENDON, {"joint": spec("joint! coef!:1")}),
+    },
+)
+_EQUALITY = f"{of(Equality, 'name', 'active', 'solref', 'solimp')} class"
+
+
+def _equality(tag: str) -> Spec:
+    ends = of(Equality, *EQUALITY_FIELDS[tag])
+    return spec(f"{_EQUALITY} {ends}".replace("joint1", "joint1!").replace("tendon1", "tendon1!"))
+
+
+EQUALITY = spec(
+    "",
+    {
+        **{tag: _equality(tag) for tag in EQUALITY_FIELDS},
+        "flex": spec(f"{_EQUALITY} flex", role="unbuilt"),
+        "flexstrain": spec(f"{_EQUALITY} flex cell", role="unbuilt"),
+    },
+)
+KEYFRAME = spec("", {"key": spec(f"{of(Key)} plastic:*")})
+
+# The section <actuator>.
+
+_ACTUATOR = f"class group:int user:* ctrllimited:{AUTO} forcelimited:{AUTO} " + of(
+    Actuator,
+    *("name", "nsample", "interp", "delay", "ctrlrange", "forcerange", "lengthrange", "gear"),
+    *("damping", "armature", "cranklength", "joint", "jointinparent", "tendon", "slidersite"),
+    *("cranksite", "site", "refsite"),
+)
+# What shortcuts have beside the fields of their law.
+_BESIDE = {
+    "position": "inheritrange:1",
+    "intvelocity": f"actlimited:{AUTO} actrange:2 inheritrange:1",
+    "adhesion": "body!",
+    "pid": "posrange:2 velrange:2 ffrange:2 inheritrange:1",
+    "cylinder": "diameter:1",
+}
+# What actuators have beyond what all have.
+_LAWS = {
+    tag: f"{_BESIDE.get(tag, '')} {of(Actuator, *fields) if fields else ''}"
+    for tag, fields in LAW_FIELDS.items()
+    if tag not in ("input", "dcmotor", "general")
+} | {
+    "muscle": f"timeconst:2 {of(Actuator, *LAW_FIELDS['muscle'], but='timeconst')}",
+    "dcmotor": "motorconst:1-2 resistance:1 nominal:1-3 saturation:1-3 inductance:1-2 cogging:1-3 "
+    "controller:1-6 thermal:1-6 lugre:1-5 input",
+    "general": f"actlimited:{AUTO} actrange:2 body actdim:int input velrange:2 ffrange:2 "
+    "inheritrange:1 dyntype:none|integrator|filter|filterexact|pid|dcmotor|muscle|user "
+    "gaintype:fixed|affine|muscle|dcmotor|pid|so3|user "
+    f"biastype:none|affine|muscle|dcmotor|so3|user dynprm:* gainprm:* biasprm:* actearly:{BOOL}",
+}
+# What of the attributes that all have some have not: a motor's bounds are its saturation.
+_WITHOUT = {
+    "dcmotor": "forcelimited forcerange",
+    "orientation": "ctrllimited lengthrange gear damping armature cranklength jointinparent tendon "
+    "slidersite cranksite",
+}
+_ACTUATORS = {
+    tag: f"{without(_ACTUATOR, _WITHOUT.get(tag, ''))} {law}" for tag, law in _LAWS.items()
+}
+# All actuators share one set of defaults, whatever shortcut wrote it.
+ACTUATORS = tuple(_ACTUATORS)
+ACTUATOR = spec(
+    "",
+    {
+        **{tag: spec(attrs) for tag, attrs in _ACTUATORS.items()},
+        "plugin": plugin(
+            f"{_ACTUATOR} plugin instance actlimited actrange actdim dyntype dynprm actearly"
+        ),
+    },
+)
+
+# The section <sensor>: those that are computed, and the names of those that are not.
+
+_SENSOR = "name nsample:int interp:zoh|linear|cubic delay:1 interval:1-2 user:* " + of(
+    Sensor, "cutoff", "noise"
+)
+_GEOMS = "geom1 geom2 body1 body2"
+_OBJECT = "body|xbody|geom|site|camera"
+_REFERENCE = f"reftype:{_OBJECT} refname"
+
+
+def _sensors(names: str, more: str, role: str = "") -> dict[str, Spec]:
+    return {tag: spec(f"{_SENSOR} {more}", role=role) for tag in names.split()}
+
+
+SENSOR = spec(
+    "",
+    {
+        **_sensors("touch accelerometer velocimeter gyro force torque magnetometer", "site!"),
+        **_sensors("camprojection", "site! camera!", "senses"),
+        **_sensors("rangefinder", "site camera data"),
+        **_sensors("jointpos jointvel jointactuatorfrc ballquat ballangvel", "joint!"),
+        **_sensors("jointlimitpos jointlimitvel jointlimitfrc", "joint!"),
+        **_sensors("tendonpos tendonvel tendonactuatorfrc", "tendon!"),
+        **_sensors("tendonlimitpos tendonlimitvel tendonlimitfrc", "tendon!"),
+        **_sensors("actuatorpos actuatorvel actuatorfrc", "actuator!"),
+        **_sensors(
+            "framepos framequat framexaxis frameyaxis framezaxis framelinvel frameangvel",
+            f"objtype!:{_OBJECT} objname! {_REFERENCE}",
+        ),
+        **_sensors("framelinacc frameangacc", f"objtype!:{_OBJECT} objname!"),
+        **_sensors("subtreecom subtreelinvel subtreeangmom", "body!"),
+        **_sensors("insidesite", f"site! objtype!:{_OBJECT} objname! enclosed:{BOOL}"),
+        **_sensors("distance normal fromto", _GEOMS),
+        **_sensors(
+            "contact", f"{_GEOMS} subtree1 subtree2 site {of(Sensor, 'num', 'data', 'reduce')}"
+        ),
+        **_sensors("e_potential e_kinetic clock", ""),
+        "tactile": spec("name geom mesh nsample interp delay interval cutoff user", role="senses"),
+        "user": spec(
+            "name objtype objname datatype:real|positive|axis|quaternion needstage:pos|vel|acc "
+            "dim!:int cutoff:1 noise:1 user:*"
+        ),
+        "plugin": spec(
+            "name plugin instance cutoff objtype objname reftype refname user",
+            {"config": _CONFIG},
+            "senses",
+        ),
+    },
+)
+
+# The section <custom>: data that the simulation does not use.
+
+CUSTOM = spec(
+    "",
+    {
+        "numeric": spec("name size data", role="data"),
+        "text": spec("name data", role="data"),
+        "tuple": spec("name", {"element": spec("objtype objname prm", role="data")}, "data"),
+    },
+)
+
+# The section <default>: the attributes that a class can hold, element by element.
+
+_ONCE = {
+    "joint": default_of(_JOINT),
+    # A geom's mesh and a site's material can be those of a class.
+    "geom": spec(without(_GEOM, "name class")),
+    "site": spec(without(_SITE, "name class")),
+    # All kinds of equality share one set of defaults, and so do both kinds of tendon.
+    "equality": default_of(_EQUALITY),
+    "pair": default_of(_PAIR),
+    "tendon": default_of(_SPATIAL),
+    "camera": default_of(_CAMERA),
+    "light": default_of(without(_LIGHT, "texture")),
+    "texture": spec(_TEXTURE_LOOK),
+    "material": spec(without(_MATERIAL, "name class"), {"layer": spec("texture! role!")}),
+    "mesh": spec(_MESH_DEFAULT),
+}
+# Actuators have one element of a default class for each shortcut.
+DEFAULT = spec(
+    "class",
+    {**_ONCE, **{tag: default_of(attrs) for tag, attrs in _ACTUATORS.items()}},
+    once=tuple(_ONCE),
+)
+DEFAULT.children["default"] = DEFAULT
+
+ROOT = spec(
+    "model",
+    {
+        "option": OPTION,
+        "compiler": COMPILER,
+        "default": DEFAULT,
+        "worldbody": WORLDBODY,
+        "contact": CONTACT,
+        "tendon": TENDON,
+        "equality": EQUALITY,
+        "actuator": ACTUATOR,
+        "sensor": SENSOR,
+        "keyframe": KEYFRAME,
+        "size": SIZE,
+        "statistic": STATISTIC,
+        "visual": VISUAL,
+        "asset": ASSET,
+        "custom": CUSTOM,
+        "deformable": DEFORMABLE,
+        "extension": EXTENSION,
+    },
+)
