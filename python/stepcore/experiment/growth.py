@@ -3,8 +3,7 @@
 Each start is run again with its coordinates moved by 1e-9 of the scene's size, in several seeded
 directions. Until two such runs are more than 1e3 times as far apart as they began, an error of a
 setting says something of the setting; after that it says how errors grow in the scene, whatever
-began them. Positions alone are moved: in free motion what is moved then stays as far away as it
-was, and whatever grows in the scene soon grows from any direction.
+began them. Positions alone are moved: whatever grows in the scene soon grows from any direction.
 
 All runs of a start, the first of them too, are moved by one common 1e-6 of the scene's size. A
 scene in round numbers often has an impact exactly at the end of a step, and there a run a rounding
@@ -28,20 +27,19 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
 
-# Of the scene's size, and of a radian.
-NEARBY = 1e-9
-ASIDE = 1e-6
-GROWTH = 1e3
-DIRECTIONS = 3
+# Perturbations, and the shift of all runs, over the scene's size and in radians.
+NEARBY, ASIDE = 1e-9, 1e-6
+# The growth of a perturbation at which a start is lost, and the number of perturbed runs.
+GROWTH, DIRECTIONS = 1e3, 3
 
 
 @dataclass(frozen=True)
 class Growth:
     """How fast perturbed runs separate.
 
-    times: [s], shape (n,).
-    factor: the distance over that at the start, the largest of the directions, shape (starts, n).
-    ends: the time at which each start first exceeds 1e3 [s]; inf if it never does.
+    times: of the samples [s], (n,).
+    factor: the largest distance of any direction over that at the start, (starts, n).
+    ends: when each start first exceeds 1e3 [s]; inf if it never does.
     """
 
     times: np.ndarray
@@ -50,7 +48,7 @@ class Growth:
 
     @property
     def overall(self) -> float:
-        """When the first of the starts can no longer be predicted [s]; inf beyond the horizon."""
+        """When the first start can no longer be predicted [s]; inf beyond the horizon."""
         return float(self.ends.min())
 
     @property
@@ -70,7 +68,7 @@ def growth(
     """
     schedule = perturbed(runner, size)
     count = len(runner.schedule.starts)
-    # Those of one start beside each other: they do alike in a batch.
+    # Runs of one start lie beside each other: they do alike in a batch.
     order = sorted(range(len(schedule.starts)), key=lambda k: (k % count, k))
     made = screened(Runner(runner.model, schedule), settings, order, workers, bar)
     runs = dict(zip(order, made, strict=True))
@@ -104,28 +102,27 @@ def perturbed(runner: Runner, size: float) -> Schedule:
 
 
 def separation(bodies: Bodies, a: Run, b: Run) -> np.ndarray:
-    """How far two runs are apart, of the body where it is most [m], shape (n,).
+    """The distance of two runs, of the body where it is largest [m], (n,).
 
-    The root mean square over a body of mass m and inertia I turned by a small angle: centres
-    apart, and the angle times a radius of gyration, √(tr I / 2m).
+    For a body it is the root mean square over its matter: centres apart, and the angle times the
+    radius of gyration, √(tr I / 2m).
     """
-    apart = np.hypot(distance(a, b), bodies.gyration * angle(a, b))
-    result: np.ndarray = apart.max(axis=1, initial=0.0)
-    return result
+    apart: np.ndarray = np.hypot(distance(a, b), bodies.gyration * angle(a, b))
+    return apart.max(axis=1, initial=0.0)
 
 
 def _begun(bodies: Bodies, a: Start, b: Start) -> float:
-    """How far two starts are apart [m]."""
+    """The distance of two starts [m]."""
     seen = bodies.states(np.array([a.qpos, b.qpos]), np.zeros((2, bodies.model.nv)))
-    first, second = (Run(com=seen.com[i : i + 1], quat=seen.quat[i : i + 1]) for i in (0, 1))
+    first, second = (Run(com=seen.com[[i]], quat=seen.quat[[i]]) for i in (0, 1))
     return max(float(separation(bodies, first, second)[0]), 1e-300)
 
 
 def _end(times: np.ndarray, factor: np.ndarray) -> float:
     """When the growth passes the limit for good, as if exponential between samples [s].
 
-    For good: it does not come back below the limit's square root. Runs that meet something one
-    step apart are far apart for a moment, and where the scene dissipates close again after it.
+    For good means that it does not come back below the limit's square root: runs that meet
+    something one step apart are far apart for a moment only, where the scene dissipates.
     """
     later = np.minimum.accumulate(np.nan_to_num(factor, nan=np.inf)[::-1])[::-1]
     over = np.flatnonzero(~(factor <= GROWTH) & (later >= np.sqrt(GROWTH)))
