@@ -8,7 +8,7 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.scene.layout import DOFS, Layout
+from stepcore.scene.layout import Layout
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Start:
 class Coordinates:
     """The coordinates of a model.
 
-    joints: (type, first coordinate, first dof, range) of each.
-    moving: indices of the bodies that a joint moves.
+    joints: (type, first coordinate, first dof, range) of each. slides: of each dof, whether it is
+    a length and not an angle, (nv,). moving: indices of the bodies that a joint moves.
     """
 
     def __init__(self, model: Model) -> None:
@@ -49,29 +49,34 @@ class Coordinates:
             for joint, q, v in zip(layout.joints, qpos, qvel, strict=True)
         ]
         self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
+        self.slides = np.zeros(self.nv, bool)
+        # The coordinates that are numbers and their dofs; the quaternions and the first of theirs.
+        self._numbers: tuple[list[int], list[int]] = ([], [])
+        self._quaternions: list[tuple[int, int]] = []
+        for kind, q, v, _ in self.joints:
+            count = {"free": 3, "ball": 0}.get(kind, 1)
+            self.slides[v : v + count] = kind != "hinge"
+            self._numbers[0].extend(range(q, q + count))
+            self._numbers[1].extend(range(v, v + count))
+            if kind in ("free", "ball"):
+                self._quaternions.append((q + count, v + count))
 
     def drawn(self, rng: np.random.Generator, slides: float, turns: float) -> np.ndarray:
-        """A uniform change of every dof, at most `slides` along and `turns` about; shape (nv,)."""
+        """A uniform change of every dof, at most `slides` along and `turns` about, (nv,)."""
         return self.scaled(rng.uniform(-1.0, 1.0, self.nv), slides, turns)
 
     def scaled(self, change: np.ndarray, slides: float, turns: float) -> np.ndarray:
         """A change of every dof, (nv,), times `slides` where it is along and `turns` about."""
-        result = np.array(change, float)
-        for kind, _, v, _ in self.joints:
-            along = {"free": 3, "slide": 1}.get(kind, 0)
-            result[v : v + along] *= slides
-            result[v + along : v + DOFS[kind]] *= turns
-        return result
+        return np.asarray(change, float) * np.where(self.slides, slides, turns)
 
     def moved(self, qpos: np.ndarray, change: np.ndarray) -> np.ndarray:
         """`qpos` moved by a change of the dofs; quaternions turn in body axes and stay unit."""
         result = np.array(qpos, float)
-        for kind, q, v, _ in self.joints:
-            along = {"free": 3, "slide": 1, "hinge": 1}.get(kind, 0)
-            result[q : q + along] += change[v : v + along]
-            if kind in ("free", "ball") and change[v + along : v + along + 3].any():
-                turn = rotation(change[v + along : v + along + 3])
-                result[q + along : q + along + 4] = product(qpos[q + along : q + along + 4], turn)
+        numbers, dofs = self._numbers
+        result[numbers] += change[dofs]
+        for q, v in self._quaternions:
+            if change[v : v + 3].any():
+                result[q : q + 4] = product(qpos[q : q + 4], rotation(change[v : v + 3]))
         return result
 
     def inside(self, qpos: np.ndarray) -> np.ndarray:
@@ -90,13 +95,11 @@ class Coordinates:
     def change(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """The change of the dofs from one qpos to another, along leading axes: (…, nv)."""
         result = np.empty((*np.shape(after)[:-1], self.nv))
-        for kind, q, v, _ in self.joints:
-            along = {"free": 3, "slide": 1, "hinge": 1}.get(kind, 0)
-            result[..., v : v + along] = after[..., q : q + along] - before[..., q : q + along]
-            if kind in ("free", "ball"):
-                at = slice(q + along, q + along + 4)
-                back = before[..., at] * np.array([1.0, -1.0, -1.0, -1.0])
-                result[..., v + along : v + along + 3] = turned(product(back, after[..., at]))
+        numbers, dofs = self._numbers
+        result[..., dofs] = after[..., numbers] - before[..., numbers]
+        for q, v in self._quaternions:
+            back = before[..., q : q + 4] * np.array([1.0, -1.0, -1.0, -1.0])
+            result[..., v : v + 3] = turned(product(back, after[..., q : q + 4]))
         return result
 
 

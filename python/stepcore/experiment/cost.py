@@ -15,20 +15,21 @@ from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner
 from stepcore.report.progress import Progress
 
-# Rounds over all settings: at least, at most; and the time to spend on them if they are quick [s].
+# The fewest and the most rounds over all settings, and the time to spend on them if they are quick
+# [s].
 ROUNDS, MOST, LONG = 3, 9, 4.0
-# Shorter than this a run says little about its cost: it is repeated [s].
+# A shorter run says little about its cost: it is repeated [s].
 SHORT = 1e-3
-# What a step of a robot in few contacts takes: operations over (dofs + 2).
+# The operations of a step over (dofs + 2), of a robot in few contacts.
 USUAL = 1500.0
-# A clock of this thread's own computing, where the system has a fine one.
+# Whether the system has a fine clock of a thread's own computing.
 OWN_CLOCK = get_clock_info("thread_time").resolution < 1e-5
 
 
 class TimedRun:
-    """The motion of a runner's first start, run again and again under one setting and timed.
+    """The motion from a runner's first start, timed again and again under one setting.
 
-    failed: it is not run, or not again.
+    failed: whether a run failed; it is then not run again.
     """
 
     def __init__(self, runner: Runner, settings: Any, failed: bool = False) -> None:
@@ -44,7 +45,7 @@ class TimedRun:
         return 1e6 * float(np.median(self.times)) / self.runner.schedule.horizon
 
     def once(self) -> float:
-        """One run; the time that its steps took [s]."""
+        """Runs once; returns the time of the steps [s]."""
         if self.sim is None:
             self.sim = self.runner.sim(self.settings)
         watch = Stopwatch()
@@ -52,7 +53,7 @@ class TimedRun:
         return watch.total()
 
     def again(self) -> float:
-        """Runs for long enough to be timed; the time this took [s]."""
+        """Runs for long enough to be timed; returns the time of all steps [s]."""
         if self.failed:
             return 0.0
         try:
@@ -67,11 +68,11 @@ class TimedRun:
 
 
 def costs(runs: Sequence[TimedRun], bar: Progress) -> list[float]:
-    """Computing time of each run [µs per simulated second], median of interleaved rounds.
+    """Computing time of each run [µs per simulated second], the median of interleaved rounds.
 
-    One thread. Every round makes each run once, so that what else the machine does meanwhile
-    falls on all of them alike. Only steps are timed, a control period in one call, and of that
-    the share of the time in which the thread had a core to itself. A run that fails gives NaN.
+    On one thread. Every round makes each run once, so that other load on the machine falls on all
+    of them alike. Only steps are timed, a control period in one call, less the time in which the
+    thread had no core. A run that fails gives NaN.
     """
     spent = _round(runs, bar)
     more = max(ROUNDS, min(MOST, int(LONG / spent))) - 1 if spent > 0 else ROUNDS
@@ -90,7 +91,7 @@ def _round(runs: Sequence[TimedRun], bar: Progress | None) -> float:
 
 
 class Stopwatch:
-    """Times the steps of a run: of their wall time the share in which this thread was computing."""
+    """Times the steps of a run: the share of their wall time in which this thread was computing."""
 
     def __init__(self) -> None:
         self.spent = 0.0
@@ -113,7 +114,7 @@ class Stopwatch:
 
 
 class Work(NamedTuple):
-    """What is counted: floating-point operations per simulated second, and bytes of memory."""
+    """Floating-point operations per simulated second, and bytes of memory."""
 
     flops: float
     nbytes: int
@@ -123,8 +124,8 @@ UNKNOWN = Work(math.nan, 0)
 
 
 class Counter(Probe):
-    """Counts the work of a run: operations of one step at every sample, by the engine itself,
-    taken to hold until the next; memory at the end, where all contacts have had room.
+    """Counts the work of a run: the operations of one step at every sample, which are taken to hold
+    until the next sample, and the memory at the end, where all contacts have had room.
     """
 
     def __init__(self, runner: Runner) -> None:
@@ -132,7 +133,6 @@ class Counter(Probe):
         self.work, self._sum = UNKNOWN, 0.0
 
     def period(self, sim: Sim, period: int) -> None:
-        """Counts the next step; nothing moves."""
         if period % self.schedule.every == 0:
             steps = self.schedule.steps(sim.settings.dt) * self.schedule.every
             self._sum += sim.count_flops() * steps
@@ -142,10 +142,10 @@ class Counter(Probe):
 
 
 def heaviness(runner: Runner, settings: Settings) -> float:
-    """How many times the work of a usual step a step of this motion takes; at least 1.
+    """The work of a step of this motion over that of a usual step; at least 1.
 
-    Counted in the run from the first start. Budgets of steps × (dofs + 2) are of usual steps; many
-    contacts make a step dearer than its degrees of freedom tell.
+    It is counted in the run from the first start. Budgets of steps × (dofs + 2) are of usual steps;
+    many contacts make a step dearer than its degrees of freedom tell.
     """
     counter = Counter(runner)
     if runner.run(settings, 0, [counter]).failure:

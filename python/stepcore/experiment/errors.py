@@ -1,4 +1,4 @@
-"""Errors of a run against the reference, in numbers that mean the same in every scene."""
+"""Errors of runs against the reference, in numbers that mean the same in every scene."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.experiment.friction import anisotropy, creep
-from stepcore.experiment.run import Run, angle, distance
+from stepcore.experiment.run import Run, angle, distance, separation
 
-# A contact holds with friction below this share of μ × normal force: the pyramid reaches as far
-# along its tangents, and 1/√2 as far between them.
+# A contact sticks whose friction is below this share of μ × normal force. The pyramid reaches the
+# whole of it along its tangents, and 1/√2 between them.
 STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
 
 
@@ -112,12 +112,11 @@ def errors(
 
     size: of the scene [m]; sticks: see `stepcore.experiment.friction.creep`.
     """
-    metres, radians, both, creeps = [], [], [], []
-    for run, true, mask in zip(runs, truth, scored, strict=True):
-        metres.append(distance(run, true)[mask])
-        radians.append(angle(run, true)[mask])
-        both.append(np.hypot(metres[-1], turned(run, true) * radians[-1]))
-        creeps.append(creep(run.slips, true.slips, mask, sticks))
+    triples = list(zip(runs, truth, scored, strict=True))
+    metres = [distance(run, true)[mask] for run, true, mask in triples]
+    radians = [angle(run, true)[mask] for run, true, mask in triples]
+    both = [separation(run, true)[mask] for run, true, mask in triples]
+    creeps = [creep(run.slips, true.slips, mask, sticks) for run, true, mask in triples]
     largest = [float(part.max(initial=0.0)) for part in metres]
     position, each = float(np.median(_roots(metres))), tuple(_roots(both))
     return Errors(
@@ -143,12 +142,6 @@ def errors(
     )
 
 
-def turned(run: Run, true: Run) -> np.ndarray | float:
-    """Radii of gyration [m] of the bodies of two runs, by which angles become lengths."""
-    known = true.gyration if len(true.gyration) else run.gyration
-    return known if len(known) else 0.0
-
-
 def _worst(values: Sequence[float | None]) -> float | None:
     """The largest; None if one of them is not known."""
     return None if None in values else _known(values)
@@ -160,15 +153,12 @@ def _known(values: Sequence[float | None]) -> float | None:
 
 
 def moved(runs: Sequence[Run]) -> float:
-    """How far bodies move [m], as the RMS error of a run in which they stand still would be.
+    """The RMS error [m] of a run in which bodies stand still from the first sample on.
 
-    Of the start in which they move least: from the first sample on.
+    Of the start in which they move least.
     """
-    ways = []
-    for run in runs:
-        still = Run(com=run.com[:1], quat=run.quat[:1])
-        ways.append(np.hypot(distance(run, still), turned(run, run) * angle(run, still)))
-    return min(_roots(ways))
+    still = [Run(com=run.com[:1], quat=run.quat[:1]) for run in runs]
+    return min(_roots([separation(run, stay) for run, stay in zip(runs, still, strict=True)]))
 
 
 def _roots(parts: Sequence[np.ndarray]) -> list[float]:

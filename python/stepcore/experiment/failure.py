@@ -124,7 +124,7 @@ class Explosion:
 
     def __init__(self, model: Model, coordinates: Coordinates) -> None:
         self.watches = model.npair >= PAIRS
-        self.model, self.joints = model, coordinates.joints
+        self.model, self.coordinates = model, coordinates
         self.reach = coordinates.scaled(np.full(model.nv, STEP), scene_size(model.scene), 1.0)
 
     def beyond(self, qvel: np.ndarray, dt: float) -> np.ndarray:
@@ -139,12 +139,10 @@ class Explosion:
         if not len(over):
             return None
         dof, step = int(over[0]), float(np.abs(qvel[over[0]])) * dt
-        k = max(k for k, (_, _, first, _) in enumerate(self.joints) if first <= dof)
-        kind, _, first, _ = self.joints[k]
-        slides = dof < first + {"free": 3, "slide": 1}.get(kind, 0)
-        much = f"{step:.0e} {'m' if slides else 'rad'}"
+        unit = "m" if self.coordinates.slides[dof] else "rad"
+        k = int(np.searchsorted(self.model.jnt_dofadr, dof, "right")) - 1
         joint = self.model.element_name("joint", k)
-        return f"exploded at time {time:.6f} s: {joint} moves {much} in a step"
+        return f"exploded at time {time:.6f} s: {joint} moves {step:.0e} {unit} in a step"
 
     def guarded(self, sim: Sim) -> Callable[[int], None]:
         """`sim.step`, which raises Exploded after the step in which the motion explodes."""

@@ -22,7 +22,7 @@ from stepcore.experiment.arguments import Workers
 from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.bodies import Bodies
 from stepcore.experiment.coordinates import Start
-from stepcore.experiment.run import Run, angle, distance
+from stepcore.experiment.run import Run, separation
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
@@ -76,7 +76,7 @@ def growth(
     for k in range(count, len(runs)):
         start = k % count
         if not (runs[k].failure or runs[start].failure):
-            far = separation(runner.bodies, runs[start], runs[k])
+            far = separation(runs[start], runs[k]).max(axis=1, initial=0.0)
             near = _begun(runner.bodies, schedule.starts[start], schedule.starts[k])
             factor[start] = np.maximum(factor[start], far / near)
     ends = [_end(schedule.times, growing) for growing in factor]
@@ -101,21 +101,13 @@ def perturbed(runner: Runner, size: float) -> Schedule:
     return dataclasses.replace(schedule, starts=tuple(starts), ctrl=ctrl)
 
 
-def separation(bodies: Bodies, a: Run, b: Run) -> np.ndarray:
-    """The distance of two runs, of the body where it is largest [m], (n,).
-
-    For a body it is the root mean square over its matter: centres apart, and the angle times the
-    radius of gyration, √(tr I / 2m).
-    """
-    apart: np.ndarray = np.hypot(distance(a, b), bodies.gyration * angle(a, b))
-    return apart.max(axis=1, initial=0.0)
-
-
 def _begun(bodies: Bodies, a: Start, b: Start) -> float:
     """The distance of two starts [m]."""
     seen = bodies.states(np.array([a.qpos, b.qpos]), np.zeros((2, bodies.model.nv)))
-    first, second = (Run(com=seen.com[[i]], quat=seen.quat[[i]]) for i in (0, 1))
-    return max(float(separation(bodies, first, second)[0]), 1e-300)
+    first, second = (
+        Run(com=seen.com[[i]], quat=seen.quat[[i]], gyration=bodies.gyration) for i in (0, 1)
+    )
+    return max(float(separation(first, second).max(initial=0.0)), 1e-300)
 
 
 def _end(times: np.ndarray, factor: np.ndarray) -> float:

@@ -68,6 +68,17 @@ def angle(a: Run, b: Run) -> np.ndarray:
     return apart
 
 
+def separation(a: Run, b: Run) -> np.ndarray:
+    """The distance and the angle between the bodies of two runs as one length [m], (n, bodies).
+
+    It is the root mean square over a body's matter: the angle counts times the radius of gyration,
+    √(tr I / 2m).
+    """
+    radii = next((run.gyration for run in (b, a) if len(run.gyration)), 0.0)
+    apart: np.ndarray = np.hypot(distance(a, b), radii * angle(a, b))
+    return apart
+
+
 class Probe:
     """Observes a run at the times at which `Runner.follow` calls it; a subclass overrides some
     methods.

@@ -25,12 +25,14 @@ from stepcore.report.units import seconds
 
 # Default time steps, over the shipped one.
 FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
+# The number of samples that is aimed at.
 SAMPLES = 50
-# The motion of a measurement where nobody says otherwise: about how long [s], how many starts.
+# The default horizon, approximately [s], and the default number of starts.
 HORIZON, STARTS = 1.0, 8
-# How far the seeded starts are from the keyframe: small beside a robot, long beside a step.
+# The largest distance of seeded starts from the keyframe: small beside a robot, long beside a step.
 SHIFT, TURN = 1e-3, 1e-2  # [m], [rad]
 SPEED, SPIN = 0.05, 0.1  # [m/s], [rad/s]
+# The default controls are sums of this many sines.
 SINES = 3
 
 
@@ -38,9 +40,9 @@ SINES = 3
 class Schedule:
     """Starts, controls and the time grid that all runs of a measurement share.
 
-    period: how long a control is held [s]; every time step divides it. periods: how many.
-    every: periods between two samples. ctrl: shape (starts, periods, nu), or None where
-    `control` gives it. undriven: actuators without a control range, which are held still.
+    period: the time over which a control is held [s]; every time step divides it. periods: their
+    number. every: periods between two samples. ctrl: (starts, periods, nu), or None where `control`
+    gives it. undriven: names of actuators without a control range, which are held still.
     """
 
     period: float
@@ -58,7 +60,7 @@ class Schedule:
 
     @property
     def times(self) -> np.ndarray:
-        """When samples are taken [s]; the start is not one."""
+        """The times of the samples [s]; the start is not one."""
         return self.period * np.arange(self.every, self.periods + 1, self.every)
 
     @property
@@ -73,7 +75,7 @@ class Schedule:
         return round(self.period / dt)
 
     def part(self, first: int, last: int | None = None) -> Schedule:
-        """The same with some of its starts."""
+        """The schedule with some of its starts."""
         ctrl = None if self.ctrl is None else self.ctrl[first:last]
         return dataclasses.replace(self, starts=self.starts[first:last], ctrl=ctrl)
 
@@ -83,8 +85,8 @@ def scheduled(
 ) -> Schedule:
     """The schedule of a motion: seeded starts around a keyframe, the first at the keyframe itself.
 
-    period: of control [s]. starts: how many, where not those of the motion. horizon: about how
-    long where the motion does not say [s].
+    period: of control [s]. starts: their number, by default that of the motion. horizon: where the
+    motion gives none; the nearest whole number of samples is taken [s].
     """
     length = default_horizon(period, horizon) if motion.horizon is None else motion.horizon
     count = starts or motion.starts or STARTS
@@ -112,7 +114,10 @@ def scheduled(
 def time_steps(
     shipped: float, dts: Sequence[float] | None, control_dt: float | None, horizon: float
 ) -> tuple[list[float], float]:
-    """The time steps to try, coarsest first, and the period that all of them divide [s]."""
+    """The time steps to try, coarsest first, and the control period that all of them divide [s].
+
+    shipped: the scene's own step, which is always among them.
+    """
     if control_dt is not None and control_dt > horizon:
         raise ValueError(f"control_dt = {control_dt:g}: must be at most the horizon, {horizon:g} s")
     if dts is not None:
@@ -120,7 +125,7 @@ def time_steps(
         period = control_dt or _common(chosen, horizon)
         _check_divide(chosen, period)
     elif control_dt is not None:
-        # The shipped step as it is; its neighbours moved to the nearest that divide the period.
+        # The shipped step stays; the others become the nearest that divide the period.
         _check_divide([shipped], control_dt)
         wanted = [shipped * factor for factor in FACTORS]
         parts = {max(1, round(control_dt / dt)) for dt in wanted if dt <= 1.5 * control_dt}
@@ -137,7 +142,7 @@ def time_steps(
 
 
 def default_horizon(period: float, horizon: float = 1.0) -> float:
-    """Close to `horizon` [s], and a whole number of samples of whole periods."""
+    """The time nearest to `horizon` [s] that is a whole number of samples of whole periods."""
     about = max(1, round(horizon / period))
     near = sorted(
         range(max(1, about - about // 20), about + about // 20 + 1), key=lambda n: abs(n - about)
@@ -146,7 +151,7 @@ def default_horizon(period: float, horizon: float = 1.0) -> float:
 
 
 def _common(dts: Sequence[float], horizon: float) -> float:
-    """The shortest time that is a whole number of every step, as decimals read it [s]."""
+    """The least common multiple of steps that are decimal numbers [s]."""
     parts = [Fraction(repr(dt)).limit_denominator(10**9) for dt in dts]
     period = Fraction(
         math.lcm(*(p.numerator for p in parts)), math.gcd(*(p.denominator for p in parts))
@@ -171,7 +176,7 @@ def _check_divide(dts: Sequence[float], period: float) -> None:
 
 
 def _every(periods: int) -> int:
-    """Periods between samples: about 50 samples, and if possible none of the horizon left over."""
+    """Periods between samples: about 50 samples that fill the horizon, if that is possible."""
     whole = [n for n in range(1, periods + 1) if periods % n == 0]
     best = min(whole, key=lambda n: abs(math.log(periods / n / SAMPLES)))
     near = max(1, round(periods / SAMPLES))
@@ -188,10 +193,11 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
 
 
 def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Generator) -> Start:
-    """A start near `home`, within the joints' ranges and no deeper in contact than it.
+    """A start near `home`, within the joints' ranges.
 
-    By 0.1 mm at most where contacts are springs. A law that undoes a share of an overlap in a step
-    throws a body out of it at a speed that grows as 1/dt: there, no deeper at all.
+    It is at most 0.1 mm deeper in contact where contacts are springs. A law that undoes a share of
+    an overlap in a step throws a body out of it at a speed that grows as 1/dt: there the start is
+    not deeper at all.
     """
     sim = Sim(model)
 
@@ -215,7 +221,7 @@ def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Gen
 
 
 def given(ctrl: ArrayLike, periods: int, nu: int) -> np.ndarray:
-    """The user's controls, one row a period; the last is held if there are too few."""
+    """The user's controls, one row a period; the last row is held if there are too few."""
     try:
         values = np.asarray(ctrl, float)
     except (TypeError, ValueError):
@@ -234,7 +240,7 @@ def given(ctrl: ArrayLike, periods: int, nu: int) -> np.ndarray:
 def smooth(
     model: Model, held: np.ndarray, periods: int, period: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """A few sines in every actuator's range, around the keyframe's control; shape (periods, nu).
+    """A few sines in every actuator's range, around the keyframe's control, (periods, nu).
 
     An actuator without a range swings by a quarter of the keyframe's control.
     """
@@ -255,15 +261,12 @@ def smooth(
 
 
 def undriven(model: Model, held: np.ndarray) -> list[str]:
-    """Actuators that `smooth` holds still: nothing says how far they may go."""
-    return [
-        name
-        for k, name in enumerate(model.called("actuator"))
-        if not _clamped(model, k) and held[k] == 0
-    ]
+    """Actuators without a control range; `smooth` holds them still."""
+    names = enumerate(model.called("actuator"))
+    return [name for k, name in names if not _clamped(model, k) and held[k] == 0]
 
 
 def _clamped(model: Model, actuator: int) -> bool:
-    """Whether an actuator's control is held to a range."""
-    given = bool(np.isfinite(model.actuator_ctrlrange[actuator]).all())
-    return given and model.scene.features.clampctrl
+    """Whether an actuator's control is clamped to a range."""
+    ranged = bool(np.isfinite(model.actuator_ctrlrange[actuator]).all())
+    return ranged and model.scene.features.clampctrl
