@@ -3,7 +3,7 @@
 import pytest
 
 import stepcore as sc
-from stepcore.mjcf.expand import copies, naming, referring
+from stepcore.mjcf import copies
 
 BODY = '<body name="b"><joint name="j"/><geom size=".1"/></body>'
 
@@ -13,8 +13,8 @@ def made(monkeypatch):
     """How many elements were copied, and a limit that tests reach."""
     found = []
     monkeypatch.setattr(copies, "MOST", 1000)
-    alone = naming._alone
-    monkeypatch.setattr(naming, "_alone", lambda node: found.append(node.tag) or alone(node))
+    alone = copies._alone
+    monkeypatch.setattr(copies, "_alone", lambda node: found.append(node.tag) or alone(node))
     return found
 
 
@@ -94,8 +94,8 @@ def test_models_attached_in_turn_have_a_limit(tmp_path):
 
 def test_each_replicate_looks_at_what_refers_to_it_alone(monkeypatch):
     looked = []
-    named_by = referring.named_by
-    monkeypatch.setattr(referring, "named_by", lambda node: looked.append(1) or named_by(node))
+    named_by = copies.named_by
+    monkeypatch.setattr(copies, "named_by", lambda node: looked.append(1) or named_by(node))
     count = 200
     bodies = "".join(
         f'<replicate count="2"><body><joint name="j{i}x"/><geom size=".1"/></body></replicate>'

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from stepcore.checks import cut
-from stepcore.mjcf.expand.naming import references
+from stepcore.mjcf.copies import references
 from stepcore.mjcf.masses import Weight, weights
 from stepcore.mjcf.models import inside, sections
 from stepcore.mjcf.refusals import below

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from stepcore import checks, files
+from stepcore.mjcf.attach import Model
 from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.expand.attach import Model
 from stepcore.mjcf.models import sections
 from stepcore.mjcf.nodes import MJCFError, Node
 from stepcore.mjcf.validation import seen_values

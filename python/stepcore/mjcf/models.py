@@ -6,15 +6,15 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stepcore.mjcf.attach import Attacher, Model
 from stepcore.mjcf.compiler import Compiler
+from stepcore.mjcf.copies import Copies
 from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.expand.attach import Attacher, Model
-from stepcore.mjcf.expand.copies import Copies
-from stepcore.mjcf.expand.replicate import expand_replicates
 from stepcore.mjcf.include import expand, read_named
 from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import Refusals
+from stepcore.mjcf.replicate import expand_replicates
 from stepcore.mjcf.validation import validate
 
 if TYPE_CHECKING:

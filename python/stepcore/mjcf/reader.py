@@ -29,8 +29,8 @@ from stepcore.mjcf import (
     tendons,
 )
 from stepcore.mjcf.assets import Assets
+from stepcore.mjcf.attach import Model
 from stepcore.mjcf.body_frames import align, fuse
-from stepcore.mjcf.expand.attach import Model
 from stepcore.mjcf.include import expand, read_main
 from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.masses import place_weightless, settle_masses

@@ -5,7 +5,7 @@ MuJoCo documentation, XML reference, compiler/discardvisual.
 
 from __future__ import annotations
 
-from stepcore.mjcf.expand.naming import references
+from stepcore.mjcf.copies import references
 from stepcore.mjcf.masses import weights
 from stepcore.mjcf.refusals import below
 from stepcore.mjcf.worldbody import Shape, WorldReader

@@ -1,0 +1,432 @@
+"""`<attach>`: bodies of another model, or of this one, with all that belongs to them.
+
+MuJoCo documentation, XML reference, body/attach and asset/model; Model editing, Attribute merging.
+As there, an element outside of the tree comes along if all that it refers to does; all assets,
+default classes and keyframes of the other model come along; names get the prefix; the other
+model's elements keep its compiler settings and default classes; and its options follow the
+compiler's attribute "conflict".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from stepcore.checks import nearest
+from stepcore.mjcf.actuators import sizes
+from stepcore.mjcf.compiler import Compiler
+from stepcore.mjcf.copies import (
+    SECTIONS,
+    Copies,
+    Names,
+    Part,
+    Referring,
+    add_name,
+    copied,
+    kind_of,
+    named_by,
+    names_in,
+    rename,
+    section_of,
+)
+from stepcore.mjcf.defaults import MAIN, Defaults
+from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.refusals import below
+from stepcore.mjcf.schema import FLAGS, ROOT
+from stepcore.scene.layout import DOFS, QPOS
+
+# Bodies and frames by tag and name, each with the childclass around it.
+Places = dict[tuple[str, str], tuple[Node, str]]
+# Of two options the smaller, or the larger, counts if conflicts are merged.
+MINIMUM = (
+    *("timestep", "tolerance", "ls_tolerance", "noslip_tolerance", "ccd_tolerance"),
+    "sleep_tolerance",
+)
+MAXIMUM = (
+    *("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"),
+    *("sdf_iterations", "sdf_initpoints"),
+)
+UNION = "actuatorgroupdisable"
+
+
+@dataclass
+class Model:
+    """A model whose own <attach> and <replicate> elements are replaced."""
+
+    root: Node
+    compiler: Compiler
+    defaults: Defaults
+
+    @cached_property
+    def places(self) -> Places:
+        """Its bodies and frames."""
+        return _add_places({}, _inside(self.root, "worldbody"), MAIN)
+
+    @cached_property
+    def assets(self) -> list[Node]:
+        """Its assets, under the names that their files give those without one."""
+        assets = [node for node in _inside(self.root, "asset") if node.tag != "model"]
+        for node in assets:
+            file = node.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
+            if "name" not in node.attrs and file:
+                node.attrs["name"] = node.values["name"] = file.rpartition(".")[0] or file
+        return assets
+
+    @cached_property
+    def keys(self) -> list[Node]:
+        """Its keyframes, whose vectors are split among the elements of the whole model."""
+        return _split_keys(self.root, self.defaults)
+
+    @cached_property
+    def referring(self) -> Referring:
+        """What refers to its tree, as it is when first asked."""
+        return Referring(self.root)
+
+
+class Attacher:
+    """Replaces the <attach> elements of a model.
+
+    load: gives the model that an <asset><model> names. notes: on options of attached models.
+    """
+
+    def __init__(self, model: Model, load: Callable[[Node], Model], copies: Copies) -> None:
+        self.model = model
+        self.load = load
+        self.copies = copies
+        self.notes: list[str] = []
+        self.assets: dict[str, Node] = {}
+        # If the model attaches parts of itself: these, and what refers to them, as they grow.
+        self.places: Places = {}
+        self.referring: Referring | None = None
+        # By tag, what comes along with what is attached.
+        self.sections: dict[str, Node] = {}
+        for node in _inside(model.root, "asset"):
+            if node.tag == "model":
+                name = node.attrs.get("name") or load(node).root.attrs.get("model", "")
+                if name in self.assets:
+                    raise node.error(f'model "{name}": the name is used twice')
+                self.assets[name] = node
+
+    def run(self) -> None:
+        """Replaces every <attach>, in the order of the file."""
+        attachments = []
+        pending = _inside(self.model.root, "worldbody")[::-1]
+        while pending:
+            node = pending.pop()
+            if node.tag == "attach":
+                attachments.append(node)
+            pending += reversed(node.children)
+        if any("model" not in node.attrs for node in attachments):
+            self.referring = Referring(self.model.root)
+            _add_places(self.places, _inside(self.model.root, "worldbody"), MAIN)
+        for node in attachments:
+            self._attach(node)
+
+    def _attach(self, node: Node) -> None:
+        """Makes an <attach> the frame that holds what it attaches."""
+        other = self._other(node)
+        own = other is self.model
+        if not own:
+            if other.compiler.mass_rules().fitaabb != self.model.compiler.mass_rules().fitaabb:
+                raise node.unbuilt("an attached model with another fitaabb than this one")
+            policy = self.model.compiler.values.get("conflict", "warning")
+            self.notes += _merge_options(self.model.root, other.root, node, policy)
+        prefix = node.values["prefix"]
+        tree, childclass = _tree(node, other.root, self.places if own else other.places, own)
+        assets, keys = ([], []) if own else (other.assets, other.keys)
+        referring = self.referring if own and self.referring else other.referring
+        names, parts, torn = _resolved(referring, [*tree, *assets], own)
+        everything = [*tree, *assets, *keys, *(part for _, part in parts)]
+        self.copies.take(node, everything, 1, 1 if own else 1 + len(other.defaults.classes))
+        self.notes += [f"{node.file}:{node.line}: <attach> leaves out {what}" for what in torn]
+
+        made: dict[int, Node] = {}
+        twins = [copied(part, made) for part in tree]
+        along = [(tag, copied(part, made)) for tag, part in parts]
+        along += [("asset", copied(asset, made)) for asset in assets]
+        along += [("keyframe", _copied_key(key, made)) for key in keys]
+        if not own:
+            here = self.model.defaults.adopt(other.defaults, prefix)
+            _rename_classes(along, made, here)
+            childclass = here.get(childclass, childclass)
+            # Its elements are read with its own compiler settings.
+            for twin in made.values():
+                twin.compiler = twin.compiler or other.compiler
+        self._add(along, names, prefix)
+        for twin in twins:
+            rename(twin, names, prefix)
+        node.tag, node.path, node.children = "frame", "worldbody/frame", twins
+        node.attrs = {"childclass": childclass}
+        node.values = dict(node.attrs)
+        if self.referring is not None:
+            _add_places(self.places, twins, childclass)
+
+    def _other(self, node: Node) -> Model:
+        """The model that an <attach> takes from."""
+        if "body" in node.attrs and "frame" in node.attrs:
+            raise node.error("<attach> has both body and frame")
+        name = node.attrs.get("model")
+        if name is None:
+            if "body" not in node.attrs and "frame" not in node.attrs:
+                raise node.error("<attach> without a model needs body or frame")
+            return self.model
+        if name not in self.assets:
+            near = nearest(name, sorted(self.assets))
+            raise node.error(f'<attach model="{name}">: no such model{near}')
+        return self.load(self.assets[name])
+
+    def _add(self, parts: list[Part], names: Names, prefix: str) -> None:
+        """Adds what comes along to the sections of this model, renamed."""
+        for tag, node in parts:
+            rename(node, names, prefix)
+            if tag == "keyframe":
+                # A keyframe has the prefix even where it has no name.
+                name = node.attrs.get("name", prefix).removeprefix(prefix)
+                node.attrs["name"] = node.values["name"] = prefix + name
+            if tag in self.sections:
+                self.sections[tag].children.append(node)
+            else:
+                self.sections[tag] = section_of(tag, [node])
+                self.model.root.children.append(self.sections[tag])
+        if self.referring is not None:
+            self.referring.append(part for part in parts if part[0] in SECTIONS)
+
+
+def _inside(root: Node, tag: str) -> list[Node]:
+    """The elements of all sections of this tag."""
+    return [node for section in root.children if section.tag == tag for node in section.children]
+
+
+def _add_places(places: Places, nodes: list[Node], childclass: str) -> Places:
+    """Adds the bodies and frames among these nodes and below them."""
+    pending = [(node, childclass) for node in reversed(nodes)]
+    while pending:
+        node, around = pending.pop()
+        if node.tag in ("body", "frame") and node.attrs.get("name"):
+            places.setdefault((node.tag, node.attrs["name"]), (node, around))
+        inner = node.attrs.get("childclass", around)
+        pending += [(child, inner) for child in reversed(node.children)]
+    return places
+
+
+def _tree(node: Node, root: Node, places: Places, own: bool) -> tuple[list[Node], str]:
+    """The nodes that are attached, and the childclass under which they stand."""
+    kind = next((word for word in ("body", "frame") if word in node.attrs), "")
+    if not kind:
+        return _inside(root, "worldbody"), MAIN
+    name = node.attrs[kind]
+    if (kind, name) not in places:
+        near = nearest(name, [known for tag, known in places if tag == kind])
+        raise node.error(f'<attach {kind}="{name}">: no such {kind}{near}')
+    part, childclass = places[kind, name]
+    if own and any(inner.tag == "attach" for inner in below(part)):
+        raise node.error(f'<attach {kind}="{name}"> holds an <attach> itself')
+    return [part], childclass
+
+
+def _rename_classes(parts: list[Part], made: dict[int, Node], here: dict[str, str]) -> None:
+    """Gives references to the other model's classes the names that these have in this model.
+
+    parts: what stands outside of the tree; an element without a class there has the outermost.
+    """
+    for tag, node in parts:
+        if tag in (*SECTIONS, "asset") and "class" in ROOT.children[tag].children[node.tag].attrs:
+            node.attrs.setdefault("class", MAIN)
+    for node in made.values():
+        for attribute in ("class", "childclass"):
+            if node.attrs.get(attribute) in here:
+                name = here[node.attrs[attribute]]
+                node.attrs[attribute] = node.values[attribute] = name
+
+
+def _resolved(
+    referring: Referring, attached: list[Node], own: bool
+) -> tuple[Names, list[Part], list[str]]:
+    """What comes along with what is attached, because it refers to nothing else.
+
+    Returns the names of all that is attached, what comes along, and words about elements that
+    refer both to something attached and to something that is not.
+    """
+    names = names_in(attached)
+    names.setdefault("body", set()).add("world")
+    # Of this model only what refers to the tree comes along.
+    parts = referring.to(names, free=not own)
+    needs = [list(named_by(node)) for _, node in parts]
+    users: dict[tuple[str, str], list[int]] = {}
+    for at, (_, node) in enumerate(parts):
+        add_name(names, node)
+        for need in needs[at]:
+            users.setdefault(need, []).append(at)
+    left_out: set[int] = set()
+    pending = [at for at, need in enumerate(needs) if _missing(need, names)]
+    while pending:
+        at = pending.pop()
+        if at not in left_out:
+            left_out.add(at)
+            kind, name = kind_of(parts[at][1]), parts[at][1].attrs.get("name", "")
+            names.get(kind, set()).discard(name)
+            pending += users.get((kind, name), ())
+    torn = [_torn(parts[at][1], needs[at], names) for at in sorted(left_out)]
+    names["body"].discard("world")
+    kept = [part for at, part in enumerate(parts) if at not in left_out]
+    return names, sorted(kept, key=lambda part: SECTIONS.index(part[0])), [*filter(None, torn)]
+
+
+def _missing(needs: list[tuple[str, str]], names: Names) -> list[tuple[str, str]]:
+    return [(kind, name) for kind, name in needs if name not in names.get(kind, ())]
+
+
+def _torn(node: Node, needs: list[tuple[str, str]], names: Names) -> str:
+    """Words about an element that is left out although it refers to something attached, or ""."""
+    missing = _missing(needs, names)
+    if not {*needs} - {*missing, ("body", "world")}:
+        return ""
+    kind, name = missing[0]
+    called = f' "{node.attrs["name"]}"' if node.attrs.get("name") else ""
+    return f'<{node.tag}>{called}, whose {kind} "{name}" is not attached'
+
+
+def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str]:
+    """Merges the options of `child` into those of `root` by `policy`; returns notes.
+
+    node: the <attach>. Raises MJCFError for a conflict that the policy does not allow.
+    """
+    mine, my_flags = _written_options(root)
+    theirs, their_flags = _written_options(child)
+    both = [(mine, theirs), (my_flags, their_flags)]
+    named = f'"{child.attrs.get("model", "") or node.attrs.get("model", "")}"'
+
+    def check(name: str, here: Any, there: Any) -> Any:
+        if here != there:
+            text = f"the model {named} has {name} = {there}, this one {here}, a conflict"
+            raise node.error(f"<attach>: {text}")
+        return here
+
+    def note(names: list[str], what: str) -> list[str]:
+        where = f"{node.file}:{node.line}: <attach> of the model {named}"
+        verb = "is" if len(names) == 1 else "are"
+        return [f"{where}: its {', '.join(names)} {verb} {what} (conflict)"] if names else []
+
+    if policy == "error":
+        for here, there in both:
+            for name in there:
+                check(name, here.get(name, there[name]), there[name])
+        return []
+    if policy == "warning":
+        names = [name for here, there in both for name in there if here.get(name) != there[name]]
+        return note(names, "not used")
+    # An option section at the end replaces the values of earlier ones.
+    section = Node("option", {}, node.file, node.line)
+    for name, there in theirs.items():
+        here = mine.get(name, there)
+        if name in MINIMUM:
+            section.values[name] = min(here, there)
+        elif name in MAXIMUM:
+            section.values[name] = max(here, there)
+        elif name == UNION:
+            section.values[name] = tuple(dict.fromkeys((*here, *there)))
+        else:
+            section.values[name] = check(name, here, there)
+    # A flag that one of them turns from its default is turned.
+    turned = {name: word for name, word in their_flags.items() if _turns(name, word)}
+    if turned:
+        inner = Node("flag", {}, node.file, node.line)
+        inner.values = dict(turned)
+        section.children = [inner]
+    root.children.append(section)
+    changed = [name for name, value in section.values.items() if value != mine.get(name)]
+    return note([*changed, *turned], "used")
+
+
+def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The options and the flags that a model's file gives."""
+    options: dict[str, Any] = {}
+    flags: dict[str, Any] = {}
+    for section in root.children:
+        if section.tag == "option":
+            options |= section.values
+            for child in section.children:
+                flags |= child.values
+    return options, flags
+
+
+def _turns(name: str, word: str) -> bool:
+    """Whether a flag is turned from its default; those after "override" are off by default."""
+    flags = FLAGS.split()
+    return word == ("enable" if name in flags[flags.index("override") :] else "disable")
+
+
+def _split_keys(root: Node, defaults: Defaults) -> list[Node]:
+    """The keyframes of a model, whose vectors become `parts` by the element they belong to."""
+    keys = _inside(root, "keyframe")
+    if not keys:
+        return []
+    bodies = list(_bodies(root))
+    joints: list[tuple[Node, str]] = []
+    for _, inside in bodies:
+        for node, childclass in inside:
+            if node.tag == "freejoint":
+                joints.append((node, "free"))
+            elif node.tag == "joint":
+                joints.append((node, defaults.of(node, childclass).get("type", "hinge")))
+    mocaps = [body for body, _ in bodies if body.values.get("mocap")]
+    actuators = [(node, *sizes(defaults.gains(node))) for node in _inside(root, "actuator")]
+    layout = {
+        "qpos": [(node, QPOS[kind]) for node, kind in joints],
+        "qvel": [(node, DOFS[kind]) for node, kind in joints],
+        "ctrl": [(node, controls) for node, controls, _ in actuators],
+        "act": [(node, activations) for node, _, activations in actuators],
+        "mpos": [(node, 3) for node in mocaps],
+        "mquat": [(node, 4) for node in mocaps],
+    }
+    for key in keys:
+        if key.parts is not None:
+            continue
+        key.parts = {}
+        for name, elements in layout.items():
+            given = key.values.pop(name, ())
+            key.attrs.pop(name, None)
+            if len(given) > sum(size for _, size in elements):
+                raise key.error(f"<key> {name} has {len(given)} numbers, more than its model")
+            key.parts[name] = []
+            for node, size in elements:
+                if len(given) >= size > 0:
+                    key.parts[name].append((node, given[:size]))
+                given = given[size:]
+    return keys
+
+
+def _copied_key(key: Node, made: dict[int, Node]) -> Node:
+    """A copy of a keyframe for copied elements; made: these by the originals' ``id``."""
+    copy = copied(key)
+    copy.parts = {
+        name: [(made[id(node)], numbers) for node, numbers in parts if id(node) in made]
+        for name, parts in (key.parts or {}).items()
+    }
+    return copy
+
+
+def _bodies(root: Node) -> Iterable[tuple[Node, list[tuple[Node, str | None]]]]:
+    """The world and the bodies in the model's order, each with its content and their childclass.
+
+    The content of a frame is that of the body which holds the frame.
+    """
+    pending: list[tuple[Node, str | None]] = [
+        (section, None) for section in reversed(root.children) if section.tag == "worldbody"
+    ]
+    while pending:
+        body, childclass = pending.pop()
+        inside: list[tuple[Node, str | None]] = []
+        waiting = [(child, body.attrs.get("childclass", childclass)) for child in body.children]
+        waiting.reverse()
+        while waiting:
+            node, inherited = waiting.pop()
+            if node.tag == "frame":
+                inner = node.attrs.get("childclass", inherited)
+                waiting += [(child, inner) for child in reversed(node.children)]
+            else:
+                inside.append((node, inherited))
+        yield body, inside
+        pending += reversed([part for part in inside if part[0].tag == "body"])
