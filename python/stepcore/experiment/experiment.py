@@ -40,8 +40,9 @@ class Experiment:
     """One model and one motion, run under different settings and judged.
 
     model: a `Model`. schedule: its motion made definite (`stepcore.experiment.schedule.scheduled`).
-    workers: where runs are made. runner: what makes a single run, in any process.
-    reference_runs: what made the reference; it can refine it.
+    workers: where runs are made. size: see the property; given where another experiment knows it.
+    runner: what makes a single run, in any process. reference_runs: what made the reference; it can
+    refine it.
 
     >>> from stepcore import lesson
     >>> from stepcore.experiment.errors import WORST_START
@@ -58,10 +59,16 @@ class Experiment:
     True
     """
 
-    def __init__(self, model: Model, schedule: Schedule, workers: Workers | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        schedule: Schedule,
+        workers: Workers | None = None,
+        size: float | None = None,
+    ) -> None:
         self.runner, self.workers = Runner(model, schedule), workers or Workers()
         self.reference_runs: ReferenceRuns | None = None
-        self._size: float | None = None
+        self._size = size
 
     @property
     def model(self) -> Model:
@@ -76,15 +83,16 @@ class Experiment:
         settings: Settings,
         starts: Sequence[int] | None = None,
         probes: Probes = recorded,
-        bar: Progress | str = "",
+        bar: Progress | str | None = None,
     ) -> list[Run]:
         """The runs from some starts, by default from all, until one fails.
 
         probes: makes the probes of each run: `recorded` records everything, `positions` positions
         alone. Runs of positions are worlds of batches where those end sooner; their bits are the
-        same. bar: a progress bar, or the label of one.
+        same. bar: a progress bar, the label of one, or None to show none.
         """
         starts = self.runner.starts if starts is None else starts
+        bar = Progress("", len(starts), False) if bar is None else bar
         if probes is positions:
             return screened(self.runner, settings, starts, self.workers, bar, until_fails=True)
         job = partial(self.runner.observed, settings, probes)
