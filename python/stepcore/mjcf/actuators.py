@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from stepcore.mjcf.attributes import given
 from stepcore.mjcf.controllers import INPUTS, first_of
 from stepcore.mjcf.gains import ActuatorGains, saturated
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
-from stepcore.mjcf.worldbody import WorldReader, polynomial
+from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.actuation import law, states
 from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, MUSCLE, Actuator
 from stepcore.scene.orienting import parts
@@ -16,6 +17,8 @@ from stepcore.scene.orienting import parts
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
 # The second site of a transmission between two sites.
 WITH = {"site": "refsite", "slidersite": "cranksite"}
+# Fields of an actuator that are copies of attributes.
+COPIED = ("gear", "damping", "armature", "interp", "delay", "nsample", "lengthrange")
 STATEFUL = ("actlimited", "actrange")
 
 
@@ -28,29 +31,20 @@ def read(world: WorldReader, node: Node) -> None:
     values = saturated(values, gains, node)
     _refuse_gains(node, gains)
     ctrlrange, actrange = _ranges(world, node, values, gains, target)
-    given: dict[str, Any] = {
+    fields: dict[str, Any] = {
         **target,
-        **polynomial(values, "damping"),
-        **{name: values[name] for name in ("armature",) if name in values},
-        **{name: values[name] for name in ("interp",) if name in values},
-        "delay": max(values.get("delay", 0.0), 0.0),
-        "nsample": max(values.get("nsample", 0), 0),
+        **given(Actuator, {name: values[name] for name in COPIED if name in values}),
         **_words(gains),
     }
-    if given.get("damping") == 0.0:
-        del given["damping"]
-    lengthrange = values.get("lengthrange", (0.0, 0.0))
     added = world.scene.add_actuator(
         type=gains.tag,
         name=values.get("name", ""),
-        gear=values.get("gear", (1.0,)),
         ctrlrange=ctrlrange,
         forcerange=world.limits(node, values, "forcelimited", "forcerange"),
         actrange=actrange,
         actearly=values.get("actearly", False) and gains.tag not in INPUTS,
-        lengthrange=lengthrange if lengthrange[0] < lengthrange[1] else None,
         enabled=values.get("group", 0) not in world.disabled_groups,
-        **given,
+        **fields,
     )
     dim, count = values.get("actdim", -1), states(law(added))
     if dim not in (-1, count):

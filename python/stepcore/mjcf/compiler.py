@@ -7,11 +7,12 @@ import os
 from collections.abc import Iterable
 from typing import Any
 
+from stepcore.mjcf.attributes import given
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.notation import ORIENTATION
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
-from stepcore.scene.elements import LengthRange, MassRules, fields_of
+from stepcore.scene.elements import LengthRange, MassRules
 from stepcore.scene.frames import Vec
 
 
@@ -62,11 +63,7 @@ class Compiler:
 
     def mass_rules(self) -> MassRules:
         """The rules for masses."""
-        names = set(fields_of(MassRules))
-        fields = {name: value for name, value in self.values.items() if name in names}
-        if fields.get("inertiafromgeom") == "auto":
-            fields["inertiafromgeom"] = None
-        return MassRules(**fields)
+        return MassRules(**given(MassRules, self.values))
 
     def lengthrange(self) -> LengthRange:
         """How ranges of muscles' lengths are found."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from stepcore.mjcf.attributes import given
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.worldbody import WorldReader, soft
-from stepcore.scene.elements.equality import FIELDS
+from stepcore.mjcf.worldbody import WorldReader
+from stepcore.scene.elements import Equality
 
 
 def read(world: WorldReader, node: Node) -> None:
@@ -16,10 +15,4 @@ def read(world: WorldReader, node: Node) -> None:
         raise node.error(f"<{node.tag}> needs body1, or site1 and site2")
     if node.tag == "connect" and "body1" in values and "anchor" not in values:
         raise node.error("<connect> needs body1 and anchor")
-    names = ("name", "active", *FIELDS[node.tag])
-    given: dict[str, Any] = {name: values[name] for name in names if name in values}
-    if not any(given.get("relpose", ())[3:]):
-        # MuJoCo's "0 1 0 0 0 0 0": as in the pose of the scene.
-        given.pop("relpose", None)
-    given |= soft(values, "solref", "solimp")
-    world.keep(node, world.scene.add_equality(node.tag, **given))
+    world.keep(node, world.scene.add_equality(node.tag, **given(Equality, values)))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from stepcore.mjcf.attributes import given
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.worldbody import WorldReader, polynomial, soft
+from stepcore.mjcf.worldbody import WorldReader
+from stepcore.scene.elements import Tendon
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
-
-COPIED = ("margin", "armature", "frictionloss")
 
 
 def read(world: WorldReader, node: Node) -> None:
@@ -18,20 +18,17 @@ def read(world: WorldReader, node: Node) -> None:
         raise node.unbuilt("a spring that yields (springyield)", "springyield")
     if "material" in values:
         world.references.append((node, "material", values["material"]))
-    given: dict[str, Any] = {field: values[field] for field in COPIED if field in values}
+    fields = given(Tendon, values, "name", "range", "actuatorfrcrange", "springlength")
     if "springlength" in values:
         # One number is both ends, whatever a default class has for the second.
         own: Any = node.values.get("springlength", values["springlength"])
-        given["springlength"] = own[0] if len(own) == 1 else own
-    given |= polynomial(values, "stiffness") | polynomial(values, "damping")
-    given |= soft(values, "solreflimit", "solimplimit")
-    given |= soft(values, "solreffriction", "solimpfriction")
+        fields["springlength"] = own[0] if len(own) == 1 else own
     tendon = world.scene.add_tendon(
         values.get("name", ""),
         path=[_stop(world, child) for child in node.children],
         range=world.limits(node, values, "limited", "range"),
         actuatorfrcrange=world.limits(node, values, "actuatorfrclimited", "actuatorfrcrange"),
-        **given,
+        **fields,
     )
     world.keep(node, tendon)
     if "range" in values:

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore.mjcf.assets import Assets
+from stepcore.mjcf.attributes import given
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.nodes import Node
@@ -15,7 +16,7 @@ from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
-from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom, Joint, Key, MassRules
+from stepcore.scene.elements import Body, Element, Geom, Joint, Key, MassRules
 from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.frames import Vec
 
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
 T = TypeVar("T")
+# Fields of a joint and of a geom that are no copies of attributes.
+_OF_JOINT = ("name", "type", "pos", "axis", "range", "actuatorfrcrange", "ref", "springref")
+_OF_GEOM = ("name", "type", "size", "pos", "quat", "mesh", "hfield")
 AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
 
 
@@ -176,7 +180,7 @@ class WorldReader:
     def _body(self, node: Node, place: Place) -> Place:
         values = node.values
         pos, quat = self._pose(node, values, place)
-        own = {name: values[name] for name in ("gravcomp", "mocap", "sleep") if name in values}
+        own = given(Body, values, "name", "pos", "quat")
         body = self.scene.add_body(values.get("name", ""), place.body, pos, quat, **own)
         self.keep(node, body)
         if place.pose != AT_ORIGIN:
@@ -237,12 +241,7 @@ class WorldReader:
             actuatorfrcrange=self._force_range(node, values) if scalar else None,
             ref=convert(values.get("ref", 0.0)) if scalar else 0.0,
             springref=convert(values.get("springref", 0.0)) if scalar else 0.0,
-            **polynomial(values, "stiffness"),
-            **polynomial(values, "damping"),
-            **_times(values),
-            **{f: values[f] for f in _COPIED if f in values},
-            **soft(values, "solreflimit", "solimplimit"),
-            **soft(values, "solreffriction", "solimpfriction"),
+            **given(Joint, values, *_OF_JOINT),
         )
         if kind == "free":
             self._align(node, joint)
@@ -312,8 +311,8 @@ class WorldReader:
         size, pose = self._shape(node, values, kind, place)
         if own:
             size = frames.ORIGIN
-            own |= {k: values[k] for k in ("fitscale",) if k in values}
-        more = {f: values[f] for f in _OF_GEOM if f in values}
+        # Only what is fitted to a mesh looks at the scale.
+        more = given(Geom, values, *_OF_GEOM, *(() if own else ("fitscale",)))
         if self.assets.unseen(values):
             more["hidden"] = True
         geom = self.scene.add_geom(
@@ -323,11 +322,8 @@ class WorldReader:
             name=name,
             pos=pose[0],
             quat=pose[1],
-            contype=contype % 2**32,
-            conaffinity=conaffinity % 2**32,
             **own,
             **more,
-            **soft(values, "solref", "solimp"),
         )
         self.keep(node, geom)
         fluid = values.get("fluidshape", "none") != "none"
@@ -374,33 +370,3 @@ def _site_size(values: dict[str, Any]) -> tuple[float, ...]:
 
 def _within(outer: tuple[Vec, Vec], pos: Vec, quat: Vec) -> tuple[Vec, Vec]:
     return (pos, quat) if outer == AT_ORIGIN else frames.composed(outer, pos, quat)
-
-
-def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Any]:
-    """The softness fields that are given, completed with their defaults."""
-    result = {}
-    for field, default in ((solref, SOLREF), (solimp, SOLIMP)):
-        if field in values:
-            result[field] = values[field] + default[len(values[field]) :]
-    return result
-
-
-# Fields of a geom whose values are those of the file.
-_OF_GEOM = (
-    *("condim", "group", "priority", "friction", "mass", "density", "shellinertia"),
-    *("solmix", "margin", "gap", "surfacevel", "adhesion", "fluidshape", "fluidcoef"),
-)
-# Fields of a joint whose values are those of the file.
-_COPIED = ("margin", "armature", "frictionloss", "actuatorgravcomp")
-
-
-def _times(values: dict[str, Any]) -> dict[str, Any]:
-    """A spring and a damper by their times, which count where both are positive."""
-    given = values.get("springdamper", (0.0, 0.0))
-    return {"springdamper": given} if min(given) > 0 else {}
-
-
-def polynomial(values: dict[str, Any], name: str) -> dict[str, Any]:
-    """Stiffness or damping as the fields of an element: the first power, and those above."""
-    first, *poly = values.get(name, (0.0,))
-    return {name: first, f"{name}poly": tuple(poly)} if any(poly) else {name: first}
