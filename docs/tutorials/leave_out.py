@@ -28,7 +28,7 @@ print("\n".join(plan.sentences))
 
 # %%
 result = sc.ablate(
-    scene, error="1mm", horizon=0.5, starts=4, threads=2, progress=False
+    scene, added="1mm", horizon=0.5, starts=4, threads=2, progress=False
 )
 print("\n".join(result.sentences[:5]))
 

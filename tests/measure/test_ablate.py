@@ -13,7 +13,7 @@ from small import unstable
 import stepcore as sc
 from stepcore.cli import main
 from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, without
-from stepcore.measure.ablation.selection import confirmed, greedy, saved, work
+from stepcore.measure.ablation.selection import confirmed, greedy
 from stepcore.measure.ablation.variants import VariantOutcome
 from stepcore.report.table import WIDTH
 
@@ -45,12 +45,12 @@ def row(result: sc.Ablation, kind: str):
 def test_an_error_is_a_length_or_a_share_and_a_motion_its_fields() -> None:
     """The same tolerance in three forms; the scene's size is known from the first."""
     scene = sc.loads(KNOWN.format(mu=0.5, v=1.0))
-    written = sc.ablate(scene, sc.Motion(horizon=0.4, starts=2), error="1mm", progress=False)
-    assert written.error == known().error == 1e-3
+    written = sc.ablate(scene, sc.Motion(horizon=0.4, starts=2), added="1mm", progress=False)
+    assert written.tolerance == known().tolerance == 1e-3
     assert written.removed == known().removed
-    share = sc.ablate(scene, error="0.1%", **SHORT)
+    share = sc.ablate(scene, added="0.1%", **SHORT)
     # Its bodies are spread over 53 m, and the farthest of them 51 m from the origin.
-    assert 0.09 < share.error < 0.12
+    assert 0.09 < share.tolerance < 0.12
     kinds = [{removal.kind for removal in result.removed} for result in (written, share)]
     assert "friction" in kinds[1] - kinds[0]
 
@@ -84,7 +84,7 @@ def test_friction_that_brakes_matters_as_much_as_it_brakes() -> None:
 def test_friction_of_what_stands_never_acts() -> None:
     """Nothing pushes the sledge along: without friction it stays as well. (A start moves it by
     5 cm/s at most, and the floor stops it within millimetres.)"""
-    result = sc.ablate(sc.loads(KNOWN.format(mu=0.5, v=0)), error=2e-2, **SHORT)
+    result = sc.ablate(sc.loads(KNOWN.format(mu=0.5, v=0)), added=2e-2, **SHORT)
     friction = row(result, "friction")
     assert friction.outcome.added[0] < 1e-12
     assert friction.removal in result.removed
@@ -115,15 +115,15 @@ def test_the_smallest_model_is_a_file_that_moves_alike(tmp_path: Path) -> None:
     scene = sc.load(path)
     assert scene == result.smallest
     assert scene.settings == result.smallest.settings
-    assert result.confirmed.worst <= result.error
+    assert result.confirmed.worst <= result.tolerance
     runs = []
     for one in (sc.loads(KNOWN.format(mu=0.5, v=1.0)), scene):
         sim = sc.Sim(one.compile())
         sim.reset(key=0)
         runs.append(sim.run(0.4).qpos)
-    assert np.sqrt(np.mean((runs[0] - runs[1]) ** 2)) <= result.error
-    assert work(result.best.outcome) < work(result.whole.outcome)
-    assert saved(result.whole.outcome, result.whole.outcome) == 0
+    assert np.sqrt(np.mean((runs[0] - runs[1]) ** 2)) <= result.tolerance
+    assert result.best.outcome.work < result.whole.outcome.work
+    assert result.saved(result.whole) == 0
 
 
 # A weight held by two connections at the same point.
@@ -136,7 +136,7 @@ TWICE_TIED = """<mujoco><option timestep="0.005"/><worldbody>
 def test_of_two_features_that_do_the_same_one_stays() -> None:
     """Either connection holds the weight, so removing one adds millimetres; without both it falls
     by g t²/2. What is removed together is measured together."""
-    result = sc.ablate(sc.loads(TWICE_TIED), error=1e-2, **SHORT)
+    result = sc.ablate(sc.loads(TWICE_TIED), added=1e-2, **SHORT)
     ties = [row for row in result.rows if row.removal.kind == "equality"]
     assert len(ties) == 2 and all(row.outcome.worst < 5e-3 for row in ties)
     assert sum(row.removal in result.removed for row in ties) == 1
@@ -179,8 +179,8 @@ def test_where_other_starts_need_all_of_it_the_answer_says_so() -> None:
     result = sc.ablate(sc.lesson.drop(), horizon=0.2, starts=1, progress=False)
     result.removed, result.restored = [], [Removal("friction", "condim 1", ())]
     assert result.sentences[0] == (
-        "No feature can be removed within 1 mm: what could be in these starts exceeds it in "
-        "others, friction: condim 1."
+        "No feature can be removed within 1 mm: features that were removable on the first starts "
+        "exceed the tolerance on others: friction: condim 1."
     )
 
 
@@ -193,7 +193,7 @@ def test_the_error_where_features_were_restored_is_said() -> None:
     result.restored_on = VariantOutcome(added=(1.37e-4, 0.0))
     said = " ".join(result.sentences)
     assert "in the worst of 2 other starts (an error of 137 µm in those for which" in said
-    assert "no error at all, neither" not in said
+    assert "no measurable error, in" not in said
     outcome = result.to_dict()["smallest"]
     assert (outcome["confirmed"], outcome["restored_on"]) == (0.0, 1.37e-4)
 
@@ -344,7 +344,7 @@ def test_the_command_writes_data_a_picture_a_page_and_the_model(tmp_path: Path, 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"error": 0}, "error = 0: must be"),
+        ({"added": 0}, "added = 0: must be"),
         ({"starts": 0}, "starts = 0"),
         ({"executor": 3}, "executor = 3"),
         ({"key": "nowhere"}, "nowhere"),
@@ -373,13 +373,13 @@ def test_a_scene_without_motion_is_refused(tmp_path: Path, capsys) -> None:
 
 def test_what_few_starts_refute_is_not_run_from_all_and_that_is_said(monkeypatch) -> None:
     """The same smallest model, and a note on the features that ran from two starts."""
-    options = {"horizon": 0.2, "starts": 4, "threads": 1, "progress": False, "error": 1e-4}
+    options = {"horizon": 0.2, "starts": 4, "threads": 1, "progress": False, "added": 1e-4}
     whole = sc.ablate(sc.loads(EVERYTHING), **options)
     monkeypatch.setattr("stepcore.measure.ablation.FEATURES_BUDGET", 0.0)
     few = sc.ablate(sc.loads(EVERYTHING), **options)
     assert few.removed == whole.removed and few.best.outcome == whole.best.outcome
     short = [row for row in few.rows if len(row.outcome.added) == 2]
-    assert short and all(row.outcome.worst > few.error for row in short)
+    assert short and all(row.outcome.worst > few.tolerance for row in short)
     for row, other in zip(few.rows, whole.rows, strict=True):
         assert row.outcome.added == other.outcome.added[: len(row.outcome.added)]
     (note,) = [note for note in few.notes if "not run from the others" in note]

@@ -2,7 +2,7 @@
 much work that saves and how much error it adds; then find the smallest model within an error.
 
 Example:
-  stepcore ablate gymnasium:half_cheetah --error 5mm --save small.xml
+  stepcore ablate gymnasium:half_cheetah --added 5mm --save small.xml
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from stepcore.report.result import Result
 def add(command: argparse.ArgumentParser) -> None:
     add_file(command)
     command.add_argument(
+        "--added",
         "--error",
         default="1mm",
         metavar="LENGTH",
@@ -32,7 +33,7 @@ def add(command: argparse.ArgumentParser) -> None:
 
 def call(args: argparse.Namespace) -> Result:
     model = model_of(args)
-    result = ablate(model, error=args.error, **motion_of(args, model))
+    result = ablate(model, added=args.added, **motion_of(args, model))
     if args.save is not None:
         result.smallest.save(args.save)
     return result

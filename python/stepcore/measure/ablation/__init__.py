@@ -15,12 +15,13 @@ from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
 from stepcore.experiment.arguments import Source, Workers, set_up
 from stepcore.experiment.cost import heaviness
-from stepcore.experiment.failure import far_off, runaway
+from stepcore.experiment.experiment import Experiment
+from stepcore.experiment.failure import runaway
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.reference import Reference, ReferenceRuns
+from stepcore.experiment.reference import Reference
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import HORIZON, STARTS, Schedule, scheduled, time_steps
+from stepcore.experiment.schedule import HORIZON, STARTS, scheduled, time_steps
 from stepcore.experiment.sizes import scene_size
 from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
@@ -37,14 +38,14 @@ from stepcore.report.units import metres, seconds
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
 
-# The smallest model is confirmed on sets of so many other starts, until one of the sets needs
-# nothing restored. Of 32 starts without a failure, at least 91 % of all such starts have none
-# (95 % confidence); fewer, where each costs much.
+# The smallest model is confirmed on this many sets of other starts, until one of them needs nothing
+# restored. If 32 starts show no failure, at least 91 % of all such starts have none (95 %
+# confidence); a set has fewer if each costs much.
 SETS, CONFIRMED_ON = 4, 32
 # What all runs of the sets may cost, in steps × (dofs + 2).
 SETS_BUDGET = 6e6
-# Where all features alone, from all starts, cost more than this, each first runs from a few starts,
-# and only what keeps to the tolerance there from the others.
+# If all features alone, from all starts, cost more than this, each first runs from a few starts,
+# and only features that keep to the tolerance there run from the others.
 FEATURES_BUDGET, SCREENED = 1.2e7, 2
 # What the reference may cost, in steps × (dofs + 2).
 BUDGET = 3e6
@@ -55,7 +56,7 @@ def ablate(
     model: Source,
     motion: Motion | None = None,
     *,
-    error: float | str = 1e-3,
+    added: float | str = 1e-3,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
@@ -63,15 +64,15 @@ def ablate(
 ) -> Ablation:
     """Removes one modelled feature at a time, and measures the work saved and the error added.
 
-    Then it removes as many features together as possible within `error`: this smallest model is
-    chosen on some starts and confirmed on up to 32 others; what those reach and need is restored,
-    and the rest confirmed on further ones.
+    Then it removes as many features together as possible within `added`: this smallest model is
+    chosen on some starts and confirmed on up to 32 others. Features that these starts need are
+    restored, and the rest is confirmed on further starts.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Everything runs under
         its own settings.
-    error: the RMS position error, over samples and bodies, that the smallest model may add to the
-        whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's size.
     motion: a `Motion`, or its fields as arguments. By default 1 s, and 8 starts to choose on.
+    added: the RMS position error, over samples and bodies, that the smallest model may add to the
+        whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's size.
     threads: the number of runs at the same time (default: one per core).
     executor: any `concurrent.futures` executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
@@ -87,8 +88,8 @@ def ablate(
     >>> result.smallest.joints[0].range is None
     True
     """
-    # A wrong error is refused before minutes of work; the scene's size is known later.
-    units.length("ablate", "error", error, 1.0)
+    # A wrong tolerance is refused before minutes of work; the scene's size is known later.
+    units.length("ablate", "added", added, 1.0)
     setup = set_up(
         ablate,
         model,
@@ -102,43 +103,42 @@ def ablate(
     model, motion, workers = setup
     starts, dt = motion.starts or STARTS, model.settings.dt
     _, period = time_steps(dt, None, motion.period(dt), motion.horizon or HORIZON)
-    # Starts to choose on, and sets to confirm on what is left each time.
-    one = Runner(model, scheduled(motion, model, period, starts=1))
-    one.check_repeatable()
-    weight = heaviness(one, model.settings)
-    more = _more(model, motion.horizon or HORIZON, starts, weight)
+    first = Runner(model, scheduled(motion, model, period, starts=1))
+    first.check_repeatable()
+    work = _work(model, motion.horizon or HORIZON, heaviness(first, model.settings))
+    # Starts to choose on, and sets of starts to confirm on.
+    more = max(starts, min(CONFIRMED_ON, int(SETS_BUDGET / (2 * SETS * work))))
     schedule = scheduled(motion, model, period, starts=starts + SETS * more)
-    runner = Runner(model, schedule.part(0, starts))
-    runs = ReferenceRuns(runner, model.settings, dt, BUDGET, workers, weight)
-    reference, notes = _reference(runs)
-    baseline = _baseline(runner, reference, workers)
-    tolerance = units.length("ablate", "error", error, scene_size(model.scene, baseline.paths))
-    usage = usage_of(runner, model.settings, workers)
-    selection = Selection(baseline, RemovableFeatures(model), tolerance, workers)
-    removals = selection.features.removals(usage, model.settings)
-    dear = (1 + len(removals)) * starts * _work(model, schedule.horizon, weight) > FEATURES_BUDGET
+    experiment = Experiment(model, schedule.part(0, starts), workers)
+    reference, notes = _reference(experiment)
+    baseline = _baseline(experiment, reference)
+    tolerance = units.length("ablate", "added", added, baseline.size)
+    features = RemovableFeatures(model)
+    selection = Selection(baseline, features, tolerance, workers)
+    removals = features.removals(usage_of(experiment.runner, workers), model.settings)
+    dear = (1 + len(removals)) * starts * work > FEATURES_BUDGET
     few = SCREENED if dear and starts > SCREENED else starts
     whole, alone, cut = _alone(baseline, removals, few, tolerance, workers)
     selection.known = dict(zip(removals, alone, strict=True))
     with workers.bar("smallest", len(removals)) as bar:
         selection.choose(removals, whole, bar)
-    selection.confirm(_others(model, schedule, starts, more, workers))
+    sets = (schedule.part(k, k + more) for k in range(starts, starts + SETS * more, more))
+    selection.confirm(_baseline(Experiment(model, part, workers)) for part in sets)
     removed = selection.removed
     removals += [removal for removal in removed if removal not in removals]
     times = times_of(baseline, [(), *((removal,) for removal in removals), removed])
-    rows = [
-        FeatureEffect(removal, selection.alone(removal), cost)
-        for removal, cost in zip(removals, times[1:-1], strict=True)
-    ]
     return Ablation(
         name=setup.name,
         settings=model.settings,
         motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=starts),
         horizon=schedule.horizon,
         starts=starts,
-        error=tolerance,
+        tolerance=tolerance,
         whole=FeatureEffect(Removal("whole model", "", ()), whole, times[0]),
-        rows=rows,
+        rows=[
+            FeatureEffect(removal, selection.alone(removal), cost)
+            for removal, cost in zip(removals, times[1:-1], strict=True)
+        ],
         removed=removed,
         best=FeatureEffect(Removal("smallest model", "", ()), selection.chosen_on, times[-1]),
         confirmed=selection.confirmed_on,
@@ -146,40 +146,30 @@ def ablate(
         restored_on=selection.restored_on,
         smallest=without(model.scene.with_settings(model.settings), removed),
         reference=reference.error if reference else None,
-        notes=[
-            *notes,
-            *_notes(reference, baseline, tolerance),
-            *_screened(cut, few, starts),
-        ],
+        notes=[*notes, *_notes(reference, baseline, tolerance), *_screened(cut, few, starts)],
         batches=workers.speedup.sentences,
-        ran=motion_in_words(model, motion, schedule.part(0, starts)),
+        ran=motion_in_words(model, motion, experiment.schedule),
     )
 
 
-def _more(model: Model, horizon: float, starts: int, weight: float) -> int:
-    """How many starts a set to confirm on has; weight: of a step (`heaviness`)."""
-    cost = _work(model, horizon, weight)
-    return max(starts, min(CONFIRMED_ON, int(SETS_BUDGET / (2 * SETS * cost))))
-
-
 def _work(model: Model, horizon: float, weight: float) -> float:
-    """What one run costs, in steps × (dofs + 2)."""
+    """What one run costs, in steps × (dofs + 2); weight: of a step (`heaviness`)."""
     return horizon / model.settings.dt * (model.nv + 2) * weight
 
 
 def _alone(
-    baseline: Baseline, removals: list[Removal], few: int, error: float, workers: Workers
+    baseline: Baseline, removals: list[Removal], few: int, tolerance: float, workers: Workers
 ) -> tuple[VariantOutcome, list[VariantOutcome], int]:
     """The whole model, every feature removed alone, and how many of these ran from few starts only.
 
-    few: the starts that all run from; what adds more than `error` [m] there is not run from more.
+    few: the starts that all run from. What adds more than `tolerance` [m] there is not run again.
     """
     points = [(), *((removal,) for removal in removals)]
     job = partial(outcome_of, baseline.first(few), workers=workers.inside)
     outcomes = workers.each(job, points, "features")
-    if few == len(baseline.paths):
+    if few == len(baseline.runs):
         return outcomes[0], outcomes[1:], 0
-    again = [i for i, outcome in enumerate(outcomes) if outcome.worst <= error]
+    again = [i for i, outcome in enumerate(outcomes) if outcome.worst <= tolerance]
     job = partial(outcome_of, baseline, workers=workers.inside)
     full = workers.each(job, [points[i] for i in again], "features from all starts")
     for i, outcome in zip(again, full, strict=True):
@@ -187,70 +177,56 @@ def _alone(
     return outcomes[0], outcomes[1:], len(points) - len(again)
 
 
-def _screened(cut: int, few: int, starts: int) -> list[str]:
-    """A note on features that ran from few starts."""
-    if not cut:
-        return []
-    one = cut == 1
-    return [
-        f"{cut} feature{' exceeds' if one else 's exceed'} the tolerance in the first {few} of "
-        f"{starts} starts, and {'was' if one else 'were'} not run from the others: "
-        f"{'its error is that' if one else 'their errors are those'} of {few} starts"
-    ]
-
-
-def _others(
-    model: Model, schedule: Schedule, starts: int, more: int, workers: Workers
-) -> Iterator[tuple[Runner, Baseline]]:
-    """The sets of starts on which nothing was chosen."""
-    for first in range(starts, starts + SETS * more, more):
-        runner = Runner(model, schedule.part(first, first + more))
-        yield runner, _baseline(runner, None, workers)
-
-
-def _reference(runs: ReferenceRuns) -> tuple[Reference | None, list[str]]:
+def _reference(experiment: Experiment) -> tuple[Reference | None, list[str]]:
     """The converged motion, or a note on why there is none."""
     try:
-        with runs.workers.bar("reference", runs.least) as bar:
-            return runs.reference(bar), []
+        return experiment.reference(experiment.model.settings.dt, BUDGET), []
     except ValueError as error:
         return None, [f"no converged motion to compare with: {checks.one_line(error)}"]
 
 
-def _baseline(runner: Runner, reference: Reference | None, workers: Workers) -> Baseline:
+def _baseline(experiment: Experiment, reference: Reference | None = None) -> Baseline:
     """The whole model's own motion at its settings; ValueError if it fails."""
-    starts = range(len(runner.schedule.starts))
-    job = partial(runner.run, runner.model.settings)
-    paths = workers.each(job, starts, Progress("", len(starts), False))
-    for start, path in enumerate(paths):
-        if path.failure:
-            raise ValueError(f"the whole model fails from start {start}: {path.failure}")
-    explodes = runaway(runner.model, runner.schedule, paths)
+    model, schedule = experiment.model, experiment.schedule
+    starts = len(schedule.starts)
+    runs = experiment.run(model.settings, bar=Progress("", starts, False))
+    if runs[-1].failure:
+        raise ValueError(f"the whole model fails from start {len(runs) - 1}: {runs[-1].failure}")
+    explodes = runaway(model, schedule, runs)
     if explodes:
         raise ValueError(explodes)
     if reference is None:
-        scored = np.ones((len(paths), len(runner.schedule.times)), bool)
-        return Baseline(runner.model, runner.schedule, tuple(paths), None, scored)
-    truth = tuple(reference.runs)
-    wrong = far_off(paths, truth, scene_size(runner.model.scene, truth))
+        scored = np.ones((starts, len(schedule.times)), bool)
+        return Baseline(model, schedule, tuple(runs), None, scored, scene_size(model.scene, runs))
+    wrong = experiment.failure(runs, reference)
     if wrong:
-        dt = seconds(runner.model.settings.dt)
+        dt = seconds(model.settings.dt)
         raise ValueError(f"the whole model fails at its dt of {dt}: {wrong}; see stepcore diagnose")
-    return Baseline(runner.model, runner.schedule, tuple(paths), truth, reference.scored)
+    truth, scored = tuple(reference.runs), reference.scored
+    return Baseline(model, schedule, tuple(runs), truth, scored, experiment.size)
 
 
-def _notes(reference: Reference | None, baseline: Baseline, tolerance: float) -> list[str]:
-    notes: list[str] = []
+def _notes(reference: Reference | None, baseline: Baseline, tolerance: float) -> Iterator[str]:
     if reference is not None and reference.error > tolerance:
-        notes.append(
+        yield (
             f"the reference has an error of {metres(reference.error)}, more than the tolerance: "
-            "the column error is uncertain by that much, the column added is not"
+            'column "error" is uncertain by that amount; column "added" is not affected'
         )
     short = int((~baseline.scored).any(axis=1).sum())
     if short:
-        count = f"{short} of {len(baseline.paths)} starts"
-        notes.append(f"{count} count only as long as they can be predicted")
+        count = f"{short} of {len(baseline.runs)} starts"
+        yield f"{count} count only as long as they can be predicted"
     if baseline.schedule.undriven:
         names = ", ".join(baseline.schedule.undriven)
-        notes.append(f"actuators without a control range are not driven: {names}")
-    return notes
+        yield f"actuators without a control range are not driven: {names}"
+
+
+def _screened(cut: int, few: int, starts: int) -> list[str]:
+    """A note on features that ran from few starts."""
+    if not cut:
+        return []
+    exceeds, were = ("exceeds", "was") if cut == 1 else ("exceed", "were")
+    return [
+        f"{units.counted(cut, 'feature')} {exceeds} the tolerance in the first {few} of {starts} "
+        f"starts and {were} not run from the others: errors there are of {few} starts"
+    ]

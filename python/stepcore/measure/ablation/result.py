@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 from stepcore._core import Settings
 from stepcore.engine.features import Removal
 from stepcore.experiment.motion import Motion
-from stepcore.measure.ablation.selection import saved, work
 from stepcore.measure.ablation.variants import VariantOutcome
 from stepcore.report.result import Result
 from stepcore.report.settings import label
@@ -20,6 +19,8 @@ from stepcore.scene.scene import Scene
 
 # The features that are printed unless all are asked for.
 PRINTED = 10
+# Errors below this are rounding [m].
+MEASURABLE = 1e-12
 LEGEND = (
     "saved: share of the work per simulated second ({work}), negative if the variant costs more; "
     "µs: computing time saved per simulated second; added: RMS position error added to the motion "
@@ -30,7 +31,7 @@ LEGEND = (
 
 @dataclass(frozen=True)
 class FeatureEffect:
-    """One feature removed: which, its effect, and the cost without it [µs per simulated second]."""
+    """One feature removed: its outcome, and the cost without it [µs per simulated second]."""
 
     removal: Removal
     outcome: VariantOutcome
@@ -41,20 +42,20 @@ class FeatureEffect:
 class Ablation(Result):
     """What each modelled feature costs, and the error that removing it adds; `ablate` returns it.
 
+    tolerance: the error that the smallest model may add [m].
     whole: the model with all features.
     rows: one for each feature, removed alone.
     removed: the features that the smallest model leaves out.
     best: the smallest model on the starts on which it was chosen.
     confirmed: the smallest model on other starts.
-    restored: features that had to be restored because of other starts.
-    restored_on: the smallest model on the last starts that had something restored; None for none.
+    restored: features that were restored because of other starts.
+    restored_on: the smallest model on the last starts that had something restored, if any had.
     smallest: the smallest model as a Scene.
-    error: the tolerance [m].
     reference: the error of the converged motion [m]; None if there is no converged motion.
 
     >>> from stepcore import ablate, lesson
     >>> result = ablate(lesson.drop(), horizon=0.2, starts=1, progress=False)
-    >>> isinstance(result, Ablation), result.best.outcome.worst <= result.error
+    >>> isinstance(result, Ablation), result.best.outcome.worst <= result.tolerance
     (True, True)
     """
 
@@ -75,7 +76,7 @@ class Ablation(Result):
     motion: Motion
     horizon: float
     starts: int
-    error: float
+    tolerance: float
     whole: FeatureEffect
     rows: list[FeatureEffect]
     removed: list[Removal]
@@ -105,11 +106,11 @@ class Ablation(Result):
 
     def saved(self, row: FeatureEffect) -> float:
         """The share of the whole model's work that a row saves."""
-        return saved(row.outcome, self.whole.outcome)
+        return row.outcome.saved(self.whole.outcome)
 
     @property
     def kept(self) -> float:
-        """The share of all such starts that keep to the tolerance, at least (95 % confidence).
+        """The least share of all such starts that keep to the tolerance (95 % confidence).
 
         From n other starts without a failure: 0.05^(1/n) (Hanley and Lippman-Hand, JAMA 249, 1983).
         """
@@ -117,7 +118,7 @@ class Ablation(Result):
 
     @property
     def by_flops(self) -> bool:
-        """Work is floating-point operations; else it is row updates."""
+        """Whether work is floating-point operations; else it is row updates."""
         return self.whole.outcome.flops is not None
 
     @property
@@ -153,7 +154,7 @@ class Ablation(Result):
     def details(self) -> dict[str, Any]:
         """The tolerance, the whole model and the smallest."""
         return {
-            "tolerance": self.error,
+            "tolerance": self.tolerance,
             "reference_error": self.reference,
             "whole": self.record(self.whole),
             "smallest": {
@@ -213,13 +214,13 @@ class Ablation(Result):
             for row in self.rows
             if row.removal not in self.restored
             and row.outcome.worst == 0.0
-            and work(row.outcome) < work(self.whole.outcome)
+            and row.outcome.work < self.whole.outcome.work
         ]
         if unused:
             sentences.append(f"The motion is bit-identical without: {'; '.join(unused)}.")
         ran = [row for row in self.rows if not row.outcome.failure]
         largest = max(ran, key=lambda row: row.outcome.worst, default=None)
-        if largest is not None and largest.outcome.worst > self.error:
+        if largest is not None and largest.outcome.worst > self.tolerance:
             sentences.append(
                 f"The largest effect: without {largest.removal.label} the error in the worst start "
                 f"is {metres(largest.outcome.worst)}."
@@ -232,11 +233,11 @@ class Ablation(Result):
 
     def _smallest(self) -> list[str]:
         """What the smallest model leaves out, and the error that this adds."""
-        within = metres(self.error)
+        within = metres(self.tolerance)
         if not self.removed and self.restored:
             return [
-                f"No feature can be removed within {within}: what could be in these starts exceeds "
-                f"it in others, {_listed(self.restored)}."
+                f"No feature can be removed within {within}: features that were removable on the "
+                f"first starts exceed the tolerance on others: {_listed(self.restored)}."
             ]
         if not self.removed:
             return [
@@ -244,41 +245,39 @@ class Ablation(Result):
                 "larger error."
             ]
         ratio = self.whole.cost / self.best.cost if self.best.cost > 0 else math.nan
-        faster = "" if math.isnan(ratio) else f" and runs at {ratio:.2f}× the speed"
+        kind = "floating-point operations" if self.by_flops else "row updates"
+        speed = "" if math.isnan(ratio) else f"; a single world runs at {ratio:.2f}× the speed"
         sentences = [
             f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
-            f"work{faster}.",
+            f"{kind}{speed}.",
             f"It leaves out {_listed(self.removed)}.",
             f"It adds {self._added()}, so at least {percent(self.kept)} of such starts keep to the "
             "tolerance (95 % confidence).",
         ]
         if self.restored:
-            sentences.append(
-                "Some of the other starts exceeded the tolerance, so these were restored: "
-                f"{_listed(self.restored)}."
-            )
+            sentences.append(f"Kept after all, for other starts: {_listed(self.restored)}.")
         return sentences
 
     def _added(self) -> str:
-        """The error of the smallest model in the starts, and in others."""
+        """The error of the smallest model in the first starts, and in others."""
         here, there = self.best.outcome.worst, self.confirmed.worst
         others = counted(len(self.confirmed.added), "other start")
         before = self.restored_on.worst if self.restored_on else 0.0
         if before > max(here, there):
             others += f" ({_error(before)} in those for which features were restored)"
-        if not (here or there or before):
-            return f"no error at all, neither in these starts nor in {others}"
+        if max(here, there, before) < MEASURABLE:
+            return f"no measurable error, in these starts and in {others}"
         return f"{_error(here)} in the worst start, and {_error(there)} in the worst of {others}"
 
     def __repr__(self) -> str:
         return (
             f"<Ablation {self.name}: {len(self.rows)} features, {len(self.removed)} removed "
-            f"within {metres(self.error)}>"
+            f"within {metres(self.tolerance)}>"
         )
 
 
-def _error(metres_added: float) -> str:
-    return f"an error of {metres(metres_added)}" if metres_added > 0 else "no error at all"
+def _error(added: float) -> str:
+    return "no measurable error" if added < MEASURABLE else f"an error of {metres(added)}"
 
 
 def _listed(removals: list[Removal]) -> str:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
-from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal
+from stepcore.engine.features import RemovableFeatures, Removal
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.runner import Runner
 from stepcore.measure.ablation.variants import Baseline, VariantOutcome, outcome_of, usage_of
@@ -17,17 +16,19 @@ Measure = Callable[[Sequence[Removal]], VariantOutcome]
 
 
 class Selection:
-    """Features removed one at a time, and those of them that can be removed together.
+    """Features that are removed one at a time, and those of them that can be removed together.
 
-    removed: what the smallest model goes without; chosen_on: that model's outcome on the starts
-    that it was chosen on; confirmed_on: on the last other starts that it was tried on; restored:
-    what had to be restored because of other starts; restored_on: its outcome on the last of those.
+    removed: the features that the smallest model leaves out.
+    restored: the features that were restored because of other starts.
+    chosen_on: the smallest model's outcome on the starts on which it was chosen.
+    confirmed_on: its outcome on the last other starts that it was tried on.
+    restored_on: its outcome on the last starts that had something restored.
     """
 
     def __init__(
-        self, baseline: Baseline, features: RemovableFeatures, error: float, workers: Workers
+        self, baseline: Baseline, features: RemovableFeatures, tolerance: float, workers: Workers
     ) -> None:
-        self.baseline, self.features, self.error = baseline, features, error
+        self.baseline, self.features, self.tolerance = baseline, features, tolerance
         self.workers = workers
         self.known: dict[Removal, VariantOutcome] = {}
         self.removed: list[Removal] = []
@@ -36,31 +37,32 @@ class Selection:
         self.restored_on: VariantOutcome | None = None
 
     def alone(self, removal: Removal) -> VariantOutcome:
-        """One feature removed, on the starts that are chosen on."""
+        """The outcome of one feature removed, on the starts on which the model is chosen."""
         if removal not in self.known:
             self.known[removal] = outcome_of(self.baseline, [removal], self.workers)
         return self.known[removal]
 
     def choose(self, removals: Sequence[Removal], whole: VariantOutcome, bar: Progress) -> None:
-        """Removes features together, greedily, on the starts of the baseline."""
+        """Removes as many features together as the tolerance allows on the baseline's starts."""
 
         def measure(chosen: Sequence[Removal]) -> VariantOutcome:
             bar.advance()
             return outcome_of(self.baseline, chosen, self.workers)
 
         alone = [self.alone(removal) for removal in removals]
-        self.removed, self.chosen_on = greedy(removals, alone, whole, self.error, measure)
+        self.removed, self.chosen_on = greedy(removals, alone, whole, self.tolerance, measure)
 
-    def confirm(self, others: Iterable[tuple[Runner, Baseline]]) -> None:
+    def confirm(self, others: Iterable[Baseline]) -> None:
         """Tries the smallest model on other starts, until a set of them needs nothing restored."""
-        for runner, baseline in others:
-            # Run only where something has to be restored.
-            usage = functools.cache(partial(usage_of, runner, runner.model.settings, self.workers))
+        for baseline in others:
+            # Computed only if something has to be restored.
+            runner = Runner(baseline.model, baseline.schedule)
+            usage = functools.cache(partial(usage_of, runner, self.workers))
             self.removed, self.confirmed_on, restored = confirmed(
                 self.removed,
-                self.error,
+                self.tolerance,
                 partial(outcome_of, baseline, workers=self.workers),
-                partial(_reduced, self.features, usage),
+                lambda removal, usage=usage: self.features.reduced(removal, usage()),
             )
             self.restored += restored
             if not restored:
@@ -70,39 +72,22 @@ class Selection:
             self.chosen_on = outcome_of(self.baseline, self.removed, self.workers)
 
 
-def _reduced(
-    features: RemovableFeatures, usage: Callable[[], MotionUsage], removal: Removal
-) -> Removal | None:
-    return features.reduced(removal, usage())
-
-
-def work(outcome: VariantOutcome) -> float:
-    """What a variant costs, by count: operations where they can be counted, else row updates."""
-    return outcome.row_updates if outcome.flops is None else outcome.flops
-
-
-def saved(outcome: VariantOutcome, whole: VariantOutcome) -> float:
-    """The share of the work that a variant saves; negative: it costs more."""
-    before = work(whole)
-    return (before - work(outcome)) / before if before > 0 and not outcome.failure else math.nan
-
-
 def greedy(
     removals: Sequence[Removal],
     alone: Sequence[VariantOutcome],
     whole: VariantOutcome,
-    error: float,
+    tolerance: float,
     measure: Measure,
 ) -> tuple[list[Removal], VariantOutcome]:
-    """What can be removed together for at most `error` [m] in the worst start.
+    """The features that together add at most `tolerance` [m] in the worst start.
 
-    The largest saving first. Each stays removed that still saves work and leaves the error within
-    the tolerance, and each that changes no bit of the motion and costs no work. Of two that exclude
-    each other (a cone, and no friction at all) the one that saves more is tried first. Features of
-    one kind, such as the limits of joints, exclude none of each other: they are tried all at once,
-    and where that is too much in halves, down to single ones.
+    The largest saving is tried first. A feature stays removed if that still saves work within the
+    tolerance, or if it changes no bit of the motion and costs no work. Of two that exclude each
+    other (a cone, and no friction at all) the one that saves more wins. Features of one kind, such
+    as the limits of joints, never exclude each other: they are tried all at once, and if that is
+    too much in halves, down to single ones.
     """
-    order = sorted(range(len(removals)), key=lambda i: work(alone[i]))
+    order = sorted(range(len(removals)), key=lambda i: alone[i].work)
     chosen: list[Removal] = []
     best = whole
 
@@ -111,7 +96,7 @@ def greedy(
         more = [*chosen, *(removals[i] for i in group)]
         tried = measure(more)
         unused = all(alone[i].worst == 0.0 for i in group)
-        if tried.worst <= error and _saves(tried, best, unused):
+        if tried.worst <= tolerance and _saves(tried, best, unused):
             chosen, best = more, tried
         elif len(group) > 1:
             remove(group[: len(group) // 2])
@@ -119,7 +104,7 @@ def greedy(
 
     kinds: dict[str, list[int]] = {}
     for i in order:
-        if alone[i].worst <= error and _saves(alone[i], whole, alone[i].worst == 0.0):
+        if alone[i].worst <= tolerance and _saves(alone[i], whole, alone[i].worst == 0.0):
             kinds.setdefault(removals[i].kind, []).append(i)
     for group in kinds.values():
         remove(group)
@@ -127,41 +112,42 @@ def greedy(
 
 
 def _saves(outcome: VariantOutcome, before: VariantOutcome, unused: bool) -> bool:
-    """Whether there is less work; for a feature that does nothing, no more of it."""
-    return work(outcome) < work(before) or (unused and work(outcome) == work(before))
+    """Whether there is less work; without a feature that does nothing, no more work."""
+    return outcome.work < before.work or (unused and outcome.work == before.work)
 
 
 def confirmed(
     chosen: Sequence[Removal],
-    error: float,
+    tolerance: float,
     measure: Measure,
     reduced: Callable[[Removal], Removal | None],
 ) -> tuple[list[Removal], VariantOutcome, list[Removal]]:
-    """What may stay removed on other starts, the outcome there, and what had to be restored.
+    """What stays removed on other starts, the outcome there, and what was restored.
 
-    `measure` runs those starts. Where the error is beyond the tolerance, the groups lose what those
-    starts use (`reduced`). Where that is not enough, features are restored, those first that add
-    the largest errors there by themselves: as few as will do, which bisection finds. (In the starts
-    that were chosen on what is unused adds no error, and would be restored in any order.)
+    measure: runs those starts. reduced: a group of features without those that these starts use.
+
+    If more than the tolerance is added, groups are reduced. If that is not enough, features are
+    restored in the order of the errors that each adds there alone: as few as will do, found by
+    bisection.
     """
     removed: list[Removal] = list(chosen)
     outcome = measure(removed)
     restored: list[Removal] = []
-    if outcome.worst > error:
+    if outcome.worst > tolerance:
         fewer = [(removal, reduced(removal)) for removal in removed]
         restored = [removal for removal, smaller in fewer if smaller != removal]
         removed = [smaller for _, smaller in fewer if smaller is not None]
         outcome = measure(removed) if restored else outcome
-    if outcome.worst > error:
+    if outcome.worst > tolerance:
         alone = {removal: measure([removal]).worst for removal in removed}
         order = sorted(removed, key=lambda removal: -alone[removal])
-        # With none restored the error is too large, with all of them there is none.
+        # With none restored the error is too large, with all restored there is no error.
         few, enough = 0, len(order)
         fewest: VariantOutcome | None = None
         while enough - few > 1:
             middle = (few + enough) // 2
             tried = measure([removal for removal in removed if removal in order[middle:]])
-            if tried.worst <= error:
+            if tried.worst <= tolerance:
                 enough, fewest = middle, tried
             else:
                 few = middle

@@ -1,33 +1,33 @@
-"""Variants of a model without some features: their motion, what it costs, what it uses."""
+"""Variants of a model that leave out some features: their motion, its cost, what it uses."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from stepcore._core import Settings, SimulationError
+from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.features import MotionUsage, Removal, without
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.arguments import Workers
-from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.cost import TimedRun, costs
 from stepcore.experiment.errors import errors
+from stepcore.experiment.experiment import Experiment
+from stepcore.experiment.failure import failure
 from stepcore.experiment.run import Probe, Run
-from stepcore.experiment.runner import Runner
+from stepcore.experiment.runner import Runner, positions
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
 
 # Steps of the first start whose operations are counted, spread over the motion.
 COUNTED = 40
-# Contacts and limits of a start are read this often, at most.
+# Contacts and limits of a start are read at most this often.
 READINGS = 500
-# Runs that are themselves made at the same time as others.
-ALONE = Workers()
 
 
 @dataclass(frozen=True)
@@ -59,70 +59,68 @@ class VariantOutcome:
         """Error added in the median start [m]."""
         return float(np.median(self.added)) if self.failure is None else np.inf
 
+    @property
+    def work(self) -> float:
+        """The cost by count: operations, or row updates if operations cannot be counted."""
+        return self.row_updates if self.flops is None else self.flops
+
+    def saved(self, whole: VariantOutcome) -> float:
+        """The share of the whole model's work that is saved; negative if this variant costs more.
+
+        nan if the variant fails.
+        """
+        before = whole.work
+        return (before - self.work) / before if before > 0 and not self.failure else math.nan
+
 
 @dataclass(frozen=True)
 class Baseline:
     """The whole model's motion at its own settings, which every variant is compared with.
 
-    truth: its converged motion, None where there is none; scored: which samples count.
+    truth: the converged runs, None if there are none. scored: the samples that count, (starts, n).
+    size: of the scene [m].
     """
 
     model: Model
     schedule: Schedule
-    paths: tuple[Run, ...]
+    runs: tuple[Run, ...]
     truth: tuple[Run, ...] | None
     scored: np.ndarray
-
-    @property
-    def settings(self) -> Settings:
-        """The model's own."""
-        return self.model.settings
+    size: float
 
     def first(self, starts: int) -> Baseline:
-        """The same from the first so many starts alone."""
-        return Baseline(
-            self.model,
-            self.schedule.part(0, starts),
-            self.paths[:starts],
-            None if self.truth is None else self.truth[:starts],
-            self.scored[:starts],
+        """The baseline of the first starts alone."""
+        return replace(
+            self,
+            schedule=self.schedule.part(0, starts),
+            runs=self.runs[:starts],
+            truth=None if self.truth is None else self.truth[:starts],
+            scored=self.scored[:starts],
         )
 
-
-def variant(baseline: Baseline, removals: Sequence[Removal]) -> Runner:
-    """The motion's runner for the model without some features."""
-    scene = without(baseline.model.scene.with_settings(baseline.settings), removals)
-    model = scene.compile()
-    return Runner(model, baseline.schedule)
+    def without(self, removals: Sequence[Removal]) -> Model:
+        """The model without some features. ValueError if there is no such model."""
+        return without(self.model.scene.with_settings(self.model.settings), removals).compile()
 
 
 def outcome_of(
-    baseline: Baseline, removals: Sequence[Removal], workers: Workers = ALONE
+    baseline: Baseline, removals: Sequence[Removal], workers: Workers | None = None
 ) -> VariantOutcome:
-    """The motion without some features. workers: its starts run there."""
+    """The motion without some features; workers: where its starts run, by default here."""
     try:
-        runner = variant(baseline, removals)
+        model = baseline.without(removals)
     except ValueError as error:
         return VariantOutcome(failure=one_line(error))
-    settings = runner.model.settings
-    paths = positions(runner, settings, workers)
-    failure = next(
-        (f"start {i}: {path.failure}" for i, path in enumerate(paths) if path.failure), None
-    )
-    if failure is not None:
-        return VariantOutcome(failure=failure)
-    added = errors(paths, baseline.paths, baseline.scored)
+    experiment = Experiment(model, baseline.schedule, workers)
+    quiet = Progress("", len(baseline.runs), False)
+    runs = experiment.run(model.settings, probes=positions, bar=quiet)
+    failed = failure(runs, baseline.runs[: len(runs)], baseline.size)
+    if failed is not None:
+        return VariantOutcome(failure=failed)
+    added = errors(runs, baseline.runs, baseline.scored)
     truth = baseline.truth
-    off = () if truth is None else errors(paths, truth, baseline.scored).each
-    flops, rows = work_per_second(runner, settings)
-    return VariantOutcome(added.each, added.position_max, off, flops, rows)
-
-
-def positions(runner: Runner, settings: Settings, workers: Workers) -> list[Run]:
-    """The positions of the runs from all starts, until one fails."""
-    starts = range(len(runner.schedule.starts))
-    bar = Progress("", len(starts), False)
-    return screened(runner, settings, starts, workers, bar, until_fails=True)
+    off = () if truth is None else errors(runs, truth, baseline.scored).each
+    return VariantOutcome(added.each, added.position_max, off, *_work_per_second(experiment.runner))
 
 
 class WorkCount(Probe):
@@ -138,12 +136,12 @@ class WorkCount(Probe):
             self.steps += 1
 
 
-def work_per_second(runner: Runner, settings: Settings) -> tuple[float | None, float]:
-    """Floating-point operations and updates of rows per simulated second of the first start's
-    motion; None and NaN where it fails.
+def _work_per_second(runner: Runner) -> tuple[float | None, float]:
+    """Floating-point operations and row updates per simulated second of the first start's motion.
 
-    Operations are counted exactly in about `COUNTED` steps spread evenly over it.
+    None and nan if it fails.
     """
+    settings = runner.model.settings
     count, sim = WorkCount(runner.schedule.periods), runner.sim(settings)
     try:
         runner.follow(sim, 0, [count])
@@ -174,31 +172,28 @@ class UsageProbe(Probe):
         self.limited.update(rows["index"][rows["kind"] == "limit"].tolist())
 
 
-def usage_of(runner: Runner, settings: Settings, workers: Workers = ALONE) -> MotionUsage:
+def usage_of(runner: Runner, workers: Workers) -> MotionUsage:
     """Which pairs of bodies touch and which joints reach a limit in any start."""
-    starts = range(len(runner.schedule.starts))
-    job = partial(_usage_from, runner, settings)
-    parts = workers.each(job, starts, Progress("", len(starts), False))
+    quiet = Progress("", len(runner.starts), False)
+    parts = workers.each(partial(_usage_from, runner), runner.starts, quiet)
     touched = frozenset(pair for part in parts for pair in part.touched)
     return MotionUsage(touched, frozenset(joint for part in parts for joint in part.limited))
 
 
-def _usage_from(runner: Runner, settings: Settings, start: int) -> MotionUsage:
-    """The same of one start."""
+def _usage_from(runner: Runner, start: int) -> MotionUsage:
     usage = UsageProbe(runner)
-    runner.follow(runner.sim(settings), start, [usage])
+    runner.follow(runner.sim(runner.model.settings), start, [usage])
     return MotionUsage(frozenset(usage.touched), frozenset(usage.limited))
 
 
 def times_of(baseline: Baseline, variants: Sequence[Sequence[Removal]]) -> list[float]:
     """Computing time of variants [µs per simulated second], as `costs` measures it."""
-    runs = []
-    for removals in variants:
+
+    def timed(removals: Sequence[Removal]) -> TimedRun:
         try:
-            runner = variant(baseline, removals)
+            model, failed = baseline.without(removals), False
         except ValueError:
-            whole = Runner(baseline.model, baseline.schedule)
-            runs.append(TimedRun(whole, baseline.settings, failed=True))
-        else:
-            runs.append(TimedRun(runner, runner.model.settings))
-    return costs(runs, Progress("", len(runs), False))
+            model, failed = baseline.model, True
+        return TimedRun(Runner(model, baseline.schedule), model.settings, failed)
+
+    return costs([timed(removals) for removals in variants], Progress("", len(variants), False))

@@ -36,28 +36,28 @@ def draw(result: Ablation) -> Any:
     figure = new_figure(9.0, 2.0 + 0.27 * (len(rows) + 1))
     work, error = figure.subplots(1, 2, sharey=True)
     places = list(range(len(rows)))[::-1]
-    low = _floor([row.outcome.worst for row in rows], result.error)
+    low = _floor([row.outcome.worst for row in rows], result.tolerance)
     for place, row in zip(places, rows, strict=True):
         share, added, colour = 100 * result.saved(row), row.outcome.worst, _colour(result, row)
         bar(work, place, share, colour, f"{share:.1f}" if abs(share) < 10 else f"{share:.0f}")
         bar(error, place, added, colour, metres(added), left=low)
     error.set_xscale("log")
-    error.set_xlim(low, 40 * max(*(row.outcome.worst for row in rows), result.error))
+    error.set_xlim(low, 40 * max(*(row.outcome.worst for row in rows), result.tolerance))
     log_ticks(error.xaxis)
-    error.axvline(result.error, color=GREY, ls="--", lw=1)
+    error.axvline(result.tolerance, color=GREY, ls="--", lw=1)
     names = [f"all {len(result.removed)} that are not needed"]
     names += [row.removal.label for row in rows[1:]]
     name_places(work, names, places, LETTERS)
     work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
     kind = "operations" if result.by_flops else "row updates"
     work.set_xlabel(f"work saved [% of {kind}]")
-    error.set_xlabel(f"RMS position error added [m]; dashed: {metres(result.error)}")
+    error.set_xlabel(f"RMS position error added [m]; dashed: {metres(result.tolerance)}")
     error.tick_params(axis="y", length=0)
     frame(work, f"{result.name}: without …")
     frame(error)
     figure.get_layout_engine().set(wspace=0.06)
     colours = {
-        f"not needed within {metres(result.error)}": GREEN,
+        f"not needed within {metres(result.tolerance)}": GREEN,
         "kept": RED,
         "the smallest model": "black",
     }
