@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
-from stepcore.engine.features import RemovableFeatures, Removal
+from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.runner import Runner
 from stepcore.measure.ablation.variants import Baseline, VariantOutcome, outcome_of, usage_of
@@ -62,7 +62,7 @@ class Selection:
                 self.removed,
                 self.tolerance,
                 partial(outcome_of, baseline, workers=self.workers),
-                lambda removal, usage=usage: self.features.reduced(removal, usage()),
+                partial(self._reduced, usage),
             )
             self.restored += restored
             if not restored:
@@ -70,6 +70,9 @@ class Selection:
             self.restored_on = self.confirmed_on
         if self.restored:
             self.chosen_on = outcome_of(self.baseline, self.removed, self.workers)
+
+    def _reduced(self, usage: Callable[[], MotionUsage], removal: Removal) -> Removal | None:
+        return self.features.reduced(removal, usage())
 
 
 def greedy(

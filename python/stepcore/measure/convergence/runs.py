@@ -262,12 +262,12 @@ def ending(
     for start, paths in enumerate(zip(own, solved, strict=True)):
         gap = np.linalg.norm(paths[0].com[-1] - paths[1].com[-1], axis=-1)
         at = int(gap.argmax())
-        speeds = [math.nan, math.nan]
+        speed = solved_speed = math.nan
         if len(times) > last:
             moved = [path.com[-1, at] - path.com[-1 - last, at] for path in paths]
-            speeds = [float(np.linalg.norm(way)) / span for way in moved]
+            speed, solved_speed = (float(np.linalg.norm(way)) / span for way in moved)
         body = runner.model.element_name("body", runner.bodies.moving[at])
-        endings.append(Ending(start, body, float(gap[at]), *speeds, over))
+        endings.append(Ending(start, body, float(gap[at]), speed, solved_speed, over))
     return max(endings, key=lambda end: end.apart)
 
 
