@@ -139,7 +139,7 @@ class Runner:
         batch.
         """
         schedule = self.schedule
-        periods, count = schedule.periods, schedule.steps(sim.settings.dt)
+        blocks = schedule.blocks(sim.settings.dt)
         function = None if schedule.control is None else fresh(schedule.control)
         self.place(sim, start)
         for probe in probes:
@@ -148,10 +148,10 @@ class Runner:
         if clock is not None:
             step = clock.timing(step)
             if not self.model.nu:
-                periods, count = 1, count * periods
+                blocks = [(0, sum(count for _, count in blocks))]
         elif self.explosion.watches and isinstance(sim, Sim):
             step = self.explosion.guarded(sim)
-        for period in range(periods):
+        for period, count in blocks:
             checkpoint()
             self.control(sim, start, period, function)
             for probe in probes:

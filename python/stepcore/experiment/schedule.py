@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -73,6 +73,11 @@ class Schedule:
     def steps(self, dt: float) -> int:
         """Steps in one period."""
         return round(self.period / dt)
+
+    def blocks(self, dt: float) -> Iterable[tuple[int, int]]:
+        """Each control period and how many steps of dt [s] begin in it."""
+        steps = self.steps(dt)
+        return ((period, steps) for period in range(self.periods))
 
     def part(self, first: int, last: int | None = None) -> Schedule:
         """The schedule with some of its starts."""

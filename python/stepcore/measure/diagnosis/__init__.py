@@ -25,8 +25,8 @@ from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedEle
 from stepcore.measure.diagnosis.judgement import Judge, Runaway, judge, judged_limit
 from stepcore.measure.diagnosis.limiters import limiters
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
+from stepcore.measure.diagnosis.motion_runs import MotionRuns
 from stepcore.measure.diagnosis.observation import kicked, look
-from stepcore.measure.diagnosis.real_step import RealStep
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.saturation import holds_when_kicked
 from stepcore.measure.diagnosis.solref import softened_from
@@ -130,7 +130,7 @@ def diagnose(
     elements = _element_limits(here)
     # A control that is not held for a time of its own is sampled at every step.
     found = _judge(
-        RealStep(model, held if motion.control_dt else schedule, horizon), here, visit.dt
+        MotionRuns(model, held if motion.control_dt else schedule, horizon), here, visit.dt
     )
     by = found if isinstance(found, Judge) else None
     judged = workers.each(partial(judged_limit, here, by, wanted), each_limit, "motion")
@@ -192,7 +192,7 @@ def _confirmed(found: Judge | Runaway | None) -> bool:
     return found is not None and found.confirmed
 
 
-def _judge(real: RealStep, here: StepStability, dt: float) -> Judge | Runaway | None:
+def _judge(real: MotionRuns, here: StepStability, dt: float) -> Judge | Runaway | None:
     """The judge of the motion itself; None for a control that remembers other runs."""
     if any(state.feedback is not None and state.feedback.order for state in here.states):
         return None

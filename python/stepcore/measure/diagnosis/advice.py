@@ -15,7 +15,6 @@ from typing import Any
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.bounded_run import settles, stays_bounded
 from stepcore.measure.diagnosis.changes import (
     ARMATURE,
     CHAIN,
@@ -31,7 +30,9 @@ from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.element_names import named
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import step_map
+from stepcore.measure.diagnosis.motion_runs import stays_bounded
 from stepcore.measure.diagnosis.new_value import NewValue, ratio, rounded, text_of
+from stepcore.measure.diagnosis.saturation import settles
 from stepcore.measure.diagnosis.shares import step_shares
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.report.units import seconds

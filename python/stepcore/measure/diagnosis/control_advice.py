@@ -22,12 +22,12 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.advice import MARGIN, Advice
-from stepcore.measure.diagnosis.bounded_run import stays_bounded
 from stepcore.measure.diagnosis.control import KIND, growth_when_held
 from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.growth import FINE, bisected
 from stepcore.measure.diagnosis.linear_step import State
+from stepcore.measure.diagnosis.motion_runs import stays_bounded
 from stepcore.measure.diagnosis.new_value import NewValue, ratio, rounded, text_of
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.report.units import seconds, unit_of

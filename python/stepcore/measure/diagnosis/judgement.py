@@ -1,6 +1,6 @@
 """The largest stable dt as the motion itself shows it, where the linearised step does not decide.
 
-The motion is run with the real step (`real_step`) at the limit of the linearised step, and the
+The motion is run with the real step (`motion_runs`) at the limit of the linearised step, and the
 limit is moved to where the motion still holds. The linearised step alone decides where the state
 that limits dt stays what it is; where inertial forces limit dt at a state that changes, the motion
 alone does.
@@ -20,11 +20,16 @@ from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.growth import bisected
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
-from stepcore.measure.diagnosis.real_step import CHATTER, EXPLODED, FEWEST, RealRun, RealStep
+from stepcore.measure.diagnosis.motion_runs import FEWEST, MotionRun, MotionRuns
 from stepcore.measure.diagnosis.servo_range import crossing_dt
 from stepcore.measure.diagnosis.shares import Shares, growing_shares, limiting_shares
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 
+# Kinetic energy over the largest of the fine run that counts as an explosion.
+EXPLODED = 10.0
+# A servo chatters whose force goes from one end of its range to the other in so many of the steps:
+# every other one in a cycle of four.
+CHATTER = 0.3
 # Relative resolution of a limit that the motion decides.
 FINE = 0.02
 # The part of the linear limit at which the motion must hold.
@@ -84,8 +89,8 @@ class Judge:
     real: the motion. fine: its run at a fine step. confirmed: whether a finer step gave the same.
     """
 
-    real: RealStep
-    fine: RealRun
+    real: MotionRuns
+    fine: MotionRun
     confirmed: bool
     floor: float
 
@@ -94,7 +99,7 @@ class Judge:
         """The kinetic energy [J] from which a run explodes."""
         return EXPLODED * max(self.fine.peak, self.floor)
 
-    def run(self, integrator: str, dt: float, more: float = 1.0) -> RealRun:
+    def run(self, integrator: str, dt: float, more: float = 1.0) -> MotionRun:
         """The motion at this step, as far as the fine run went; more: a factor of the bound."""
         run = self.real.run(integrator, dt, horizon=self.fine.reached, beyond=more * self.bound)
         if run.finite and run.peak > more * self.bound and bool(run.saturated.any()):
@@ -115,7 +120,11 @@ class Judge:
         """
         if dt > self.longest:
             return True
-        return replace(self, real=self.real.of(model)).outcome(integrator, dt, CHANGED).holds
+        return (
+            replace(self, real=replace(self.real, model=model))
+            .outcome(integrator, dt, CHANGED)
+            .holds
+        )
 
     @property
     def longest(self) -> float:
@@ -137,7 +146,7 @@ class Judge:
         alike = not finer.finite or finer.peak > self.bound / 2
         return None if alike or finer.reached < 0.9 * far.reached else far.reached
 
-    def judged(self, run: RealRun, more: float = 1.0) -> Outcome:
+    def judged(self, run: MotionRun, more: float = 1.0) -> Outcome:
         """What a run showed; more: as in `outcome`."""
         times = run.peak / max(self.fine.peak, self.floor)
         often = (run.jumps > CHATTER) | (run.swings > CHATTER)
@@ -167,13 +176,13 @@ class Runaway:
     element: ElementId | None = None
 
 
-def judge(real: RealStep, dt: float) -> Judge | Runaway | None:
+def judge(real: MotionRuns, dt: float) -> Judge | Runaway | None:
     """A judge with a fine run of its own, at a part of `dt` [s], and confirmed by another.
 
     A Runaway where the finest runs blow up; None where only the last does not.
     """
     floor = real.least_energy()
-    runs: list[RealRun] = []
+    runs: list[MotionRun] = []
     for integrator, part in FINER:
         runs.append(real.run(integrator, part * dt, beyond=RUNAWAY * floor))
         if len(runs) > 1 and _same(runs[-2], runs[-1], floor):
@@ -188,11 +197,11 @@ def judge(real: RealStep, dt: float) -> Judge | Runaway | None:
     return None if _blown(runs[-1], floor) else Judge(real, runs[-1], False, floor)
 
 
-def _blown(run: RealRun, floor: float) -> bool:
+def _blown(run: MotionRun, floor: float) -> bool:
     return not run.finite or run.peak > RUNAWAY * floor
 
 
-def _runaway(model: Model, runs: Sequence[RealRun], floor: float) -> Runaway | None:
+def _runaway(model: Model, runs: Sequence[MotionRun], floor: float) -> Runaway | None:
     """What two runs that both blow up show; None where one of them does not."""
     coarse, fine = runs
     if not (_blown(coarse, floor) and _blown(fine, floor)):
@@ -211,7 +220,7 @@ def _growing(model: Model, state: State) -> ElementId | None:
     return largest if largest is not None and shares[largest] > 0 else None
 
 
-def _same(coarse: RealRun, fine: RealRun, floor: float) -> bool:
+def _same(coarse: MotionRun, fine: MotionRun, floor: float) -> bool:
     """Whether two runs agree: in kinetic energy as long as both went on, and without chatter."""
     if _blown(coarse, floor) or _blown(fine, floor):
         return False
@@ -222,7 +231,7 @@ def _same(coarse: RealRun, fine: RealRun, floor: float) -> bool:
     return max(peaks) <= REFINED * min(peaks)
 
 
-def _peak_until(run: RealRun, time: float) -> float:
+def _peak_until(run: MotionRun, time: float) -> float:
     """The largest kinetic energy of a run until a time [J]."""
     return float(run.energies[run.times <= time * (1 + 1e-9)].max())
 

@@ -8,6 +8,7 @@ itself grows, decays and turns.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import dataclasses
 import functools
@@ -137,15 +138,11 @@ def _stepped(sim: Sim, state: State, count: int) -> None:
         sim.step()
 
 
-def ask_control(sim: Sim, function: Control | None) -> bool:
-    """Sets the controls that a control function gives now; False where it gives none."""
-    if function is None:
-        return True
-    try:
-        sim.ctrl[:] = controls(function, sim)
-    except ValueError:
-        return False
-    return True
+def ask_control(sim: Sim, function: Control | None) -> None:
+    """Sets the controls that a control function gives now, if it gives any."""
+    if function is not None:
+        with contextlib.suppress(ValueError):
+            sim.ctrl[:] = controls(function, sim)
 
 
 def step_map(model: Model, state: State, integrator: str, dt: float) -> Floats | None:

@@ -19,8 +19,9 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.element_id import ElementId
-from stepcore.measure.diagnosis.judgement import Judge, first_failing
-from stepcore.measure.diagnosis.real_step import CHATTER, EXPLODED, RealRun
+from stepcore.measure.diagnosis.judgement import CHATTER, EXPLODED, Judge, first_failing
+from stepcore.measure.diagnosis.linear_step import State
+from stepcore.measure.diagnosis.motion_runs import MotionRun, largest_speeds
 from stepcore.measure.diagnosis.servo_range import (
     crossing_dt,
     driven_dof,
@@ -33,8 +34,10 @@ from stepcore.measure.diagnosis.servo_range import (
 KICK, SERVOS = 1.5, 6
 # The fastest kick, where the motion itself is no faster: [rad/s] and [m/s].
 FASTEST, FASTEST_SLIDE = 30.0, 3.0
-# The steps of a kicked run: chatter shows at once.
-STEPS = 1000
+# The steps of a kicked run, and of one from a state: chatter shows at once.
+STEPS, BRIEF = 1000, 500
+# A servo that comes to rest throws its kicked joint no faster than by this factor.
+RESTS = 1.2
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,7 @@ def holds_when_kicked(judge: Judge, model: Model, integrator: str, dt: float) ->
     """As `Judge.holds`, after a kick beyond the servos' force ranges too."""
     if not judge.holds(model, integrator, dt):
         return False
-    changed = replace(judge, real=judge.real.of(model))
+    changed = replace(judge, real=replace(judge.real, model=model))
     for candidate in _candidates(changed, integrator, dt):
         kicked = _Kicked(changed, integrator, candidate)
         run = kicked.run(dt)
@@ -99,7 +102,33 @@ def holds_when_kicked(judge: Judge, model: Model, integrator: str, dt: float) ->
     return True
 
 
-def saturation_of(judge: Judge, element: ElementId, run: RealRun, dt: float) -> Saturation:
+def settles(model: Model, state: State, integrator: str, dt: float, servo: int) -> bool:
+    """Whether a servo that is kicked beyond its force range throws its joint no faster.
+
+    Its control is held; in fine steps it comes to rest. A kick that is faster than any motion of
+    use is not made. dt [s].
+    """
+    if model.actuator_joint[servo] < 0:
+        # Not along one joint, which alone could be kicked.
+        return True
+    dof, kick = driven_dof(model, servo), KICK * reaching_speed(model, servo)
+    if not kick <= _fastest(model, servo):
+        return True
+    push = np.zeros(model.nv)
+    push[dof] = kick
+    begun = abs(float(state.qvel[dof] + kick))
+    state = replace(state, feedback=None)
+    speeds = largest_speeds(model, state, integrator, dt, BRIEF, push)
+    return speeds is not None and bool(speeds[dof] <= RESTS * begun)
+
+
+def _fastest(model: Model, servo: int) -> float:
+    """The fastest kick of a servo's joint, where the motion itself is no faster."""
+    turns = model.jnt_type[int(model.actuator_joint[servo])] != "slide"
+    return FASTEST if turns else FASTEST_SLIDE
+
+
+def saturation_of(judge: Judge, element: ElementId, run: MotionRun, dt: float) -> Saturation:
     """What a servo does that chatters in the motion itself.
 
     run: at the wanted step. dt [s]: the largest step at which it does not.
@@ -117,8 +146,7 @@ def _candidates(judge: Judge, integrator: str, wanted: float) -> list[_Candidate
         if model.actuator_joint[i] < 0:
             # Not along one joint, which alone could be kicked.
             continue
-        turns = model.jnt_type[int(model.actuator_joint[i])] != "slide"
-        usual = max(FASTEST if turns else FASTEST_SLIDE, judge.fine.speeds[driven_dof(model, i)])
+        usual = max(_fastest(model, i), judge.fine.speeds[driven_dof(model, i)])
         servo, speed = ElementId.of(model, "actuator", i), reaching_speed(model, i)
         limit, swing = swinging_dt(model, qpos, i, integrator)
         ways = [
@@ -143,7 +171,7 @@ class _Kicked:
         """The servo's."""
         return self.candidate.servo.index
 
-    def run(self, dt: float) -> RealRun:
+    def run(self, dt: float) -> MotionRun:
         """The kicked motion at a step."""
         model = self.judge.real.model
         kick = np.zeros(model.nv)
@@ -151,11 +179,11 @@ class _Kicked:
         horizon = min(STEPS * dt, self.judge.fine.reached)
         return self.judge.real.run(self.integrator, dt, horizon=horizon, kick=kick)
 
-    def rests(self, run: RealRun) -> bool:
+    def rests(self, run: MotionRun) -> bool:
         """Whether the servo does not chatter in a run."""
         return run.finite and float(run.swings[self.index]) <= CHATTER
 
-    def severe(self, run: RealRun) -> bool:
+    def severe(self, run: MotionRun) -> bool:
         """Whether a run has much more energy than the kick and the motion, or swings for good."""
         begun = max(float(run.energies[0]), self.judge.fine.peak, self.judge.floor)
         lasting = self.candidate.swinging and float(run.jumps[self.index]) > CHATTER
@@ -174,7 +202,7 @@ class _Kicked:
 
 
 def _described(
-    judge: Judge, servo: ElementId, run: RealRun, dt: float, reached: bool, severe: bool
+    judge: Judge, servo: ElementId, run: MotionRun, dt: float, reached: bool, severe: bool
 ) -> Saturation:
     model = judge.real.model
     usual = float(judge.fine.speeds[driven_dof(model, servo.index)])

@@ -36,8 +36,9 @@ def named(elements: Sequence[ElementId]) -> str:
 
 def limits_dt(elements: Sequence[ElementId], dt: float, traits: str = "") -> str:
     """Which elements limit dt to how much [s]; traits: of the elements, in brackets."""
-    verb = _verb(elements, "limit")
-    return f"{named(elements) or 'no single element'}{traits} {verb} dt to {seconds(dt)}"
+    if not elements:
+        return f"dt is limited to {seconds(dt)} by no single element"
+    return f"{named(elements)}{traits} {_verb(elements, 'limit')} dt to {seconds(dt)}"
 
 
 def no_stable_dt(elements: Sequence[ElementId], shortest: float, traits: str = "") -> str:

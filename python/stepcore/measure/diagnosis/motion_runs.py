@@ -1,0 +1,329 @@
+"""The motion itself on the real step: what a step of an integrator does over the horizon.
+
+A linearised step decides where a state stays what it is. It says nothing of a servo at the end of
+its force range, of a rotation that turns the state within a few steps, or of growth that adds up
+slowly. There the motion is run with the step in question, by `Runner.follow`, and observed:
+
+- its kinetic energy, evenly sampled;
+- at every sample, over a few single steps, whether a servo's force jumps from one end of its force
+  range to the other within a step.
+
+The budget is in steps, so that the answer is the same on every machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stepcore._core import SimulationError
+from stepcore.engine.arrays import Floats
+from stepcore.engine.control import ControlError
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.experiment.coordinates import Coordinates, Start
+from stepcore.experiment.run import Probe
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import SPEED, SPIN, Schedule
+from stepcore.measure.diagnosis.control import steps_held
+from stepcore.measure.diagnosis.linear_step import State, state_now
+
+# Samples of a run, its steps at most and at least (a longer run is cut short), and the dofs from
+# which a run has fewer: a step takes about the square of them.
+SAMPLES, MOST, LEAST, DOFS_AT_MOST = 200, 20_000, 2_000, 8
+# Of every sample so many steps are looked at one by one: two would miss a cycle of four steps, in
+# which a force goes from end to end in every other one.
+SINGLE = 4
+# The fewest steps that make a run.
+FEWEST = 8
+# The most steps of a run from a state, and in how many shorter ones it is repeated where it grows.
+STEPS, SHORTER = 500, 4
+# A push of every dof, to alternate sides [m/s or rad/s].
+PUSH = 1e-3
+# A speed belongs to the motion itself if shorter steps reach this part of it.
+PART = 0.1
+
+
+class _Ended(Exception):
+    """A run need not go on."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps(Schedule):
+    """A schedule that ends after `count` steps, whose period no step needs to divide.
+
+    The controls of a period begin with the first step in it; the last row is held.
+    """
+
+    count: int = 0
+
+    def blocks(self, dt: float) -> Iterator[tuple[int, int]]:
+        steps, period, done = self.period / dt, 0, 0
+        while done < self.count:
+            end = min(math.ceil((period + 1) * steps - 1e-9), self.count)
+            if self.constant:
+                end = self.count
+            if end > done:
+                yield period, end - done
+            done, period = end, period + 1
+
+    @property
+    def constant(self) -> bool:
+        """Whether there are no controls."""
+        return self.control is None and (self.ctrl is None or not self.ctrl.size)
+
+
+def _cut(schedule: Schedule, count: int, dt: float, start: Start | None = None) -> Schedule:
+    """The schedule of a run of `count` steps of dt [s], from another start if one is given."""
+    fields = {f.name: getattr(schedule, f.name) for f in dataclasses.fields(Schedule)}
+    periods, ctrl = math.ceil(count * dt / schedule.period) + 1, schedule.ctrl
+    if ctrl is not None and periods > ctrl.shape[1]:
+        fields["ctrl"] = ctrl[:, np.minimum(np.arange(periods), ctrl.shape[1] - 1)]
+    if start is not None:
+        fields["starts"] = (start,)
+    # Samples are the probe's.
+    return _Steps(**fields | {"every": periods + 1}, count=count)
+
+
+@dataclass(frozen=True)
+class MotionRun:
+    """What a run of the real step did.
+
+    integrator; dt [s]. reached [s]: how far it came; finite: whether it stayed finite. peak [J]:
+    its largest kinetic energy. times [s], energies [J]: of its samples. jumps: of each actuator,
+    the share of the steps in the later half in which its force went from one end of its range to
+    the other; swings: that share in the whole run. saturated: of each actuator, whether its force
+    ever was at an end. speeds: the largest |qvel| seen, shape (nv,). calm: the state at the last
+    sample whose energy was within the bound.
+    """
+
+    integrator: str
+    dt: float
+    reached: float
+    finite: bool
+    peak: float
+    times: Floats = field(repr=False)
+    energies: Floats = field(repr=False)
+    jumps: Floats = field(repr=False)
+    swings: Floats = field(repr=False)
+    saturated: Any = field(repr=False)
+    speeds: Floats = field(repr=False)
+    calm: State | None = field(repr=False)
+
+
+@dataclass(frozen=True)
+class MotionRuns:
+    """A motion, ready to be run with the step of any integrator.
+
+    schedule: its start and controls. horizon [s]: how long.
+    """
+
+    model: Model
+    schedule: Schedule
+    horizon: float
+
+    def run(
+        self,
+        integrator: str,
+        dt: float,
+        *,
+        horizon: float | None = None,
+        beyond: float = math.inf,
+        kick: Floats | None = None,
+    ) -> MotionRun:
+        """The motion at this step.
+
+        horizon [s]: in place of the motion's. beyond [J]: a kinetic energy at which the run ends.
+        kick: added to the velocities at the start, shape (nv,).
+        """
+        count = round((self.horizon if horizon is None else horizon) / dt)
+        count = min(max(count, FEWEST), self.most)
+        start = self.start
+        if kick is not None:
+            start = dataclasses.replace(start, qvel=start.qvel + kick)
+        runner = Runner(self.model, _cut(self.schedule, count, dt, start))
+        sim = runner.sim(self.model.settings.replace(integrator=integrator, dt=dt, ledger=False))
+        watch, finite = _Watch(sim, count, beyond), True
+        try:
+            runner.follow(sim, 0, [watch])
+        except _Ended:
+            pass
+        except ControlError:
+            raise
+        except (SimulationError, ValueError):
+            # Controls that are not finite belong to a motion that no longer is.
+            finite = False
+        return watch.run(finite)
+
+    @property
+    def most(self) -> int:
+        """The most steps of a run."""
+        if self.schedule.control is not None:
+            # Each step asks the user's function.
+            return LEAST
+        return max(LEAST, min(MOST, round(MOST * (DOFS_AT_MOST / self.model.nv) ** 2)))
+
+    @property
+    def start(self) -> Start:
+        """Where the motion begins."""
+        return self.schedule.starts[0]
+
+    def least_energy(self) -> float:
+        """The kinetic energy [J] of a slow motion of every dof: less is no explosion."""
+        sim = unwatched(Sim(self.model))
+        sim.qpos[:] = self.start.qpos
+        slow = Coordinates(self.model).scaled(np.ones(self.model.nv), SPEED, SPIN)
+        return 0.5 * float(slow**2 @ np.diag(np.array(sim.mass_matrix())))
+
+
+class _Watch(Probe):
+    """Observes a run of `count` steps, until its energy exceeds `bound` [J].
+
+    edges: the steps at which samples are taken.
+    """
+
+    def __init__(self, sim: Sim, count: int, bound: float) -> None:
+        self.sim, self.bound, self.done = sim, bound, 0
+        samples = min(SAMPLES, max(1, count // 2))
+        self.edges = np.linspace(0, count, samples + 1).round().astype(int).tolist()
+        self.ends = _ends(sim.model)
+        self.saturated = np.zeros(sim.model.nu, bool)
+        self.times: list[float] = []
+        self.energies: list[float] = []
+        self.seen: list[Any] = []
+        self.calm: State | None = None
+        # The largest energy in this sample, and which ends of their ranges forces were at before.
+        self.energy: float = 0.0
+        self.before: Any = None
+        # From this step on, steps are looked at one by one.
+        self.looks = 0
+
+    def begin(self, sim: Sim) -> None:
+        self.speeds = np.abs(np.array(sim.qvel))
+        self._sample(_energy(sim))
+
+    def stop(self, done: int, steps: int) -> int:
+        return min(steps, done + max(1, self.looks - self.done))
+
+    def step(self, sim: Sim) -> None:
+        self.done = round(sim.time / sim.settings.dt)
+        if self.done <= self.looks:
+            # A control period ended on the way.
+            return
+        self.energy = max(self.energy, _energy(sim))
+        np.maximum(self.speeds, np.abs(sim.qvel), out=self.speeds)
+        if self.ends is not None:
+            low, high = self.ends
+            force = np.array(sim.actuator_force)
+            end = (force >= high).astype(int) - (force <= low)
+            self.saturated |= end != 0
+            if self.before is not None:
+                self.seen.append(end * self.before < 0)
+            self.before = end
+        if self.done == self.edges[len(self.times)]:
+            self._sample(self.energy)
+
+    def _sample(self, energy: float) -> None:
+        """Ends a sample, and begins the next one."""
+        sim = self.sim
+        self.times.append(self.done * sim.settings.dt)
+        self.energies.append(energy)
+        if energy > self.bound:
+            raise _Ended
+        self.calm = state_now(sim, "", self.times[-1])
+        self.energy, self.before = 0.0, None
+        following = self.edges[min(len(self.times), len(self.edges) - 1)]
+        self.looks = max(following - SINGLE, self.done)
+
+    def run(self, finite: bool) -> MotionRun:
+        """What was observed."""
+        settings, nothing = self.sim.settings, np.zeros(self.sim.model.nu)
+        later = self.seen[len(self.seen) // 2 :]
+        return MotionRun(
+            integrator=settings.integrator,
+            dt=settings.dt,
+            reached=self.done * settings.dt,
+            finite=finite,
+            peak=max(self.energies),
+            times=np.array(self.times),
+            energies=np.array(self.energies),
+            jumps=np.mean(later, axis=0) if later else nothing,
+            swings=np.mean(self.seen, axis=0) if later else nothing,
+            saturated=self.saturated,
+            speeds=self.speeds,
+            calm=self.calm,
+        )
+
+
+def _ends(model: Model) -> tuple[Floats, Floats] | None:
+    """The ends of the actuators' force ranges, each shape (nu,); None where none has any."""
+    if not model.nu or not model.scene.features.actuation:
+        return None
+    low, high = np.array(model.actuator_forcerange).reshape(-1, 2).T
+    return (low, high) if bool(np.isfinite(low).any() or np.isfinite(high).any()) else None
+
+
+def _energy(sim: Sim) -> float:
+    energy = float(sim.energy.kinetic)
+    return energy if math.isfinite(energy) else math.inf
+
+
+# --- runs from a state ----------------------------------------------------------------------------
+
+
+def stays_bounded(model: Model, state: State, integrator: str, dt: float, horizon: float) -> bool:
+    """Whether a run from a state, pushed a little, reaches no speed that shorter steps do not.
+
+    dt [s]; horizon [s]: the time of the run, at most `STEPS` steps.
+    """
+    count = max(1, min(STEPS, round(horizon / dt)))
+    push = PUSH * np.where(np.arange(model.nv) % 2, -1.0, 1.0)
+    first = np.abs(state.qvel).max(initial=PUSH)
+    speeds = largest_speeds(model, state, integrator, dt, count, push)
+    if speeds is None:
+        return False
+    if PART * speeds.max() <= first:
+        return True
+    finer = largest_speeds(model, state, integrator, dt / SHORTER, count * SHORTER, push)
+    # Where shorter steps end as well, nothing is learned of this one.
+    return finer is None or bool(PART * speeds.max() <= finer.max())
+
+
+def largest_speeds(
+    model: Model, state: State, integrator: str, dt: float, count: int, push: Floats
+) -> Floats | None:
+    """The largest |qvel| of each dof in a run from a pushed state; None if it does not stay finite.
+
+    Controls are constant, or those of the state's control function.
+    """
+    start = Start(state.qpos, state.qvel + push, state.act if len(state.act) else None)
+    control = None if state.feedback is None else state.feedback.function
+    period, ctrl = count * dt, state.ctrl[None, None, :]
+    if control is not None:
+        period = steps_held(state, dt)[0] * dt
+    schedule = Schedule(period, 1, 2, (start,), None if control else ctrl, control)
+    runner, fastest = Runner(model, _cut(schedule, count, dt)), _Fastest(model.nv)
+    sim = runner.sim(model.settings.replace(integrator=integrator, dt=dt))
+    try:
+        runner.follow(sim, 0, [fastest])
+    except (SimulationError, ValueError):
+        return None
+    return fastest.speeds
+
+
+class _Fastest(Probe):
+    """The largest |qvel| after any step."""
+
+    def __init__(self, nv: int) -> None:
+        self.speeds = np.zeros(nv)
+
+    def stride(self, steps: int) -> int:
+        return 1
+
+    def step(self, sim: Sim) -> None:
+        np.maximum(self.speeds, np.abs(sim.qvel), out=self.speeds)
