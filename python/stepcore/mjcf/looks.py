@@ -23,7 +23,7 @@ from stepcore.mjcf.refusals import Refusals
 from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.layout import Layout
-from stepcore.urdf.drawn import DrawnLink, to_drawn_mjcf
+from stepcore.urdf.translate import DrawnLink, to_mjcf
 
 
 @dataclass
@@ -83,7 +83,8 @@ def read_looks(scene: Contents) -> Looks | None:
     links: list[DrawnLink] = []
     undrawn: list[str] = []
     if source.urdf:
-        root, links, undrawn = to_drawn_mjcf(root, source.directory)
+        urdf = to_mjcf(root, source.directory, drawn=True)
+        root, links, undrawn = urdf.tree, urdf.links, urdf.undrawn
     drawn, refusals = Contents(), Refusals()
     models = Models(drawn, refusals, LeftOut(scene.without))
     model = models.prepared(root, source.directory)

@@ -43,7 +43,7 @@ from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import collector
 from stepcore.scene.consistency import check
 from stepcore.scene.layout import Layout, named
-from stepcore.urdf import translate as urdf
+from stepcore.urdf import translate
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
@@ -102,9 +102,10 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     if source.fuse is not None:
         flag("load", "fuse", source.fuse)
     if root.tag == "robot":
-        root, ignored, notes = urdf.to_mjcf(root, source.directory)
-        scene.ignored += ignored
-        scene.notes += notes
+        urdf = translate.to_mjcf(root, source.directory)
+        root = urdf.tree
+        scene.ignored += urdf.ignored
+        scene.notes += urdf.notes
         # The text is no MJCF that could be kept when the scene is saved.
         source = replace(source, data=b"", urdf=source.data)
     scene.name = root.attrs.get("model", "")
