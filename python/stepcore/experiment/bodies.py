@@ -1,4 +1,4 @@
-"""The moving bodies of a model, and what they do at given states."""
+"""The moving bodies of a model: their poses, energies, momenta, gaps and limits at given states."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from stepcore.scene.tying import LENGTHS
 
 @dataclass(frozen=True)
 class States:
-    """Bodies at n states: centres of mass [m] and orientations of those that move, energies [J].
+    """Centres of mass [m] and orientations of the moving bodies at n states, and energies [J].
 
-    momenta: linear and angular about the world's origin, (n, 6); frames: position and quaternion
-    of every body, (n, nbody, 7). Both are empty where the scene has no use for them.
+    momenta: linear and angular about the world's origin, (n, 6); frames: position and quaternion of
+    every body, (n, nbody, 7). Both are empty where `Balance` and `Joints` do not need them.
     """
 
     com: np.ndarray
@@ -42,9 +42,8 @@ class Bodies:
         self.model, self.coordinates, self.moving = model, coordinates, coordinates.moving
         self.ipos = np.asarray(model.body_ipos, float)[self.moving]
         self.mass = np.asarray(model.body_mass, float)[self.moving]
-        inertia = np.asarray(model.body_inertia, float)[self.moving]
-        spread = np.trace(inertia, axis1=1, axis2=2) / 2 / np.maximum(self.mass, 1e-300)
-        self.gyration = np.sqrt(spread)
+        inertia = np.trace(np.asarray(model.body_inertia, float)[self.moving], axis1=1, axis2=2)
+        self.gyration = np.sqrt(inertia / 2 / np.maximum(self.mass, 1e-300))
         self.gravity = np.asarray(scene.gravity if scene.features.gravity else (0.0, 0.0, 0.0))
         size = float(np.linalg.norm(self.gravity))
         self.up = -self.gravity / size if size > 0 else np.array([0.0, 0.0, 1.0])
@@ -53,7 +52,7 @@ class Bodies:
         self.conserved = Balance(model, layout, self.gravity, self.mass)
 
     def states(self, qpos: np.ndarray, qvel: np.ndarray) -> States:
-        """What the bodies do at these states, in double precision."""
+        """The bodies at these states, in double precision."""
         sim = Sim(self.model, self.model.settings.replace(precision="f64"))
         moving = self.moving
         xpos, quat, kinetic, energy, momenta, frames = [], [], [], [], [], []
@@ -78,12 +77,12 @@ class Bodies:
         return xpos + rotated(xquat, self.ipos)
 
     def height(self, com: np.ndarray) -> np.ndarray:
-        """Of the centre of mass of all that moves, against gravity [m]; com: (n, bodies, 3)."""
+        """The height of the common centre of mass [m]; com: (n, bodies, 3)."""
         height: np.ndarray = com @ self.up @ self.mass / max(self.mass.sum(), 1e-300)
         return height
 
     def run(self, qpos: np.ndarray, qvel: np.ndarray) -> Run:
-        """The run of states that are known at time 0 and at the samples, and meet nothing."""
+        """The run of states at time 0 and at the samples, in which nothing touches."""
         seen = self.states(qpos, qvel)
         n = len(qpos) - 1
         run = Run(seen.com[1:], seen.quat[1:], np.zeros(n), seen.kinetic[1:])
@@ -93,10 +92,11 @@ class Bodies:
 
 
 class Joints:
-    """The connects and welds and the limits of a scene.
+    """The connections (connects and welds) and the joint limits of a scene.
 
-    connected: it has any of the former. tied: the indices of those that are active, limited: those
-    of the joints with a range; in the order of the columns of `gaps` and `violations`.
+    connected: whether it has an active connection. tied: the indices of the active connections;
+    limited: those of the joints with a range; in the order of the columns of `gaps` and
+    `violations`.
     """
 
     def __init__(self, model: Model, layout: Layout, coordinates: Coordinates) -> None:
@@ -104,27 +104,24 @@ class Joints:
         self.ranges = [(kind, q, limits) for kind, q, _, limits in coordinates.joints if limits]
         self.limited = [k for k, joint in enumerate(coordinates.joints) if joint[3]]
         works = scene.features.equality and scene.features.constraint
-        self.tied = [
-            k
+        ties = {
+            k: tying.plain(layout, e)
             for k, e in enumerate(scene.equalities)
             if works and e.active and e.type in ("connect", "weld")
-        ]
-        ties = [scene.equalities[k] for k in self.tied]
-        self.connected = bool(ties)
+        }
+        self.tied, self.connected = list(ties), bool(ties)
         # (body 1, the point in its frame, body 2, the point in its frame).
         self.ties: list[tuple[int, np.ndarray, int, np.ndarray]] = []
         if ties:
             sim = Sim(model, model.settings.replace(precision="f64"))
-            place, turn = sim.xpos, sim.xmat
-            for tie in ties:
-                self.ties.append(_ends(tying.plain(layout, tie), place, turn))
+            self.ties = [_ends(tie, sim.xpos, sim.xmat) for tie in ties.values()]
 
     def apart(self, frames: np.ndarray) -> float | None:
-        """The widest gap of a connection [m], None without one; frames: see `States`."""
+        """The widest gap of a connection [m], None without one. frames: see `States`."""
         return float(self.gaps(frames).max()) if self.connected else None
 
     def gaps(self, frames: np.ndarray) -> np.ndarray:
-        """How far each connection gapes [m], (n, connections)."""
+        """The gap of each connection [m], (n, connections)."""
         gaps = []
         for a, near, b, far in self.ties:
             here = frames[:, a, :3] + rotated(frames[:, a, 3:], near)
@@ -133,11 +130,11 @@ class Joints:
         return np.array(gaps).T.reshape(len(frames), len(gaps))
 
     def beyond(self, qpos: np.ndarray) -> float | None:
-        """The furthest that a joint was outside of its range [rad or m], None without ranges."""
+        """The largest violation of a joint's range [rad or m], None without ranges."""
         return float(self.violations(qpos).max(initial=0.0)) if self.ranges else None
 
     def violations(self, qpos: np.ndarray) -> np.ndarray:
-        """How far each joint with a range is outside of it [rad or m], 0 within; (n, ranges)."""
+        """How far each joint with a range is outside of it [rad or m], 0 within, (n, ranges)."""
         beyond = []
         for kind, q, (low, high) in self.ranges:
             if kind in ("hinge", "slide"):
@@ -152,10 +149,9 @@ class Joints:
 def _ends(
     tie: dict[str, Any], place: np.ndarray, turn: np.ndarray
 ) -> tuple[int, np.ndarray, int, np.ndarray]:
-    """Where a connect or weld acts on its two bodies: what is not given follows from this pose."""
-    bodies = (tie["first"], tie["second"])
+    """The points of its two bodies that a connection ties; one not given follows from this pose."""
+    a, b = tie["first"], tie["second"]
     near, far = (frame and np.array(frame["pos"]) for frame in (tie["frame1"], tie["frame2"]))
-    (a, b) = bodies
     if near is None:
         near = turn[a].T @ (place[b] + turn[b] @ far - place[a])
     if far is None:
@@ -164,18 +160,18 @@ def _ends(
 
 
 def _inside(layout: Layout, equality: Equality) -> bool:
-    """It ties only what moves; one end of a connect or weld may be the world."""
+    """Whether an equality ties only what moves, and not to the world."""
     moving = all(layout.moving(body) for body in equality.bodies)
     return moving and (equality.type in LENGTHS or len(equality.bodies) == 2)
 
 
 class Balance:
-    """Whether a scene's momentum can be known, and how much of it a run lost.
+    """Whether the momentum of a scene can be known, and how much of it a run lost.
 
-    known: every tree hangs on the world by a free joint on which nothing but gravity acts. Then
-    internal forces, actuators and contacts among the bodies included, cancel: p = p₀ + m g t, and
-    the angular momentum about the centre of mass stays as it is. Forces written to a Sim from
-    outside and contacts with what stands still would have to be measured, not known.
+    known: every tree hangs on the world by a free joint on which nothing but gravity acts. Internal
+    forces, also of actuators and of contacts among the bodies, then cancel: p = p₀ + m g t, and the
+    angular momentum about the centre of mass is constant. Forces from outside and contacts with
+    what stands still are not known.
     """
 
     def __init__(self, model: Model, layout: Layout, gravity: np.ndarray, mass: np.ndarray) -> None:
@@ -199,7 +195,7 @@ class Balance:
         )
 
     def lost(self, momenta: np.ndarray, com: np.ndarray, times: np.ndarray) -> tuple[float, float]:
-        """The most linear [kg·m/s] and angular momentum [kg·m²/s] unexplained at a sample.
+        """The largest linear [kg·m/s] and angular momentum [kg·m²/s] unexplained at a sample.
 
         momenta, com: see `States`, first those of the start; times: of these samples [s].
         """

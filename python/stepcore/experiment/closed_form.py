@@ -1,6 +1,6 @@
 """Closed-form motions: errors are measured from them, and the reference is checked against them.
 
-Two kinds have one, side by side in one scene too, as long as no row is active:
+Two kinds of scenes have one, as long as no row is active; both may stand in one scene:
 
 - slides and hinges whose accelerations are affine in their coordinates, velocities and controls:
   masses on springs and dampers, motors and servos, a hinge that gravity does not turn. With
@@ -9,8 +9,8 @@ Two kinds have one, side by side in one scene too, as long as no row is active:
 - free bodies on their own whose inertia is the same about every axis: the centre of mass falls,
   the spin stays.
 
-Whether a scene is of these kinds is not read from its elements but tested: the accelerations that
-the engine computes are compared with the form's at both ends of every control period.
+Whether a scene is of these kinds is tested: the engine's accelerations are compared with those of
+the form at both ends of every control period.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from stepcore.experiment.coordinates import Start, product, rotated, rotation
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 
-# What accelerations may differ by from the form's, over the largest seen: rounding, generously.
+# The largest difference of accelerations from the form's, over the largest acceleration: rounding,
+# generously.
 AGREES = 1e-9
-# Its error is stated as so many times the largest difference seen.
+# The error stated, over the largest difference between computations.
 CAUTION = 4.0
-# The entries of F are differences of accelerations, of which each has some roundings.
+# The entries of F are differences of accelerations, each with some roundings.
 ROUNDED = 4 * np.finfo(float).eps
 # Terms of the Taylor series at norm 1/2: the first left out is 2^-18/18! < 1e-21.
 TERMS = 18
@@ -62,15 +63,15 @@ class Exact:
 
 
 class Unfit(Exception):
-    """The scene has no such form."""
+    """The scene has no closed form."""
 
 
 def closed(runner: Runner, runs: Sequence[Run]) -> Exact | None:
     """The closed form of a runner's motion, or None; runs: the converged runs.
 
-    Its own error is seen by computing it again in another way: in thirds of a period (halves would
-    repeat the same squarings), and with every entry of F moved by its rounding. Squaring, and
-    thousands of oscillations, make that grow.
+    Its error is the difference to other computations: in thirds of a period (halves would repeat
+    the same squarings), and with every entry of F moved by its rounding. Squaring, and thousands of
+    oscillations, make that grow.
     """
     if runner.schedule.control is not None or any(run.rows for run in runs):
         return None
@@ -94,7 +95,7 @@ def closed(runner: Runner, runs: Sequence[Run]) -> Exact | None:
 
 
 class _Free(NamedTuple):
-    """A free body on its own; c: its centre of mass in its frame [m]; fall: [m/s²], (3,)."""
+    """A free body on its own. c: its centre of mass in its frame [m]; fall: [m/s²], (3,)."""
 
     q: int
     v: int
@@ -103,7 +104,7 @@ class _Free(NamedTuple):
 
 
 class _Form:
-    """What the accelerations of a scene are made of."""
+    """The matrix F of a scene and its free bodies."""
 
     def __init__(self, runner: Runner) -> None:
         self.runner = runner
@@ -127,7 +128,7 @@ class _Form:
     ) -> tuple[np.ndarray, np.ndarray]:
         """qpos and qvel at time 0 and at the samples.
 
-        parts: how many steps make a period. rounded: F's entries are moved by their rounding.
+        parts: steps in a period. rounded: whether the entries of F are moved by their rounding.
         """
         schedule, n = self.runner.schedule, len(self.q)
         whole = self.whole * (1 + ROUNDED) if rounded else self.whole
@@ -150,7 +151,7 @@ class _Form:
         return np.array(qpos), np.array(qvel)
 
     def _at(self, begin: Start, state: np.ndarray, time: float) -> Start:
-        """The whole scene at a time; state: that of the slides and hinges."""
+        """The scene at a time [s]; state: of its slides and hinges."""
         n = len(self.q)
         qpos, qvel = np.array(begin.qpos), np.array(begin.qvel)
         qpos[self.q], qvel[self.v] = state[:n], state[n:]
@@ -187,12 +188,12 @@ class _Form:
         return np.array(sim.qacc)
 
     def _slopes(self, begin: Start) -> np.ndarray:
-        """How accelerations change with coordinates and velocities, (n, 2n)."""
+        """The derivatives of accelerations by coordinates and velocities, (n, 2n)."""
         ctrl = None if self.runner.schedule.ctrl is None else self.runner.schedule.ctrl[0][0]
         base = self._qacc(begin, ctrl)[self.v]
         columns = []
         for k in range(2 * len(self.q)):
-            # An affine law may be asked as far away as no contact or limit is in the way.
+            # The law is affine: the longest step at which no row is active is the most accurate.
             for step in 2.0 ** -np.arange(0, 12, 2):
                 moved = Start(np.array(begin.qpos), np.array(begin.qvel))
                 if k < len(self.q):
@@ -235,11 +236,11 @@ class _Form:
 
 
 def _fall(free: _Free, here: Start, qacc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Acceleration of the centre of mass [m/s²] and angular [rad/s²] of a free body."""
+    """The linear [m/s²] and angular acceleration [rad/s²] of a free body's centre of mass."""
     q, v, c, _ = free
     spin, turn = here.qvel[v + 3 : v + 6], qacc[v + 3 : v + 6]
-    round_it = np.cross(turn, c) + np.cross(spin, np.cross(spin, c))
-    return qacc[v : v + 3] + rotated(here.qpos[q + 3 : q + 7], round_it), turn
+    about = np.cross(turn, c) + np.cross(spin, np.cross(spin, c))
+    return qacc[v : v + 3] + rotated(here.qpos[q + 3 : q + 7], about), turn
 
 
 def expm(matrix: np.ndarray) -> np.ndarray:

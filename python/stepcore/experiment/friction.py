@@ -1,4 +1,4 @@
-"""Contacts with friction: how fast they slip, and whether friction acts against the slip."""
+"""Contacts with friction: the speed of their slip, and whether friction acts against it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import cross
 
-# A slower slip than this share of the fastest seen says little about the direction of friction.
+# A slip slower than this share of the fastest says little about the direction of friction.
 SLOW = 1e-2
-# A contact slides with more friction than this share of μ × normal force; 1/√2 is what the
-# pyramid reaches between its tangents.
+# A contact slides whose friction is more than this share of μ × normal force: the pyramid reaches
+# 1/√2 between its tangents.
 SLIDES = 0.65
 
 
@@ -31,23 +31,23 @@ class Slip:
     deviation: float
 
 
-# The two geoms, and which of their contacts.
+# By the two geoms and the number of their contact.
 Slips = dict[tuple[int, int, int], Slip]
 
 
 class Friction:
-    """Which geoms of a model slide on which, and how fast. moving: indices of the moving bodies."""
+    """The contacts with friction of a model. moving: indices of the moving bodies."""
 
     def __init__(self, model: Model, moving: list[int]) -> None:
         self.model = model
         self._mu: dict[int, float] = {}
         self.body = [int(body) for body in model.geom_body]
         self.moving = set(moving)
-        # A heap's pairs are not gone through: some of them have friction.
+        # The pairs of a heap are too many to look at; some have friction.
         self.rubs = model.is_heap or any(self.of(index) > 0 for index in range(model.npair))
 
     def of(self, index: int) -> float:
-        """Coefficient of sliding friction of a pair; 0 of contacts that have a normal row only."""
+        """The coefficient of sliding friction of a pair; 0 where it has a normal row alone."""
         mu = self._mu.get(index)
         if mu is None:
             pair = self.model.contact_pair(index)
@@ -59,7 +59,7 @@ class Friction:
         return not {self.body[geom] for pair in pairs for geom in pair} <= self.moving
 
     def slips(self, sim: Sim, contacts: np.ndarray) -> Slips:
-        """Every contact that friction acts in."""
+        """Every contact in which friction acts."""
         if not self.rubs or not len(contacts):
             return {}
         pairs = list(zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True))
@@ -74,14 +74,14 @@ class Friction:
         for pair in pairs:
             seen[pair] = seen.get(pair, -1) + 1
             keys.append((*pair, seen[pair]))
-        # What diverges is finite until the step that it fails in, and may be too large to multiply.
+        # A motion that diverges is finite for long, and may be too large to multiply.
         with np.errstate(over="ignore", invalid="ignore"):
             speed = self.passing(sim, contacts[rubs])
             slips = _slips(speed, force[rubs], normal[rubs], mu[rubs] * pushed[rubs])
         return {keys[k]: slip for k, slip in zip(rubs, slips, strict=True)}
 
     def passing(self, sim: Sim, contacts: np.ndarray) -> np.ndarray:
-        """Velocity of geom 2 past geom 1 at each contact [m/s], (n, 3)."""
+        """The velocity of geom 2 relative to geom 1 at each contact [m/s], (n, 3)."""
         pos = contacts["pos"]
         first, second = ([self.body[g] for g in contacts[n].tolist()] for n in ("geom1", "geom2"))
         past: np.ndarray = self._speed(sim, pos, second) - self._speed(sim, pos, first)
@@ -89,7 +89,7 @@ class Friction:
 
     def movable(self, sim: Sim, contacts: np.ndarray) -> list[bool]:
         """Whether some dof moves the two geoms of each contact along its normal."""
-        place, found = sim.xpos, []
+        place, result = sim.xpos, []
         for contact in contacts:
             point = np.zeros((3, len(sim.qvel)))
             for geom, sign in (("geom1", -1.0), ("geom2", 1.0)):
@@ -99,8 +99,8 @@ class Friction:
                     arm = contact["pos"] - place[body]
                     point += sign * (jacobian[:3] + np.cross(jacobian[3:].T, arm).T)
             along = np.abs(contact["normal"] @ point).max(initial=0.0)
-            found.append(bool(along > 1e-9 * np.abs(point).max(initial=0.0)))
-        return found
+            result.append(bool(along > 1e-9 * np.abs(point).max(initial=0.0)))
+        return result
 
     def _speed(self, sim: Sim, points: np.ndarray, bodies: list[int]) -> np.ndarray:
         """Velocities of points that are fixed to bodies [m/s], (n, 3)."""
@@ -136,8 +136,9 @@ def _slips(
 def creep(slips: list[Slips], truth: list[Slips], mask: np.ndarray, sticks: float) -> float | None:
     """The fastest slip in contacts that the reference holds [m/s]; None if it holds none.
 
-    Held: with friction below `sticks` of what the cone allows, at this sample and the last.
-    slips: one run's, truth: the reference's, at the samples; mask: samples that count.
+    The reference holds a contact whose friction is below the share `sticks` of what the cone allows
+    at this sample and the last. slips: of one run, truth: of the reference, at the samples; mask:
+    samples that count.
     """
     speeds = []
     for k in range(1, min(len(slips), len(truth))):
@@ -151,11 +152,9 @@ def creep(slips: list[Slips], truth: list[Slips], mask: np.ndarray, sticks: floa
 
 
 def anisotropy(slips: list[Slips]) -> float | None:
-    """The widest angle between friction and the direction against the slip [rad].
-
-    Over contacts that slide; None where none does.
-    """
-    # A contact that comes to rest within a step may still move with its friction: no slide.
+    """The widest angle between friction and the direction against the slip of contacts that slide
+    [rad]; None where none does."""
+    # A contact that comes to rest within a step may move along its friction: it does not slide.
     every = [slip for sample in slips for slip in sample.values()]
     sliding = [slip for slip in every if slip.share > SLIDES and slip.deviation < np.pi / 2]
     fastest = max((slip.speed for slip in sliding), default=0.0)

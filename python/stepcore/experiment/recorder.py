@@ -1,4 +1,4 @@
-"""The probes that make a run: `Recorder` measures all of it, `Positions` and `Means` a part.
+"""The probes that fill a `Run`: `Recorder` measures all of it, `Positions` and `Means` a part.
 
 A search records hundreds of runs with `Positions`; the errors in a table come from `Recorder`.
 """
@@ -13,15 +13,15 @@ from stepcore.experiment.friction import Slips
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.schedule import Schedule
 
-# The state is recorded this often in a period (or every step), contacts are looked at less often;
-# and in a run of many periods about so often in all, states four times as often where the work of
-# actuators and dampers is summed up from them.
+# States recorded in a period and in a run, at most; four times as many in a run where the work of
+# actuators and dampers is summed over them.
 STATES, ALL_STATES = 32, 1000
+# Looks at the contacts in a period and in a run, at most.
 CONTACTS, ALL_CONTACTS = 8, 500
 
 
 class Positions(Probe):
-    """Where the bodies are at the samples, and nothing else."""
+    """Records where the bodies are at the samples, and nothing else."""
 
     def __init__(self, bodies: Bodies) -> None:
         self.bodies = bodies
@@ -43,7 +43,7 @@ class Positions(Probe):
 
 
 class Means(Probe):
-    """Heights, kinetic energies and contacts at the samples, as `Recorder` has them."""
+    """Records heights, kinetic energies and contacts at the samples, as `Recorder` does."""
 
     def __init__(self, bodies: Bodies) -> None:
         self.bodies, self.meets = bodies, bodies.model.npair > 0
@@ -64,7 +64,7 @@ class Means(Probe):
 
 
 class Recorder(Probe):
-    """All that `Run` holds: states every few steps, contacts at times, slips at the samples."""
+    """Records a whole `Run`: states every few steps, contacts less often, slips at the samples."""
 
     def __init__(self, bodies: Bodies, schedule: Schedule) -> None:
         self.bodies, self.schedule = bodies, schedule
@@ -117,7 +117,7 @@ class Recorder(Probe):
         self.act.append(np.array(sim.act))
 
     def _contacts(self, sim: Sim) -> None:
-        # Without a row since the last look there is nothing to see, but for penalties.
+        # Without a row since the last look nothing touches, but for penalties.
         if self.rowless and sim.row_updates == self.updates:
             return
         self.updates = sim.row_updates
@@ -128,11 +128,11 @@ class Recorder(Probe):
             self.grounded = self.grounded or self.bodies.friction.grounded(pairs)
 
     def end(self, sim: Sim, run: Run) -> None:
-        """The poses and energies at the samples, in double precision whatever the run's."""
+        """Computes the poses and energies at the samples, always in double precision."""
         bodies = self.bodies
         qpos, qvel = np.array(self.qpos), np.array(self.qvel)
         at = np.array(self.samples)
-        # Energies before work: a state that is finite in itself can overflow in them.
+        # Energies of a finite state can overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             seen = bodies.states(qpos[[0, *at]], qvel[[0, *at]])
             work = np.concatenate([[0.0], np.cumsum(self._work(qpos, qvel))])
@@ -149,10 +149,10 @@ class Recorder(Probe):
         run.row_updates, run.rows = sim.row_updates, sim.most_rows
 
     def _work(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Work done on the bodies between two states by actuators and dampers [J].
+        """The work of actuators and dampers on the bodies between each two states [J].
 
-        A motor's force is held, so force × change of the joint is exact for hinges and slides;
-        a servo's is the mean of both ends, which is exact for its stiffness.
+        A motor's force is held, so force × change of the joint is exact for hinges and slides; a
+        servo's force is the mean of both ends, which is exact for its stiffness.
         """
         model, ctrl, act = self.bodies.model, np.array(self.ctrl), np.array(self.act)
         change = self.bodies.coordinates.change(qpos[:-1], qpos[1:])
