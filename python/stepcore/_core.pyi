@@ -329,6 +329,9 @@ class Sim(_World):
         """Forgets the impulses of the last step."""
     def linearize(self) -> tuple[_Floats, list[_Element]]:
         """A (2 nv + na columns) and B (nu columns), and where they are one-sided."""
+    def element_slopes(self) -> tuple[list[_Element], _Floats, list[float], _Floats]:
+        """Elements that act at the present state, forces (n, nv), energies [J], and the entries of
+        their slopes in the columns (nth element, dof, dof, stiffness, damping)."""
     def count(self, n: int) -> list[tuple[str, int]]:
         """Floating-point operations of the next n steps, by stage."""
     @property

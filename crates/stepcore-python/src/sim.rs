@@ -28,6 +28,8 @@ use crate::world::{world, Memo, Placed, World};
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// Energy before and after, and gains by element.
 type TapedStep = (f64, f64, Vec<(Id, f64)>);
+/// Elements, forces (n, nv), energies (n,), entries of slopes (m, 5).
+type SlopesTable<'py> = (Vec<Id>, Array<'py>, Vec<f64>, Array<'py>);
 
 /// One world.
 #[pyclass(module = "stepcore._core", frozen)]
@@ -203,6 +205,34 @@ impl Sim {
         let degenerate = linearizer.degenerate().iter().copied().map(id).collect();
         let matrix = result(py, linearizer.matrix, &[rows, rows + self.model.actuators.len()])?;
         Ok((matrix, degenerate))
+    }
+
+    /// Of every element that acts at the present state: its force by dof, what it stores [J], and
+    /// the entries of its slopes, in the columns (nth element, dof, dof, stiffness, damping).
+    fn element_slopes<'py>(&self, py: Python<'py>) -> PyResult<SlopesTable<'py>> {
+        let mut slopes = {
+            let mut guard = self.lock()?;
+            let world = &mut **guard;
+            self.load(py, world)?;
+            gil::release(py, || world.element_slopes())?
+        };
+        gil::steps(py, slopes.steps(), |n| slopes.advance(n))?;
+        let acting = gil::release(py, || slopes.finish())?;
+        let (nv, count) = (self.model.nv, acting.len());
+        let (mut force, mut entries) = (vec![0.0; count * nv], Vec::new());
+        for (nth, acts) in acting.values().enumerate() {
+            acts.force.iter().for_each(|(dof, pushed)| force[nth * nv + dof] = *pushed);
+            for ((i, j), [stiffness, damping]) in &acts.slopes {
+                entries.extend([nth as f64, *i as f64, *j as f64, *stiffness, *damping]);
+            }
+        }
+        let rows = entries.len() / 5;
+        Ok((
+            acting.keys().copied().map(id).collect(),
+            shaped(py, force, &[count, nv])?,
+            acting.values().map(|acts| acts.energy).collect(),
+            shaped(py, entries, &[rows, 5])?,
+        ))
     }
 
     /// Floating-point operations of the next n steps, by stage.

@@ -15,7 +15,9 @@ use stepcore::sim::{Effort, Sim};
 use stepcore::sleep::Sleep;
 use stepcore::spatial::V3;
 use stepcore::state::{State, Warm};
-use stepcore::watch::{Counter, Coupling, LastSolve, Linearizer, RayFilter, StepGains, Watched};
+use stepcore::watch::{
+    Counter, Coupling, ElementSlopes, LastSolve, Linearizer, RayFilter, StepGains, Watched,
+};
 
 use crate::readings::{self, flat, Rays, TendonPath};
 use crate::snapshot::impulse;
@@ -174,6 +176,7 @@ pub trait World: Send {
     /// How often the list of contacts had to grow.
     fn grown(&self) -> u64;
     fn linearizer(&mut self) -> Result<Linearizer>;
+    fn element_slopes(&mut self) -> Result<ElementSlopes>;
     fn counter(&mut self) -> Result<Counter>;
     fn bytes(&self) -> usize;
 }
@@ -413,6 +416,9 @@ impl<R: Real> World for One<R> {
     }
     fn linearizer(&mut self) -> Result<Linearizer> {
         Linearizer::new(self.sim())
+    }
+    fn element_slopes(&mut self) -> Result<ElementSlopes> {
+        ElementSlopes::new(self.sim())
     }
     fn counter(&mut self) -> Result<Counter> {
         Counter::new(self.sim())

@@ -33,6 +33,7 @@ mod orientation;
 pub(crate) mod penalty;
 mod pyramids;
 mod shared_contacts;
+pub(crate) mod spin;
 mod spring;
 mod sticky;
 mod tendon_friction;
@@ -84,6 +85,8 @@ pub enum Kind {
     // Of a body, by its index.
     Fluid,
     GravityCompensation,
+    /// The gyroscopic torque: a part of the bias forces.
+    Spin,
     // By the index of their equality.
     /// A point that two bodies share.
     Connect,
@@ -100,7 +103,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the enum.
-    pub const ALL: [Self; 28] = [
+    pub const ALL: [Self; 29] = [
         Self::Body,
         Self::Joint,
         Self::Geom,
@@ -124,6 +127,7 @@ impl Kind {
         Self::Gravity,
         Self::Fluid,
         Self::GravityCompensation,
+        Self::Spin,
         Self::Connect,
         Self::Weld,
         Self::JointEquality,
@@ -162,6 +166,7 @@ impl Kind {
             Self::Gravity => "gravity",
             Self::Fluid => "fluid",
             Self::GravityCompensation => "gravity compensation",
+            Self::Spin => "spin",
             Self::Connect => "connect",
             Self::Weld => "weld",
             Self::JointEquality => "joint equality",

@@ -62,6 +62,7 @@ impl Model {
             Kind::GravityCompensation => {
                 quoted("gravity compensation of body", &self.bodies[index].name, index)
             }
+            Kind::Spin => quoted("spin of body", &self.bodies[index].name, index),
             Kind::Connect | Kind::Weld | Kind::JointEquality | Kind::TendonEquality => {
                 self.equality_name(element.kind.word(), index)
             }
@@ -126,7 +127,7 @@ impl Model {
     /// How many elements of a kind the model has.
     pub fn count(&self, kind: Kind) -> usize {
         match kind {
-            Kind::Body | Kind::BodyForce | Kind::Fluid | Kind::GravityCompensation => {
+            Kind::Body | Kind::BodyForce | Kind::Fluid | Kind::GravityCompensation | Kind::Spin => {
                 self.bodies.len()
             }
             Kind::Joint

@@ -32,7 +32,7 @@ pub struct Linearizer {
 
 /// Derivatives start and end here; every one is found by its place.
 #[derive(Clone, Copy)]
-enum Direction {
+pub(super) enum Direction {
     Position(usize),
     Velocity(usize),
     Activation(usize),
@@ -46,11 +46,7 @@ impl Linearizer {
     }
 
     fn of(from: &Plain) -> Result<Self> {
-        let mut sim = from.sim::<Dual>()?;
-        // Asleep nothing answers: what is linearised is the step awake.
-        sim.state.wake();
-        sim.settings.sleep = false;
-        sim.solver = Box::new(Differentiated::new());
+        let sim = differentiated(from)?;
         let model = &sim.model;
         let rows = 2 * model.nv + model.na;
         let width = rows + model.actuators.len();
@@ -97,7 +93,8 @@ impl Linearizer {
         self.sim.state.clone_from(&self.start);
         self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
         for way in self.ways() {
-            self.seed(self.direction(way), way - self.done);
+            let slot = way - self.done;
+            self.direction(way).seed(&mut self.sim, slot);
         }
         self.sim.step(1)
     }
@@ -121,28 +118,6 @@ impl Linearizer {
             Direction::Activation(way - 2 * nv)
         } else {
             Direction::Control(way - 2 * nv - na)
-        }
-    }
-
-    fn seed(&mut self, direction: Direction, slot: usize) {
-        match direction {
-            Direction::Velocity(dof) => self.sim.state.qvel[dof].slopes[slot] = 1.0,
-            Direction::Activation(entry) => self.sim.state.act[entry].slopes[slot] = 1.0,
-            Direction::Control(index) => self.sim.inputs.ctrl[index].slopes[slot] = 1.0,
-            Direction::Position(dof) => {
-                let (place, axis) = coordinate(&self.sim.model, dof);
-                let qpos = &mut self.sim.state.qpos[place..];
-                let Some(axis) = axis else {
-                    qpos[0].slopes[slot] = 1.0;
-                    return;
-                };
-                // q · (0, e/2).
-                let [w, x, y, z] = core::array::from_fn(|k| 0.5 * qpos[k].value);
-                let slopes = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]][axis];
-                for (entry, slope) in qpos.iter_mut().zip(slopes) {
-                    entry.slopes[slot] = slope;
-                }
-            }
         }
     }
 
@@ -190,6 +165,41 @@ impl Linearizer {
     fn infinite(&self, field: String) -> Error {
         let limit = "finite: the step is not differentiable at this state";
         Error::value(field, "infinite", limit)
+    }
+}
+
+/// The same world in numbers that carry derivatives, its rows solved and differentiated.
+pub(super) fn differentiated(from: &Plain) -> Result<Sim<Dual>> {
+    let mut sim = from.sim::<Dual>()?;
+    // Asleep nothing answers: what is differentiated is the world awake.
+    sim.state.wake();
+    sim.settings.sleep = false;
+    sim.solver = Box::new(Differentiated::new());
+    Ok(sim)
+}
+
+impl Direction {
+    /// Lets the derivatives in a slot be those in this direction.
+    pub(super) fn seed(self, sim: &mut Sim<Dual>, slot: usize) {
+        match self {
+            Self::Velocity(dof) => sim.state.qvel[dof].slopes[slot] = 1.0,
+            Self::Activation(entry) => sim.state.act[entry].slopes[slot] = 1.0,
+            Self::Control(index) => sim.inputs.ctrl[index].slopes[slot] = 1.0,
+            Self::Position(dof) => {
+                let (place, axis) = coordinate(&sim.model, dof);
+                let qpos = &mut sim.state.qpos[place..];
+                let Some(axis) = axis else {
+                    qpos[0].slopes[slot] = 1.0;
+                    return;
+                };
+                // q · (0, e/2).
+                let [w, x, y, z] = core::array::from_fn(|k| 0.5 * qpos[k].value);
+                let slopes = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]][axis];
+                for (entry, slope) in qpos.iter_mut().zip(slopes) {
+                    entry.slopes[slot] = slope;
+                }
+            }
+        }
     }
 }
 

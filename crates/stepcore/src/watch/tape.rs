@@ -153,10 +153,16 @@ impl<R: Real> Sim<R> {
                 kinetic[dof.tree] += half * self.placed.mass[at].lane(lane) * v * other;
             }
         }
-        let mut levels = BTreeMap::new();
+        Levels { kinetic, stored: self.stored_by_element(lane) }
+    }
+
+    /// What each element stores at the present state, which `refresh` placed, in one lane [J].
+    pub(super) fn stored_by_element(&mut self, lane: usize) -> BTreeMap<Element, f64> {
+        let model = self.model.clone();
+        let mut energies = BTreeMap::new();
         let mut add = |element: Element, energy: f64| {
             if energy != 0.0 && model.moves(element) {
-                *levels.entry(element.of_part()).or_insert(0.0) += energy;
+                *energies.entry(element.of_part()).or_insert(0.0) += energy;
             }
         };
         let now = self.moment(At::State);
@@ -170,7 +176,7 @@ impl<R: Real> Sim<R> {
                 add(contact.element(), energy.lane(lane));
             }
         }
-        Levels { kinetic, stored: levels }
+        energies
     }
 }
 
@@ -191,41 +197,37 @@ impl<R: Real> Observer<R> for Tape {
     /// Adds the impulses of rows and penalty contacts.
     fn solved(&mut self, sim: &Sim<R>, _: At, weight: f64) {
         let lane = self.lane;
-        for block in sim.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
-            let rows = sim.rows.rows[block.rows.range()].iter();
-            self.add_rows(
-                sim,
-                block.element,
-                rows.map(|row| (row.dofs, row.y, row.impulse)),
-                weight,
-            );
-        }
-        for push in &sim.rows.pushes {
-            let row = (push.dofs, push.y, push.impulse);
-            self.add_rows(sim, push.element, [row].into_iter(), weight);
-        }
+        sim.each_row_impulse(lane, |element, dof, impulse| {
+            self.add(element, dof, weight * impulse.lane(lane));
+        });
     }
 }
 
-impl Tape {
-    /// Adds Lᵀ Σ yλ of an element's rows: their dofs, the first entry of y, and λ.
-    fn add_rows<R: Real>(
-        &mut self,
-        sim: &Sim<R>,
-        element: Element,
-        rows: impl Iterator<Item = (Span, usize, R)>,
-        weight: f64,
-    ) {
-        let lists = sim.detected.dof_lists(&sim.model);
-        let mut impulse = vec![R::zero(); sim.model.nv];
-        for (dofs, y, own) in rows {
-            for (k, y) in dofs.of(lists).iter().zip(&sim.rows.y[y..]) {
-                impulse[*k] += *y * own;
+impl<R: Real> Sim<R> {
+    /// Calls `each(element, dof, impulse)` for the rows and penalty contacts that act in a lane:
+    /// Lᵀ Σ yλ of the rows of each block.
+    pub(super) fn each_row_impulse(&self, lane: usize, mut each: impl FnMut(Element, usize, R)) {
+        let lists = self.detected.dof_lists(&self.model);
+        let mut impulse = vec![R::zero(); self.model.nv];
+        let mut add = |element: Element, rows: &mut dyn Iterator<Item = (Span, usize, R)>| {
+            impulse.fill(R::zero());
+            for (dofs, y, own) in rows {
+                for (k, y) in dofs.of(lists).iter().zip(&self.rows.y[y..]) {
+                    impulse[*k] += *y * own;
+                }
             }
+            self.placed.metric.lower(&mut impulse);
+            for (dof, part) in impulse.iter().enumerate() {
+                each(element, dof, *part);
+            }
+        };
+        for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
+            let rows = self.rows.rows[block.rows.range()].iter();
+            add(block.element, &mut rows.map(|row| (row.dofs, row.y, row.impulse)));
         }
-        sim.placed.metric.lower(&mut impulse);
-        for (dof, part) in impulse.iter().enumerate() {
-            self.add(element, dof, weight * part.lane(self.lane));
+        for push in &self.rows.pushes {
+            let row = (push.dofs, push.y, push.impulse);
+            add(push.element, &mut [row].into_iter());
         }
     }
 }
