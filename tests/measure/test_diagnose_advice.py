@@ -36,6 +36,32 @@ def series(count, k, mass=1.0, **options):
     return scene
 
 
+# --- gains that are not given -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["position", "intvelocity", "pid", "orientation"])
+def test_a_gain_that_is_not_given_is_advised_from_the_default_of_its_type(kind):
+    """Law: kp = 1 and kv = 0 by default, so on 1e-6 kg or kg·m² it has ω = 1000/s and a limit of
+    2 ms; only a smaller kp makes 5 ms stable."""
+    joint = "ball" if kind == "orientation" else "slide"
+    scene = sc.loads(f"""<mujoco><option gravity="0 0 0"/><worldbody><body>
+      <joint name="knee" type="{joint}"/>
+      <inertial pos="0 0 0" mass="1e-6" diaginertia="1e-6 1e-6 1e-6"/></body></worldbody>
+      <actuator>{'<orientation name="drive" joint="knee"/>' * (kind == "orientation")}</actuator>
+      </mujoco>""")
+    if kind == "orientation":
+        scene.actuator("drive").kp = scene.actuator("drive").kv = None
+    else:
+        scene.add_actuator("knee", kind, name="drive", input="pos" if kind == "pid" else None)
+    scene = scene.with_settings(dt=0.005, integrator="semi-implicit")
+    d = diagnosed(scene, ctrl=[[0.0] * sc.Model(scene).nu])
+    assert d.limit() == pytest.approx(2e-3, rel=0.02) and "`drive`" in d.stiffest()
+    met = {advice.what: advice for advice in d.advice if advice.met}
+    (value,) = met["kp"].values
+    assert value.field == "kp" and value.before == (1.0,) and value.after[0] < 0.2
+    assert all(v.before == (0.0,) for a in d.advice for v in a.values if v.field == "kv")
+
+
 # --- the warning at load ------------------------------------------------------------------------
 
 

@@ -27,6 +27,7 @@ from stepcore.measure.diagnosis.solref_changes import (
 )
 from stepcore.report.units import unit_of
 from stepcore.scene.elements import Actuator, Joint
+from stepcore.scene.elements.actuator import LAW_FIELDS
 from stepcore.scene.layout import Layout
 from stepcore.scene.scene import Scene
 
@@ -149,14 +150,13 @@ def _scaled(
         owner = layout.scene.actuators[element.element.index]
         if owner.type == "general":
             return _general(owner, element, field, x)
+        if field not in LAW_FIELDS[owner.type]:
+            return []
         if field == "kv" and owner.dampratio:
             field = "dampratio"
-        elif field == "kp" and owner.type == "velocity":
-            return []
-    old = getattr(owner, field)
-    if old is None:
-        # The default of the gain that the actuator's type is named after.
-        old = 1.0 if (field == "kp") == (getattr(owner, "type", "") == "position") else 0.0
+        old = owner.law_value(field)
+    else:
+        old = getattr(joint, field)
     if old == 0 and field == "kv" and x > 1 and element.omega > 0 and joint is not None:
         square = float(model.actuator_gear[element.element.index, 0]) ** 2
         critical = 2 * _mass(model, layout.joints.index(joint)) * element.omega / square
