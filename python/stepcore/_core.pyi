@@ -253,6 +253,8 @@ class Model:
     def names(self) -> dict[str, list[str]]: ...
     def element_name(self, kind: str, index: int, part: int = ...) -> str:
         """What an element is called; `part` -1 is the whole element."""
+    def element_words(self, kind: str, index: int, part: int = ...) -> tuple[str, str, str]:
+        """The parts of that: noun, owner and label, as in "spring", "joint", "`knee`"."""
 
     def element_force(
         self, kind: str, ctrl: _Floats, act: _Floats, qpos: _Floats, qvel: _Floats

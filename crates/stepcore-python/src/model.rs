@@ -103,6 +103,18 @@ impl Model {
         Ok(printable(&self.0.element_name(read(&self.0, kind, index, part)?)))
     }
 
+    /// The parts of that: noun, owner and label, as in "spring", "joint", "`knee`".
+    #[pyo3(signature = (kind, index, part = -1))]
+    fn element_words(
+        &self,
+        kind: &str,
+        index: usize,
+        part: i64,
+    ) -> PyResult<(&'static str, &'static str, String)> {
+        let words = self.0.element_words(read(&self.0, kind, index, part)?);
+        Ok((words.noun, words.owner, printable(&words.label)))
+    }
+
     /// The force of all springs, dampers or actuators on the dofs at many states: ctrl (n, nu),
     /// act (n, na), qpos (n, nq), qvel (n, nv).
     fn element_force<'py>(

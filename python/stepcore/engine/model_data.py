@@ -169,6 +169,10 @@ class ModelData(ABC):
         index, part = checks.count("index", index, 0), checks.count("part", part, -1)
         return self._core.element_name(checks.word("kind", kind), index, part)
 
+    def element_words(self, kind: str, index: int, part: int = -1) -> tuple[str, str, str]:
+        """The parts of that: noun, owner and label, as in "spring", "joint", "`knee`"."""
+        return self._core.element_words(kind, index, part)
+
     def called(self, kind: str) -> tuple[str, ...]:
         """What the elements of a kind are called in lists, in their order.
 

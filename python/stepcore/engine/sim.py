@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, snapshot
+from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.linearization import Linearization, linearized
 from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
@@ -159,6 +160,18 @@ class Sim(Stepped):
         Raises what `step` raises, and ValueError if the step has an infinite derivative.
         """
         return linearized(self._model, self.settings.dt, *self._core.linearize())
+
+    def element_slopes(self) -> dict[Element, ElementSlopes]:
+        """Stiffness, damping, force and energy of every element that acts at the present state.
+
+        Exact, as in `linearize`: dual numbers are carried through the forces and through the solve
+        of the rows, which act as they act at this state. Gravity is an element, and so is the
+        gyroscopic torque of each body that spins, which is a part of `bias`.
+
+        The cost is that of nv/2 calls of `forward` in dual numbers. Raises what `forward` raises,
+        and ValueError if a force has an infinite derivative.
+        """
+        return element_slopes(self._model, self._core)
 
     def count_flops(self, n: int = 1) -> int:
         """Counts the floating-point operations of the next n steps, without taking them.

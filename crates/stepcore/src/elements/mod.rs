@@ -44,6 +44,7 @@ pub(crate) mod weld;
 
 pub(crate) use anchor::{Anchor, SLIPS};
 pub use forces::joint_forces;
+pub use name::Words;
 pub(crate) use text::text;
 pub use text::{Mention, Named, Text};
 

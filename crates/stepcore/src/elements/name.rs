@@ -4,18 +4,18 @@ use super::{Element, Kind, Named};
 use crate::model::{Model, Tie};
 use crate::scene::Target;
 
-/// "joint `knee`", or "joint 3" where it has no name.
-fn quoted(words: &str, name: &str, index: usize) -> String {
+/// A name in quotes, or the index of what has no name.
+fn called(name: &str, index: usize) -> String {
     if name.is_empty() {
-        format!("{words} {index}")
+        index.to_string()
     } else {
-        format!("{words} `{name}`")
+        format!("`{name}`")
     }
 }
 
-/// As `quoted`; what has no name is called by what it belongs to, which is found in the file.
-fn found(words: &str, name: &str, index: usize, whose: impl FnOnce() -> String) -> String {
-    let called = quoted(words, name, index);
+/// As `called`; what has no name is found in the file by what it belongs to.
+fn found(name: &str, index: usize, whose: impl FnOnce() -> String) -> String {
+    let called = called(name, index);
     if name.is_empty() {
         called + &whose()
     } else {
@@ -23,75 +23,111 @@ fn found(words: &str, name: &str, index: usize, whose: impl FnOnce() -> String) 
     }
 }
 
+/// The parts of an element's name: "spring of joint `knee`" is the noun "spring", the owner "joint"
+/// and the label "`knee`". An owner or a label that it does not have is empty.
+pub struct Words {
+    pub noun: &'static str,
+    pub owner: &'static str,
+    pub label: String,
+}
+
+impl core::fmt::Display for Words {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.write_str(self.noun)?;
+        if !self.owner.is_empty() {
+            write!(f, " of {}", self.owner)?;
+        }
+        if !self.label.is_empty() {
+            write!(f, " {}", self.label)?;
+        }
+        Ok(())
+    }
+}
+
 impl Model {
     /// What a user calls an element; it must be one of this model.
     pub fn element_name(&self, element: Element) -> String {
+        self.element_words(element).to_string()
+    }
+
+    /// The same in parts.
+    pub fn element_words(&self, element: Element) -> Words {
         let index = element.index as usize;
-        let joint = |words: &str| self.joint_name(words, index);
-        let tendon = |words: &str| quoted(words, &self.tendons[index].name, index);
-        match element.kind {
-            Kind::Body => quoted("body", &self.bodies[index].name, index),
-            Kind::Joint => joint("joint"),
-            Kind::Geom => self.geom_name(index),
+        let joint = || self.joint_label(index);
+        let tendon = || self.tendon_label(index);
+        let body = || self.body_label(index);
+        let (noun, owner, label) = match element.kind {
+            Kind::Body => ("body", "", body()),
+            Kind::Joint => ("joint", "", joint()),
+            Kind::Geom => ("geom", "", self.geom_label(index)),
             Kind::Site => {
                 let site = &self.sites[index];
-                found("site", &site.name, index, || self.of_body(site.body))
+                ("site", "", found(&site.name, index, || self.of_body(site.body)))
             }
-            Kind::Tendon => tendon("tendon"),
-            Kind::TendonSpring => tendon("tendon spring"),
-            Kind::TendonDamper => tendon("tendon damper"),
-            Kind::TendonFriction => tendon("friction loss of tendon"),
-            Kind::TendonLimit => tendon("limit of tendon"),
-            Kind::Equality => self.equality_name("equality", index),
-            Kind::Key => quoted("key", &self.keys[index].name, index),
+            Kind::Tendon => ("tendon", "", tendon()),
+            Kind::TendonSpring => ("tendon spring", "", tendon()),
+            Kind::TendonDamper => ("tendon damper", "", tendon()),
+            Kind::TendonFriction => ("friction loss", "tendon", tendon()),
+            Kind::TendonLimit => ("limit", "tendon", tendon()),
+            Kind::Equality => ("equality", "", self.equality_label(index)),
+            Kind::Key => ("key", "", called(&self.keys[index].name, index)),
             Kind::Actuator => {
                 let actuator = &self.actuators[index];
-                let words = if actuator.feeds_back() { "servo" } else { "motor" };
-                found(words, &actuator.name, index, || self.at_target(&actuator.target))
+                let noun = if actuator.feeds_back() { "servo" } else { "motor" };
+                let at = || self.at_target(&actuator.target);
+                (noun, "", found(&actuator.name, index, at))
             }
-            Kind::Sensor => quoted("sensor", &self.sensors[index].name, index),
-            Kind::Spring => joint("spring of joint"),
-            Kind::Damper => joint("damper of joint"),
-            Kind::FrictionLoss => joint("friction loss of joint"),
-            Kind::Limit => joint("limit of joint"),
-            Kind::Inertia => joint("inertial force of joint"),
-            Kind::JointForce => joint("force applied to joint"),
-            Kind::BodyForce => quoted("force applied to body", &self.bodies[index].name, index),
-            Kind::Gravity => "gravity".into(),
-            Kind::Fluid => quoted("fluid drag on body", &self.bodies[index].name, index),
-            Kind::GravityCompensation => {
-                quoted("gravity compensation of body", &self.bodies[index].name, index)
-            }
-            Kind::Spin => quoted("spin of body", &self.bodies[index].name, index),
+            Kind::Sensor => ("sensor", "", called(&self.sensors[index].name, index)),
+            Kind::Spring => ("spring", "joint", joint()),
+            Kind::Damper => ("damper", "joint", joint()),
+            Kind::FrictionLoss => ("friction loss", "joint", joint()),
+            Kind::Limit => ("limit", "joint", joint()),
+            Kind::Inertia => ("inertial force", "joint", joint()),
+            Kind::JointForce => ("force applied to joint", "", joint()),
+            Kind::BodyForce => ("force applied to body", "", body()),
+            Kind::Gravity => ("gravity", "", String::new()),
+            Kind::Fluid => ("fluid drag on body", "", body()),
+            Kind::GravityCompensation => ("gravity compensation", "body", body()),
+            Kind::Spin => ("spin", "body", body()),
             Kind::Connect | Kind::Weld | Kind::JointEquality | Kind::TendonEquality => {
-                self.equality_name(element.kind.word(), index)
+                (element.kind.word(), "", self.equality_label(index))
             }
             Kind::Contact => {
-                let Some((one, two)) = self.contact_geoms(index) else {
-                    return format!("contact {index}");
-                };
                 let geom = |index: usize| match &*self.geoms[index].name {
-                    "" => self.geom_name(index),
+                    "" => format!("geom {}", self.geom_label(index)),
                     name => format!("`{name}`"),
                 };
-                format!("contact {}/{}", geom(one), geom(two))
+                let label = match self.contact_geoms(index) {
+                    Some((one, two)) => format!("{}/{}", geom(one), geom(two)),
+                    None => index.to_string(),
+                };
+                ("contact", "", label)
             }
-        }
+        };
+        Words { noun, owner, label }
     }
 
-    fn joint_name(&self, words: &str, index: usize) -> String {
+    fn joint_label(&self, index: usize) -> String {
         let joint = &self.joints[index];
-        found(words, &joint.name, index, || self.of_body(joint.body))
+        found(&joint.name, index, || self.of_body(joint.body))
     }
 
-    fn geom_name(&self, index: usize) -> String {
+    fn tendon_label(&self, index: usize) -> String {
+        called(&self.tendons[index].name, index)
+    }
+
+    fn body_label(&self, index: usize) -> String {
+        called(&self.bodies[index].name, index)
+    }
+
+    fn geom_label(&self, index: usize) -> String {
         let geom = &self.geoms[index];
-        found("geom", &geom.name, index, || self.of_body(geom.body))
+        found(&geom.name, index, || self.of_body(geom.body))
     }
 
-    fn equality_name(&self, words: &str, index: usize) -> String {
+    fn equality_label(&self, index: usize) -> String {
         let equality = &self.equalities[index];
-        found(words, &equality.name, index, || match &equality.tie {
+        found(&equality.name, index, || match &equality.tie {
             Tie::Connect(ends) | Tie::Weld { ends, .. } => {
                 let [one, two] = ends.bodies.map(|body| self.body_name(body));
                 format!(" of {one} and {two}")
@@ -104,11 +140,9 @@ impl Model {
     fn at_target(&self, target: &Target) -> String {
         match *target {
             Target::Joint(joint) | Target::InParent(joint) => {
-                format!(" at {}", self.joint_name("joint", joint))
+                format!(" at joint {}", self.joint_label(joint))
             }
-            Target::Tendon(tendon) => {
-                format!(" at {}", quoted("tendon", &self.tendons[tendon].name, tendon))
-            }
+            Target::Tendon(tendon) => format!(" at tendon {}", self.tendon_label(tendon)),
             _ => String::new(),
         }
     }
@@ -120,7 +154,7 @@ impl Model {
     fn body_name(&self, index: usize) -> String {
         match index {
             0 => "the world".into(),
-            _ => quoted("body", &self.bodies[index].name, index),
+            _ => format!("body {}", self.body_label(index)),
         }
     }
 
