@@ -157,8 +157,8 @@ TABLE = """<div class="table" style="overflow-x: auto"><table style="text-align:
 def jsonable(value: Any) -> Any:
     """Plain data that every JSON reader takes.
 
-    Arrays become lists, Settings and dataclasses mappings, functions their names; NaN and
-    infinity are None.
+    Arrays become lists, Settings and dataclasses mappings (of the fields that repr shows),
+    functions their names; NaN and infinity are None.
     """
     if isinstance(value, Mapping):
         return {str(key): jsonable(entry) for key, entry in value.items()}
@@ -167,7 +167,8 @@ def jsonable(value: Any) -> Any:
     if isinstance(value, Settings):
         return value.as_dict()
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: jsonable(getattr(value, field.name)) for field in fields(value)}
+        shown = [field.name for field in fields(value) if field.repr]
+        return {name: jsonable(getattr(value, name)) for name in shown}
     if hasattr(value, "tolist"):
         return jsonable(value.tolist())
     if isinstance(value, float):

@@ -10,6 +10,7 @@ from typing import Unpack
 import numpy as np
 
 from stepcore import checks
+from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
@@ -20,7 +21,6 @@ from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
 from stepcore.measure.diagnosis.control import KIND, with_feedback
 from stepcore.measure.diagnosis.control_advice import advise_control, longest_period
 from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST, Limit, dt_limit
-from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.judgement import Judge, Runaway, judge, judged_limit
 from stepcore.measure.diagnosis.limiters import limiters
@@ -35,7 +35,6 @@ from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
 from stepcore.measure.diagnosis.visited_states import eased, nudged, sampled_often, start, visited
 from stepcore.measure.diagnosis.words import gentle_chatter, notes
 from stepcore.report.progress import Choice
-from stepcore.scene.layout import Layout
 
 __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
 
@@ -223,10 +222,9 @@ def _safe_dt(at_start: StepStability) -> float:
     return max(SAFE * min(limit, closed_form_bound(model), model.settings.dt / SAFE), SHORTEST)
 
 
-def _element_limits(here: StepStability) -> dict[ElementId, ElementLimits]:
+def _element_limits(here: StepStability) -> dict[Element, ElementLimits]:
     """Every element on its own, at the state where it is stiffest; the stiffest first."""
-    layout = Layout(here.model.scene)
-    elements: dict[ElementId, ElementLimits] = {}
+    elements: dict[Element, ElementLimits] = {}
     for k, state in enumerate(here.states):
         motion = here.motion(state)
         if motion is None:
@@ -239,7 +237,7 @@ def _element_limits(here: StepStability) -> dict[ElementId, ElementLimits]:
         for element in motion.elements:
             if element == INERTIAL:
                 continue
-            limits = isolated.limits(element, softened_from(here.model, layout, element))
+            limits = isolated.limits(element, softened_from(here.model, element))
             known = elements.get(element)
             if limits.acts and (known is None or limits.stiffness > known.stiffness):
                 elements[element] = limits

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stepcore._core import Settings
+from stepcore.engine.element import Element, Elements
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.changes import (
     ARMATURE,
@@ -22,16 +23,17 @@ from stepcore.measure.diagnosis.changes import (
     GAINS,
     LESS,
     Change,
+    NewValue,
     changed,
+    ratio,
+    rounded,
+    text_of,
 )
 from stepcore.measure.diagnosis.dt_limits import LONGEST, Limit
-from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
-from stepcore.measure.diagnosis.element_names import named
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import step_map
 from stepcore.measure.diagnosis.motion_runs import stays_bounded
-from stepcore.measure.diagnosis.new_value import NewValue, ratio, rounded, text_of
 from stepcore.measure.diagnosis.saturation import settles
 from stepcore.measure.diagnosis.shares import step_shares
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
@@ -65,9 +67,9 @@ class Advice:
 def advise(
     now: StepStability,
     limits: dict[str, Limit],
-    elements: dict[ElementId, ElementLimits],
+    elements: dict[Element, ElementLimits],
     wanted: float,
-    stiffest: Sequence[ElementId],
+    stiffest: Sequence[Element],
 ) -> list[Advice]:
     """All ways that were found, those that change the model least first; then what is not enough.
 
@@ -135,7 +137,7 @@ class _Search:
     """
 
     now: StepStability
-    elements: dict[ElementId, ElementLimits]
+    elements: dict[Element, ElementLimits]
     integrator: str
     wanted: float
     worst: int
@@ -144,7 +146,7 @@ class _Search:
     # The x that came nearest to being enough, by the growth beyond what is allowed [1/s].
     nearest: tuple[float, float] = field(default=(math.inf, 1.0))
 
-    def least(self, change: Change, first: Sequence[ElementId]) -> Advice | None:
+    def least(self, change: Change, first: Sequence[Element]) -> Advice | None:
         """Changes the limiting elements, and what limits dt next, as little as is enough."""
         group = [self.elements[element] for element in first if element in self.elements]
         if not group or not any(self._made(group, change, x)[1] for x in change.xs[:2]):
@@ -278,13 +280,13 @@ def _least(stable: Callable[[float], bool], good: float, bad: float) -> float:
 
 def _not_enough(change: Change, more: Sequence[ElementLimits]) -> Advice:
     """more: the elements that were changed beside those that limit dt."""
-    names = named([limits.name for limits in more])
+    names = Elements(limits.element for limits in more).name
     text = f"{change.what} (of {names} too)" if more else change.what
     return Advice(change.what, (), {}, False, text)
 
 
 def _chain_text(values: Sequence[NewValue], x: float) -> str:
-    joints = named([value.owner for value in values])
+    joints = Elements(value.element for value in values).name
     low, high = min(v.after[0] for v in values), max(v.after[0] for v in values)
     unit = values[0].unit if len({value.unit for value in values}) == 1 else ""
     return (

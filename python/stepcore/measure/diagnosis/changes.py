@@ -1,4 +1,4 @@
-"""Ways to change an element so that a larger dt is stable.
+"""Ways to change an element so that a larger dt is stable, and what they change in the scene.
 
 A change has one number x: a gain is multiplied by x, an armature grows by x times the inertia that
 the element moves, a damping by x times the critical one, a solref becomes slower by 1/x. It is made
@@ -8,26 +8,19 @@ on a copy of the scene; values are rounded to three digits, towards more change.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from stepcore.engine.element import EQUALITIES, OVERRIDE, Element, Elements
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.closed_form_bound import root_of
-from stepcore.measure.diagnosis.element_id import EQUALITIES
 from stepcore.measure.diagnosis.element_limits import ElementLimits
-from stepcore.measure.diagnosis.new_value import NewValue, ratio, rounded
 from stepcore.measure.diagnosis.solref import solref_of
-from stepcore.measure.diagnosis.solref_changes import (
-    ROW_DAMPING,
-    SOLREF,
-    STANDARD,
-    new_solref,
-    size_of,
-)
 from stepcore.report.units import unit_of
 from stepcore.scene.elements import Actuator, Joint
 from stepcore.scene.elements.actuator import LAW_FIELDS
+from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.scene.scene import Scene
 
@@ -37,6 +30,77 @@ DOWN, UP, LEAST, MOST = 24, 8, -7, 14
 FROM_NOTHING = 1 / 64
 # A smaller damping ratio counts as this one where damping is added to it.
 UNDAMPED = 0.01
+# Digits of a new value, and the most values that are written out in one text.
+DIGITS, WRITTEN = 3, 3
+
+
+@dataclass(frozen=True)
+class NewValue:
+    """A value of the scene before and after a change.
+
+    element: which element has it; owner: its name, such as "servo `elbow`". field: which of its
+    fields, as in `Scene`. before, after: the numbers, in `unit`. size: |log| of the factor by which
+    it changes the gain, or the inertia or the damping that it adds to.
+    """
+
+    element: Element = dataclasses.field(repr=False)
+    field: str
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+    unit: str = ""
+    size: float = 0.0
+    owner: str = dataclasses.field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "owner", self.element.name)
+
+    @property
+    def way(self) -> str:
+        """From which numbers to which."""
+        old, new = (" ".join(f"{x:.6g}" for x in side) for side in (self.before, self.after))
+        unit = f" {self.unit}" if self.unit else ""
+        return f"from {old} to {new}{unit}"
+
+
+def text_of(values: Sequence[NewValue]) -> str:
+    """Several changes in words; equal ones together, and no more than a few written out."""
+    alike: dict[tuple[str, str], list[Element]] = {}
+    for value in values:
+        alike.setdefault((value.field, value.way), []).append(value.element)
+    if len(alike) <= WRITTEN:
+        texts = (f"change {f} of {Elements(owners).name} {w}" for (f, w), owners in alike.items())
+        return ", ".join(texts)
+    # Of one field, with a value for each owner.
+    fields = " and ".join(dict.fromkeys(value.field for value in values))
+    low, high = min(v.after[-1] for v in values), max(v.after[-1] for v in values)
+    unit = f" {values[0].unit}" if values[0].unit else ""
+    owners = Elements(dict.fromkeys(value.element for value in values)).name
+    return f"change {fields} of {owners}, to {low:.3g} to {high:.3g}{unit}"
+
+
+def ratio(before: float, after: float) -> float:
+    """|log| of the factor between two numbers; 0 where there is none."""
+    if before == 0 or after == 0:
+        return 0.0
+    return abs(math.log(abs(after)) - math.log(abs(before)))
+
+
+def rounded(value: float, *, up: bool) -> float:
+    """A number >= 0 rounded to three digits, upwards or downwards.
+
+    >>> rounded(1234.5, up=False), rounded(0.0012341, up=True)
+    (1230.0, 0.00124)
+    """
+    if value <= 0 or not math.isfinite(value):
+        return max(value, 0.0)
+    place = math.floor(math.log10(value)) - DIGITS + 1
+    # As text: a power of ten of a small number leaves the range of numbers.
+    count = float(f"{value:.16e}".split("e")[0]) * 10.0 ** (DIGITS - 1)
+    # A number that has three digits already stays as it is.
+    whole = round(count)
+    if not math.isclose(count, whole, rel_tol=1e-9):
+        whole = math.ceil(count) if up else math.floor(count)
+    return float(f"{whole}e{place}")
 
 
 @dataclass(frozen=True)
@@ -69,6 +133,10 @@ def _both(what: str) -> Change:
 def _more(what: str) -> Change:
     return Change(what, tuple(2.0**k for k in range(LEAST, MOST + 1)), adds=True)
 
+
+# What a change is called: a slower or faster response, more or less damping, and the standard form
+# in place of the direct one.
+SOLREF, ROW_DAMPING, STANDARD = "solref", "damping of solref", "standard form of solref"
 
 GAINS, ARMATURE, DAMPING = _both("kp and kv"), _more("armature"), _more("more damping")
 LESS = _less("setting")
@@ -111,7 +179,7 @@ def changed(
             continue
         if change in ROWS:
             softest = 2 * dt if model.settings.refsafe else 0.0
-            values += _solref(model, layout, element, change.what, x, softest)
+            values += _solref(model, layout, element.element, change.what, x, softest)
         elif change in (ARMATURE, DAMPING, CHAIN):
             driven = _joint(layout, element)
             if driven is None:
@@ -143,7 +211,7 @@ def _scaled(
             return []
         new = rounded(old * x, up=x > 1)
         setattr(tendon, field, new)
-        return [NewValue(element.name, field, (old,), (new,), size=ratio(old, new))]
+        return [NewValue(element.element, field, (old,), (new,), size=ratio(old, new))]
     joint = _joint(layout, element)
     owner: Joint | Actuator | None = joint
     if element.element.kind == "actuator":
@@ -168,7 +236,7 @@ def _scaled(
         new = rounded(old * x, up=x > 1)
         size = ratio(old, new)
     setattr(owner, field, new)
-    return [NewValue(element.name, field, (old,), (new,), _unit(field, joint), size)]
+    return [NewValue(element.element, field, (old,), (new,), _unit(field, joint), size)]
 
 
 def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> list[NewValue]:
@@ -186,7 +254,7 @@ def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> l
     else:
         after = (bias[0], bias[1], new)
     servo.biasprm = after
-    return [NewValue(element.name, "biasprm", bias, after, size=ratio(bias[at], new))]
+    return [NewValue(element.element, "biasprm", bias, after, size=ratio(bias[at], new))]
 
 
 def _added(
@@ -201,7 +269,7 @@ def _added(
     old = getattr(joint, field)
     new = rounded(old + added, up=True)
     setattr(joint, field, new)
-    owner = model.element_name("joint", index)
+    owner = Element.of(model, "joint", index)
     size = _damped(x, element) if change is DAMPING else math.log1p(x)
     return [NewValue(owner, field, (old,), (new,), _unit(field, joint), size)]
 
@@ -219,7 +287,7 @@ def _mass(model: Model, joint: int) -> float:
 
 def _chain(model: Model, layout: Layout, joint: int) -> list[int]:
     """The hinges and slides of the tree that a joint belongs to."""
-    roots = [root_of(model, int(body)) for body in model.jnt_body]
+    roots = [model.root(int(body)) for body in model.jnt_body]
     return [
         j
         for j, other in enumerate(layout.joints)
@@ -228,36 +296,68 @@ def _chain(model: Model, layout: Layout, joint: int) -> list[int]:
 
 
 def _solref(
-    model: Model, layout: Layout, element: ElementLimits, what: str, x: float, softest: float
+    model: Model, layout: Layout, element: Element, what: str, x: float, softest: float
 ) -> list[NewValue]:
     """Another solref of a row; see `new_solref`."""
-    kind, index = element.element.kind, element.element.index
-    old = solref_of(model, Layout(model.scene), element.element)
+    old = solref_of(model, element)
     new = new_solref(what, old, x, softest) if old is not None else None
     if old is None or new is None:
         return []
-    size = size_of(old, new)
-    if kind == "contact":
-        override = layout.scene.contact_override
-        if override.enable:
-            override.solref = new
-            return [NewValue("contact_override", "solref", old, new, size=size)]
-        both = {id(layout.geoms[geom]) for geom in model.contact_pair(index).geoms}
-        explicit = [p for p in layout.scene.pairs if {id(p.geom1), id(p.geom2)} == both]
-        for pair in explicit:
-            pair.solref = new
-        if explicit:
-            return [NewValue(str(explicit[0]), "solref", old, new, size=size)]
-        for geom in model.contact_pair(index).geoms:
-            layout.geoms[geom].solref = new
-        return [NewValue(f"both geoms of {element.name}", "solref", old, new, size=size)]
-    if kind in EQUALITIES:
-        layout.scene.equalities[index].solref = new
-        return [NewValue(element.name, "solref", old, new, size=size)]
-    field = "solreflimit" if kind.endswith("limit") else "solreffriction"
-    owner = layout.scene.tendons[index] if kind.startswith("tendon") else layout.joints[index]
-    setattr(owner, field, new)
-    return [NewValue(element.name, field, old, new, size=size)]
+    fields = [field for field in element.fields(model) if field.name.startswith("solref")]
+    for field in fields:
+        field.assign(layout, new)
+    first, owner = fields[0], element
+    if first.kind == OVERRIDE:
+        owner = Element(OVERRIDE, 0, -1, OVERRIDE)
+    elif first.kind == "pair":
+        name = str(layout.scene.pairs[first.index])
+        owner = Element("pair", first.index, -1, name)
+    elif element.kind == "contact":
+        owner = dataclasses.replace(element, kind="geoms", name=f"both geoms of {element.name}")
+    return [NewValue(owner, first.name, old, new, size=size_of(old, new))]
+
+
+def new_solref(what: str, old: Vec, x: float, softest: float) -> Vec | None:
+    """The solref after a change by x; None where there is no such change.
+
+    A solref of the standard form, (tc, ζ), has the stiffness 1/(tc ζ)² and the damping 2/tc of the
+    direct form (−k, −b), both per inertia and for an impedance of 1. Sources: MuJoCo's
+    documentation, "Solver parameters", and docs/method.md.
+
+    softest: the time constant [s] below which `refsafe` would soften a row without a word, at the
+    step that is to be stable; 0 without it.
+    """
+    direct, up = old[0] <= 0, x > 1
+    if what == SOLREF:
+        if not direct:
+            return rounded(old[0] / x, up=not up), old[1]
+        return -rounded(-old[0] * x * x, up=up), -rounded(-old[1] * x, up=up)
+    if what == ROW_DAMPING:
+        if old[1] == 0:
+            return None
+        changed = math.copysign(rounded(abs(old[1]) * x, up=up), old[1])
+        return old[0], changed
+    if not direct or x > 1 or old[0] == 0:
+        return None
+    # Critically damped, at x = 1 of the same stiffness, or of the same damping if that is faster.
+    fastest = min(1 / math.sqrt(-old[0]), 2 / -old[1] if old[1] < 0 else math.inf)
+    constant = max(fastest / x, softest)
+    return rounded(constant, up=True), 1.0
+
+
+def size_of(old: Vec, new: Vec) -> float:
+    """|log| of the factor by which stiffness or damping changes, the larger of both."""
+    (k, b), (stiffness, damping) = _direct(old), _direct(new)
+    return max(ratio(k, stiffness), ratio(b, damping))
+
+
+def _direct(solref: Vec) -> tuple[float, float]:
+    """Stiffness [1/s²] and damping [1/s] per inertia."""
+    first, second = solref[0], solref[1]
+    if first <= 0:
+        return -first, -second
+    # Divided in turn: no square leaves its range.
+    return 1 / first / first / second / second, 2 / first
 
 
 def _joint(layout: Layout, element: ElementLimits) -> Joint | None:

@@ -11,10 +11,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from stepcore.engine.element import Element
 from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT
 from stepcore.engine.model import Model
 from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
-from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.oscillator import oscillator_dt
 from stepcore.measure.diagnosis.solref import may_limit_dt, softened_from, solref_of
 from stepcore.scene.layout import Layout
@@ -96,7 +96,7 @@ def _rows(model: Model) -> Iterator[_Oscillator]:
     """Limits, equalities, friction losses and contacts that nothing softens with dt."""
     layout = Layout(model.scene)
     for element in _row_elements(model, layout):
-        solref = solref_of(model, layout, element)
+        solref = solref_of(model, element)
         if solref is None:
             continue
         if solref[0] > 0:
@@ -104,7 +104,7 @@ def _rows(model: Model) -> Iterator[_Oscillator]:
             square = 1 / inverse / inverse if inverse > 0 else math.inf
             rate = 2 / solref[0]
             limit = oscillator_dt(math.sqrt(square), rate, 0.0, model.settings.integrator)
-            if softened_from(model, layout, element) < limit:
+            if softened_from(model, element) < limit:
                 continue
         else:
             square, rate = -solref[0], -solref[1]
@@ -113,30 +113,30 @@ def _rows(model: Model) -> Iterator[_Oscillator]:
         yield _Oscillator(-1, max(square, 0.0), max(rate, 0.0))
 
 
-def _row_elements(model: Model, layout: Layout) -> Iterator[ElementId]:
+def _row_elements(model: Model, layout: Layout) -> Iterator[Element]:
     """The elements that have rows, contacts only where their solref may limit dt."""
     features, settings = model.scene.features, model.settings
     if not features.constraint:
         return
     for j, joint in enumerate(layout.joints):
         if features.limit and joint.range is not None:
-            yield ElementId.of(model, "limit", j)
+            yield Element.of(model, "limit", j)
         if features.frictionloss and joint.frictionloss > 0:
-            yield ElementId.of(model, "friction loss", j)
+            yield Element.of(model, "friction loss", j)
     for t, tendon in enumerate(model.scene.tendons):
         if features.limit and tendon.range is not None:
-            yield ElementId.of(model, "tendon limit", t)
+            yield Element.of(model, "tendon limit", t)
         if features.frictionloss and tendon.frictionloss > 0:
-            yield ElementId.of(model, "tendon friction loss", t)
+            yield Element.of(model, "tendon friction loss", t)
     for e, equality in enumerate(model.scene.equalities):
         if features.equality and equality.active:
-            yield ElementId.of(model, equality.row_kind, e)
+            yield Element.of(model, equality.row_kind, e)
     if settings.law == "solref":
         # A heap's contacts are judged while they are there.
         solrefs = enumerate([] if model.is_heap else model.pair_solref.tolist())
         hard = [pair for pair, solref in solrefs if may_limit_dt(solref, settings.refsafe)]
         for pair in hard[:MOST_PAIRS]:
-            yield ElementId.of(model, "contact", pair)
+            yield Element.of(model, "contact", pair)
 
 
 def _pair_weights(model: Model) -> list[float]:

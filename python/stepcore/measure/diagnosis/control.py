@@ -31,11 +31,10 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.control import Control, controls, fresh
+from stepcore.engine.element import Element, ElementSlopes
 from stepcore.engine.linear_maps import DAMPING_IMPLICIT, stepped
 from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Coordinates
-from stepcore.measure.diagnosis.element_id import ElementId
-from stepcore.measure.diagnosis.element_matrices import ElementMatrices
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.growth import (
     StepGrowth,
@@ -201,7 +200,7 @@ def control_inputs(model: Model, state: State, mass: Floats) -> Floats:
 
 def control_matrices(
     model: Model, feedback: Feedback, inputs: Floats
-) -> dict[ElementId, ElementMatrices]:
+) -> dict[Element, ElementSlopes]:
     """Stiffness and damping of every control that depends on the state, its delays over."""
     n = model.nv
     matrices = {}
@@ -209,8 +208,8 @@ def control_matrices(
         force = inputs[:, actuator]
         if np.any(force) and (np.any(feedback.gain[actuator]) or np.any(gain)):
             pulls = -np.outer(force, gain)
-            element = ElementId.of(model, KIND, actuator)
-            matrices[element] = ElementMatrices(pulls[:, :n], pulls[:, n:])
+            element = Element.of(model, KIND, actuator)
+            matrices[element] = ElementSlopes.of(pulls[:, :n], pulls[:, n:])
     return matrices
 
 

@@ -18,17 +18,17 @@ from numpy.typing import ArrayLike
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.control import Control, fresh
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.advice import MARGIN, Advice
+from stepcore.measure.diagnosis.changes import NewValue, ratio, rounded, text_of
 from stepcore.measure.diagnosis.control import KIND, growth_when_held
-from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.growth import FINE, bisected
 from stepcore.measure.diagnosis.linear_step import State
 from stepcore.measure.diagnosis.motion_runs import stays_bounded
-from stepcore.measure.diagnosis.new_value import NewValue, ratio, rounded, text_of
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.report.units import seconds, unit_of
 from stepcore.scene.layout import Layout
@@ -47,7 +47,7 @@ WAYS = {
 
 
 def advise_control(
-    here: StepStability, elements: Sequence[ElementId], wanted: float, worst: int
+    here: StepStability, elements: Sequence[Element], wanted: float, worst: int
 ) -> list[Advice]:
     """Ways to make the wanted dt [s] stable where controls limit it.
 
@@ -95,7 +95,7 @@ class _ControlSearch:
     """Changes of the controls of some actuators. wanted [s]; worst: the state that decides."""
 
     here: StepStability
-    elements: Sequence[ElementId]
+    elements: Sequence[Element]
     wanted: float
     worst: int
 
@@ -166,7 +166,7 @@ class _ControlSearch:
                     new = rounded(old * x, up=x > 1)
                     unit = unit_of(("kp", "kv")[column], self._angular(element))
                     size = ratio(old, new)
-                    values.append(NewValue(element.name, field, (old,), (new,), unit, size))
+                    values.append(NewValue(element, field, (old,), (new,), unit, size))
         size = abs(math.log(x))
         if values:
             text = text_of(values)
@@ -209,13 +209,13 @@ class _ControlSearch:
             angular = self._angular(element)
             units = unit_of("kp", angular), unit_of("kv", angular)
             joint = self.here.model.element_name("joint", layout.joints.index(servo.target[1]))
-            name = self.here.model.element_name("actuator", element.index)
+            actuator = Element.of(self.here.model, "actuator", element.index)
             texts.append(
                 f"a position servo on {joint} with kp {kp:.4g} {units[0]} and kv {kv:.4g} "
-                f"{units[1]} in place of the control of {name}"
+                f"{units[1]} in place of the control of {actuator.name}"
             )
-            values.append(NewValue(name, "kp", (), (kp,), units[0]))
-            values.append(NewValue(name, "kv", (), (kv,), units[1]))
+            values.append(NewValue(actuator, "kp", (), (kp,), units[0]))
+            values.append(NewValue(actuator, "kv", (), (kv,), units[1]))
         rows = [element.index for element in self.elements]
         states = [_as_servo(self.here.model, s, rows) for s in self.here.states]
         for integrator in dict.fromkeys((self.own, "implicitfast")):
@@ -230,7 +230,7 @@ class _ControlSearch:
                 return
         yield Advice("servo", (), {}, False, "a servo in place of the control")
 
-    def _angular(self, element: ElementId) -> bool:
+    def _angular(self, element: Element) -> bool:
         model = self.here.model
         joint = int(model.actuator_joint[element.index])
         return joint >= 0 and model.jnt_type[joint] == "hinge"
@@ -293,7 +293,7 @@ def _as_servo(model: Model, state: State, rows: Sequence[int]) -> State:
     return replace(state, ctrl=ctrl, feedback=feedback if np.any(feedback.gain) else None)
 
 
-def _servo_gains(here: StepStability, element: ElementId) -> tuple[float, float] | None:
+def _servo_gains(here: StepStability, element: Element) -> tuple[float, float] | None:
     """kp and kv [SI, at the joint] of a control that is a servo of its own hinge or slide.
 
     At the state where it is stiffest; None for a control of another form.

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.element import INERTIAL, ROWS, Element
 from stepcore.engine.linear_maps import INTEGRATORS, STIFFNESS_IMPLICIT
 from stepcore.measure.diagnosis.control import KIND, control_dt
 from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST
-from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.oscillator import (
     nutation_dt,
@@ -42,7 +42,7 @@ class ElementLimits:
     state: the index of the state.
     """
 
-    element: ElementId
+    element: Element
     omega: float
     ratio: float
     rate: float
@@ -84,7 +84,7 @@ class IsolatedElements:
             for name, treated in motion.implicit.items()
         }
 
-    def limits(self, element: ElementId, softened: float) -> ElementLimits:
+    def limits(self, element: Element, softened: float) -> ElementLimits:
         """One element; softened: the dt [s] from which `refsafe` softens it."""
         matrices = self.motion.elements[element]
         if element.kind == "spin":
@@ -102,7 +102,7 @@ class IsolatedElements:
         ratio = float(mode @ self.damping @ mode) / (2 * omega) if omega > 0 else math.nan
         return ElementLimits(element, omega, ratio, rate, limits, softened, self.state)
 
-    def _spin(self, element: ElementId, turning: Floats, softened: float) -> ElementLimits:
+    def _spin(self, element: Element, turning: Floats, softened: float) -> ElementLimits:
         values = eigenvalues(turning)
         omega = 0.0 if values is None else float(np.abs(values.imag).max(initial=0.0))
         limits = {}
@@ -112,7 +112,7 @@ class IsolatedElements:
             limits[name] = _as_tried(dt)
         return ElementLimits(element, omega, 0.0, 0.0, limits, softened, self.state)
 
-    def _limit(self, name: str, element: ElementId, omega: float, direction: Floats) -> float:
+    def _limit(self, name: str, element: Element, omega: float, direction: Floats) -> float:
         """The largest stable dt [s] of an oscillation along a direction of unit mass."""
 
         def along(damping: Floats) -> float:

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.growth import bisected
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
@@ -74,7 +74,7 @@ class Outcome:
     kind: str
     time: float
     energy: float
-    element: ElementId | None = None
+    element: Element | None = None
 
     @property
     def holds(self) -> bool:
@@ -155,7 +155,7 @@ class Judge:
             often |= run.swings > SOME
         jumping = np.flatnonzero(often & (self.fine.swings < CHATTER / 2))
         if run.finite and len(jumping):
-            servo = ElementId.of(self.real.model, "actuator", int(jumping[0]))
+            servo = Element.of(self.real.model, "actuator", int(jumping[0]))
             return Outcome("chatters", run.reached, times, servo)
         if not run.finite or run.peak > more * self.bound:
             return Outcome("explodes", run.reached, times)
@@ -173,7 +173,7 @@ class Runaway:
     times: tuple[float, float]
     dts: tuple[float, float]
     alike: bool
-    element: ElementId | None = None
+    element: Element | None = None
 
 
 def judge(real: MotionRuns, dt: float) -> Judge | Runaway | None:
@@ -212,7 +212,7 @@ def _runaway(model: Model, runs: Sequence[MotionRun], floor: float) -> Runaway |
     return Runaway((coarse.reached, fine.reached), (coarse.dt, fine.dt), alike, element)
 
 
-def _growing(model: Model, state: State) -> ElementId | None:
+def _growing(model: Model, state: State) -> Element | None:
     """The element with the largest share in the fastest growth of the motion itself at a state."""
     motion = linear_motion(model, state, None)
     shares = {} if motion is None else growing_shares(motion)

@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.element import INERTIAL, Element
 from stepcore.measure.diagnosis.control import steps_held
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.growth import step_growth
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.shares import BEYOND, Shares
@@ -33,7 +33,7 @@ FARTHEST, FINE = 4.0, 1.05
 ALONE, EQUAL = 1.4, 1.25
 
 
-def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[ElementId, ...]:
+def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[Element, ...]:
     """The elements that limit dt, several where none does by itself; () where none has a share."""
     by_share = sorted(shares, key=lambda element: -shares[element])
     partaking = [element for element in by_share if shares[element] >= PARTAKES][:MOST]
@@ -62,8 +62,8 @@ def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[Element
 
 
 def _effective(
-    rise: _Rise, partaking: list[ElementId], by_share: list[ElementId], shares: Shares
-) -> tuple[ElementId, ...]:
+    rise: _Rise, partaking: list[Element], by_share: list[Element], shares: Shares
+) -> tuple[Element, ...]:
     """The element that raises the limit most, or with its equals if it does not by itself."""
     rises = {element: rise.without((element,)) for element in partaking}
     best = max(partaking, key=lambda element: (rises[element], shares[element]))
@@ -83,11 +83,11 @@ class _Rise:
     def __init__(self, motion: LinearMotion, integrator: str, dt: float, horizon: float) -> None:
         self.motion, self.integrator, self.dt, self.horizon = motion, integrator, dt, horizon
 
-    def stable(self, elements: Sequence[ElementId], dt: float) -> bool:
+    def stable(self, elements: Sequence[Element], dt: float) -> bool:
         """Whether a step of dt [s] is stable with some elements softened."""
         return self._softened(elements)(dt)
 
-    def without(self, elements: Sequence[ElementId]) -> float:
+    def without(self, elements: Sequence[Element]) -> float:
         """The limit with some elements softened, over the limit with them; at most `FARTHEST`."""
         stable = self._softened(elements)
         low, high = 1.0, FARTHEST
@@ -98,7 +98,7 @@ class _Rise:
             low, high = (middle, high) if stable(middle * self.dt) else (low, middle)
         return low
 
-    def _softened(self, elements: Sequence[ElementId]) -> Callable[[float], bool]:
+    def _softened(self, elements: Sequence[Element]) -> Callable[[float], bool]:
         """The test of a step with some elements softened, whose own rates are found once."""
         motion = self.motion.softened(elements, SOFTENED)
         with np.errstate(all="ignore"):
@@ -114,7 +114,7 @@ class _Rise:
         return stable
 
 
-def _equal(motion: LinearMotion, element: ElementId, other: ElementId) -> bool:
+def _equal(motion: LinearMotion, element: Element, other: Element) -> bool:
     """Whether two elements are of a kind, and of nearly the same gains."""
     if element.kind != other.kind or INERTIAL in (element, other):
         return False
@@ -122,7 +122,7 @@ def _equal(motion: LinearMotion, element: ElementId, other: ElementId) -> bool:
     return all(max(a, b) <= EQUAL * min(a, b) for a, b in pairs)
 
 
-def _gains(motion: LinearMotion, element: ElementId) -> tuple[float, float]:
+def _gains(motion: LinearMotion, element: Element) -> tuple[float, float]:
     """The size of an element's stiffness and damping, whatever mass it acts on."""
     matrices = motion.elements[element]
     return _size(matrices.stiffness), _size(matrices.damping)

@@ -16,6 +16,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
+from stepcore.engine.element import INERTIAL, ROWS, Element, ElementSlopes
 from stepcore.engine.linear_maps import DAMPING_IMPLICIT, STIFFNESS_IMPLICIT, stepped
 from stepcore.engine.model import Model
 from stepcore.experiment.joint_gains import implicit_kinds
@@ -25,8 +26,7 @@ from stepcore.measure.diagnosis.control import (
     control_matrices,
     held_step,
 )
-from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
-from stepcore.measure.diagnosis.element_matrices import ElementMatrices, element_matrices
+from stepcore.measure.diagnosis.elements import named_slopes
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.linear_step import (
     TINY_STEP,
@@ -56,11 +56,11 @@ class LinearMotion:
 
     mass: Floats
     rates: Floats
-    elements: dict[ElementId, ElementMatrices]
-    implicit: dict[str, frozenset[ElementId]]
-    held: frozenset[ElementId] = frozenset()
+    elements: dict[Element, ElementSlopes]
+    implicit: dict[str, frozenset[Element]]
+    held: frozenset[Element] = frozenset()
     pattern: Floats | float = 1.0
-    after: frozenset[ElementId] = frozenset()
+    after: frozenset[Element] = frozenset()
     feedback: Feedback | None = None
     inputs: Floats | None = None
 
@@ -68,7 +68,7 @@ class LinearMotion:
         self,
         integrator: str,
         dt: float,
-        scaled: ElementId | None = None,
+        scaled: Element | None = None,
         by: float = 0.0,
         of: Any = None,
         hold: int = 1,
@@ -91,7 +91,7 @@ class LinearMotion:
             force = np.zeros_like(y[:n])
             for element in self.after:
                 gain = 1 + by if element == scaled else 1.0
-                force = force + gain * self.elements[element].force(y)
+                force = force + gain * self.elements[element].change(y)
             return np.linalg.solve(self.mass, force)
 
         if self.feedback is not None and self.inputs is not None:
@@ -125,23 +125,23 @@ class LinearMotion:
             stiff,
         )
 
-    def _free(self, scaled: ElementId | None, by: float, x: Any) -> Any:
+    def _free(self, scaled: Element | None, by: float, x: Any) -> Any:
         """J x without the controls."""
         other = None if scaled is not None and scaled.kind == KIND else scaled
         product = self.rates_times(other, by, x)
-        pulls = [m.force(x) for element, m in self.elements.items() if element.kind == KIND]
+        pulls = [m.change(x) for element, m in self.elements.items() if element.kind == KIND]
         product[len(self.mass) :] -= np.linalg.solve(self.mass, sum(pulls))
         return product
 
-    def rates_times(self, scaled: ElementId | None, by: float, x: Any) -> Any:
+    def rates_times(self, scaled: Element | None, by: float, x: Any) -> Any:
         """J x, with one element's stiffness and damping multiplied by 1 + by."""
         product = self.rates @ x
         if scaled is not None:
-            force = self.elements[scaled].force(x)
+            force = self.elements[scaled].change(x)
             product[len(self.mass) :] += by * np.linalg.solve(self.mass, force)
         return product
 
-    def softened(self, elements: Collection[ElementId], to: float) -> LinearMotion:
+    def softened(self, elements: Collection[Element], to: float) -> LinearMotion:
         """The motion with the stiffness and damping of some elements multiplied by `to`."""
         n, rates, parts = len(self.mass), self.rates.copy(), dict(self.elements)
         inputs = None if self.inputs is None else self.inputs.copy()
@@ -151,7 +151,7 @@ class LinearMotion:
             stiffness, damping = parts[element].stiffness, parts[element].damping
             pull = np.linalg.solve(self.mass, np.hstack([stiffness, damping]))
             rates[n:] += (1 - to) * pull
-            parts[element] = ElementMatrices(to * stiffness, to * damping)
+            parts[element] = ElementSlopes.of(to * stiffness, to * damping)
         return replace(self, rates=rates, elements=parts, inputs=inputs)
 
 
@@ -168,7 +168,7 @@ def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion 
     own: dict[str, Any] = {"dt": TINY_STEP, "refsafe": False} if dt is None else {"dt": dt}
     sim = sim_at(model, state, integrator="explicit", **own)
     try:
-        elements = element_matrices(model, sim, state)
+        elements = named_slopes(sim)
     except SimulationError:
         return None
     mass, n, inputs = np.array(sim.mass_matrix()), model.nv, None
@@ -180,7 +180,7 @@ def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion 
             feedback = inputs = None
     rest = -mass @ rates[n:]
     rest -= sum((np.hstack([e.stiffness, e.damping]) for e in elements.values()), 0 * rest)
-    elements[INERTIAL] = ElementMatrices(rest[:, :n], rest[:, n:])
+    elements[INERTIAL] = ElementSlopes.of(rest[:, :n], rest[:, n:])
     penalty = model.settings.law == "penalty"
     rows = {e for e in elements if e.kind in ROWS and not (penalty and e.kind == "contact")}
     implicit = _implicit(model, elements)
@@ -204,7 +204,7 @@ def _pattern(model: Model) -> Floats | float:
     return np.maximum(above, above.T)
 
 
-def _implicit(model: Model, elements: dict[ElementId, Any]) -> dict[str, frozenset[ElementId]]:
+def _implicit(model: Model, elements: dict[Element, Any]) -> dict[str, frozenset[Element]]:
     """Which elements' damping each integrator treats implicitly."""
     layout = Layout(model.scene)
     # The spin of a free body that carries nothing.

@@ -20,11 +20,11 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.control import Control, controls, fresh
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.converged import converged_settings
-from stepcore.measure.diagnosis.element_id import (
-    ElementId,
+from stepcore.measure.diagnosis.elements import (
     acting_elements,
     penalised_contacts,
     slipping_elements,
@@ -57,9 +57,9 @@ class State:
     qpos: Floats
     qvel: Floats
     ctrl: Floats
-    rows: tuple[ElementId, ...] = ()
-    touching: tuple[ElementId, ...] = ()
-    slipping: frozenset[ElementId] = frozenset()
+    rows: tuple[Element, ...] = ()
+    touching: tuple[Element, ...] = ()
+    slipping: frozenset[Element] = frozenset()
     feedback: Feedback | None = None
     act: Floats = field(default_factory=lambda: np.zeros(0))
     control: Control | None = field(default=None, repr=False)
@@ -104,7 +104,7 @@ def sim_at(model: Model, state: State, **settings: Any) -> Sim:
 
 def state_after(
     model: Model, state: State, integrator: str, dt: float, count: int
-) -> tuple[State, set[ElementId]] | None:
+) -> tuple[State, set[Element]] | None:
     """The state `count` steps later, and the elements whose rows acted in the last step or there.
 
     None where the steps do not stay finite.

@@ -10,13 +10,12 @@ from typing import Any, ClassVar
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.engine.element import INERTIAL, Element, Elements
 from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis import words
 from stepcore.measure.diagnosis.advice import MARGIN, Advice
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
-from stepcore.measure.diagnosis.element_names import acting_in_words
 from stepcore.measure.diagnosis.judgement import Outcome, Runaway
 from stepcore.measure.diagnosis.linear_step import State
 from stepcore.measure.diagnosis.saturation import Saturation
@@ -78,8 +77,8 @@ class Diagnosis(Result):
     wanted: float
     states: list[State]
     limits: dict[str, Limit]
-    element_shares: dict[str, dict[ElementId, float]]
-    limiters: dict[str, tuple[ElementId, ...]]
+    element_shares: dict[str, dict[Element, float]]
+    limiters: dict[str, tuple[Element, ...]]
     rows: list[ElementLimits]
     advice: list[Advice] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -126,7 +125,7 @@ class Diagnosis(Result):
         elements = self._stiffest(self._known(integrator))
         return next((row for row in self.rows if row.element in elements), None)
 
-    def _stiffest(self, integrator: str) -> tuple[ElementId, ...]:
+    def _stiffest(self, integrator: str) -> tuple[Element, ...]:
         unlimited = math.isinf(self.limits[integrator].dt)
         elements = self.limiters[integrator]
         if elements and not (unlimited and INERTIAL in elements):
@@ -191,7 +190,7 @@ class Diagnosis(Result):
             yield f"The motion: {self.ran}."
         if limit.state > 0:
             state = self.states[limit.state]
-            acting = acting_in_words([element.name for element in state.rows])
+            acting = Elements(state.rows).summary
             verb = "acts" if len(state.rows) == 1 else "act"
             where = f", where {acting} {verb}" if acting else ""
             yield f"The limiting state is {state.label}{where}."

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.judgement import CHATTER, EXPLODED, Judge, first_failing
 from stepcore.measure.diagnosis.linear_step import State
 from stepcore.measure.diagnosis.motion_runs import MotionRun, largest_speeds
@@ -52,7 +52,7 @@ class Saturation:
     times, or is that of an oscillation which is unstable. swinging: whether it is that.
     """
 
-    element: ElementId
+    element: Element
     joint: str
     angular: bool
     force: float
@@ -73,7 +73,7 @@ class _Candidate:
     reached. swinging: see `Saturation`.
     """
 
-    servo: ElementId
+    servo: Element
     alone: float
     speed: float
     swinging: bool
@@ -128,7 +128,7 @@ def _fastest(model: Model, servo: int) -> float:
     return FASTEST if turns else FASTEST_SLIDE
 
 
-def saturation_of(judge: Judge, element: ElementId, run: MotionRun, dt: float) -> Saturation:
+def saturation_of(judge: Judge, element: Element, run: MotionRun, dt: float) -> Saturation:
     """What a servo does that chatters in the motion itself.
 
     run: at the wanted step. dt [s]: the largest step at which it does not.
@@ -147,7 +147,7 @@ def _candidates(judge: Judge, integrator: str, wanted: float) -> list[_Candidate
             # Not along one joint, which alone could be kicked.
             continue
         usual = max(_fastest(model, i), judge.fine.speeds[driven_dof(model, i)])
-        servo, speed = ElementId.of(model, "actuator", i), reaching_speed(model, i)
+        servo, speed = Element.of(model, "actuator", i), reaching_speed(model, i)
         limit, swing = swinging_dt(model, qpos, i, integrator)
         ways = [
             _Candidate(servo, crossing_dt(model, qpos, i), speed, False),
@@ -202,7 +202,7 @@ class _Kicked:
 
 
 def _described(
-    judge: Judge, servo: ElementId, run: MotionRun, dt: float, reached: bool, severe: bool
+    judge: Judge, servo: Element, run: MotionRun, dt: float, reached: bool, severe: bool
 ) -> Saturation:
     model = judge.real.model
     usual = float(judge.fine.speeds[driven_dof(model, servo.index)])

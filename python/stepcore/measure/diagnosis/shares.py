@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.element import Element
 from stepcore.measure.diagnosis.control import folded, steps_held
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.growth import step_growth
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.linear_step import State, step_map
@@ -34,7 +34,7 @@ HOLD = 64
 # A step that multiplies by more has left the range in which derivatives mean anything.
 FARTHEST = 1e12
 
-Shares = dict[ElementId, float]
+Shares = dict[Element, float]
 
 
 def limiting_shares(here: StepStability, limit: Limit) -> Shares:
@@ -99,7 +99,7 @@ def _held_shares(
     if growth.stable:
         return None
 
-    def changed(element: ElementId, by: float, block: Any) -> Any:
+    def changed(element: Element, by: float, block: Any) -> Any:
         return motion.step(limit.integrator, step, element, by, block, hold)
 
     return _shares(motion, made, growth.value, changed)
@@ -147,7 +147,7 @@ def _shares(
     motion: LinearMotion,
     matrix: Floats,
     value: complex,
-    changed: Callable[[ElementId, float, Any], Any],
+    changed: Callable[[Element, float, Any], Any],
 ) -> Shares:
     """The derivatives of log |value| by each element's gain, as parts of their sum.
 

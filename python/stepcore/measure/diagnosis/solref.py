@@ -10,31 +10,21 @@ from __future__ import annotations
 
 import math
 
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.element_id import EQUALITIES, ElementId
 from stepcore.scene.elements import Joint, Tendon
 from stepcore.scene.frames import Vec
-from stepcore.scene.layout import Layout
 
 
-def solref_of(model: Model, layout: Layout, element: ElementId) -> Vec | None:
+def solref_of(model: Model, element: Element) -> Vec | None:
     """The solref of an element; None for one that is not a row with a solref under the law."""
-    law, index = model.settings.law, element.index
-    if element.kind == "limit" and law in ("solref", "penalty"):
-        return layout.joints[index].solreflimit
-    if element.kind == "tendon limit" and law in ("solref", "penalty"):
-        return model.scene.tendons[index].solreflimit
-    if law != "solref":
+    limit = element.kind in ("limit", "tendon limit") and model.settings.law == "penalty"
+    if model.settings.law != "solref" and not limit:
         return None
-    if element.kind == "friction loss":
-        return layout.joints[index].solreffriction
-    if element.kind == "tendon friction loss":
-        return model.scene.tendons[index].solreffriction
-    if element.kind in EQUALITIES:
-        return model.scene.equalities[index].solref
     if element.kind == "contact":
-        return model.contact_pair(index).solref
-    return None
+        return model.contact_pair(element.index).solref
+    fields = (field for field in element.fields(model) if field.name.startswith("solref"))
+    return next((field.value for field in fields), None)
 
 
 def may_limit_dt(solref: Vec, refsafe: bool) -> bool:
@@ -46,9 +36,9 @@ def may_limit_dt(solref: Vec, refsafe: bool) -> bool:
     return not refsafe or solref[0] <= 0 or solref[1] < math.sqrt(1 / 8)
 
 
-def softened_from(model: Model, layout: Layout, element: ElementId) -> float:
+def softened_from(model: Model, element: Element) -> float:
     """The dt [s] from which `refsafe` softens an element; inf where it never does."""
-    solref = solref_of(model, layout, element)
+    solref = solref_of(model, element)
     if solref is None or not model.settings.refsafe or solref[0] <= 0:
         return math.inf
     return solref[0] / 2

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from stepcore._core import Settings
+    from stepcore.engine.element import Element
     from stepcore.engine.model import Model
-    from stepcore.measure.diagnosis.element_id import ElementId
     from stepcore.scene.elements import Joint, Tendon
     from stepcore.scene.scene import Scene
 
@@ -133,7 +133,7 @@ def _linearised(model: Model) -> str:
     return _text(settings, limit, low, elements)
 
 
-def _text(settings: Settings, limit: float, shortest: float, elements: Sequence[ElementId]) -> str:
+def _text(settings: Settings, limit: float, shortest: float, elements: Sequence[Element]) -> str:
     """One line: whether dt [s] is unstable or nearly so, and which elements limit it."""
     from stepcore.measure.diagnosis.words import limits_dt, no_stable_dt
     from stepcore.report.units import seconds, times

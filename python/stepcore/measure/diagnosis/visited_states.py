@@ -18,13 +18,13 @@ from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
 from stepcore.engine.control import Control, fresh
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
-from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.linear_step import State, sim_at, state_now, state_of
 
 # The most states that are kept, and the most steps and samples of the run.
@@ -128,7 +128,7 @@ def visited(model: Model, schedule: Schedule, safe: float) -> Visit:
     return Visit(_chosen(seen), dt, sim.time, failure)
 
 
-def acting(state: State) -> frozenset[ElementId]:
+def acting(state: State) -> frozenset[Element]:
     """The rows that act at a state, and the contacts of `penalty`, which are none."""
     return frozenset((*state.rows, *state.touching))
 

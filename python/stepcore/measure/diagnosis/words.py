@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+from stepcore.engine.element import INERTIAL, Element, Elements, listed
 from stepcore.measure.diagnosis.dt_limits import SHORTEST
-from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
-from stepcore.measure.diagnosis.element_names import listed, together
 from stepcore.measure.diagnosis.judgement import Runaway
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
 from stepcore.measure.diagnosis.saturation import Saturation
@@ -29,25 +28,25 @@ OPEN = ("contact", "limit", "tendon limit")
 FRICTION = ("friction loss", "tendon friction loss")
 
 
-def named(elements: Sequence[ElementId]) -> str:
+def named(elements: Sequence[Element]) -> str:
     """Elements by name; "" for none."""
-    return together([element.name for element in elements])
+    return Elements(elements).together
 
 
-def limits_dt(elements: Sequence[ElementId], dt: float, traits: str = "") -> str:
+def limits_dt(elements: Sequence[Element], dt: float, traits: str = "") -> str:
     """Which elements limit dt to how much [s]; traits: of the elements, in brackets."""
     if not elements:
         return f"dt is limited to {seconds(dt)} by no single element"
     return f"{named(elements)}{traits} {_verb(elements, 'limit')} dt to {seconds(dt)}"
 
 
-def no_stable_dt(elements: Sequence[ElementId], shortest: float, traits: str = "") -> str:
+def no_stable_dt(elements: Sequence[Element], shortest: float, traits: str = "") -> str:
     """Which elements make every step that was tried, down to `shortest` [s], unstable."""
     tried = f"every step tried unstable, down to {seconds(shortest)}"
     return f"{named(elements) or 'the motion'}{traits} {_verb(elements, 'make')} {tried}"
 
 
-def _verb(elements: Sequence[ElementId], verb: str) -> str:
+def _verb(elements: Sequence[Element], verb: str) -> str:
     """The verb as it follows the elements' names."""
     return verb if len(elements) > 1 or INERTIAL in elements else verb + "s"
 
