@@ -201,14 +201,13 @@ def _worker_was_lost(error: Exception) -> bool:
 
 
 def _was_lost_on_the_way(error: Exception) -> bool:
-    """Whether a worker died while Dask fetched its result: Dask's executor then takes an answer
-    apart that it has not got, and fails with a ValueError of its own."""
+    """Whether a worker died while Dask fetched its result: Dask's executor then unpacks an answer
+    that it has not got. An error of the work itself is raised elsewhere."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     raised_in = trace.tb_frame.f_globals.get("__name__") if trace is not None else None
-    unpacks = isinstance(error, ValueError) and "values to unpack" in str(error)
-    return unpacks and raised_in == "distributed.cfexecutor"
+    return isinstance(error, ValueError) and raised_in == "distributed.cfexecutor"
 
 
 def _check_sendable(function: Callable[[T], R], points: Sequence[T], executor: Executor) -> None:
