@@ -27,9 +27,8 @@ from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled, time_steps
-from stepcore.measure.trade.moves import Steps, longest
-from stepcore.measure.trade.settings import COULOMB_LAW, SMOOTH_LAW
-from stepcore.measure.trade.trials import priced
+from stepcore.measure.trade.methods import COULOMB_LAW, SMOOTH_LAW, Steps, longest
+from stepcore.measure.trade.run_cache import priced
 from stepcore.report.progress import Progress
 
 G = (0, 0, -9.81)

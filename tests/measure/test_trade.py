@@ -9,8 +9,8 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.measure.trade.frontier import Frontier
-from stepcore.measure.trade.notes import about_reference
+from stepcore.measure.trade.rows import Frontier
+from stepcore.measure.trade.words import about_reference
 
 G = 9.81
 
@@ -76,7 +76,7 @@ def test_the_orders_of_the_integrators_on_a_spring():
         errors = [by(result, integrator=name, dt=dt).errors.position for dt in (0.005, 0.0025)]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.12)
         assert result.orders[name] == pytest.approx(order, abs=0.12)
-    assert any("solver does not matter" in note for note in result.notes)
+    assert any("choice of solver has no effect" in note for note in result.notes)
 
 
 def test_the_work_of_a_motor_is_not_gained_energy():
@@ -143,7 +143,7 @@ def test_the_reference_is_ten_times_better_than_the_table():
     reference = result.reference
     least = min(row.errors.high for row in result.rows)
     assert 10 * reference.high <= least
-    assert not any("is itself only known to" in note for note in result.notes)
+    assert not any("the reference error is" in note for note in result.notes)
     assert reference.settings.dt < min(row.settings.dt for row in result.rows)
     assert reference.settings.softness == result.shipped.settings.softness
     # At the table's finest step v-first is wrong by g dt t / 2 before the impact.
@@ -153,7 +153,7 @@ def test_the_reference_is_ten_times_better_than_the_table():
 def test_a_reference_that_is_not_ten_times_better_is_noted():
     result = few(lesson.drop(), starts=2, integrators=["rk4"], effort=0.0)
     assert 10 * result.reference.high > min(row.errors.high for row in result.rows)
-    assert any("is itself only known to" in note for note in result.notes)
+    assert any("the reference error is" in note for note in result.notes)
     assert all(result.error(row) >= result.reference.high for row in result.rows)
 
 
@@ -348,7 +348,7 @@ def test_rows_are_counted_at_every_step():
     # No sample touches, and the ball is thrown back: gravity alone does not turn it around.
     assert not path.touching.any() and (np.diff(path.com[:, 0, 2]) > 0.01).any()
     assert path.rows == 1
-    assert not any("solver does not matter" in note for note in result.notes)
+    assert not any("choice of solver has no effect" in note for note in result.notes)
     assert {row.settings.solver for row in result.rows} == {"newton", "pgs"}
 
 

@@ -14,7 +14,7 @@ from stepcore.experiment.motion import Motion
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 from stepcore.loading import find_model
-from stepcore.measure.trade.in_batch import WORLDS, TimedBatch
+from stepcore.measure.trade.batch_cost import WORLDS, TimedBatch
 
 FEW = {"horizon": 0.2, "starts": 2, "threads": 1, "progress": False}
 
@@ -47,8 +47,8 @@ def test_their_errors_are_those_of_single_runs(trade):
 
 def test_what_is_printed_keeps_both_costs_apart(trade):
     text = " ".join(trade.text(100, full=True).split())
-    assert "Many worlds at once are another cost: under the recommended settings each of 16" in text
-    assert "each of 16 worlds of a batch on one thread, timed in turn" in text
+    assert "In a batch of 16 worlds on one thread, the recommended settings cost for each" in text
+    assert "Cost per world when 16 worlds are stepped as a batch on one thread" in text
     records = json.loads(trade.to_json())["in_batch"]
     assert len(records) == len(trade.in_batch)
     assert {record["worlds"] for record in records} == {16}
@@ -60,7 +60,7 @@ def test_nothing_is_timed_where_costs_are_counted_or_python_controls():
     pendulum = "gymnasium:inverted_pendulum"
     own = sc.trade(pendulum, dts=[0.02], control=lambda time, sim: [0.0], **FEW)
     assert own.in_batch == []
-    assert "another cost" not in own.text(full=True)
+    assert "In a batch" not in own.text(full=True)
 
 
 @pytest.mark.parametrize("name", ["gymnasium:half_cheetah", "lesson:drop"])

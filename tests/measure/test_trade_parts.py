@@ -11,11 +11,9 @@ from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.errors import Errors, moved, pareto
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import scheduled, time_steps
-from stepcore.measure.trade.frontier import Frontier
-from stepcore.measure.trade.moves import Steps, digits
-from stepcore.measure.trade.orders import orders
+from stepcore.measure.trade.methods import Steps, digits
 from stepcore.measure.trade.recommend import _rounded as rounded_row
-from stepcore.measure.trade.row import Further, TradeRow
+from stepcore.measure.trade.rows import Frontier, Further, TradeRow, orders
 from stepcore.report.units import metres, seconds
 
 
@@ -65,7 +63,7 @@ def recommended(dt, worse=()):
     passed = Further(2, 2, 0.0)
     reference = SimpleNamespace(settings=sc.Settings(dt=1e-5))
     confirm = SimpleNamespace(
-        scored=np.ones(1), test=test, trials=SimpleNamespace(reference=reference)
+        scored=np.ones(1), test=test, cache=SimpleNamespace(reference=reference)
     )
     first = row(sc.Settings(dt=dt))
     frontier = Frontier.of([first], 0.0, 0.0, "time")

@@ -9,31 +9,30 @@ from typing import Any, Unpack
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.experiment.arguments import Source, Workers, set_up
-from stepcore.experiment.cost import TimedRun, heaviness
-from stepcore.experiment.errors import errors
+from stepcore.experiment.arguments import Source, set_up
+from stepcore.experiment.cost import TimedRun
+from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.other_models import ErrorSplit, clamping
 from stepcore.experiment.reference import FINER, Reference, ReferenceRuns, smallest
-from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, scheduled, time_steps
-from stepcore.experiment.sizes import scene_size
 from stepcore.measure.monitors import monitored
-from stepcore.measure.trade import frugal, notes
 from stepcore.measure.trade import mujoco as mujoco_points
-from stepcore.measure.trade.finish import Finisher
-from stepcore.measure.trade.frontier import Frontier
-from stepcore.measure.trade.hardest import HardestStarts
-from stepcore.measure.trade.in_batch import batch_points
-from stepcore.measure.trade.moves import Steps, longest, slides
-from stepcore.measure.trade.orders import observed_orders
-from stepcore.measure.trade.recommend import Again, Confirmation, within_budget, within_error
+from stepcore.measure.trade import words
+from stepcore.measure.trade.batch_cost import batch_points
+from stepcore.measure.trade.methods import Kind, Steps, grid, longest
+from stepcore.measure.trade.recommend import (
+    Confirmation,
+    HardestStarts,
+    within_budget,
+    within_error,
+)
 from stepcore.measure.trade.result import Trade
-from stepcore.measure.trade.row import TradeRow
-from stepcore.measure.trade.settings import grid, is_stiff
+from stepcore.measure.trade.rows import Frontier, TradeRow, observed_orders
+from stepcore.measure.trade.run_cache import RowMaker, RunCache
+from stepcore.measure.trade.search import searched
 from stepcore.measure.trade.statistics import LEAST, MOST, AfterPrediction
-from stepcore.measure.trade.trials import Trials
 from stepcore.report import units
 from stepcore.report.progress import Choice
 
@@ -142,53 +141,51 @@ def trade(
     steps, period = time_steps(shipped.dt, dts, held, length)
     if not (full or model.nu or held):
         period = longest(period, length)
-    runner = Runner(model, scheduled(motion, model, period))
+    experiment = Experiment(model, scheduled(motion, model, period), workers)
+    runner, schedule = experiment.runner, experiment.schedule
     runner.check_repeatable()
-    weight = heaviness(runner, shipped)
     # What sleep changes is an error like another: nobody sleeps in the reference.
     awake = shipped.replace(sleep=False)
-    runs = ReferenceRuns(runner, awake, min(steps), effort, workers, weight)
-    with workers.bar("reference", runs.least) as bar:
-        reference = runs.reference(bar)
-    size = scene_size(model.scene, reference.runs)
+    cache = RunCache(experiment, experiment.reference(min(steps), effort, awake))
+    made = experiment.reference_runs
+    assert made is not None
+    size, rows = experiment.size, max(run.rows for run in cache.reference.runs)
     target = None if error is None else units.length("trade", "error", error, size)
-    trials = Trials(runner, reference, size, workers)
-    counts, rows = Steps(period, shipped.dt), max(path.rows for path in reference.runs)
-    limits: list[str] = []
+    counts, kind = Steps(period, shipped.dt), Kind.of(model, rows)
+    unjudged: list[str] = []
     if full:
-        tried = grid(shipped, steps, rows=rows, stiff=is_stiff(model), **axes)
-        trials.run(tried)
+        tried = grid(kind, steps, **axes)
+        cache.run(tried)
     else:
-        wanted = frugal.Wanted(target, limit is not None, mujoco)
-        tried = frugal.searched(runs, trials, counts, rows, slides(model.scene), wanted)
-        limits = list(notes.about_search(trials.reference, counts, min(steps)))
-    _refine(runs, trials, tried)
+        tried = searched(cache, counts, kind, target, limit is not None, whole=mujoco)
+        unjudged = list(words.about_search(cache.reference, counts, min(steps)))
+    _refine(cache, tried)
     softens = rows > 0 and shipped.law == "solref" and shipped.refsafe
     tau = clamping(model.scene) if softens else None
-    split = ErrorSplit(runs, trials.reference, size)
-    reference = dataclasses.replace(trials.reference, gaps=split.gaps())
-    finisher = Finisher(trials, split, shipped, tau, by)
+    split = ErrorSplit(made, cache.reference, size)
+    reference = dataclasses.replace(cache.reference, gaps=split.gaps())
+    maker = RowMaker(cache, split, tau, by)
     points: list[mujoco_points.Point] = []
     timed: list[TimedRun] = []
     if mujoco:
-        points, timed = mujoco_points.MujocoTrials(source, runner, reference, size).points(
-            counts, workers
-        )
-    frontier = Frontier.of(finisher.rows(tried, timed), reference.high, reference.largest, by)
-    frontier = _with_statistics(frontier, runs, reference, motion, workers)
+        theirs = mujoco_points.MujocoTrials(source, runner, reference, size)
+        points, timed = theirs.points(counts, workers)
+    frontier = Frontier.of(maker.rows(tried, timed), reference.high, reference.largest, by)
+    frontier = _with_statistics(frontier, made, reference, motion)
     chosen = None
     if further and _recommends(frontier, target, limit):
         unseen = dataclasses.replace(motion, seed=motion.seed + APART)
         others = scheduled(unseen, model, period, starts=further + 1).part(1)
-        confirm = Confirmation(trials, runs, others)
+        confirm = Confirmation(cache, made, others)
         if target is not None:
-            again = _again(full, trials, confirm, counts, rows, target)
-            frontier, chosen = within_error(frontier, target, confirm, finisher.row, counts, again)
+            # A full grid is not searched again.
+            again = None if full else HardestStarts(cache, confirm, counts, kind, target)
+            frontier, chosen = within_error(frontier, target, confirm, maker.row, counts, again)
         elif limit is not None:
-            frontier = within_budget(frontier, limit, confirm, finisher.row, counts)
-    schedule = runner.schedule
+            frontier = within_budget(frontier, limit, confirm, maker.row, counts)
     forces = shipped.law == "penalty" and model.npair > 0
-    found = Trade(
+    orders = observed_orders(frontier.rows, reference)
+    result = Trade(
         name=setup.name,
         motion=motion,
         frontier=frontier,
@@ -196,11 +193,11 @@ def trade(
         ran=motion_in_words(model, motion, schedule),
         horizon=schedule.horizon,
         notes=[
-            *notes.about_run(schedule, rows, forces, tau, motion.horizon),
-            *notes.about_reference(reference, frontier.rows, size),
-            *limits,
-            *notes.observed(reference, schedule.horizon, observed_orders(frontier.rows, reference)),
-            *notes.failed(frontier.rows),
+            *words.about_run(schedule, rows, forces, tau, motion.horizon),
+            *words.about_reference(reference, frontier.rows, size),
+            *unjudged,
+            *words.observed(reference, schedule.horizon, orders),
+            *words.failed(frontier.rows),
             *model.scene.notes,
         ],
         target=target,
@@ -208,15 +205,14 @@ def trade(
         size=size,
         mujoco=mujoco_points.timed(points, timed),
         batches=workers.speedup.sentences,
-        screened=len({*trials.paths, *trials.screened}),
-        runs=trials.runs,
+        screened=len({*cache.full, *cache.screened}),
         chosen=chosen,
         findings=monitored(runner, shipped),
         runner=runner,
     )
-    answer = (found.recommended, found.shipped, *found.offered)
-    in_batch = batch_points(answer, frontier, finisher)
-    return dataclasses.replace(found, in_batch=in_batch, runs=trials.runs)
+    answer = (result.recommended, result.shipped, *result.offered)
+    in_batch = batch_points(answer, frontier, maker)
+    return dataclasses.replace(result, in_batch=in_batch, runs=cache.count)
 
 
 def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
@@ -236,49 +232,34 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
     return bool(given) or search == "grid"
 
 
-def _again(
-    full: bool, trials: Trials, confirm: Confirmation, steps: Steps, rows: int, target: float
-) -> Again:
-    """The search on the hardest starts; a full grid is not searched."""
-    if full:
-        return lambda frontier, chosen: ()
-    model = trials.runner.model
-    return HardestStarts(trials, confirm, steps, model.settings, rows, slides(model.scene), target)
-
-
-def _refine(runs: ReferenceRuns, trials: Trials, tried: Sequence[Settings]) -> None:
+def _refine(cache: RunCache, tried: Sequence[Settings]) -> None:
     """Halves the reference's step until its error is a tenth of the smallest in the table."""
-    whole = [trials.paths[setting] for setting in tried if not trials.failure(setting)]
-    while whole and runs.can_refine(trials.reference):
-        ref = trials.reference
-        least = smallest([errors(p, ref.runs, ref.scored).high for p in whole], runs.size)
-        if not least or ref.high * FINER <= least:
+    whole = [cache.full[setting] for setting in tried if not cache.failure(setting)]
+    while whole and cache.can_refine:
+        each = [cache.experiment.errors(runs, cache.reference).high for runs in whole]
+        least = smallest(each, cache.experiment.size)
+        if not least or cache.reference.high * FINER <= least or not cache.refine():
             return
-        with trials.workers.bar("finer reference", runs.starts) as bar:
-            better = runs.refined(ref, bar)
-        if better is None:
-            return
-        trials.reference = better
 
 
 def _with_statistics(
-    frontier: Frontier, runs: ReferenceRuns, reference: Reference, motion: Motion, workers: Workers
+    frontier: Frontier, made: ReferenceRuns, reference: Reference, motion: Motion
 ) -> Frontier:
     """The frontier with statistics of its shipped and best rows, where some of the horizon is
     beyond prediction."""
-    schedule = runs.runner.schedule
+    schedule = made.runner.schedule
     if not (schedule.times > reference.growth.overall).any():
         return frontier
     many = max(LEAST, len(schedule.starts))
-    longer = scheduled(motion, runs.runner.model, schedule.period, starts=many)
-    after = AfterPrediction(runs, reference, longer)
+    longer = scheduled(motion, made.runner.model, schedule.period, starts=many)
+    after = AfterPrediction(made, reference, longer)
     best = [row for row in frontier.rows if row.errors and row.best]
     some = best[:: 1 + (len(best) - 1) // MOST] if best else []
     some = [
         row for row in frontier.rows if row.shipped or (row in some and after.affords(row.settings))
     ]
     wanted = [row for row in some if row.errors]
-    with workers.bar("statistics", (1 + len(wanted)) * many) as bar:
+    with made.workers.bar("statistics", (1 + len(wanted)) * many) as bar:
         for row in wanted:
             measured = dataclasses.replace(row, after=after.measure(row.settings, bar))
             frontier = frontier.updated(measured)

@@ -31,8 +31,8 @@ from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Clock, Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.loading import find_asset
-from stepcore.measure.trade.moves import Steps
-from stepcore.measure.trade.row import TradeRow
+from stepcore.measure.trade.methods import Steps
+from stepcore.measure.trade.rows import TradeRow
 from stepcore.report.units import metres, seconds
 
 # MuJoCo's numbers of integrators, and those that are tried.

@@ -1,8 +1,12 @@
-"""Confirms a recommendation on starts that the search has not used.
+"""Confirms a recommendation on starts that the search has not used, and searches on the hardest.
 
 The target must be met in every start: in those of the search, and in as many further ones as the
 user asks for. Each of n + 1 random starts is equally likely to be the worst, so after n that meet
 the target the next one misses it with a probability of at most 1/(n + 1).
+
+Further starts may be harder than the search's own, and a method that was dropped early may do
+better there than one that only needs shorter steps. So the search is made again on the hardest of
+all starts.
 """
 
 from __future__ import annotations
@@ -15,36 +19,36 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.experiment.batched_runs import screened
-from stepcore.experiment.errors import errors
+from stepcore.experiment.errors import WORST_START, errors
+from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.failure import far_off
-from stepcore.experiment.growth import DIRECTIONS, growth
-from stepcore.experiment.reference import ReferenceRuns
-from stepcore.experiment.runner import Runner
+from stepcore.experiment.growth import DIRECTIONS, Growth, growth
+from stepcore.experiment.reference import Reference, ReferenceRuns
 from stepcore.experiment.schedule import Schedule
-from stepcore.measure.trade.frontier import MARGIN, Frontier
-from stepcore.measure.trade.moves import DENSER, Steps
-from stepcore.measure.trade.row import Further, TradeRow
-from stepcore.measure.trade.search import FINE
-from stepcore.measure.trade.trials import Trials
+from stepcore.measure.trade.methods import DENSER, Kind, Steps
+from stepcore.measure.trade.rows import MARGIN, Frontier, Further, TradeRow
+from stepcore.measure.trade.run_cache import RunCache
+from stepcore.measure.trade.search import FINE, SettingsSearch
 
-# So many rows are tested on the further starts before the search gives up.
+# This many rows are tested on the further starts before the search gives up.
 TRIES = 30
-# So often the search is made again on the starts that proved hardest.
+# The search is made again this often on the hardest starts.
 AGAIN = 2
-# For so many of those that fail there, shorter steps are tried: first by this factor, then by a
-# factor that grows by MORE, so many times.
+# For this many of those that fail there, shorter steps are tried: first by this factor, then by a
+# factor that grows by MORE, at most TIMES times.
 REPAIRED, SHORTER, MORE, TIMES = 8, 1.15, 0.1, 8
-# A rounder time step is recommended if it costs at most so many times as much.
+# A rounder time step is recommended if it costs at most this many times as much.
 DEARER = 1.15
-
-# Of the cheaper rows that keep to the error on the search's own starts, so many are looked at.
+# Of the cheaper rows that keep to the error on the search's own starts, this many are looked at.
 NEAR = 3
 # Where no row keeps to the error on all starts: the share that will do, and how many are tried.
 SHARE, NEARLY = 0.95, 8
-
 # Where perturbed runs of the search's starts part by less than this factor, those of further starts
 # are not measured: they can be predicted.
 CALM = 30.0
+# The second search: on this many of all starts; it begins with the methods of rows that cost at
+# most CLOSE times what passed; of the settings that it finds this many cheaper ones are tested.
+HARD, CLOSE, TESTED = 8, 2.0, 3
 
 # Makes a finished row of settings: runs them from all starts, counts and times them.
 Finish = Callable[[Settings], TradeRow]
@@ -57,36 +61,34 @@ Ran = tuple[int, float, str | None]
 class Confirmation:
     """Further starts with their own reference, on which settings are tested."""
 
-    def __init__(self, trials: Trials, runs: ReferenceRuns, others: Schedule) -> None:
-        self.trials, self.workers = trials, runs.workers
-        self.runner = Runner(runs.runner.model, others)
-        own = ReferenceRuns(
-            self.runner, runs.shipped, runs.finest, math.inf, runs.workers, runs.weight
-        )
+    def __init__(self, cache: RunCache, made: ReferenceRuns, others: Schedule) -> None:
+        self.cache, own = cache, cache.experiment
+        self.further = Experiment(own.model, others, own.workers, own.size)
+        runner, workers = self.further.runner, own.workers
+        further = ReferenceRuns(runner, made.shipped, made.finest, math.inf, workers, made.weight)
         self.hard: list[int] = []
-        self.ends = np.full(len(others.starts), np.inf)
+        self.ends = np.full(self.count, np.inf)
         self.scored: np.ndarray | None = None
         # By settings and further start: how wrong the run was [m], and why it failed if it did.
         self.ran: dict[Settings, dict[int, Ran]] = {}
         # As fine as the search's own: a further start may be harder than all of those.
-        level = trials.reference.level
-        count = len(others.starts)
-        with self.workers.bar("further starts", count) as bar:
-            self.truth = own.level(level.integrator, level.dt, bar, bare=True)
+        level = cache.reference.level
+        with workers.bar("further starts", self.count) as bar:
+            self.truth = further.level(level.integrator, level.dt, bar, bare=True)
         if self.truth.failed:
             return
-        if trials.reference.growth.factor.max() < CALM:
-            self.scored = np.ones((count, len(others.times)), bool)
+        if cache.reference.growth.factor.max() < CALM:
+            self.scored = np.ones((self.count, len(others.times)), bool)
             return
-        settings = own.settings(level.integrator, level.dt)
-        with self.workers.bar("further perturbed runs", (1 + DIRECTIONS) * count) as bar:
-            grown = growth(self.runner, settings, trials.size, self.workers, bar)
+        settings = further.settings(level.integrator, level.dt)
+        with workers.bar("further perturbed runs", (1 + DIRECTIONS) * self.count) as bar:
+            grown = growth(runner, settings, own.size, workers, bar)
         self.scored, self.ends = grown.scored, grown.ends
 
     @property
     def count(self) -> int:
         """How many further starts there are."""
-        return len(self.runner.schedule.starts)
+        return len(self.further.schedule.starts)
 
     def test(self, settings: Settings, limit: float, error: float) -> Further:
         """Runs settings from every further start; limit: what they should keep to [m].
@@ -133,13 +135,70 @@ class Confirmation:
         assert self.scored is not None
         known = self.ran.setdefault(settings, {})
         missing = [start for start in starts if start not in known]
-        paths = screened(self.runner, settings, missing, self.workers, "further starts")
-        for start, path in zip(missing, paths, strict=True):
+        own = self.further
+        runs = screened(own.runner, settings, missing, own.workers, "further starts")
+        for start, run in zip(missing, runs, strict=True):
             truth = [self.truth.runs[start]]
-            failure = path.failure or far_off([path], truth, self.trials.size)
-            wrong = math.inf if failure else errors([path], truth, self.scored[[start]]).high
+            failure = run.failure or far_off([run], truth, own.size)
+            wrong = math.inf
+            if not failure:
+                wrong = WORST_START(errors([run], truth, self.scored[[start]]))
             known[start] = (start, wrong, failure)
         return [known[start] for start in starts]
+
+
+class HardestStarts:
+    """Searches on the hardest of the search's own and the further starts.
+
+    target: the error asked for [m].
+    """
+
+    def __init__(
+        self, cache: RunCache, confirm: Confirmation, steps: Steps, kind: Kind, target: float
+    ) -> None:
+        self.cache, self.confirm, self.steps = cache, confirm, steps
+        self.kind, self.target = kind, target
+
+    def __call__(self, frontier: Frontier, chosen: TradeRow) -> Sequence[Settings]:
+        """Settings cheaper than the row that passed, as far as the hardest starts tell."""
+        few = [int(i) for i in self.order(frontier)[:HARD]]
+        own = self.cache.experiment
+        experiment = Experiment(own.model, self._schedule(few), own.workers, own.size)
+        hard = RunCache(experiment, self._reference(few))
+        search = SettingsSearch(hard, self.steps, self.kind)
+        price = frontier.price(chosen)
+        near = [r.settings for r in frontier.rows if frontier.price(r) <= CLOSE * price]
+        methods = (self.steps.at(s, self.steps.own) for s in near if s.precision == "f64")
+        search.methods = list(dict.fromkeys(methods))
+        met = search.meeting(MARGIN * self.target)
+        self.cache.count += hard.count
+        return [s for s in met if hard.score(s, len(few)).price < chosen.flops][:TESTED]
+
+    def order(self, frontier: Frontier) -> np.ndarray:
+        """All starts, numbered from the search's own, the hardest for tested rows first."""
+        own = np.zeros(len(self.cache.experiment.schedule.starts))
+        for row in frontier.rows:
+            if row.further is not None and row.errors is not None:
+                own = np.maximum(own, row.errors.each)
+        return np.argsort(-np.concatenate([own, self.confirm.hardness()]), kind="stable")
+
+    def _schedule(self, few: Sequence[int]) -> Schedule:
+        own, further = self.cache.experiment.schedule, self.confirm.further.schedule
+        starts = [*own.starts, *further.starts]
+        ctrl = None
+        if own.ctrl is not None and further.ctrl is not None:
+            ctrl = np.concatenate([own.ctrl, further.ctrl])[list(few)]
+        return dataclasses.replace(own, starts=tuple(starts[i] for i in few), ctrl=ctrl)
+
+    def _reference(self, few: Sequence[int]) -> Reference:
+        """The reference of these starts, known as well as that of the search's own."""
+        own = self.cache.reference
+        runs = [*own.runs, *self.confirm.truth.runs]
+        level = dataclasses.replace(own.level, runs=[runs[i] for i in few])
+        ends = np.concatenate([own.growth.ends, self.confirm.ends])[list(few)]
+        factor = np.ones((len(few), len(own.growth.times)))
+        grown = Growth(own.growth.times, factor, ends)
+        return dataclasses.replace(own, level=level, growth=grown, exact=None)
 
 
 def within_error(
@@ -148,7 +207,7 @@ def within_error(
     confirm: Confirmation,
     finish: Finish,
     steps: Steps,
-    again: Again,
+    again: Again | None,
 ) -> tuple[Frontier, TradeRow | None]:
     """Tests the cheapest rows within an error [m] until one of them passes.
 
@@ -159,11 +218,11 @@ def within_error(
     """
     frontier, chosen = _first_that_passes(frontier, target, confirm, finish, steps)
     for _ in range(AGAIN):
-        if chosen is None or confirm.scored is None:
+        if chosen is None or again is None or confirm.scored is None:
             break
-        found = [setting for setting in again(frontier, chosen) if not frontier.has(setting)]
-        for setting in found:
-            frontier = frontier.updated(finish(setting))
+        for setting in again(frontier, chosen):
+            if not frontier.has(setting):
+                frontier = frontier.updated(finish(setting))
         frontier, better = _first_that_passes(frontier, target, confirm, finish, steps)
         if better is None or better.settings == chosen.settings:
             break
@@ -263,7 +322,7 @@ def _rounded(
 
 def _finest(confirm: Confirmation, steps: Steps) -> int:
     """The most steps in a period that the reference can judge."""
-    return int(steps.period / confirm.trials.reference.settings.dt / 2 + 1e-9)
+    return int(steps.period / confirm.cache.reference.settings.dt / 2 + 1e-9)
 
 
 def _repaired(

@@ -1,10 +1,10 @@
 """The frugal search for the cheapest settings that meet an error.
 
-A *method* is all of the settings but the time step. For each method the search looks for the
-longest time step that meets the error, in three rounds. Families of methods are judged from a few
-starts. The cheapest of them go on, and change one setting at a time as long as that makes them
-cheaper at equal error. The best are judged again from all starts. Costs are counted operations, so
-that the same seed finds the same settings on any machine.
+For each method (all of the settings but the time step) the search looks for the longest time step
+that meets the error, in three rounds. Families of methods are judged from a few starts. The
+cheapest of them go on, and change one setting at a time as long as that makes them cheaper at equal
+error. The best are judged again from all starts. Costs are counted operations, so that the same
+seed finds the same settings on any machine.
 """
 
 from __future__ import annotations
@@ -14,27 +14,39 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from stepcore._core import Settings
-from stepcore.measure.trade.moves import Steps, families, moves
-from stepcore.measure.trade.settings import is_stiff
-from stepcore.measure.trade.trials import Score, Trials
+from stepcore.experiment.reference import FINER
+from stepcore.measure.trade.methods import Kind, Steps, families, moves
+from stepcore.measure.trade.rows import MARGIN
+from stepcore.measure.trade.run_cache import RunCache, Score
 
 # Starts that methods are first judged from.
 FEW = 2
-# A method goes on to the second round, and then to all starts, if it costs at most so many times
-# as much as the best.
-FIRST, SECOND = 1.6, 1.25
-# At most so many methods go on.
-MOST = 4
-# A changed setting is taken if that costs at most this share at equal error; so many in a row.
-BETTER = 0.97
-CLIMBS = 4
+# A method goes on to the second round, and then to all starts, if it costs at most this many times
+# as much as the best; at most MOST go on.
+FIRST, SECOND, MOST = 1.6, 1.25, 4
+# A changed setting is taken if that costs at most this share at equal error; CLIMBS in a row.
+BETTER, CLIMBS = 0.97, 4
 # The longest step is found to this ratio: in the first rounds, at the end.
 COARSE, FINE = 1.3, 1.08
 ROUNDS = 8
 # A shorter step takes at least this share of the work of a longer one.
 CHEAPER = 0.8
-# A method is at its floor where steps so many times shorter reduce the error by less than this.
+# A method is at its floor where steps FLOOR times shorter reduce the error by less than HELPS.
 FLOOR, HELPS = 4.0, 1.3
+# The target errors, as shares of the error asked for, or of the shipped error without one; and
+# whether methods are changed there. `Trade.next_better` is found from the half.
+ASKED = ((MARGIN, True), (0.5, False))
+UNASKED = ((1.0, True), (0.5, False), (0.1, False))
+BUDGET = ((4.0, False), (1.0, True), (0.25, False), (0.06, True), (0.015, False))
+# On the front of an integrator each setting kept costs at least this many times the last.
+SPARSE = 1.6
+# Errors this many times below the smallest target are of no use.
+USELESS = 6.0
+# This many of the cheapest settings are also tried in single precision.
+SINGLE = 2
+# Halvings of the reference that a target may ask for; none for one this many times below the error
+# asked for.
+REFINED, DEEP = 4, 20.0
 
 
 @dataclass
@@ -98,18 +110,11 @@ def equal_error(score: Score, error: float, order: float) -> float:
 
 
 class SettingsSearch:
-    """Searches for the cheapest settings that meet an error; its runs stay in its trials.
+    """Searches for the cheapest settings that meet an error; its runs stay in its cache."""
 
-    rows: the most at once in the reference. friction: whether a contact can have friction.
-    """
-
-    def __init__(
-        self, trials: Trials, steps: Steps, shipped: Settings, rows: int, friction: bool
-    ) -> None:
-        self.trials, self.steps, self.shipped = trials, steps, shipped
-        self.rows, self.friction = rows, friction
-        self.stiff = is_stiff(trials.runner.model)
-        self.all = len(trials.runner.schedule.starts)
+    def __init__(self, cache: RunCache, steps: Steps, kind: Kind) -> None:
+        self.cache, self.steps, self.kind, self.shipped = cache, steps, kind, kind.shipped
+        self.all = len(cache.experiment.schedule.starts)
         self.few = min(FEW, self.all)
         # Methods found by changing settings of the families.
         self.methods: list[Settings] = []
@@ -117,20 +122,18 @@ class SettingsSearch:
     @property
     def finest(self) -> int:
         """The most steps in a control period that the reference is accurate enough to judge."""
-        return max(1, int(self.steps.period / self.trials.reference.settings.dt / 2 + 1e-9))
+        return max(1, int(self.steps.period / self.cache.reference.settings.dt / 2 + 1e-9))
 
-    def overview(self) -> list[Settings]:
+    def overview(self) -> None:
         """Runs every family at a few time steps from few starts, around the shipped settings.
 
         None but the shipped one is shorter than the reference can judge.
         """
-        some = families(self.shipped, self.rows, self.stiff)
         own = self.steps.own
         counts = {max(1, own // 4), max(1, own // 2), own, 2 * own, 4 * own, 8 * own, 1}
         judged = sorted(n for n in counts if n <= max(own, self.finest))
-        tried = [self.steps.at(base, n) for base in some for n in judged]
-        self.trials.screen([self.shipped, *tried], self.few, "search: overview")
-        return tried
+        tried = [self.steps.at(base, n) for base in families(self.kind) for n in judged]
+        self.cache.screen([self.shipped, *tried], self.few, "search: overview")
 
     def meeting(self, error: float, climb: bool = True) -> list[Settings]:
         """Settings near the cheapest that meet an error in every start, cheapest first.
@@ -138,7 +141,7 @@ class SettingsSearch:
         Empty where no step that the reference can judge meets it. climb: change settings of the
         methods too, beyond the families and what earlier calls have found.
         """
-        bases = dict.fromkeys([*families(self.shipped, self.rows, self.stiff), *self.methods])
+        bases = dict.fromkeys([*families(self.kind), *self.methods])
         open_ = [self.bracket(base) for base in bases]
         self.narrow(open_, error, self.few, COARSE, "search: time steps")
         open_ = self.keep(open_, error, FIRST)
@@ -155,10 +158,10 @@ class SettingsSearch:
     def bracket(self, base: Settings) -> Bracket:
         """A method with its scores from few starts, as far as it has been run."""
         bracket = Bracket(base, self.steps.own)
-        for settings in self.trials.screened:
+        for settings in self.cache.screened:
             pieces = self.steps.pieces(settings)
             if self.steps.at(base, pieces) == settings and pieces <= self.finest:
-                bracket.known[pieces] = self.trials.score(settings, self.few)
+                bracket.known[pieces] = self.cache.score(settings, self.few)
         return bracket
 
     def again(self, bracket: Bracket, error: float) -> Bracket:
@@ -190,9 +193,9 @@ class SettingsSearch:
             if not wanted:
                 return
             settings = [self.steps.at(bracket.base, n) for bracket, n in wanted]
-            self.trials.screen(settings, starts, label)
+            self.cache.screen(settings, starts, label)
             for (bracket, n), made in zip(wanted, settings, strict=True):
-                bracket.known[n] = self.trials.score(made, starts)
+                bracket.known[n] = self.cache.score(made, starts)
 
     def propose(self, bracket: Bracket, error: float, ratio: float) -> int | None:
         """The next number of steps in a period to try, or None where enough is known."""
@@ -236,13 +239,13 @@ class SettingsSearch:
         moving = set(range(len(now)))
         for _ in range(CLIMBS):
             asked = {i: self.near(now[i], error) for i in moving}
-            self.trials.screen(
+            self.cache.screen(
                 [s for some in asked.values() for s in some], self.few, "search: settings"
             )
             for i, tried in asked.items():
                 base, order = now[i].base, now[i].order(error)
                 prices = [
-                    (equal_error(self.trials.score(s, self.few), error, order), k)
+                    (equal_error(self.cache.score(s, self.few), error, order), k)
                     for k, s in enumerate(tried)
                 ]
                 price, k = min(prices, default=(math.inf, 0))
@@ -258,5 +261,82 @@ class SettingsSearch:
     def near(self, bracket: Bracket, error: float) -> list[Settings]:
         """The methods that differ in one setting, at the step where this one meets the error."""
         pieces = bracket.meets(error) or max(bracket.known)
-        here = self.steps.at(bracket.base, pieces)
-        return moves(here, self.rows, self.friction)
+        return moves(self.steps.at(bracket.base, pieces), self.kind)
+
+
+def searched(
+    cache: RunCache, steps: Steps, kind: Kind, wanted: float | None, budget: bool, whole: bool
+) -> list[Settings]:
+    """Runs the search; the settings that ran from all starts or failed, coarsest step first.
+
+    wanted: the error asked for [m], or None. budget: whether there is one. whole: settings of any
+    error are of use.
+    """
+    search = SettingsSearch(cache, steps, kind)
+    search.overview()
+    chosen: list[Settings] = []
+    targets = _targets(search, wanted, budget)
+    for k, (error, climb) in enumerate(targets):
+        halvings = REFINED
+        if k and chosen and wanted is not None:
+            # The longest step tried can be far more accurate than what was asked for.
+            error = min(error, cache.score(chosen[0], search.all).error / 2)
+            halvings = REFINED if error * DEEP >= wanted else 0
+            if error <= cache.reference.high:
+                break
+        while halvings and cache.reference.high * FINER > error and cache.refine():
+            halvings -= 1
+        some = search.meeting(error, climb)
+        while not some and halvings and cache.refine():
+            halvings -= 1
+            some = search.meeting(error, climb)
+        chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
+    least = 0.0 if whole else min((error for error, _ in targets), default=0.0) / USELESS
+    # What is nearer to the reference than it is known is not known to be better.
+    known = 0.0 if cache.can_refine else cache.reference.high
+    chosen += _fronts(search, least, known)
+    chosen.append(kind.shipped)
+    failed = [setting for setting, runs in cache.screened.items() if cache.why_failed(runs)]
+    cache.run([*chosen, *failed], "search: the best")
+    return sorted(dict.fromkeys([*chosen, *failed]), key=lambda s: -s.dt)
+
+
+def _targets(
+    search: SettingsSearch, wanted: float | None, budget: bool
+) -> list[tuple[float, bool]]:
+    """The errors to search for [m], and whether methods are changed there."""
+    if wanted is not None:
+        return [(share * wanted, climb) for share, climb in ASKED]
+    cache = search.cache
+    own = cache.score(search.shipped, search.few).error
+    if not 0 < own < math.inf:
+        scores = [cache.score(settings, search.few).error for settings in cache.screened]
+        finite = sorted(e for e in scores if 0 < e < math.inf)
+        own = finite[len(finite) // 2] if finite else 0.0
+    shares = BUDGET if budget else UNASKED
+    return [(own * share, climb) for share, climb in shares if own > 0]
+
+
+def _fronts(search: SettingsSearch, least: float, known: float) -> list[Settings]:
+    """The front of every integrator by its scores from few starts, thinned out.
+
+    least: smaller errors are not wanted [m]. known: of errors up to it the cheapest is wanted.
+    """
+    by_name: dict[str, list[Settings]] = {}
+    for setting in search.cache.screened:
+        by_name.setdefault(setting.integrator, []).append(setting)
+    return [s for some in by_name.values() for s in _thin(search, some, least, known)]
+
+
+def _thin(
+    search: SettingsSearch, some: Sequence[Settings], least: float, known: float
+) -> list[Settings]:
+    scores = [(search.cache.score(setting, search.few), i) for i, setting in enumerate(some)]
+    kept, best, last = [], math.inf, 0.0
+    for score, i in sorted(scores, key=lambda pair: (pair[0].price, pair[0].error, pair[1])):
+        if score.error < best and score.price > SPARSE * last and score.error >= least:
+            kept.append(some[i])
+            best, last = score.error, score.price
+            if best <= known:
+                break
+    return kept

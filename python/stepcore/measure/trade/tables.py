@@ -1,4 +1,4 @@
-"""The tables of a trade as they are printed: its settings, and means where it is unpredictable."""
+"""The tables of a trade as they are printed."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from stepcore.measure.trade.findings import TradeFindings
+from stepcore.experiment.reference import Reference
+from stepcore.measure.trade.batch_cost import BatchPoint
 from stepcore.measure.trade.mujoco import Point
-from stepcore.measure.trade.row import TradeRow
+from stepcore.measure.trade.rows import Frontier, TradeRow
 from stepcore.measure.trade.statistics import QUANTITIES
 from stepcore.report.settings import differences, label
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds
 
-# A printed trade shows so many rows at most: those that matter, thinned out along the front.
+# A printed trade shows at most this many rows: those that matter, thinned out along the front.
 SHOWN = 10
 MARKS = {
     "*": "no other setting is cheaper and at least as accurate",
@@ -23,13 +24,13 @@ MARKS = {
     "c": "refsafe softens contacts at this dt",
 }
 LEGEND = """ref: the converged motion that errors are measured from. dt [ms]; cost [µs] and flops \
-per simulated second; error: RMS position error of the worst start [m]{below}; median: of the \
-median start; max: largest error of a centre of mass."""
+per simulated second; error: RMS position error of the worst start [m]{below}, of centres of mass \
+and of rotations times radii of gyration; median: of the median start; max: largest error of a \
+centre of mass alone, which may be below an error that comes from rotation."""
 BELOW = " (<: below what the converged motion can tell)"
-FULL_LEGEND = """ error counts centres of mass and rotation times radius of gyration. rows: row \
-updates per simulated second. numeric, model: numerical and modelling part of the error, for \
-settings that change the model. angle: RMS rotation error [rad]. gained, lost: energy beyond the \
-work done [J]. overlap: deepest overlap [m]. resid: largest residual [m/s]."""
+FULL_LEGEND = """ rows: row updates per simulated second. numeric, model: numerical and modelling \
+part of the error, for settings that change the model. angle: RMS rotation error [rad]. gained, \
+lost: energy beyond the work done [J]. overlap: the deepest [m]. resid: largest residual [m/s]."""
 ALSO = " also: other settings that differ from the shipped ones."
 MUJOCO = " m: MuJoCo, where none of its settings is better."
 
@@ -47,28 +48,40 @@ DETAILS = ("rows", "numeric", "model", "angle", "gained", "lost", "overlap", "re
 BLANK = ("", None, "0")
 
 
-def settings_table(trade: TradeFindings, full: bool) -> Table:
-    """The rows, the reference and MuJoCo's best; `full`: all rows, however many there are."""
-    shown = trade.rows if full or len(trade.rows) <= SHOWN else _main_rows(trade)
-    records = [*(_cells(trade, row) for row in shown), _reference_cells(trade)]
-    records += [_mujoco_cells(point) for point in trade.mujoco if point.best]
+def settings_table(
+    frontier: Frontier,
+    reference: Reference,
+    chosen: TradeRow | None,
+    named: Sequence[TradeRow],
+    points: Sequence[Point],
+    full: bool,
+) -> Table:
+    """The rows, the reference and MuJoCo's best points; `full`: all rows, however many there are.
+
+    chosen: the recommended row. named: the rows that the answer names.
+    """
+    shown = frontier.rows
+    if not full and len(shown) > SHOWN:
+        shown = _main_rows(frontier, named)
+    records = [*(_cells(frontier, row, chosen) for row in shown), _reference_cells(reference)]
+    records += [_mujoco_cells(point) for point in points if point.best]
     some = [n for n in NAMES if full or n not in DETAILS]
     columns = [n for n in some if n in HEADS or any(r.get(n) not in BLANK for r in records)]
     used = "".join(str(record[""]) for record in records)
     marks = [f"{mark}: {words}" for mark, words in MARKS.items() if mark in used.replace("ref", "")]
     below = any(str(record.get(name)).startswith("<") for record in records for name in ERRORS)
     legend = "; ".join([*marks, LEGEND.format(below=BELOW * below)])
-    legend += ALSO * ("also" in columns) + FULL_LEGEND * full + MUJOCO * bool(trade.mujoco)
-    left = len(trade.rows) - len(shown)
+    legend += ALSO * ("also" in columns) + FULL_LEGEND * full + MUJOCO * bool(points)
+    left = len(frontier.rows) - len(shown)
     more = f"{counted(left, 'more setting')} and " if left else ""
     if not full:
         legend += f" --all (in Python text(full=True)) prints {more}energy, overlap and residual."
     return Table(records, columns, dict.fromkeys((*NUMBERS, "dt"), ""), legend=legend)
 
 
-def statistics_tables(trade: TradeFindings) -> list[Table]:
+def statistics_tables(frontier: Frontier) -> list[Table]:
     """The means after the motion cannot be predicted; none where all of it can be."""
-    rows = [(row, row.after) for row in trade.rows if row.after is not None]
+    rows = [(row, row.after) for row in frontier.rows if row.after is not None]
     if not rows:
         return []
     first = rows[0][1]
@@ -91,57 +104,53 @@ def statistics_tables(trade: TradeFindings) -> list[Table]:
     return [Table(records, heading=heading)]
 
 
-def batch_tables(trade: TradeFindings) -> list[Table]:
+def batch_tables(frontier: Frontier, points: Sequence[BatchPoint]) -> list[Table]:
     """What settings cost as worlds of a batch; none where that was not timed."""
-    if not trade.in_batch:
+    if not points:
         return []
     records = []
-    for point in trade.in_batch:
-        cells = _cells(trade, point.row)
+    for point in points:
+        cells = _cells(frontier, point.row, None)
         record = {name: cells[name] for name in (*HEADS, "also")}
         record[""] = "*" * point.best + cells[""].replace("*", "")
         record["error"] = compact(point.error) if point.row.errors else cells["error"]
         record |= {"alone": cells["cost"], "in a batch": _cost(point.cost)}
         records.append(record | {"lanes": "yes" if point.lanes else "no"})
     columns = [name for name in records[0] if any(r[name] not in BLANK for r in records)]
-    worlds = trade.in_batch[0].worlds
     heading = (
-        f"One world alone, and each of {worlds} worlds of a batch on one thread, timed in turn "
-        "[µs per simulated second]: another cost than above, for those who step many worlds at once"
+        f"Cost per world when {points[0].worlds} worlds are stepped as a batch on one thread, "
+        "beside that of a single world [µs per simulated second]"
     )
     legend = (
-        "error: in the starts of the search; lanes: side by side in vector registers, where the "
-        "batch found that quicker"
+        "error: in the starts of the search; lanes: whether the batch stepped its worlds side by "
+        "side in vector registers, which it does where that is quicker"
     )
     formats = dict.fromkeys(("dt", "error", "alone", "in a batch"), "")
     return [Table(records, columns, formats, heading=heading, legend=legend)]
 
 
-def _main_rows(trade: TradeFindings) -> Sequence[TradeRow]:
+def _main_rows(frontier: Frontier, named: Sequence[TradeRow]) -> tuple[TradeRow, ...]:
     """What the answer names, and best rows: along all of the front alike."""
-    kept = {row.settings for row in (trade.shipped, *trade.offered)}
-    if trade.recommended is not None:
-        kept.add(trade.recommended.settings)
-    best = [row for row in trade.rows if row.best and row.settings not in kept]
-    best = sorted(best, key=trade.price)
+    kept = {row.settings for row in named}
+    best = [row for row in frontier.rows if row.best and row.settings not in kept]
+    best = sorted(best, key=frontier.price)
     room = SHOWN - len(kept)
     if len(best) > room:
         best = [best[round(k * (len(best) - 1) / (room - 1))] for k in range(room)]
     kept |= {row.settings for row in best}
-    return [row for row in trade.rows if row.settings in kept]
+    return tuple(row for row in frontier.rows if row.settings in kept)
 
 
-def _cells(trade: TradeFindings, row: TradeRow) -> dict[str, Any]:
+def _cells(frontier: Frontier, row: TradeRow, chosen: TradeRow | None) -> dict[str, Any]:
     """One printed row."""
     s, e = row.settings, row.errors
     marks = "*" * row.best + "s" * row.shipped + "c" * row.clamped
-    chosen = trade.recommended
     record: dict[str, Any] = {
         "": marks + "r" * (chosen is not None and chosen.settings == s),
         "dt": f"{s.dt * 1e3:.4g}",
         "integrator": s.integrator,
         "solver": f"pgs {s.sweeps}" if s.solver == "pgs" else s.solver,
-        "also": ", ".join(differences(s, trade.shipped.settings)),
+        "also": ", ".join(differences(s, frontier.shipped.settings)),
         "cost": _cost(row.cost),
         "flops": "" if math.isnan(row.flops) else compact(row.flops),
         "rows": "" if math.isnan(row.row_updates) else compact(row.row_updates),
@@ -150,10 +159,10 @@ def _cells(trade: TradeFindings, row: TradeRow) -> dict[str, Any]:
         record["solver"] += f" {s.precision}"
     if e is None:
         return record | dict.fromkeys(ERRORS, "") | {"error": "failed"}
-    largest = max(e.position_max, trade.reference.largest)
+    largest = max(e.position_max, frontier.known_max)
     split = (e.numerical, e.modelling) if e.modelling else (0.0, 0.0)
     numbers = (e.median, *split, largest, e.angle, e.gained, e.lost, e.overlap, e.residual)
-    record |= dict(zip(ERRORS, map(compact, (trade.error(row), *numbers)), strict=True))
+    record |= dict(zip(ERRORS, map(compact, (frontier.error(row), *numbers)), strict=True))
     if not e.modelling:
         record["numeric"] = record["model"] = ""
     record["error"] = "<" * row.below + record["error"]
@@ -161,13 +170,12 @@ def _cells(trade: TradeFindings, row: TradeRow) -> dict[str, Any]:
     return record
 
 
-def _reference_cells(trade: TradeFindings) -> dict[str, Any]:
-    """The reference's own row, to compare with what the scene itself loses or overlaps."""
-    ref = trade.reference
-    gained = max(float(path.balance.max()) for path in ref.runs)
-    lost = max(-float(path.balance.min()) for path in ref.runs)
-    overlap = max(path.overlap for path in ref.runs)
-    residual = max(path.residual for path in ref.runs)
+def _reference_cells(ref: Reference) -> dict[str, Any]:
+    """The reference's own row, which shows what the scene itself loses or overlaps."""
+    gained = max(float(run.balance.max()) for run in ref.runs)
+    lost = max(-float(run.balance.min()) for run in ref.runs)
+    overlap = max(run.overlap for run in ref.runs)
+    residual = max(run.residual for run in ref.runs)
     numbers = (ref.high, ref.error, 0.0, 0.0, ref.largest, ref.angle)
     return {
         "": "ref",

@@ -21,7 +21,7 @@ from stepcore.report.units import counted, metres, operations, seconds
 
 if TYPE_CHECKING:
     from stepcore.measure.trade.result import Trade
-    from stepcore.measure.trade.row import TradeRow
+    from stepcore.measure.trade.rows import TradeRow
 
 MARKERS = {"newton": "o", "pgs": "s"}
 # MuJoCo's points, in the same colours.

@@ -1,8 +1,7 @@
-"""What settings cost as worlds of a batch, in double and in single precision.
+"""The cost of settings as worlds of a batch, in double and in single precision.
 
-It is another cost than that of a world alone, and only those pay it who step many worlds at once:
-both are timed in turn, and kept apart in what is printed. The errors are the same: a world of a
-batch has the bits of a single run.
+It is timed in turn with that of a single world, and kept apart from it in what is printed. The
+errors are the same: a world of a batch has the bits of a single run.
 """
 
 from __future__ import annotations
@@ -17,20 +16,19 @@ from stepcore.experiment.batched_runs import BatchRun, can
 from stepcore.experiment.cost import Stopwatch, TimedRun
 from stepcore.experiment.errors import pareto
 from stepcore.experiment.runner import Runner
-from stepcore.measure.trade.finish import Finisher
-from stepcore.measure.trade.frontier import Frontier
-from stepcore.measure.trade.row import TradeRow
+from stepcore.measure.trade.rows import Frontier, TradeRow
+from stepcore.measure.trade.run_cache import RowMaker
 
 # They fill two vector registers.
 WORLDS = 16
 PRECISIONS = ("f64", "f32")
-# Of the settings that the answer names so many are timed.
+# This many of the settings that the answer names are timed.
 MOST = 3
 
 
 @dataclass(frozen=True)
 class BatchPoint:
-    """Settings as so many worlds of a `Batch` on one thread.
+    """Settings as worlds of a `Batch` on one thread.
 
     row: the same settings, with the errors of a world and what it costs alone.
     cost: of each world of the batch [µs per simulated second].
@@ -65,7 +63,7 @@ class BatchPoint:
 
 
 class TimedBatch(TimedRun):
-    """The motion from a runner's starts in turn, in so many worlds, timed again and again."""
+    """The motion from a runner's starts in turn, in the worlds of a batch, timed repeatedly."""
 
     def __init__(self, runner: Runner, settings: Settings, failed: bool, worlds: int) -> None:
         super().__init__(runner, settings, failed)
@@ -93,24 +91,21 @@ class TimedBatch(TimedRun):
 
 
 def batch_points(
-    named: Sequence[TradeRow | None], frontier: Frontier, finisher: Finisher
+    named: Sequence[TradeRow | None], frontier: Frontier, maker: RowMaker
 ) -> list[BatchPoint]:
     """The settings of some rows, in both precisions, as worlds of a batch.
 
     None where nothing is timed, and where a Python function controls each world.
     """
-    trials = finisher.trials
-    if finisher.by != "time" or not can(trials.runner):
+    cache, runner = maker.cache, maker.cache.experiment.runner
+    if maker.by != "time" or not can(runner):
         return []
     bases = dict.fromkeys(row.settings for row in named if row is not None and row.errors)
-    some = list(bases)[:MOST]
-    settings = list(dict.fromkeys(base.replace(precision=p) for base in some for p in PRECISIONS))
-    trials.run(settings, "single precision")
-    runs = [
-        TimedBatch(trials.runner, setting, trials.failure(setting) is not None, WORLDS)
-        for setting in settings
-    ]
-    rows = finisher.rows(settings, runs)
+    both = (base.replace(precision=p) for base in list(bases)[:MOST] for p in PRECISIONS)
+    settings = list(dict.fromkeys(both))
+    cache.run(settings, "single precision")
+    runs = [TimedBatch(runner, s, cache.failure(s) is not None, WORLDS) for s in settings]
+    rows = maker.rows(settings, runs)
     costs, errors = [run.cost for run in runs], [frontier.searched(row) for row in rows]
     return [
         BatchPoint(row, run.cost, run.worlds, run.lanes, error, best)

@@ -1,0 +1,248 @@
+"""The settings that a trade tries: time steps, a grid, families of methods, and single changes.
+
+A *method* is all of the settings but the time step. Substeps are no setting of their own: k
+substeps are a time step k times shorter and, at equal row updates, a k-th of the sweeps. Trying dt
+and sweeps covers them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.engine.model import Model
+from stepcore.experiment.joint_gains import joint_gains
+from stepcore.experiment.other_models import STAGED
+
+SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
+COULOMB_LAW = ("explicit", "semi-implicit", "midpoint", "rk4")
+# Beside these, where springs, tendons or servos are stiff.
+STIFF = ("discrete",)
+# The sweeps of a full grid, by law; those of a search; and its numbers of Newton iterations.
+SWEEPS_SMOOTH, SWEEPS_COULOMB = (5, 20, 100), (1, 5, 20)
+SWEEPS, ITERATIONS = (1, 2, 3, 5, 8, 12, 20, 32, 50, 100, 200), (1, 2, 3, 5, 100)
+TOLERANCES = (0.0, 1e-10, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+# Without controls, steps up to this many times the largest default one are tried, as long as this
+# many samples are left in the horizon.
+LONGER, LEFT = 4, 25
+# A time step is round if it has this many digits. A rounder one is looked for among steps at most
+# WIDER times longer and DENSER times shorter.
+ROUND, WIDER, DENSER = 3, 1.2, 1.15
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Time steps that divide a control period [s], by how many are in it (`pieces`).
+
+    shipped: one of the time steps [s].
+    """
+
+    period: float
+    shipped: float
+
+    def dt(self, pieces: int) -> float:
+        """The time step [s] of which so many are in a period; the shipped one to the bit."""
+        return self.shipped if pieces == self.own else self.period / pieces
+
+    @property
+    def own(self) -> int:
+        """Shipped steps in a period."""
+        return round(self.period / self.shipped)
+
+    def pieces(self, settings: Settings) -> int:
+        """Steps in a period under these settings."""
+        return round(self.period / settings.dt)
+
+    def rounder(self, pieces: int) -> list[int]:
+        """Numbers of steps near this one whose time step is a rounder number, the roundest first.
+
+        None where the step itself is round. Of equally round ones the longest first.
+
+        >>> Steps(0.04, 0.01).rounder(21)  # 2 ms in place of 1.9047619 ms
+        [20]
+        """
+        if digits(self.dt(pieces)) <= ROUND:
+            return []
+        near = range(math.ceil(pieces / WIDER), int(pieces * DENSER) + 1)
+        rounder = [n for n in near if digits(self.dt(n)) <= ROUND]
+        return sorted(rounder, key=lambda n: (digits(self.dt(n)), n))
+
+    def at(self, settings: Settings, pieces: int) -> Settings:
+        """The settings with another time step."""
+        return settings.replace(dt=self.dt(pieces))
+
+
+def digits(dt: float) -> int:
+    """How many significant digits a number has, of nine at most.
+
+    >>> digits(0.002), digits(0.00125), digits(0.04 / 21)
+    (1, 3, 8)
+    """
+    return len(f"{dt:.8e}".split("e")[0].replace(".", "").rstrip("0"))
+
+
+def longest(period: float, horizon: float) -> float:
+    """The longest step to try on a motion without controls [s], a multiple of the period."""
+    times = LONGER
+    while times > 1 and horizon < LEFT * times * period * (1 - 1e-9):
+        times //= 2
+    return times * period
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What of a scene decides which settings are worth trying.
+
+    rows: the most at once in the reference. friction: a contact could have friction in more than
+    one direction. stiff: a spring, a tendon or a servo pulls back.
+    """
+
+    shipped: Settings
+    rows: int
+    friction: bool
+    stiff: bool
+
+    @classmethod
+    def of(cls, model: Model, rows: int) -> Kind:
+        """That of a model; rows: see above."""
+        geoms = (g for g in model.scene.geoms if g.contype or g.conaffinity)
+        friction = any(geom.condim > 1 for geom in geoms)
+        springs = any(gain.stiffness > 0 for gain in joint_gains(model))
+        tendons = any(np.any(tendon.stiffness) for tendon in model.scene.tendons)
+        return cls(model.settings, rows, friction, springs or tendons)
+
+    @property
+    def smooth(self) -> bool:
+        return bool(self.shipped.law == "solref")
+
+    @property
+    def integrators(self) -> list[str]:
+        """The integrators to try, the shipped one among them."""
+        names = SMOOTH_LAW if self.smooth else COULOMB_LAW
+        every = dict.fromkeys([*names, *(STIFF if self.stiff else ()), self.shipped.integrator])
+        return [name for name in every if not (self.shipped.sleep and name in STAGED)]
+
+    @property
+    def newton(self) -> dict[str, Any]:
+        """Newton's method; sweeps only limit its iterations."""
+        count = self.shipped.sweeps if self.shipped.solver == "newton" else 100
+        return {"solver": "newton", "sweeps": count}
+
+
+def grid(
+    kind: Kind,
+    dts: Sequence[float],
+    integrators: Sequence[str] | None,
+    solvers: Sequence[str] | None,
+    sweeps: Sequence[int] | None,
+    precisions: Sequence[str] | None,
+) -> list[Settings]:
+    """The full grid of settings, the shipped ones among them; all else is as shipped.
+
+    Unless precisions are asked for, single precision is tried with one number of sweeps.
+    """
+    methods = _methods(kind, solvers, sweeps)
+    if precisions is not None:
+        chosen = [method | {"precision": p} for p in precisions for method in methods]
+    else:
+        by_solver: dict[str, list[dict[str, Any]]] = {}
+        for method in methods:
+            by_solver.setdefault(method["solver"], []).append(method)
+        middle = [some[len(some) // 2] for some in by_solver.values()]
+        chosen = [method | {"precision": "f64"} for method in methods]
+        chosen += [method | {"precision": "f32"} for method in middle]
+    axes = itertools.product(dts, integrators or kind.integrators, chosen)
+    points = [
+        kind.shipped.replace(dt=dt, integrator=integrator, **method)
+        for dt, integrator, method in axes
+    ]
+    return sorted(dict.fromkeys([kind.shipped, *points]), key=lambda s: -s.dt)
+
+
+def _methods(
+    kind: Kind, solvers: Sequence[str] | None, sweeps: Sequence[int] | None
+) -> list[dict[str, Any]]:
+    """Solvers, each with its numbers of sweeps.
+
+    Without rows the solver does not matter and stays as shipped; a single row is solved by one
+    sweep.
+    """
+    shipped, rows = kind.shipped, kind.rows
+    if solvers is None:
+        several = ["newton", "pgs"] if kind.smooth else ["pgs"]
+        solvers = several if rows else [shipped.solver]
+    methods: list[dict[str, Any]] = []
+    for solver in solvers:
+        if solver == "newton":
+            methods.append(kind.newton)
+            continue
+        counts = {shipped.sweeps} if shipped.solver == "pgs" else set()
+        if sweeps is not None:
+            counts = set(sweeps)
+        elif rows == 1 and not counts:
+            counts = {1}
+        elif rows > 1:
+            counts |= set(SWEEPS_SMOOTH if kind.smooth else SWEEPS_COULOMB)
+        # "auto" comes last.
+        ordered = sorted(counts, key=lambda count: math.inf if count == "auto" else count)
+        methods += [{"solver": solver, "sweeps": count} for count in ordered]
+    return methods or [{"solver": shipped.solver, "sweeps": shipped.sweeps}]
+
+
+def families(kind: Kind) -> list[Settings]:
+    """Each integrator with each kind of solver, all else as shipped.
+
+    Without rows the solver stays as shipped, and for a single one a sweep is all.
+    """
+    shipped = kind.shipped
+    methods: list[dict[str, Any]] = [{}]
+    if kind.rows:
+        own = shipped.sweeps if shipped.solver == "pgs" else 20
+        single = min(own, 1) if own != "auto" else 1
+        methods = [{"solver": "pgs", "sweeps": own if kind.rows > 1 else single}]
+        if kind.smooth:
+            methods.append(kind.newton)
+    chosen = [
+        shipped.replace(integrator=name, precision="f64", **method)
+        for name in kind.integrators
+        for method in methods
+    ]
+    return list(dict.fromkeys(chosen))
+
+
+def moves(settings: Settings, kind: Kind) -> list[Settings]:
+    """Settings that differ in one field other than time step, integrator and solver."""
+    if not kind.rows:
+        return []
+    return [s for s in dict.fromkeys(_moves(settings, kind)) if s != settings]
+
+
+def _moves(s: Settings, kind: Kind) -> Iterator[Settings]:
+    rows = kind.rows
+    if s.solver == "pgs" and rows > 1:
+        for sweeps in _near(SWEEPS, 20 if s.sweeps == "auto" else s.sweeps, 2):
+            yield s.replace(sweeps=sweeps)
+        yield s.replace(acceleration="none" if s.acceleration == "momentum" else "momentum")
+    if s.solver == "newton":
+        for sweeps in _near(ITERATIONS, 100 if s.sweeps == "auto" else s.sweeps, 2):
+            yield s.replace(sweeps=sweeps)
+    if rows > 1 or s.solver == "newton":
+        yield s.replace(warm_start=not s.warm_start)
+        for tolerance in _near(TOLERANCES, s.tolerance, 2):
+            if tolerance > 0 or s.sweeps != "auto":
+                yield s.replace(tolerance=tolerance)
+    if kind.friction:
+        yield s.replace(cone="elliptic" if s.cone == "pyramidal" else "pyramidal")
+
+
+def _near(ladder: Sequence[Any], value: Any, reach: int) -> list[Any]:
+    """The entries of a ladder next to a value, so many on either side."""
+    rungs = sorted({*ladder, value})
+    at = rungs.index(value)
+    return rungs[max(0, at - reach) : at + reach + 1]

@@ -1,0 +1,298 @@
+"""`TradeRow`: one setting of a trade. `Frontier`: all rows, and the best of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepcore import checks
+from stepcore._core import Settings
+from stepcore.experiment.errors import Errors, moved, pareto
+from stepcore.experiment.order import ORDERS
+from stepcore.experiment.reference import FINER, Reference
+from stepcore.measure.trade.statistics import QUANTITIES, Statistics
+
+# Everything tried is held to this share of the error asked for, because further starts differ.
+MARGIN = 0.9
+# A saving below this is within what timing can tell.
+NOTABLE = 0.9
+# An error above this share of how far bodies move no longer falls as a power of dt.
+SATURATED = 0.1
+# The slope of a line is an order within this share of it; that of two neighbours within twice it.
+CLOSE = 0.15
+
+FIELDS = (
+    *("dt", "integrator", "solver", "sweeps", "precision", "tolerance", "warm_start"),
+    *("acceleration", "cone"),
+)
+# Fields of `Errors`, with their units.
+ERRORS = {
+    "position": "m",
+    "position_max": "m",
+    "relative": "1",
+    "relative_max": "1",
+    "numerical": "m",
+    "modelling": "m",
+    "angle": "rad",
+    "angle_max": "rad",
+    "gained": "J",
+    "lost": "J",
+    "momentum": "kg m/s",
+    "angular_momentum": "kg m^2/s",
+    "overlap": "m",
+    "joint": "m",
+    "limit": "rad or m",
+    "creep": "m/s",
+    "anisotropy": "rad",
+    "residual": "m/s",
+}
+# Of all that `TradeRow.record` has.
+UNITS = {
+    **ERRORS,
+    "dt": "s",
+    "position_high": "m",
+    "cost": "us per simulated second",
+    "row_updates": "per simulated second",
+    "flops": "per simulated second",
+    **{f"{name}_difference": unit for name, unit in QUANTITIES.items()},
+    **{f"{name}_interval": unit for name, unit in QUANTITIES.items()},
+}
+
+
+@dataclass(frozen=True)
+class Further:
+    """Results of a setting on starts that the search had not used.
+
+    starts: how many; held: on how many of them the error stayed within the one asked for.
+    high: the RMS position error of the worst start [m].
+    failure: why the first failing start failed.
+    """
+
+    starts: int
+    held: int
+    high: float
+    failure: str | None = None
+
+
+@dataclass(frozen=True)
+class TradeRow:
+    """One setting of a trade.
+
+    settings: the setting.
+    errors: its errors; None if it failed.
+    cost: computing time [µs per simulated second].
+    flops, row_updates: floating-point operations and row updates [per simulated second].
+    nbytes: memory of the state and the working space.
+    further: its results on further starts, if it was tried there.
+    after: differences of means once the motion can no longer be predicted, if they were measured.
+    shipped: whether these are the shipped settings.
+    clamped: whether refsafe softens rows at this dt.
+    below, below_max: whether the error and the largest error are below the reference's own.
+    best: whether no other setting is cheaper and at least as accurate.
+    failure: why it failed.
+    """
+
+    settings: Settings
+    errors: Errors | None
+    cost: float
+    row_updates: float
+    failure: str | None = None
+    shipped: bool = False
+    clamped: bool = False
+    below: bool = False
+    below_max: bool = False
+    best: bool = False
+    flops: float = math.nan
+    nbytes: int = 0
+    further: Further | None = None
+    after: Statistics | None = None
+
+    def misses(self, error: float) -> tuple[int, int]:
+        """On how many starts it exceeds an error [m], and of how many that it ran."""
+        each = () if self.errors is None else self.errors.each
+        held, count = sum(wrong <= error for wrong in each), len(each)
+        if self.further is not None:
+            held, count = held + self.further.held, count + self.further.starts
+        return count - held, count
+
+    def record(self) -> dict[str, Any]:
+        """The row as plain data.
+
+        `below` and `below_max` mark an error and a largest error below the reference's own.
+        """
+        e = self.errors
+        record: dict[str, Any] = {name: getattr(self.settings, name) for name in FIELDS}
+        for name in ERRORS:
+            value = None if e is None else getattr(e, name)
+            record[name] = None if value is None or math.isnan(value) else value
+        record["position_high"] = None if e is None else e.high
+        record["worst_start"] = None if e is None else e.worst
+        return record | {
+            "cost": _known(self.cost),
+            "row_updates": _known(self.row_updates),
+            "flops": _known(self.flops),
+            "bytes": self.nbytes or None,
+            "pareto": self.best,
+            "shipped": self.shipped,
+            "clamped": self.clamped,
+            "below": self.below,
+            "below_max": self.below_max,
+            **{
+                f"further_{name}": None if self.further is None else getattr(self.further, name)
+                for name in ("starts", "held", "high")
+            },
+            "failure": self.failure,
+            **({} if self.after is None else self.after.record()),
+        }
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """Rows, coarsest step first. by: the cost metric, "time" or "flops".
+
+    known, known_max: the reference's own error and largest error [m]; no row can claim less.
+    """
+
+    rows: tuple[TradeRow, ...]
+    known: float
+    known_max: float
+    by: str
+
+    @property
+    def shipped(self) -> TradeRow:
+        """The settings that came with the scene."""
+        return next(row for row in self.rows if row.shipped)
+
+    @classmethod
+    def of(cls, rows: Iterable[TradeRow], known: float, known_max: float, by: str) -> Frontier:
+        """The rows with their marks."""
+        plain = cls(tuple(sorted(rows, key=lambda row: -row.settings.dt)), known, known_max, by)
+        best = pareto(
+            [plain.price(row) for row in plain.rows], [plain.error(row) for row in plain.rows]
+        )
+        marked = []
+        for row, mark in zip(plain.rows, best, strict=True):
+            e = row.errors
+            below, below_max = (
+                (False, False) if e is None else (e.high < known, e.position_max < known_max)
+            )
+            marked.append(dataclasses.replace(row, best=mark, below=below, below_max=below_max))
+        return dataclasses.replace(plain, rows=tuple(marked))
+
+    def updated(self, row: TradeRow) -> Frontier:
+        """The frontier with this row in place of that of the same settings, or added."""
+        others = [other for other in self.rows if other.settings != row.settings]
+        if len(others) == len(self.rows):
+            return self.of([*self.rows, row], self.known, self.known_max, self.by)
+        rows = [row if other.settings == row.settings else other for other in self.rows]
+        return self.of(rows, self.known, self.known_max, self.by)
+
+    def has(self, settings: Settings) -> bool:
+        return any(row.settings == settings for row in self.rows)
+
+    def error(self, row: TradeRow) -> float:
+        """The error that a row can claim [m]: inf if it failed."""
+        if row.errors is None:
+            return math.inf
+        further = 0.0 if row.further is None else row.further.high
+        return max(row.errors.high, self.known, further)
+
+    def searched(self, row: TradeRow) -> float:
+        """The error of a row in the starts of the search, from which every row ran [m]."""
+        return math.inf if row.errors is None else max(row.errors.high, self.known)
+
+    def halving(self, row: TradeRow) -> TradeRow | None:
+        """The cheapest row with at most half the error of this one; None if there is none.
+
+        Both in the starts of the search: further ones, from which few rows ran, may be harder.
+        """
+        half = self.searched(row) / 2
+        good = [r for r in self.rows if self.searched(r) <= half and not math.isnan(self.price(r))]
+        return self._cheapest_of(good) if good else None
+
+    def price(self, row: TradeRow) -> float:
+        """What a row costs per simulated second: µs, or operations if that is the metric."""
+        return row.flops if self.by == "flops" else row.cost
+
+    def cheapest(self, error: float) -> TradeRow:
+        """The row of the lowest price whose error is at most `error` [m].
+
+        In double precision where single saves no more than timing can tell.
+
+        Raises ValueError, naming the smallest error there is, if none is that good.
+        """
+        good = [r for r in self.rows if self.error(r) <= error and not math.isnan(self.price(r))]
+        if not good:
+            least = min((self.error(row) for row in self.rows), default=math.inf)
+            raise ValueError(f"error = {error:g} m: the smallest in this trade is {least:.3g} m")
+        return self._cheapest_of(good)
+
+    def _cheapest_of(self, rows: list[TradeRow]) -> TradeRow:
+        least = min(rows, key=lambda row: (self.price(row), self.error(row)))
+        double = least.settings.replace(precision="f64")
+        twin = next((row for row in rows if row.settings == double), least)
+        return twin if NOTABLE * self.price(twin) <= self.price(least) else least
+
+    def most_accurate(self, budget: float) -> TradeRow:
+        """The row with the smallest error whose price is at most `budget`.
+
+        Raises ValueError, naming the lowest price there is, if none is that cheap.
+        """
+        checks.real(above=0)("most_accurate", "budget", budget)
+        done = [row for row in self.rows if not row.failure]
+        good = [row for row in done if self.price(row) <= budget]
+        if not good:
+            least = min((self.price(row) for row in done), default=math.inf)
+            raise ValueError(f"budget = {budget:g}: the lowest price in this trade is {least:.3g}")
+        return min(good, key=lambda row: (self.error(row), self.price(row)))
+
+
+def observed_orders(rows: Sequence[TradeRow], reference: Reference) -> dict[str, float]:
+    """The orders from errors ten times the reference's and below a tenth of how far bodies move."""
+    return orders(rows, FINER * reference.high, SATURATED * moved(reference.runs))
+
+
+def orders(rows: Sequence[TradeRow], least: float, most: float = np.inf) -> dict[str, float]:
+    """The order that each integrator shows in a table: log of errors over log of steps.
+
+    The slope of a line through three or more runs that differ in dt alone, by a factor of four or
+    more, in double precision, whose worst start is further from the truth than `least` [m] and
+    nearer than `most` (beyond it errors no longer grow with dt), and whose model is the shipped
+    one, not made softer by refsafe; the median, where an integrator has several such lines.
+
+    A slope is an order only where it is one: the line's, and that between each two neighbours, are
+    near the same whole order that a method can have. Elsewhere contacts that begin and end, not
+    the method, make the error, and an integrator has none.
+    """
+    slopes: dict[str, list[float]] = {}
+    kinds: dict[Settings, list[tuple[float, float]]] = {}
+    for row in rows:
+        e, s = row.errors, row.settings
+        own = s.precision == "f64" and not row.clamped and e is not None and e.modelling == 0
+        if e is not None and own and least < e.high < most:
+            kinds.setdefault(s.replace(dt=1.0), []).append((s.dt, e.high))
+    for kind, points in kinds.items():
+        dts, errors = np.log(np.array(sorted(points))).T
+        if len(points) >= 3 and np.ptp(dts) >= np.log(4) * (1 - 1e-9):
+            slope = float(np.polyfit(dts, errors, 1)[0])
+            if _is_order(slope, dts, errors):
+                slopes.setdefault(kind.integrator, []).append(slope)
+    return {name: float(np.median(some)) for name, some in slopes.items()}
+
+
+def _is_order(slope: float, dts: np.ndarray, errors: np.ndarray) -> bool:
+    """Whether the whole line and each part of it that spans some 40 % of dt show one order."""
+    order = min(ORDERS, key=lambda p: abs(np.log(max(slope, 1e-9) / p)))
+    wide = np.diff(dts) > np.log(1.4)
+    local = np.diff(errors)[wide] / np.diff(dts)[wide]
+    near = np.abs(local - order) <= 2 * CLOSE * order
+    return abs(slope - order) <= CLOSE * order and bool(near.all())

@@ -1,0 +1,208 @@
+"""Every setting that was run so far: its runs and its work; and the rows that are made of them.
+
+The search only records positions; settings that it chooses are run again and fully recorded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.experiment.arguments import Workers
+from stepcore.experiment.batched_runs import screened
+from stepcore.experiment.cost import UNKNOWN, Counter, TimedRun, Work, costs
+from stepcore.experiment.errors import WORST_START
+from stepcore.experiment.experiment import Experiment
+from stepcore.experiment.other_models import ErrorSplit
+from stepcore.experiment.recorder import Positions
+from stepcore.experiment.reference import Reference
+from stepcore.experiment.run import Run
+from stepcore.experiment.runner import Runner
+from stepcore.measure.trade.rows import TradeRow
+
+# Runs of a setting, and the work of the first.
+Ran = tuple[list[Run], Work]
+# A setting, the first start of its runs and the one after the last.
+Job = tuple[Settings, int, int]
+
+
+class Score(NamedTuple):
+    """price: floating-point operations per simulated second. error: RMS of the worst start [m].
+
+    Both infinite for a failure.
+    """
+
+    price: float
+    error: float
+
+
+class RunCache:
+    """Runs under settings, kept, so that nothing is run twice.
+
+    screened: runs of which positions are recorded, from the first starts. full: those of which
+    everything is, from all starts. work: by setting. count: how many runs were made.
+    """
+
+    def __init__(self, experiment: Experiment, reference: Reference) -> None:
+        self.experiment, self.reference = experiment, reference
+        self.screened: dict[Settings, list[Run]] = {}
+        self.full: dict[Settings, list[Run]] = {}
+        self.work: dict[Settings, Work] = {}
+        self.count = 0
+
+    def screen(self, settings: Sequence[Settings], starts: int, label: str) -> None:
+        """Runs what is missing; a setting that failed from one start is not run from others."""
+        jobs = []
+        for setting in dict.fromkeys(settings):
+            done = self.screened.get(setting, [])
+            if len(done) < starts and not (done and done[-1].failure):
+                jobs.append((setting, len(done), starts))
+        ran = self._screened(jobs, label)
+        for (setting, first, _), (runs, work) in zip(jobs, ran, strict=True):
+            self.count += len(runs)
+            self.screened.setdefault(setting, []).extend(runs)
+            if first == 0:
+                self.work[setting] = work
+
+    def _screened(self, jobs: Sequence[Job], label: str) -> list[Ran]:
+        """The runs of jobs; of fewer jobs than threads the starts run at the same time."""
+        runner, workers = self.experiment.runner, self.experiment.workers
+        if workers.executor is not None or len(jobs) >= workers.threads:
+            return workers.each(partial(screen_starts, runner, workers.inside), jobs, label)
+        job, ran = partial(screen_starts, runner, workers.inside), []
+        for setting, first, last in jobs:
+            starts = [(setting, start, start + 1) for start in range(first, last)]
+            parts = workers.until(lambda part: part[0][-1].failure, job, starts, label)
+            ran.append(([run for runs, _ in parts for run in runs], parts[0][1]))
+        return ran
+
+    def run(self, settings: Sequence[Settings], label: str = "errors") -> None:
+        """Runs settings from every start, fully recorded.
+
+        What has been run is not run again, and what failed in the search is not run to fail again.
+        """
+        for setting in settings:
+            done = self.screened.get(setting)
+            if done and setting not in self.full and self.why_failed(done):
+                self.full[setting] = done
+        missing = [setting for setting in dict.fromkeys(settings) if setting not in self.full]
+        # The dearest first, so that all threads end together.
+        missing.sort(key=lambda setting: setting.dt)
+        job = partial(all_starts, self.experiment.runner)
+        ran = self.experiment.workers.each(job, missing, label)
+        for setting, (runs, work) in zip(missing, ran, strict=True):
+            self.full[setting], self.work[setting] = runs, work
+            self.count += len(runs)
+
+    def score(self, settings: Settings, starts: int) -> Score:
+        """The price and the error of a setting, by its positions from the first starts alone."""
+        runs = self.screened[settings][:starts]
+        if self.why_failed(runs):
+            return Score(math.inf, math.inf)
+        errors = self.experiment.errors(runs, self.reference)
+        return Score(self.work[settings].flops, WORST_START(errors))
+
+    def failure(self, settings: Settings) -> str | None:
+        """Why a setting that was run from all starts failed, or None."""
+        return self.why_failed(self.full[settings])
+
+    def why_failed(self, runs: Sequence[Run]) -> str | None:
+        """Why runs from the first starts failed, or None."""
+        return self.experiment.failure(runs, self.reference)
+
+    @property
+    def can_refine(self) -> bool:
+        """Whether a further halving of the reference is affordable and would improve it."""
+        made = self.experiment.reference_runs
+        return made is not None and made.can_refine(self.reference)
+
+    def refine(self) -> bool:
+        """Halves the reference's step once more; False where that is of no use."""
+        made = self.experiment.reference_runs
+        if made is None or not made.can_refine(self.reference):
+            return False
+        with self.experiment.workers.bar("finer reference", made.starts) as bar:
+            better = made.refined(self.reference, bar)
+        if better is not None:
+            self.reference = better
+        return better is not None
+
+
+def priced(runner: Runner, settings: Settings) -> tuple[Run, Work]:
+    """The positions of the run from the first start, and its work."""
+    counter = Counter(runner)
+    return runner.run(settings, 0, [Positions(runner.bodies), counter]), counter.work
+
+
+def screen_starts(runner: Runner, workers: Workers, job: Job) -> Ran:
+    """Positions under one setting from start `first` to before `last`, until one fails."""
+    settings, first, last = job
+    runs, work = [], UNKNOWN
+    if first == 0:
+        run, work = priced(runner, settings)
+        runs, first = [run], 1
+    if first < last and not (runs and runs[0].failure):
+        runs += screened(runner, settings, range(first, last), workers, "", until_fails=True)
+    return runs, work
+
+
+def all_starts(runner: Runner, settings: Settings) -> Ran:
+    """Recorded runs of one setting from every start, until one fails; and the work."""
+    runs = runner.runs(settings)
+    return runs, UNKNOWN if runs[-1].failure else priced(runner, settings)[1]
+
+
+class RowMaker:
+    """Makes rows of settings that ran from all starts: their errors, costs and failures.
+
+    tau: the time constant that refsafe guards [s], or None. by: "flops" times nothing.
+    """
+
+    def __init__(self, cache: RunCache, split: ErrorSplit, tau: float | None, by: str) -> None:
+        self.cache, self.split, self.tau, self.by = cache, split, tau, by
+
+    def row(self, settings: Settings) -> TradeRow:
+        """The row of a setting, which is run from all starts first."""
+        self.cache.run([settings])
+        return self.rows([settings])[0]
+
+    def rows(self, settings: Sequence[Settings], others: Sequence[TimedRun] = ()) -> list[TradeRow]:
+        """Rows of settings that have been run, timed in turn with one another and with others."""
+        failed = {setting for setting in settings if self.cache.failure(setting)}
+        for setting in settings:
+            if setting not in failed:
+                self.split.keep(setting, self.cache.full[setting])
+        times, experiment = [math.nan] * len(settings), self.cache.experiment
+        if self.by == "time":
+            own = [TimedRun(experiment.runner, setting, setting in failed) for setting in settings]
+            with experiment.workers.bar("costs", len(own) + len(others)) as bar:
+                times = costs([*own, *others], bar)[: len(settings)]
+        return [self._row(setting, cost) for setting, cost in zip(settings, times, strict=True)]
+
+    def _row(self, settings: Settings, cost: float) -> TradeRow:
+        cache, experiment = self.cache, self.cache.experiment
+        runs, work, failure = cache.full[settings], cache.work[settings], cache.failure(settings)
+        if failure is None and self.by == "time" and math.isnan(cost):
+            failure = "failed while it was timed"
+        common = {
+            "failure": failure,
+            "shipped": settings == experiment.model.settings,
+            "clamped": self.tau is not None and 2 * settings.dt > self.tau * (1 + 1e-12),
+        }
+        if failure is not None:
+            return TradeRow(settings, None, math.nan, math.nan, **common)
+        updates = float(np.mean([run.row_updates for run in runs]))
+        return TradeRow(
+            settings,
+            self.split.errors(settings, runs),
+            cost,
+            updates / experiment.schedule.horizon,
+            flops=work.flops,
+            nbytes=work.nbytes,
+            **common,
+        )

@@ -1,0 +1,381 @@
+"""A trade in words: its answer, and notes on its reference, its motion and its failures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepcore.experiment.growth import GROWTH, NEARBY
+from stepcore.experiment.reference import FINER, Reference, smallest
+from stepcore.experiment.schedule import Schedule
+from stepcore.measure.trade.batch_cost import BatchPoint
+from stepcore.measure.trade.methods import Steps
+from stepcore.measure.trade.rows import MARGIN, NOTABLE, Frontier, TradeRow
+from stepcore.report.settings import label
+from stepcore.report.units import (
+    beginning,
+    compact,
+    computing,
+    counted,
+    metres,
+    operations,
+    percent,
+    seconds,
+    times,
+)
+
+# A residual of the reference that is worth saying [m/s].
+UNSOLVED = 1e-9
+# Two integrators disagree where they are this many times further apart than the reference's error
+# and what the other's last halving moved it.
+DISAGREE = 4.0
+# From this ratio on the worst start says something else than the median of the starts.
+DIFFER = 30.0
+# What a gap of the reference to another model comes from.
+MODELS = {"pyramid": "the friction pyramid", "softness": "the softness of contacts and limits"}
+
+
+@dataclass(frozen=True)
+class Words:
+    """The answer of a trade; the fields are those of `Trade`."""
+
+    frontier: Frontier
+    reference: Reference
+    target: float | None
+    budget: float | None
+    recommended: TradeRow | None
+    passed_over: TradeRow | None
+    horizon: float
+
+    def answer(self) -> Iterator[str]:
+        """The recommendation first, then the shipped settings and what less error would cost."""
+        if self.target is not None:
+            yield from self._for_error(self.target)
+        elif self.budget is not None:
+            yield from self._for_budget(self.budget)
+        yield self._as_shipped()
+        if self.target is None and self.budget is None:
+            yield from self._improvements()
+
+    def _for_error(self, error: float) -> Iterator[str]:
+        """The cheapest settings within an error and the next better, or what came nearest."""
+        row = self.recommended
+        if row is not None:
+            what = f"Recommended for an error of at most {metres(error)}"
+            if self.frontier.error(row) > error:
+                missed, count = row.misses(error)
+                what += f" on {count - missed} of {count} starts (no setting keeps to it on all)"
+            yield f"{what}: {self._described(row)}"
+            yield from self._why_passed_over(row, error)
+            yield self._halved(row)
+            return
+        known = self.reference.high
+        if known > error:
+            yield (
+                f"{metres(error)} cannot be verified: the reference is good to {metres(known)} in "
+                "the worst start. Try your own motion, or a larger `effort` (--effort)."
+            )
+        else:
+            yield f"No setting tried has an error of at most {metres(error)} in every start."
+        ran = [other for other in self.frontier.rows if other.errors is not None]
+        if ran:
+            wrong, price = self.frontier.error, self.frontier.price
+            least = min(ran, key=lambda other: (wrong(other), price(other)))
+            best = metres(self.frontier.error(least))
+            yield f"The most accurate one is {self._named(least)}, with an error of {best}."
+
+    def _for_budget(self, budget: float) -> Iterator[str]:
+        """The most accurate settings within a budget and the next better, or the cheapest."""
+        within = operations(budget) if self.frontier.by == "flops" else computing(budget)
+        row = self.recommended
+        if row is not None:
+            what = f"Recommended for at most {within} per simulated second"
+            yield f"{what}: {self._described(row)}"
+            yield self._halved(row)
+            return
+        yield f"No setting tried costs at most {within} per simulated second."
+        ran = [other for other in self.frontier.rows if not other.failure]
+        if ran:
+            least = min(ran, key=self.frontier.price)
+            yield f"The cheapest one is {self._named(least)}, at {self._priced(least)}."
+
+    def _described(self, row: TradeRow) -> str:
+        """Recommended settings with their error, their cost and the result on further starts."""
+        price = self._priced(row)
+        if row.settings == self.frontier.shipped.settings:
+            price += ", as shipped"
+        elif not math.isnan(self.frontier.price(self.frontier.shipped)):
+            ratio = self._ratio(row, self.frontier.shipped)
+            price += f", {ratio}× the cost of the shipped settings"
+        return (
+            f"{self._named(row)}. The RMS position error is {metres(self.frontier.error(row))} in "
+            f"the worst start, for {price}.{self._confirmed(row)}"
+        )
+
+    def _confirmed(self, row: TradeRow) -> str:
+        """The result on further starts."""
+        tried = row.further
+        if tried is None:
+            return " It was not tried on further starts."
+        if tried.starts == 0:
+            return f" It could not be confirmed: {beginning(tried.failure or '')}."
+        count = counted(tried.starts, "further start")
+        if self.target is None:
+            return f" This includes {count}."
+        if tried.held < tried.starts:
+            return f" The error stayed within it on {tried.held} of {count}."
+        # The next of n + 1 random starts is the worst of them with a probability of 1/(n + 1).
+        every = len(self.reference.runs) + tried.starts
+        share = percent(every / (every + 1))
+        return f" Confirmed on {count}; {share} of other starts are expected to stay within it."
+
+    def _why_passed_over(self, row: TradeRow, error: float) -> Iterator[str]:
+        """A cheaper setting that seems to meet the error too, and why it is not recommended."""
+        other = self.passed_over
+        if other is None:
+            return
+        times, named = f"{self._ratio(other, row)}×", self._named(other)
+        which = f"the shipped settings ({named})" if other.shipped else named
+        (missed, count), wrong = other.misses(error), self.frontier.error(other)
+        if missed:
+            yield (
+                f"Cheaper settings ({times}: {which}) exceeded {metres(error)} on {missed} of "
+                f"{count} starts, by up to {metres(wrong - error)}; with other starts the answer "
+                "may change."
+            )
+        elif wrong <= MARGIN * error:
+            yield (
+                f"Cheaper settings also pass ({times}: {which}); the recommended ones have a "
+                "rounder time step."
+            )
+        else:
+            yield (
+                f"Cheaper settings ({times}: {which}) stayed within {metres(error)} too, with "
+                f"{metres(wrong)}; but a recommendation keeps to {metres(MARGIN * error)}, because "
+                "starts that were not run may be worse."
+            )
+
+    def _halved(self, row: TradeRow) -> str:
+        """What at most half of the error costs."""
+        better, searched = self.frontier.halving(row), self.frontier.searched
+        there = self.frontier.error(row) > searched(row)
+        starts = f"{counted(len(self.reference.runs), 'start')} of the search"
+        if better is None:
+            return f"No setting tried halves that error{f' in the {starts}' * there}."
+        costs = f"costs {self._ratio(better, row)}×"
+        named = f"{self._named(better)}, with an error of {metres(searched(better))}"
+        if not there:
+            return f"Half that error or less {costs}: {named}."
+        return (
+            f"In the {starts} its error is {metres(searched(row))}; half of that or less {costs}: "
+            f"{named} there."
+        )
+
+    def _as_shipped(self) -> str:
+        """The error of the shipped settings, in the worst start and in the median one."""
+        row = self.frontier.shipped
+        what = f"As shipped ({label(row.settings)})"
+        if row.errors is None:
+            return f"{what} the simulation fails: {beginning(row.failure or '')}."
+        e, where, count = row.errors, "", len(self.reference.runs)
+        if count > 1:
+            median = f"median {metres(e.median)}"
+            if e.high > DIFFER * e.median:
+                median = f"starts differ widely: {median}"
+            where = f" in the worst of {count} starts (start {e.each.index(e.high)}; {median})"
+        # The error counts rotation as well, so that the largest of centres may be below it.
+        return (
+            f"{what} the RMS position error over {seconds(self.horizon)} is "
+            f"{metres(self.frontier.error(row))}{where}, for {self._priced(row)}. The largest "
+            f"error of a centre of mass is {metres(e.position_max)}."
+        )
+
+    def _improvements(self) -> Iterator[str]:
+        """The cost of half the shipped error, and of the shipped error itself."""
+        row = self.frontier.shipped
+        if row.errors is None:
+            ran = [other for other in self.frontier.rows if not other.failure]
+            if ran:
+                least = min(ran, key=self.frontier.price)
+                named, least_error = self._named(least), metres(self.frontier.error(least))
+                yield f"The cheapest setting that runs is {named}, with an error of {least_error}."
+            return
+        half, same = self.frontier.halving(row), self.frontier.cheapest(self.frontier.error(row))
+        offers = [("Half that error", half)] if half is not None else []
+        if half is None:
+            yield "No setting tried halves that error."
+        if same is not half and self.frontier.price(same) < NOTABLE * self.frontier.price(row):
+            offers.append(("The same error", same))
+        for what, other in offers:
+            yield (
+                f"{what} or less costs {self._ratio(other, row)}×: {self._named(other)}, with an "
+                f"error of {metres(self.frontier.error(other))}."
+            )
+
+    def in_a_batch(self, timed: Sequence[BatchPoint]) -> Iterator[str]:
+        """What a world of a batch costs under the recommended or the shipped settings."""
+        chosen = self.recommended or self.frontier.shipped
+        alike = chosen.settings.precision
+        points = [
+            point
+            for point in timed
+            if point.row.settings.replace(precision=alike) == chosen.settings
+            and not math.isnan(point.cost)
+        ]
+        if points:
+            which = "recommended" if self.recommended else "shipped"
+            costs = "; ".join(
+                f"{computing(point.cost)} in {point.row.settings.precision} (a single world: "
+                f"{point.row.cost / point.cost:.2g}×{'' if point.lanes else '; not in lanes'})"
+                for point in points
+            )
+            yield (
+                f"In a batch of {points[0].worlds} worlds on one thread, the {which} settings cost "
+                f"for each world and simulated second {costs}."
+            )
+
+    def _ratio(self, row: TradeRow, other: TradeRow) -> str:
+        return f"{self.frontier.price(row) / self.frontier.price(other):.2f}"
+
+    def _named(self, row: TradeRow) -> str:
+        """Settings in words, with all that is not as shipped."""
+        return label(row.settings, self.frontier.shipped.settings)
+
+    def _priced(self, row: TradeRow) -> str:
+        if self.frontier.by == "flops":
+            return f"{operations(row.flops)} per simulated second"
+        return f"{computing(row.cost)} of computing per simulated second"
+
+
+def about_run(
+    schedule: Schedule, rows: int, forces: bool, softened: float | None, asked: float | None
+) -> Iterator[str]:
+    """Notes on the motion.
+
+    rows: the most at once. forces: contacts are forces and not rows. softened: the time constant
+    that refsafe guards [s], or None. asked: the horizon that was asked for [s].
+    """
+    if asked is not None and schedule.horizon < asked * (1 - 1e-9):
+        yield (
+            f"the horizon is {seconds(schedule.horizon)} instead of {seconds(asked)}, because it "
+            "must be a whole number of samples"
+        )
+    if rows == 0:
+        what = "no contact, limit or other row"
+        if forces:
+            what = "contacts are forces under the law penalty, and no limit or other row"
+        yield f"{what} was ever active, so the choice of solver has no effect"
+    if schedule.undriven:
+        names = ", ".join(schedule.undriven)
+        yield f"actuators without a control range are not driven: {names}"
+    if softened is not None:
+        yield (
+            "contacts and limits are softened (MuJoCo's refsafe keeps their time constants at 2 dt "
+            f"or more) above dt {seconds(softened / 2)}, in the rows marked c"
+        )
+
+
+def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float) -> Iterator[str]:
+    """Notes on the converged motion that errors are measured from, and how well it is known."""
+    ends = reference.growth.ends
+    lost = int(np.isfinite(ends).sum())
+    if lost:
+        yield (
+            f"{lost} of {len(ends)} starts cannot be predicted to the end (the first one only for "
+            f"{seconds(float(ends.min()))}), and their errors count only until then: a "
+            f"perturbation of {NEARBY:g} of the scene's size has grown more than {GROWTH:g} times"
+        )
+    if reference.exact is not None:
+        yield (
+            "errors are measured from the closed form of the motion; the converged run differs "
+            f"from it by {metres(reference.exact.check)}"
+        )
+    if reference.stiffens:
+        yield (
+            f'under the law "{reference.settings.law}" contacts stiffen as dt shrinks (beta/dt): '
+            "errors are measured from the limit dt → 0, where contacts are harder than as shipped"
+        )
+    for name, gap in reference.gaps.items():
+        least = "" if gap.settled else "at least "
+        yield (
+            f"modelling error: {MODELS[name]} moves positions by {least}{metres(gap.distance)} "
+            f"(RMS, worst start; compared with {gap.against}); no time step and no solver changes "
+            "this"
+        )
+    least = smallest([row.errors.high for row in rows if row.errors], size)
+    if reference.high * FINER > least > 0:
+        known = metres(reference.high)
+        yield (
+            f"the reference error is {known}: errors below {metres(FINER * reference.high)} are "
+            f"uncertain by that amount, and those below {known} are printed as "
+            f"<{compact(reference.high)}; a larger `effort` (--effort) converges the reference "
+            "further"
+        )
+    marked = sum(row.best and row.below_max and not row.below for row in rows)
+    if marked:
+        yield (
+            f"the column max is uncertain by {metres(reference.largest)}, the largest error of the "
+            f"reference; {marked} of the best rows are below that"
+        )
+    rest = max(run.residual for run in reference.runs)
+    if rest > UNSOLVED:
+        yield f"the solver left the rows of the reference at a residual of {rest:.0e} m/s"
+    if reference.other and reference.agreement > DISAGREE * (
+        reference.other_error + reference.error
+    ):
+        yield (
+            f"two integrators converge to motions {metres(reference.agreement)} apart: halving the "
+            f"step moves {reference.other} by only {metres(reference.other_error)}, and no nearer "
+            f"to {reference.level.integrator}; errors below that distance are unknown"
+        )
+
+
+def about_search(reference: Reference, steps: Steps, finest: float) -> Iterator[str]:
+    """What a search left out: time steps shorter than the reference can judge.
+
+    finest: the shortest step [s] that it begins with where the reference is fine enough.
+    """
+    shortest = 2 * reference.settings.dt
+    if shortest > min(finest, steps.shipped) * (1 + 1e-9):
+        yield (
+            f"no time step below {seconds(shortest)} was searched: the reference, at dt "
+            f"{seconds(reference.settings.dt)} within its `effort` (--effort), cannot judge them"
+        )
+
+
+def observed(reference: Reference, horizon: float, orders: Mapping[str, float]) -> Iterator[str]:
+    """How long the motion can be predicted, and the order that each integrator shows."""
+    growth = reference.growth
+    if np.isfinite(growth.overall):
+        yield f"the motion can be predicted for {seconds(growth.overall)} of {seconds(horizon)}"
+    else:
+        yield (
+            f"the motion can be predicted over all of {seconds(horizon)}: perturbations grow at "
+            f"most {times(float(growth.factor.max()))}"
+        )
+    if orders:
+        shown = ", ".join(f"{name} {order:.2g}" for name, order in orders.items())
+        yield f"observed order of accuracy in the worst start: {shown}"
+
+
+def failed(rows: Sequence[TradeRow]) -> Iterator[str]:
+    """One note on all failures, by integrator and solver."""
+    failures: dict[tuple[str, str], list[TradeRow]] = {}
+    for row in rows:
+        if row.failure:
+            failures.setdefault((row.settings.integrator, row.settings.solver), []).append(row)
+    if not failures:
+        return
+    kinds = []
+    for kind, some in failures.items():
+        # Rows stand coarsest first.
+        coarsest, finest = (seconds(row.settings.dt) for row in (some[0], some[-1]))
+        steps = coarsest if coarsest == finest else f"{finest} to {coarsest}"
+        kinds.append(f"{', '.join(kind)} at dt {steps}")
+    first = next(iter(failures.values()))[0]
+    kinds[0] += f" ({beginning(first.failure or '')})"
+    count = sum(map(len, failures.values()))
+    yield f"{counted(count, 'setting')} fail{'s' * (count == 1)}: {'; '.join(kinds)}"
