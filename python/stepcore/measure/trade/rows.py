@@ -12,8 +12,8 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.experiment.converged import ORDERS
 from stepcore.experiment.errors import Errors, moved, pareto
-from stepcore.experiment.order import ORDERS
 from stepcore.experiment.reference import FINER, Reference
 from stepcore.measure.trade.statistics import QUANTITIES, Statistics
 
