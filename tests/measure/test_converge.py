@@ -254,7 +254,7 @@ def test_another_process_gives_the_same(heavy):
             progress=lambda *told: seen.append(told),
         )
     assert again.to_dict() == heavy.to_dict()
-    assert {label for label, *_ in seen} == {"runs", "converged runs", "sweeps"}
+    assert {label for label, *_ in seen} == {"reference", "runs", "sweeps"}
 
 
 def test_outputs(heavy, tmp_path, capsys):

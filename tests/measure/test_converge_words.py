@@ -8,9 +8,9 @@ from test_converge import heavy_end
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.experiment.failure import failure
 from stepcore.experiment.run import Run
 from stepcore.measure.convergence import result as words
-from stepcore.measure.convergence.runs import HalvedReference, run_of
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def test_few_sweeps_can_hide_what_diverges(heavy):
     assert verdict.endswith("it runs only because sweeps are too few.")
 
 
-def path(height, energy):
+def run(height, energy):
     com = np.zeros((5, 1, 3))
     com[:, 0, 2] = height
     return Run(com=com, balance=np.array(energy, float), kinetic=np.zeros(5))
@@ -63,13 +63,12 @@ def path(height, energy):
 
 def test_a_stack_that_climbs_is_diverging_and_not_under_solved():
     # 10 kg in a scene of 4 m: it may not gain 393 J, and has not moved at all.
-    rest = path(0.0, [0, 0, 0, 0, 0])
-    truth = HalvedReference([rest], [np.ones(5, bool)], 0.0, 4.0)
-    climbs = path([0, 1, 2, 4, 9], [0, 98, 196, 392, 883])
-    failure = run_of(sc.Settings(), [climbs], truth, 1.0, 98.1).failure
-    assert failure == "start 0: gains 883 J of energy that nothing gives it"
-    settles = path(-1e-3, [-0.1] * 5)
-    assert run_of(sc.Settings(), [settles], truth, 1.0, 98.1).failure is None
+    rest = run(0.0, [0, 0, 0, 0, 0])
+    climbs = run(height=[0, 1, 2, 4, 9], energy=[0, 98, 196, 392, 883])
+    why = failure([climbs], [rest], size=4.0, weight=98.1)
+    assert why == "start 0: gains 883 J of energy that nothing gives it"
+    settles = run(-1e-3, [-0.1] * 5)
+    assert failure([settles], [rest], size=4.0, weight=98.1) is None
 
 
 def test_what_one_sweep_solves_leaves_nothing(heavy):

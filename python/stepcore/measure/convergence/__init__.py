@@ -14,7 +14,7 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.experiment.arguments import Source, Workers, set_up
-from stepcore.experiment.failure import runaway
+from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.run import Run
@@ -27,10 +27,8 @@ from stepcore.measure.convergence.runs import (
     candidates,
     divides,
     ending,
-    halved_reference,
     row_states,
     run_of,
-    with_converged,
 )
 from stepcore.measure.convergence.sweeps import (
     MotionState,
@@ -51,6 +49,8 @@ __all__ = [
     "converge",
 ]
 
+# What the reference may cost, in steps × (dofs + 2).
+BUDGET = 4e6
 # The most sweeps that are measured at the own time step, and at the others.
 MOST, FEWER = 4096, 256
 # The default number of starts.
@@ -114,26 +114,15 @@ def converge(
     starts = motion.starts or STARTS
     some = candidates(own, motion.period(own.dt), motion.horizon or HORIZON)
     schedule = scheduled(motion, model, some.period, starts)
-    runner = Runner(model, schedule)
+    experiment = Experiment(model, schedule, workers)
+    runner = experiment.runner
     runner.check_repeatable()
-    paths = _runs(runner, some.tried, "runs", workers)
-    rows = max(path.rows for paths_of in paths.values() for path in paths_of)
-    some = with_converged(some, runner, rows)
-    missing = [settings for settings in some.converged if settings not in paths]
-    paths |= _runs(runner, missing, "converged runs", workers)
-    fine, coarse = (paths[s] for s in some.references)
-    explodes = runaway(model, schedule, fine)
-    if explodes:
-        raise ValueError(explodes)
-    reference = halved_reference(fine, coarse, model.scene)
-    histories = _histories(runner, some, states, workers)
-    weight = float(np.sum(model.body_mass) * np.linalg.norm(runner.bodies.gravity))
-    runs = {
-        s: run_of(s, paths_of, reference, schedule.horizon, weight) for s, paths_of in paths.items()
-    }
+    reference = experiment.reference(min(s.dt for s in some.all), BUDGET)
+    made = _runs(runner, some.all, workers)
+    runs = {s: run_of(experiment, s, those, reference) for s, those in made.items()}
     end = None
     if not (runs[own].failure or runs[some.solved].failure):
-        end = ending(runner, paths[own], paths[some.solved], reference)
+        end = ending(experiment, made[own], made[some.solved], reference.scored)
     return Convergence(
         name=setup.name,
         settings=own,
@@ -142,8 +131,9 @@ def converge(
         starts=starts,
         candidates=some,
         runs=runs,
-        histories=histories,
+        histories=_histories(runner, some, states, workers),
         reference=reference,
+        size=experiment.size,
         ending=end,
         notes=list(model.scene.notes),
         # The residual is this measurement's own answer.
@@ -152,23 +142,20 @@ def converge(
     )
 
 
-def _runs(
-    runner: Runner, some: Sequence[Settings], label: str, workers: Workers
-) -> dict[Settings, list[Run]]:
+def _runs(runner: Runner, some: Sequence[Settings], workers: Workers) -> dict[Settings, list[Run]]:
     """Every start under each of the settings."""
-    starts = range(len(runner.schedule.starts))
-    jobs = [partial(runner.run, settings, start) for settings in some for start in starts]
-    paths = workers.each(operator.call, jobs, label)
-    return {s: paths[i * len(starts) : (i + 1) * len(starts)] for i, s in enumerate(some)}
+    count = len(runner.starts)
+    jobs = [partial(runner.run, settings, start) for settings in some for start in runner.starts]
+    runs = workers.each(operator.call, jobs, "runs")
+    return {s: runs[i * count : (i + 1) * count] for i, s in enumerate(some)}
 
 
 def _histories(
     runner: Runner, some: Candidates, states: int, workers: Workers
 ) -> list[ResidualHistory]:
     """Sweeps at states of the own motion, under each time step."""
-    starts = range(len(runner.schedule.starts))
     quiet = dataclasses.replace(workers, progress=False)
-    by_start = quiet.each(partial(row_states, runner, some.own), starts, "")
+    by_start = quiet.each(partial(row_states, runner, some.own), runner.starts, "")
     chosen = _chosen([state for states_of in by_start for state in states_of], states)
     jobs = [
         partial(residual_history, runner.model, s, MOST if s == some.own else FEWER, state)

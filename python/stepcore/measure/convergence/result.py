@@ -11,7 +11,8 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.experiment.motion import Motion
-from stepcore.measure.convergence.runs import CandidateRun, Candidates, Ending, HalvedReference
+from stepcore.experiment.reference import Reference
+from stepcore.measure.convergence.runs import CandidateRun, Candidates, Ending
 from stepcore.measure.convergence.sweeps import ResidualHistory, RowForce, SweepTheory
 from stepcore.measure.monitors import Finding
 from stepcore.report.result import Result
@@ -42,6 +43,7 @@ class Convergence(Result):
     runs: the result of each of them.
     histories: the residual by sweeps at states of the motion.
     reference: the converged motion that all runs are compared with.
+    size: of the scene and its motion [m].
     ending: where the motion ends; None if a run fails.
     findings: what the settings show from the first start, such as creep; see `Finding`.
 
@@ -74,14 +76,15 @@ class Convergence(Result):
     candidates: Candidates
     runs: dict[Settings, CandidateRun]
     histories: list[ResidualHistory]
-    reference: HalvedReference
+    reference: Reference
+    size: float
     ending: Ending | None
     notes: list[str] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
     ran: str = ""
 
     def __post_init__(self) -> None:
-        self.notes = [*self.reference.notes, *self.notes, *self._cautions()]
+        self.notes = [*self.notes, *self._cautions()]
 
     # --- the questions ---------------------------------------------------------------------------
 
@@ -102,7 +105,7 @@ class Convergence(Result):
             return "diverging"
         if not self.histories:
             return "no rows"
-        apart, notable = self.ending.solver, NOTABLE * self.reference.size
+        apart, notable = self.ending.solver, NOTABLE * self.size
         # Unconverged forces matter if they move bodies further than the time step does.
         matters = apart > max(self.solved.error, notable)
         able = apart < GROWTH * self.own.residual * self.horizon
@@ -188,10 +191,10 @@ class Convergence(Result):
     @property
     def setup(self) -> str:
         """What was run."""
+        reference = self.reference.settings
         return (
-            f"Settings: {label(self.settings)}. The reference has dt "
-            f"{seconds(self.candidates.references[0].dt)} and an error of "
-            f"{metres(self.reference.error)}."
+            f"Settings: {label(self.settings)}. The reference is {reference.integrator} at dt "
+            f"{seconds(reference.dt)}, with an error of {metres(self.reference.error)}."
         )
 
     @property
@@ -305,9 +308,9 @@ class Convergence(Result):
             "closed_form": self.theory.formula,
             "closed_form_value": self.theory.closed,
             "slowest_time": self.slowest.time if self.slowest else None,
-            "reference": self.candidates.references[0],
+            "reference": self.reference.settings,
             "reference_error": self.reference.error,
-            "size": self.reference.size,
+            "size": self.size,
             "ending": self.ending,
             "findings": [finding.record() for finding in self.findings],
             "sweeps": self.sweeps.records,
@@ -334,7 +337,7 @@ class Convergence(Result):
             return self._diverging()
         if self.verdict == "no rows":
             return "No contact, limit or other row was ever active, so sweeps have no effect."
-        solver, size = self.ending.solver, self.reference.size
+        solver, size = self.ending.solver, self.size
         error = _length(self.solved.error, size)
         apart = f"{_length(solver, size)} (RMS) from the motion with converged forces"
         if self.verdict == "under-solved":
@@ -348,7 +351,7 @@ class Convergence(Result):
         """Where an under-solved motion ends."""
         apart = f"{metres(ending.apart)} from where converged forces take it"
         slow = STILL * ending.apart / self.horizon
-        if ending.apart <= NOTABLE * self.reference.size:
+        if ending.apart <= NOTABLE * self.size:
             return "the motion differs on the way, but ends in the same place."
         if ending.speed <= slow:
             return f"{ending.body} settles at a wrong fixed point, {apart}."
@@ -448,15 +451,18 @@ class Convergence(Result):
     def _cautions(self) -> list[str]:
         """Notes on a reference that is too poor."""
         said = []
-        references = self.candidates.references
-        residual = self.runs[references[0]].residual
+        short = int((~self.reference.scored).any(axis=1).sum())
+        if short:
+            count = f"{short} of {len(self.reference.scored)} starts"
+            said.append(f"{count} count only as long as they can be predicted")
+        residual = max(run.residual for run in self.reference.runs)
         if self.verdict != "no rows" and residual > 1e-3 * max(self.own.residual, 1e-9):
             said.append(
                 f"the reference's own residual is {residual:.2g} m/s: its sweeps do not converge "
                 "within their limit"
             )
-        errors = [run.error for run in self.runs.values() if run.settings not in references]
-        least = min((error for error in errors if math.isfinite(error)), default=math.inf)
+        errors = (run.error for run in self.runs.values() if math.isfinite(run.error))
+        least = min(errors, default=math.inf)
         if self.reference.error * 10 > least:
             said.append(
                 f"the reference has an error of {metres(self.reference.error)}, more than a tenth "
