@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import stepcore as sc
-from stepcore.mjcf.looks import read_looks
+from stepcore.mjcf.appearance import read_looks
 
 TETRA = "v 0 0 0\nv {0} 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 MAIN = """<mujoco>{}<include file="sub/inc.xml"/><worldbody><body><joint/>

@@ -9,7 +9,7 @@ import pytest
 from renderers import RENDERERS
 
 import stepcore as sc
-from stepcore.mjcf.materials import GREY
+from stepcore.mjcf.appearance import GREY
 from stepcore.viewing.drawing import CONTRAST, drawing_of
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -49,6 +49,17 @@ def test_the_visual_geoms_of_a_urdf_are_drawn_and_not_in_the_physics():
     assert (box.size, box.pos, box.rgba) == ((1, 2, 3), (1, 2, 3), (1, 0, 0, 0.5))
     assert (rod.size[:2], rod.rgba) == ((0.1, 1), (0, 0, 1, 1))
     assert [note for note in drawing.notes if "none.dae" in note and "saved" not in note]
+
+
+def test_a_visual_may_have_the_name_of_a_later_collision():
+    first, later = '<collision name="seen"><geometry><sphere radius="1"', '<sphere radius=".3"/>'
+    named = ARM.replace(first, first.replace(' name="seen"', ""))
+    named = named.replace(
+        f"<collision><geometry>{later}", f'<collision name="seen"><geometry>{later}'
+    )
+    _, drawing = drawn(named)
+    shown = {(drawing.bodies[s.body], s.kind) for s in drawing.shapes if s.shown}
+    assert shown == {("world", "box"), ("upper", "cylinder"), ("tool", "sphere")}
 
 
 def test_what_collides_is_hidden_by_link_and_not_by_body():

@@ -33,7 +33,7 @@ _FIELDS = ("scale", "refpos", "refquat", "inertia", "maxhullvert")
 class Assets:
     """The meshes and height fields of a file by name; `read_used` fills those that geoms use.
 
-    drawn: geoms that only draw stay in the scene, as `stepcore.mjcf.looks` wants them.
+    drawn: geoms that only draw stay in the scene, as `stepcore.mjcf.appearance` wants them.
     """
 
     drawn = False

@@ -10,8 +10,8 @@ from stepcore.mjcf.attach import Attacher, Model
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.copies import Copies
 from stepcore.mjcf.defaults import Defaults
+from stepcore.mjcf.exclusions import Exclusions
 from stepcore.mjcf.include import expand, read_named
-from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.replicate import expand_replicates
@@ -28,10 +28,10 @@ MOST_NESTED = 50
 class Models:
     """Makes models whole, those that are attached to others included."""
 
-    def __init__(self, scene: Contents, refusals: Refusals, left_out: LeftOut) -> None:
+    def __init__(self, scene: Contents, refusals: Refusals, exclusions: Exclusions) -> None:
         self.scene = scene
         self.refusals = refusals
-        self.left_out = left_out
+        self.exclusions = exclusions
         # The files of the models that are being made, the outermost first.
         self.open: list[str] = []
         # Those that are made, by their files; they stay as they are.
@@ -40,7 +40,7 @@ class Models:
 
     def prepared(self, root: Node, directory: str | None) -> Model:
         """The model of a root whose includes are expanded; directory: of its main file."""
-        self.scene.ignored += validate(root, self.refusals, self.left_out)
+        self.scene.ignored += validate(root, self.refusals, self.exclusions)
         compiler = Compiler(sections(root, "compiler"), directory, root.file)
         model = Model(root, compiler, Defaults(sections(root, "default")))
         attacher = Attacher(model, lambda node: self._load(node, compiler), self.copies)

@@ -7,8 +7,8 @@ from typing import Any
 from xml.parsers import expat
 
 from stepcore.checks import brief
-from stepcore.mjcf.effects import effect
-from stepcore.mjcf.mended import mended
+from stepcore.mjcf.lenient_xml import mended
+from stepcore.mjcf.refusal_texts import effect
 
 # MuJoCo's own parser stops at this depth too.
 DEPTH = 500

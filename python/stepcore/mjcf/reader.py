@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stepcore import checks, files
-from stepcore.checks import ElementError, flag
+from stepcore.checks import ElementError, flag, nearest
 from stepcore.mjcf import (
     actuators,
     contacts,
@@ -31,12 +31,12 @@ from stepcore.mjcf import (
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attach import Model
 from stepcore.mjcf.body_frames import align, fuse
+from stepcore.mjcf.copies import REFERENCES
+from stepcore.mjcf.exclusions import Exclusions
 from stepcore.mjcf.include import expand, read_main
-from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.masses import place_weightless, settle_masses
 from stepcore.mjcf.models import Models, inside, sections
 from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
-from stepcore.mjcf.references import check_references
 from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.visual_geoms import discard_visual, leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
@@ -109,8 +109,8 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
         # The text is no MJCF that could be kept when the scene is saved.
         source = replace(source, data=b"", urdf=source.data)
     scene.name = root.attrs.get("model", "")
-    refusals, left_out = Refusals(), LeftOut(without)
-    models = Models(scene, refusals, left_out)
+    refusals, exclusions = Refusals(), Exclusions(without)
+    models = Models(scene, refusals, exclusions)
     try:
         model = models.prepared(root, source.directory)
         world = read_sections(scene, model, refusals)
@@ -131,8 +131,8 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     except ValueError as error:
         raise root.error(str(error)) from None
     scene.ignored.sort(key=_place)
-    scene.notes += left_out.notes()
-    scene.without = left_out.said()
+    scene.notes += exclusions.notes()
+    scene.without = exclusions.counts()
 
 
 def read_sections(
@@ -185,6 +185,31 @@ def _read_keyframes(world: WorldReader) -> None:
     keyframes.add_empty_keys(world.scene, sections(world.root, "size"))
 
 
+def _check_references(world: WorldReader) -> None:
+    """Checks that the elements exist that sensors, cameras, lights and materials refer to."""
+    scene = world.scene
+    known = {
+        **world.names,
+        "joint": {element.name for element in scene.joints},
+        "site": {element.name for element in scene.sites},
+        "actuator": {element.name for element in scene.actuators},
+        "tendon": {element.name for element in scene.tendons},
+        "mesh": set(world.assets.nodes["mesh"]),
+        "material": set(world.assets.clear),
+    }
+    sensed = [
+        (node, attribute, name, REFERENCES[attribute])
+        for node in inside(world.root, "sensor")
+        for attribute, name in node.attrs.items()
+        if REFERENCES.get(attribute) in known
+    ]
+    named = [(node, kind, name, kind) for node, kind, name in world.references]
+    for node, attribute, name, kind in named + sensed:
+        if name not in known[kind] or not name:
+            near = nearest(name, sorted(known[kind]))
+            raise node.error(f'<{node.tag}> {attribute}="{name}": no such {attribute}{near}')
+
+
 def _read_assets(world: WorldReader) -> None:
     world.assets.read_used(world.scene)
 
@@ -213,7 +238,7 @@ PASSES: tuple[Callable[[WorldReader], None], ...] = (
     # A keyframe has numbers for the joints and actuators of the file, in the order of its tree.
     _read_keyframes,
     # The names in sensors and materials are those of the file, before any body or geom leaves.
-    check_references,
+    _check_references,
     # No file is opened of an asset that only such a geom uses.
     leave_out_visual_geoms,
     # Every pass below finds masses, which come from meshes too.

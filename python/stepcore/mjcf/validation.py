@@ -9,7 +9,7 @@ from typing import Any
 
 from stepcore.checks import nearest, shown
 from stepcore.mjcf.custom import ours
-from stepcore.mjcf.left_out import LeftOut
+from stepcore.mjcf.exclusions import Exclusions
 from stepcore.mjcf.nodes import MJCFError, Node
 from stepcore.mjcf.notation import Spec
 from stepcore.mjcf.refusals import Refusals
@@ -28,12 +28,12 @@ WHY = {
 }
 
 
-def validate(root: Node, refusals: Refusals, left_out: LeftOut) -> list[str]:
+def validate(root: Node, refusals: Refusals, exclusions: Exclusions) -> list[str]:
     """Sets `values` of every node that is read, and returns the lines for `Scene.ignored`.
 
     Errors are added to `refusals`, and the elements that have them leave the tree: an element,
     attribute, keyword or number that the schema does not have, and an element that would change
-    the motion and is not built yet. What is `left_out` leaves the tree too.
+    the motion and is not built yet. What `exclusions` name leaves the tree too.
     """
     if root.tag != "mujoco":
         raise root.error(f"the root element is <{root.tag}>, not <mujoco>: not an MJCF model")
@@ -41,7 +41,7 @@ def validate(root: Node, refusals: Refusals, left_out: LeftOut) -> list[str]:
     root.attrs = {k: v for k, v in root.attrs.items() if not k.startswith(("xmlns", "xsi:"))}
     ignored: list[str] = []
     root.values = values_of(root, ROOT)
-    left_out.begin(root)
+    exclusions.begin(root)
     pending: list[tuple[Node, Spec, str]] = [(root, ROOT, "")]
     while pending:
         node, spec, role = pending.pop()
@@ -56,11 +56,11 @@ def validate(root: Node, refusals: Refusals, left_out: LeftOut) -> list[str]:
                 # The tag of the root is no part of a path.
                 section = node.path.partition("/")[0] if node is not root else ""
                 child.path = f"{section}/{child.tag}" if section else child.tag
-                kind = left_out.takes(child.path) if section != "default" else ""
+                kind = exclusions.kind(child.path) if section != "default" else ""
                 if kind:
-                    left_out.take(kind, child)
+                    exclusions.add(kind, child)
                     continue
-                left_out.strip(child)
+                exclusions.strip(child)
                 ignored += _strip(child, inner)
                 _read(child, inner, node, role, ignored)
             except MJCFError as error:
@@ -70,7 +70,7 @@ def validate(root: Node, refusals: Refusals, left_out: LeftOut) -> list[str]:
             deeper.append((child, inner, inner.role))
         node.children = inside
         pending += reversed(deeper)
-    left_out.follow(root)
+    exclusions.follow(root)
     return ignored
 
 

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.mjcf.lights import Headlight, Light
-from stepcore.mjcf.looks import Looks, read_looks
-from stepcore.mjcf.materials import GREY, Look
+from stepcore.mjcf.appearance import GREY, Headlight, Light, Look, Looks, read_looks
 from stepcore.scene import frames
 from stepcore.scene.elements import Geom
 from stepcore.scene.frames import Vec

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.mjcf.lights import Light
+from stepcore.mjcf.appearance import Light
 from stepcore.viewing.camera import ANGLE, Camera
 from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Instant

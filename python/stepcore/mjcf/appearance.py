@@ -1,0 +1,336 @@
+"""What only draws: a file's visual geoms, colours and lights, read when a scene is looked at.
+
+Nothing here reaches the physics: the text of a scene is read a second time, with the geoms that
+the reader leaves out (`Scene.ignored`) and with the files of their meshes. MuJoCo documentation,
+XML reference, asset/material, asset/texture, geom/rgba, body/light and visual/headlight.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from stepcore import checks, files
+from stepcore.mjcf.assets import Assets
+from stepcore.mjcf.attach import Model
+from stepcore.mjcf.exclusions import Exclusions
+from stepcore.mjcf.include import expand
+from stepcore.mjcf.models import Models, inside, sections
+from stepcore.mjcf.nodes import MJCFError, Node, parse
+from stepcore.mjcf.reader import finish, read_sections
+from stepcore.mjcf.refusals import Refusals
+from stepcore.mjcf.validation import seen_values
+from stepcore.mjcf.worldbody import AT_ORIGIN
+from stepcore.scene import frames
+from stepcore.scene.contents import Contents
+from stepcore.scene.elements import Geom, Mesh
+from stepcore.scene.frames import Vec
+from stepcore.scene.layout import Layout
+from stepcore.urdf.translate import DrawnLink, to_mjcf
+
+# MuJoCo's colour of a geom that has none.
+GREY = (0.5, 0.5, 0.5, 1.0)
+WHITE = (1.0, 1.0, 1.0, 1.0)
+# The colour of one of a cube's sides, and of an image that cannot be read.
+LIGHT_GREY = (0.8, 0.8, 0.8, 1.0)
+DOWN = (0.0, 0.0, -1.0)
+
+
+class Look(NamedTuple):
+    """rgba: the colour of a geom. squares: the two colours of its squares, of a checker texture."""
+
+    rgba: Vec
+    squares: tuple[Vec, Vec] | None = None
+
+    def times(self, rgba: Vec) -> Look:
+        """The same look under a colour."""
+        squares = self.squares and (
+            _product(self.squares[0], rgba),
+            _product(self.squares[1], rgba),
+        )
+        return Look(_product(self.rgba, rgba), squares)
+
+
+def _product(colour: Vec, other: Vec) -> Vec:
+    return tuple(a * b for a, b in zip(colour, other, strict=True))
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light that a body carries.
+
+    pos: [m], and dir: where it shines, in the body's frame. diffuse: its colour.
+    kind: "directional" shines everywhere along dir, "spot" from pos within `cutoff` of dir
+    [degrees], and "point" from pos to all sides.
+    """
+
+    body: int
+    pos: Vec
+    dir: Vec
+    diffuse: Vec
+    kind: str
+    cutoff: float
+
+
+@dataclass(frozen=True)
+class Headlight:
+    """The light at the camera. ambient, diffuse: its colours."""
+
+    ambient: Vec = (0.1, 0.1, 0.1)
+    diffuse: Vec = (0.4, 0.4, 0.4)
+
+
+@dataclass
+class Looks:
+    """How the file of a scene says that it looks.
+
+    colours: of each geom of the scene, in the order of the compiled model.
+    geoms: those that only draw, with the index of their body and their colours.
+    covered: geoms of the scene that are not shown, because they collide on a link of a URDF that
+        has others that only draw.
+    lights: those of the file. headlight: the one at the camera.
+    notes: what could not be read, one line each.
+    """
+
+    colours: list[Look] = field(default_factory=list)
+    geoms: list[tuple[int, Geom, Look]] = field(default_factory=list)
+    lights: list[Light] = field(default_factory=list)
+    headlight: Headlight = field(default_factory=Headlight)
+    notes: list[str] = field(default_factory=list)
+    covered: list[int] = field(default_factory=list)
+
+
+class _DrawnAssets(Assets):
+    """Keeps what only draws, and goes on without the files that cannot be read."""
+
+    drawn = True
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.unread: dict[int, str] = {}
+
+    def _fill(self, scene: Contents, node: Node, asset: Any) -> None:
+        try:
+            super()._fill(scene, node, asset)
+        except (ValueError, OSError) as error:
+            self.unread[id(asset)] = str(error)
+            # It stays empty, so that the geoms that refer to it can be told apart.
+            held: list[Any] = scene.meshes if isinstance(asset, Mesh) else scene.hfields
+            held.append(asset)
+
+    def place_of_texture(self, node: Node) -> str | None:
+        """The path of the image of a texture; None in a text without a folder."""
+        return self._place(node, node.attrs["file"], "texturedir")
+
+
+def read_looks(scene: Contents) -> Looks | None:
+    """The looks of a scene by the file or text that it was read from.
+
+    None where it was built by hand, or changed since so that geoms and bodies are others.
+    """
+    source = scene._source
+    if source is None or not (source.data or source.urdf):
+        return None
+    root = parse(source.data or source.urdf, source.files[0])
+    home = None if source.directory is None else Path(source.directory)
+    expand(root, home, Path(source.files[0]) if home is not None else None)
+    links: list[DrawnLink] = []
+    undrawn: list[str] = []
+    if source.urdf:
+        urdf = to_mjcf(root, source.directory, drawn=True)
+        root, links, undrawn = urdf.tree, urdf.links, urdf.undrawn
+    drawn, refusals = Contents(), Refusals()
+    model = Models(drawn, refusals, Exclusions(scene.without)).prepared(root, source.directory)
+    world = read_sections(drawn, model, refusals, _DrawnAssets)
+    refusals.raise_all()
+    finish(world, source.fuse)
+    of_links = {id(node) for link in links for node in link.visuals}
+    world.only_drawn |= {id(shape.geom) for shape in world.shapes if id(shape.node) in of_links}
+    layout, own = Layout(drawn), Layout(scene)
+    seen = [geom for geom in layout.geoms if id(geom) not in world.only_drawn]
+    names = [body.name for body in layout.bodies], [geom.name for geom in seen]
+    if names != ([body.name for body in own.bodies], [geom.name for geom in own.geoms]):
+        return None
+    assets = world.assets
+    assert isinstance(assets, _DrawnAssets)
+    surfaces = _Surfaces(model, assets)
+    colours = {id(shape.geom): surfaces.of(shape.values) for shape in world.shapes}
+    looks = Looks([colours[id(geom)] for geom in seen])
+    looks.notes += [*undrawn, *sorted({*assets.unread.values(), *surfaces.unread})]
+    for geom in layout.geoms:
+        asset = geom.mesh if geom.mesh is not None else geom.hfield
+        if id(geom) in world.only_drawn and id(asset) not in assets.unread:
+            looks.geoms.append((layout.index[id(geom.body)], geom, colours[id(geom)]))
+    geoms = {id(shape.node): id(shape.geom) for shape in world.shapes}
+    drawn_too = {id(geom) for _, geom, _ in looks.geoms}
+    covers = [link for link in links if any(geoms.get(id(n)) in drawn_too for n in link.visuals)]
+    covered = {geoms.get(id(node)) for link in covers for node in link.collisions}
+    looks.covered = [index for index, geom in enumerate(seen) if id(geom) in covered]
+    bodies = {id(node): at for key, node in world.nodes.items() if (at := layout.index.get(key))}
+    looks.lights = _lights(model, bodies, looks.notes)
+    looks.headlight = _headlight(root, looks.notes)
+    return looks
+
+
+class _Surfaces:
+    """The looks of geoms by their materials: a colour times the mean colour of the texture.
+
+    unread: images and materials that could not be read, a line each.
+    """
+
+    def __init__(self, model: Model, assets: _DrawnAssets) -> None:
+        self.assets = assets
+        self.unread: list[str] = []
+        # Textures under the names that their files give those without one.
+        self.textures: dict[str, Node] = {}
+        self.materials: dict[str, tuple[Vec, Look]] = {}
+        nodes = inside(model.root, "asset")
+        for node in nodes:
+            if node.tag == "texture":
+                file = node.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
+                node.attrs.setdefault("name", file.rpartition(".")[0])
+                self.textures[node.attrs["name"]] = node
+        self.textures.pop("", None)
+        for node in nodes:
+            if node.tag == "material":
+                try:
+                    values = seen_values(node, model.defaults.of(node))
+                    look = values.get("rgba", WHITE), self._look(node, values)
+                    self.materials[node.attrs.get("name", "")] = look
+                except MJCFError as error:
+                    self.unread.append(str(error))
+
+    def of(self, values: dict[str, Any]) -> Look:
+        """The look of a geom with these attributes; its own colour goes before its material's."""
+        colour = values.get("rgba", GREY)
+        if values.get("material") not in self.materials:
+            return Look(colour)
+        rgba, texture = self.materials[values["material"]]
+        return texture.times(rgba if colour == GREY else colour)
+
+    def _look(self, node: Node, values: dict[str, Any]) -> Look:
+        """The look of a material's texture; white without one."""
+        layers = [
+            layer.attrs.get("texture", "")
+            for layer in node.children
+            if layer.tag == "layer" and layer.attrs.get("role") in ("rgb", "rgba")
+        ]
+        names = [str(values.get("texture", "")), *layers]
+        texture = next((self.textures[name] for name in names if name in self.textures), None)
+        if texture is None:
+            return Look(WHITE)
+        values = seen_values(texture)
+        builtin = values.get("builtin", "none")
+        if builtin == "none":
+            return Look(self._mean(texture))
+        first = values.get("rgb1", (0.8, 0.8, 0.8))
+        second = first if builtin == "flat" else values.get("rgb2", (0.5, 0.5, 0.5))
+        both = (*first, 1.0), (*second, 1.0)
+        mean = tuple((a + b) / 2 for a, b in zip(*both, strict=True))
+        return Look(mean, both if builtin == "checker" else None)
+
+    def _mean(self, texture: Node) -> Vec:
+        """The mean colour of an image."""
+        if "file" not in texture.attrs:
+            return LIGHT_GREY
+        try:
+            path = self.assets.place_of_texture(texture)
+            return LIGHT_GREY if path is None else _mean_colour(path)
+        except (ImportError, ValueError, OSError) as error:
+            text = f'texture "{texture.attrs["file"]}": {error}'
+            self.unread.append(f"{texture.file}:{texture.line}: {text}")
+            return LIGHT_GREY
+
+
+def _mean_colour(path: str) -> Vec:
+    """The mean colour of the image in a file; ValueError for what is none, or far too large."""
+    from PIL import Image, ImageStat
+
+    data = files.read(path, "an image")
+    try:
+        with warnings.catch_warnings():
+            # Pillow warns of more pixels than any texture has, and then reads them.
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data)) as image:
+                mean = ImageStat.Stat(image.convert("RGB")).mean
+    except Exception as error:
+        # Whatever a reader of images finds wrong, the surface is drawn grey.
+        raise ValueError(f"not a whole image: {checks.cut(checks.one_line(error), 200)}") from None
+    return (*(value / 255 for value in mean), 1.0)
+
+
+class _Place(NamedTuple):
+    """The body that holds an element, the pose of its frame there, and its childclass."""
+
+    body: int = 0
+    pose: tuple[Vec, Vec] = AT_ORIGIN
+    childclass: str | None = None
+
+
+def _lights(model: Model, bodies: Mapping[int, int], notes: list[str]) -> list[Light]:
+    """The lights that are on.
+
+    bodies: the index of a body by the id of its node. notes: gets a line for each light that cannot
+    be read. One that follows or looks at a body (`mode`) stands in the body that holds it.
+    """
+    lights = []
+    pending = [(node, _Place()) for node in sections(model.root, "worldbody")]
+    while pending:
+        node, place = pending.pop()
+        for child in node.children:
+            if child.tag == "light":
+                try:
+                    values = seen_values(child, model.defaults.of(child, place.childclass))
+                    if values.get("type") == "image":
+                        notes.append(child.listed("of type image, which is not drawn"))
+                    elif values.get("active", True):
+                        lights.append(_light(child, values, place))
+                except MJCFError as error:
+                    notes.append(str(error))
+            elif child.tag == "frame" or id(child) in bodies:
+                pose = AT_ORIGIN
+                if child.tag == "frame":
+                    compiler = child.compiler or model.compiler
+                    turn = compiler.orientation(child, child.values)
+                    pos = child.values.get("pos", frames.ORIGIN)
+                    pose = frames.composed(place.pose, pos, turn)
+                childclass = model.defaults.known(child, "childclass") or place.childclass
+                body = bodies.get(id(child), place.body)
+                pending.append((child, _Place(body, pose, childclass)))
+    return lights
+
+
+def _light(node: Node, values: dict[str, Any], place: _Place) -> Light:
+    try:
+        direction = frames.normalised(values.get("dir", DOWN), "dir")
+    except ValueError as error:
+        raise node.error(f"<light>: {error}") from None
+    return Light(
+        place.body,
+        frames.composed(place.pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0],
+        frames.rotated(place.pose[1], direction),
+        values.get("diffuse", (0.7, 0.7, 0.7)),
+        values.get("type", "directional" if values.get("directional") else "spot"),
+        values.get("cutoff", 45.0),
+    )
+
+
+def _headlight(root: Node, notes: list[str]) -> Headlight:
+    """The light at the camera. notes: gets a line for each that cannot be read."""
+    headlight = Headlight()
+    for node in inside(root, "visual"):
+        if node.tag == "headlight":
+            try:
+                values = seen_values(node)
+            except MJCFError as error:
+                notes.append(str(error))
+                continue
+            if values.get("active") in ("0", "false"):
+                return Headlight((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+            given = {name: values[name] for name in ("ambient", "diffuse") if name in values}
+            headlight = replace(headlight, **given)
+    return headlight
