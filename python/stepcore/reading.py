@@ -14,7 +14,7 @@ from stepcore.mjcf.reader import read_text
 from stepcore.scene.scene import Scene
 
 if TYPE_CHECKING:
-    import mujoco
+    import mujoco  # type: ignore[import-untyped,unused-ignore]
 
 
 def load(

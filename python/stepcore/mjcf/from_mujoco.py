@@ -76,7 +76,7 @@ def _saved(model: Any, path: str) -> tuple[str, str | None]:
     MuJoCo writes the values of the model into the XML that it loaded last, whatever model that was
     of: what comes out is compiled and compared.
     """
-    import mujoco
+    import mujoco  # type: ignore[import-untyped,unused-ignore]
 
     kept = "MuJoCo keeps the XML of the model that it loaded last"
     better = "pass the MjSpec that it was compiled from, or its file"
@@ -138,7 +138,7 @@ def _exact_numbers() -> Iterator[None]:
 
 def _precision() -> tuple[Any, Any] | None:
     """How many digits MuJoCo writes: the functions of its library that read and set it."""
-    import mujoco
+    import mujoco  # type: ignore[import-untyped,unused-ignore]
 
     folder = Path(mujoco.__file__).parent
     pattern = {"win32": "mujoco*.dll", "darwin": "libmujoco*.dylib"}.get(
