@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import inspect
+import os
 import pickle
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypedDict
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore.engine.control import Control
 from stepcore.engine.sim import Sim
+from stepcore.engine.trajectory import Trajectory
+from stepcore.experiment.control_table import SINES, ControlTable, control_table
 from stepcore.signatures import F, keyword, refuse_unknown, spell_out
 
 
@@ -39,13 +41,15 @@ def picklable(control: Control) -> Control:
     return control
 
 
-def _changes(ctrl: ArrayLike | None) -> bool:
-    """Whether a table of controls has rows that differ; what is no table is refused elsewhere."""
-    try:
-        table = np.asarray(ctrl, float)
-    except (TypeError, ValueError):
-        return False
-    return bool(table.ndim and len(table) > 1 and np.any(table != table[:1]))
+# Rows of controls, or where they are: see `Motion`.
+Controls = ArrayLike | ControlTable | Mapping[str, Any] | str | os.PathLike[str] | Any
+
+
+def _is_array(ctrl: object) -> bool:
+    """Whether controls are plain rows, which are kept as they are given."""
+    kinds = (str, os.PathLike, Mapping, Trajectory, ControlTable)
+    named = isinstance(ctrl, kinds) or hasattr(ctrl, "columns")
+    return not named and getattr(getattr(ctrl, "dtype", None), "names", None) is None
 
 
 class MotionFields(TypedDict, total=False):
@@ -56,7 +60,7 @@ class MotionFields(TypedDict, total=False):
     seed: int
     key: str | int | None
     control: Control | None
-    ctrl: ArrayLike | None
+    ctrl: Controls | None
     control_dt: float | None
 
 
@@ -70,7 +74,13 @@ class Motion:
     seed: random seed of the starts, and of the controls if none are given.
     key: the keyframe to start from, by name or index; by default the first one, or the pose of the
         scene at rest.
-    ctrl: controls, shape (n, nu), one row for each control period; the last row is held.
+    ctrl: controls, shape (n, nu), one row for each control period; the last row is held. Or a table
+        with the name of an actuator above each column, or of the joint that it drives: the path of
+        a .csv or .npz file, a recorded run (`Trajectory`), a DataFrame, or a dict such as
+        ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An actuator without a column keeps the keyframe's
+        control. With a column "time" [s], each row is held from its own time on, counted from the
+        first row. A file without names (.csv, .npy) is as an array. "sines" is what measurements
+        run by default.
     control: in place of `ctrl`, a function of (time, sim) that returns the controls. It is called
         once per control period, possibly from several threads, and must depend on nothing else; a
         callable object may remember what is in its attributes, of which each run gets a copy.
@@ -92,7 +102,7 @@ class Motion:
     seed: int = 0
     key: str | int | None = None
     control: Control | None = None
-    ctrl: ArrayLike | None = None
+    ctrl: Controls | None = None
     control_dt: float | None = None
 
     def __post_init__(self) -> None:
@@ -106,15 +116,29 @@ class Motion:
             checks.function("time", "sim")("motion", "control", self.control)
             if self.ctrl is not None:
                 raise ValueError("control and ctrl are both given: a motion has one of them")
+        if self.ctrl is not None and not self.follows_sines and not _is_array(self.ctrl):
+            object.__setattr__(self, "ctrl", control_table(self.ctrl))
+
+    @property
+    def follows_sines(self) -> bool:
+        """Whether `ctrl` asks for the controls that measurements run by default."""
+        return isinstance(self.ctrl, str) and self.ctrl == SINES
 
     def period(self, dt: float) -> float | None:
         """The control period [s] of a scene with time step `dt` [s]; None where nothing sets it.
 
         Controls that never change have none.
         """
-        if self.control_dt is not None or (self.control is None and self.ctrl is None):
-            return self.control_dt
-        return dt if self.control is not None or _changes(self.ctrl) else None
+        if self.control_dt is not None or self.control is not None:
+            return self.control_dt or dt
+        if self.ctrl is None or self.follows_sines:
+            return None
+        try:
+            table = control_table(self.ctrl)
+        except ValueError:
+            # Whoever makes the controls of a model refuses them.
+            return None
+        return table.period(dt) if table.changes else None
 
     @classmethod
     def of(
@@ -133,7 +157,7 @@ class Motion:
         """
         refuse_unknown(measurement, given)
         if motion is None:
-            return cls(**given)
+            return cls(**given)._without_sines()
         if not isinstance(motion, Motion):
             raise ValueError(f"motion = {checks.shown(motion)}: must be a stepcore.Motion")
         if given:
@@ -144,7 +168,11 @@ class Motion:
         for word in (field.name for field in fields(cls) if field.name not in takes):
             if getattr(motion, word) is not getattr(cls, word):
                 raise ValueError(f"motion: {name} does not use {word}; leave it out of the Motion")
-        return motion
+        return motion._without_sines()
+
+    def _without_sines(self) -> Motion:
+        """The same motion; measurements run sines where nothing else is given."""
+        return replace(self, ctrl=None) if self.follows_sines else self
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(self.__dict__)

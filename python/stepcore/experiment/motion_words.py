@@ -86,7 +86,9 @@ def _drive(model: Model, motion: Motion, schedule: Schedule, sampled: str, drive
         return f"{what} driven by {control_name(motion.control)}, sampled {sampled}"
     if motion.ctrl is not None:
         row = f", a row {sampled}" if motion.period(1.0) is not None else " and held"
-        return f"{what} driven by the controls given{row}"
+        source = getattr(motion.ctrl, "source", "ctrl")
+        drive = "the controls given" if source == "ctrl" else source
+        return f"{what} driven by {drive}{row}"
     still = list(schedule.undriven)
     if len(still) == model.nu:
         return f"{what} are held at zero, because nothing gives their range"

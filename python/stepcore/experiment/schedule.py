@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore.engine.control import Control, control_name
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Coordinates, Start
 from stepcore.experiment.motion import Motion
 from stepcore.report.units import seconds
@@ -109,7 +109,8 @@ def scheduled(
     begin = [first, *(near(model, coordinates, first, rng) for _ in range(count - 1))]
     ctrl, still = None, list[str]()
     if motion.ctrl is not None:
-        ctrl = np.broadcast_to(given(motion.ctrl, periods, model.nu), (count, periods, model.nu))
+        rows = control_table(motion.ctrl).over(model, held, periods, period)
+        ctrl = np.broadcast_to(rows, (count, periods, model.nu))
     elif motion.control is None:
         values = [smooth(model, held, periods, period, rng) for _ in begin]
         ctrl, still = np.stack(values), undriven(model, held)
@@ -223,23 +224,6 @@ def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Gen
         if tried[-1][0] <= allowed:
             return start
     return min(tried, key=lambda pair: pair[0])[1]
-
-
-def given(ctrl: ArrayLike, periods: int, nu: int) -> np.ndarray:
-    """The user's controls, one row a period; the last row is held if there are too few."""
-    try:
-        values = np.asarray(ctrl, float)
-    except (TypeError, ValueError):
-        raise checks.refuse("motion", "ctrl", ctrl, f"numbers of shape (n, {nu})") from None
-    if values.ndim == 1 and nu == 1:
-        values = values[:, None]
-    if values.ndim != 2 or values.shape[1] != nu or len(values) == 0:
-        raise ValueError(f"ctrl has shape {values.shape}: must be (n, {nu}), one row a period")
-    bad = np.argwhere(~np.isfinite(values))
-    if len(bad):
-        row, column = bad[0]
-        raise ValueError(f"ctrl[{row}, {column}] = {values[row, column]}: must be finite")
-    return values[np.minimum(np.arange(periods), len(values) - 1)]
 
 
 def smooth(

@@ -1,0 +1,249 @@
+"""`ControlTable`: a user's controls by row, from an array, a file, a DataFrame or a dict."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepcore import checks
+from stepcore.engine.model import Model
+from stepcore.engine.trajectory import Trajectory
+
+# What --ctrl and `Motion.ctrl` call the controls of measurements.
+SINES = "sines"
+ENDINGS = (".csv", ".npy", ".npz")
+# A column of times: "time", "t", "Time [s]", "t_s".
+TIME = re.compile(r"(time|t)([\s_]*[\[(]?s[\])]?)?", re.IGNORECASE)
+
+
+@dataclass(frozen=True, eq=False)
+class ControlTable:
+    """Controls by row.
+
+    rows: shape (n, columns), or (n,) for a model of one actuator. columns: an actuator or a joint
+    for each column; None: every actuator in its order. times: when each row begins [s], counted
+    from the first; None: a row each control period. source: what the rows are from, in words.
+    """
+
+    rows: np.ndarray
+    columns: tuple[str, ...] | None = None
+    times: np.ndarray | None = None
+    source: str = "ctrl"
+
+    def __post_init__(self) -> None:
+        if not self.rows.size:
+            raise ValueError(f"{self.source}: is empty; must hold a row of controls")
+        bad = np.argwhere(~np.isfinite(self.rows)).tolist()
+        if bad:
+            place = [str(index) for index in bad[0]]
+            if self.columns is not None:
+                place[1] = self.columns[bad[0][1]]
+            value = self.rows[tuple(bad[0])]
+            raise ValueError(f"{self.source}[{', '.join(place)}] = {value}: must be finite")
+        if self.times is not None and not (np.diff(self.times) > 0).all():
+            raise ValueError(f"{self.source}: its times must be finite and increase")
+
+    def __repr__(self) -> str:
+        return self.source
+
+    @property
+    def changes(self) -> bool:
+        """Whether any two rows differ."""
+        return bool(np.any(self.rows != self.rows[:1]))
+
+    def period(self, dt: float) -> float:
+        """The period of the controls [s]: that of the times where these are evenly spaced in whole
+        steps of `dt` [s], else `dt`."""
+        if self.times is None or len(self.times) < 2:
+            return dt
+        gaps = np.diff(self.times)
+        gap = (self.times[-1] - self.times[0]) / len(gaps)
+        steps = round(gap / dt)
+        even = np.allclose(gaps, gap, rtol=1e-6, atol=1e-6 * dt)
+        return steps * dt if even and steps and abs(gap - steps * dt) < 1e-6 * dt else dt
+
+    def over(self, model: Model, held: np.ndarray, periods: int, period: float) -> np.ndarray:
+        """The controls in each period, shape (periods, nu); the last row is held to the end.
+
+        held: controls of the actuators that have no column, shape (nu,).
+        """
+        if self.times is None:
+            index = np.minimum(np.arange(periods), len(self.rows) - 1)
+        else:
+            now = period * np.arange(periods) + 1e-6 * period
+            index = np.searchsorted(self.times - self.times[0], now, side="right") - 1
+        if self.columns is None:
+            rows = self.rows[:, None] if self.rows.ndim == 1 and model.nu == 1 else self.rows
+            if rows.ndim != 2 or rows.shape[1] != model.nu:
+                limit = f"(n, {model.nu}), one row a period"
+                raise ValueError(f"{self.source} has shape {rows.shape}: must be {limit}")
+            return rows[index]
+        values = np.tile(held, (periods, 1))
+        values[:, _actuators(self.source, self.columns, model)] = self.rows[index]
+        return values
+
+
+def control_table(ctrl: Any) -> ControlTable:
+    """The table of what a user gives as `ctrl`: see `Motion`.
+
+    Raises ValueError for anything else, and OSError for a file that cannot be read.
+    """
+    if isinstance(ctrl, ControlTable):
+        return ctrl
+    if isinstance(ctrl, (str, os.PathLike)):
+        return _of_file(os.fsdecode(ctrl))
+    if isinstance(ctrl, Trajectory):
+        return _of_run(ctrl, "a recorded run")
+    if isinstance(ctrl, Mapping):
+        return _named("ctrl", ctrl)
+    if hasattr(ctrl, "columns") and hasattr(ctrl, "to_numpy"):
+        return _of_frame(ctrl)
+    names = getattr(getattr(ctrl, "dtype", None), "names", None)
+    if names:
+        return _named("ctrl", {name: ctrl[name] for name in names})
+    return ControlTable(_numbers("ctrl", ctrl))
+
+
+def _of_file(path: str) -> ControlTable:
+    source = os.path.basename(path)
+    if not path.endswith(ENDINGS):
+        raise ValueError(f"{path}: must end in {', '.join(ENDINGS)}")
+    if path.endswith(".csv"):
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            return _of_text(source, file.read().splitlines())
+    try:
+        loaded = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise ValueError(f"{path}: {checks.one_line(error)}") from None
+    if path.endswith(".npy"):
+        if loaded.dtype.names:
+            return _named(source, {name: loaded[name] for name in loaded.dtype.names})
+        return ControlTable(_numbers(source, loaded), source=source)
+    with loaded:
+        arrays = {name: loaded[name] for name in loaded.files}
+    if "kind" in arrays:
+        return _of_run(Trajectory.load(path), source)
+    if "ctrl" not in arrays:
+        return _named(source, arrays)
+    rows = _numbers(source, arrays["ctrl"])
+    return ControlTable(rows, times=_times(source, arrays.get("time"), len(rows)), source=source)
+
+
+def _of_run(run: Trajectory, source: str) -> ControlTable:
+    """The controls of a recorded run: each instant has those of the step that ended there."""
+    if "ctrl" not in run.data:
+        raise ValueError(f"{source}: this run recorded no ctrl")
+    return ControlTable(run["ctrl"][1:], times=run.time[:-1], source=source)
+
+
+def _of_text(source: str, lines: list[str]) -> ControlTable:
+    """A table of comma-, semicolon- or tab-separated values, with or without names above it."""
+    head = next((line for line in lines if line.strip()), "")
+    delimiter = max(",;\t", key=head.count)
+    (names,) = csv.reader([head.lstrip("# ")], delimiter=delimiter) if head else ([],)
+    names = [name.strip() for name in names]
+    named = bool(names) and not any(checks.number(_float(name)) is not None for name in names)
+    if named and not head.startswith("#"):
+        lines = lines[lines.index(head) + 1 :]
+    try:
+        with warnings.catch_warnings():
+            # numpy warns of an empty file, which is an error of the table.
+            warnings.simplefilter("ignore")
+            rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2)
+    except ValueError as error:
+        raise ValueError(f"{source}: {checks.one_line(error)}") from None
+    if not named or (head.startswith("#") and rows.size and len(names) != rows.shape[1]):
+        return ControlTable(rows if rows.size else np.empty((0, 0)), source=source)
+    if rows.size and rows.shape[1] != len(names):
+        text = f"{len(names)} names stand above {rows.shape[1]} columns"
+        raise ValueError(f"{source}: {text}")
+    return _named(source, dict(zip(names, rows.T, strict=False)), names)
+
+
+def _of_frame(frame: Any) -> ControlTable:
+    """A table of pandas, polars and their like."""
+    names = list(frame.columns)
+    if not any(isinstance(name, str) for name in names):
+        return ControlTable(_numbers("ctrl", frame.to_numpy()))
+    columns = {str(name): frame[name].to_numpy() for name in names}
+    index = getattr(frame, "index", None)
+    if TIME.fullmatch(str(getattr(index, "name", None) or "")):
+        columns |= {"time": np.asarray(index)}
+    return _named("ctrl", columns)
+
+
+def _named(
+    source: str, columns: Mapping[str, Any], names: Iterable[str] | None = None
+) -> ControlTable:
+    """A table of columns by name; one number is held over all rows."""
+    names = list(columns if names is None else names)
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise ValueError(f"{source}: several columns are named {checks.quoted(min(twice))}")
+    clocks = [name for name in names if TIME.fullmatch(str(name))]
+    drives = [str(name) for name in names if name not in clocks[:1]]
+    values = [np.ravel(_numbers(f"{source}, column {name}", columns[name])) for name in names]
+    count = max((len(column) for column in values), default=0)
+    table = {}
+    for name, column in zip(names, values, strict=True):
+        if len(column) not in (1, count):
+            raise ValueError(f"{source}: column {checks.quoted(name)} has another length")
+        table[str(name)] = np.broadcast_to(column, count)
+    rows = np.array([table[name] for name in drives]).reshape(len(drives), count).T
+    times = _times(source, table[clocks[0]], count) if clocks else None
+    return ControlTable(rows, tuple(drives), times, source)
+
+
+def _times(source: str, times: Any, count: int) -> np.ndarray | None:
+    if times is None:
+        return None
+    values = np.ravel(_numbers(f"{source}, time", times))
+    if len(values) != count:
+        raise ValueError(f"{source}: {len(values)} times for {count} rows")
+    return values
+
+
+def _actuators(source: str, columns: Sequence[str], model: Model) -> list[int]:
+    """The actuators that named columns control, each by its own name or that of its joint."""
+    by_joint: dict[str, list[int]] = {}
+    for index, joint in enumerate(model.actuator_joint.tolist()):
+        if joint >= 0 and model.joint_names[joint]:
+            by_joint.setdefault(model.joint_names[joint], []).append(index)
+    indices = []
+    for name in columns:
+        if name in model.actuator_names and name:
+            indices.append(model.actuator_names.index(name))
+        elif len(by_joint.get(name, ())) == 1:
+            indices += by_joint[name]
+        elif name in by_joint:
+            drives = ", ".join(model.called("actuator")[k] for k in by_joint[name])
+            raise ValueError(f"{source}: several actuators drive joint {name}: {drives}")
+        else:
+            near = checks.nearest(name, dict.fromkeys([*model.actuator_names, *by_joint]))
+            raise ValueError(f"{source}: no actuator is named {checks.quoted(name)}{near}")
+        if indices[-1] in indices[:-1]:
+            raise ValueError(f"{source}: {checks.quoted(name)} is controlled by two columns")
+    return indices
+
+
+def _numbers(source: str, value: Any) -> np.ndarray:
+    try:
+        table = np.asarray(value, float)
+    except (TypeError, ValueError):
+        limit = "numbers, one row a period"
+        raise ValueError(f"{source} = {checks.shown(value)}: must be {limit}") from None
+    return table
+
+
+def _float(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
