@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from stepcore.measure.plan import plan as plan
     from stepcore.measure.predictability import Predictability as Predictability
     from stepcore.measure.predictability import predict as predict
+    from stepcore.measure.run import SimulationRun as SimulationRun
+    from stepcore.measure.run import run as run
     from stepcore.measure.stability import StabilityMap as StabilityMap
     from stepcore.measure.stability import stability_map as stability_map
     from stepcore.measure.sweep import sweep as sweep
@@ -108,6 +110,7 @@ _MODULES = {
     "stepcore.measure.monitors": "Finding",
     "stepcore.measure.plan": "plan",
     "stepcore.measure.predictability": "Predictability predict",
+    "stepcore.measure.run": "SimulationRun run",
     "stepcore.measure.stability": "StabilityMap stability_map",
     "stepcore.measure.sweep": "sweep",
     "stepcore.measure.trade": "Trade trade",

@@ -4,8 +4,7 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment.pace import STATES, Pace
-from stepcore.experiment.single_run import SingleRun
+from stepcore.experiment.single_run import STATES, Pace, SingleRun
 
 
 def test_it_times_steps_along_the_run():

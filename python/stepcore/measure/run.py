@@ -1,0 +1,323 @@
+"""`run`: one simulation of a scene, and what it shows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from stepcore import checks
+from stepcore._core import Settings, SimulationError
+from stepcore.engine.axes import axes_of
+from stepcore.engine.control import Control, control_name
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
+from stepcore.experiment.arguments import Source
+from stepcore.experiment.control_table import ControlTable, control_table
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
+from stepcore.experiment.motion_words import (
+    actuators_in_words,
+    held_in_words,
+    scene_in_words,
+    start_in_words,
+)
+from stepcore.experiment.schedule import smooth, undriven
+from stepcore.experiment.single_run import LOOKS, Pace, Push, SingleRun
+from stepcore.loading import find_model
+from stepcore.measure.monitors import Finding, Monitor
+from stepcore.report.progress import Choice
+from stepcore.report.result import Result
+from stepcore.report.table import Table
+from stepcore.report.units import computing, counted, seconds, times
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+# Simulated time where nobody says it [s].
+HORIZON = 1.0
+# The counter of steps has 64 bits.
+MOST_STEPS = 2.0**64
+# So many coordinates are printed unless all are asked for.
+ROWS = 36
+CLEAN = "Nothing found: no contact creeps or sinks in, and limits and servos hold."
+
+
+@dataclass(repr=False, kw_only=True)
+class SimulationRun(Result):
+    """One simulation of a scene, and what it shows; `stepcore.run` returns it.
+
+    motion: what was run. settings: under which settings. steps: the number of steps made.
+    sim: the `Sim` in its final state; of a run that failed, the last finite state.
+    findings: what went wrong, the most severe first: contacts that creep, joints beyond their
+    limits, servos that do not hold.
+    us_per_step: computing time of a step [µs]; None where none was timed.
+    trajectory: what was recorded, None without `record`.
+    error: the `SimulationError` of a run that failed, whose `replay` runs it again; else None.
+
+    >>> from stepcore import lesson, run
+    >>> fallen = run(lesson.drop(), horizon=0.5)
+    >>> fallen.success, round(float(fallen.sim.time), 6), fallen.findings
+    (True, 0.5, [])
+    """
+
+    name: str
+    motion: Motion
+    ran: str
+    settings: Settings
+    steps: int
+    sim: Sim
+    findings: list[Finding]
+    us_per_step: float | None
+    notes: list[str]
+    trajectory: Trajectory | None = None
+    error: SimulationError | None = None
+
+    kind: ClassVar[str] = "run"
+
+    @property
+    def success(self) -> bool:
+        """Whether the run came to its end."""
+        return self.error is None
+
+    @property
+    def title(self) -> str:
+        return f"{self.name}: one run"
+
+    @property
+    def setup(self) -> str:
+        return repr(self.settings)
+
+    @property
+    def sentences(self) -> list[str]:
+        said = [f"{checks.one_line(self.error)}."] if self.error is not None else []
+        if not self.steps:
+            return [*said, "No step was made."]
+        dt = self.settings.dt
+        took = f"{seconds(self.steps * dt)} in {counted(self.steps, 'step')} of {seconds(dt)}"
+        cost = self.us_per_step
+        pace = f"; {computing(cost)} a step, {times(1e6 * dt / cost)} real time" if cost else ""
+        said.append(f"{took}{pace}.")
+        said += [f"{finding.severity}: {finding.text}" for finding in self.findings]
+        if self.success and not self.findings:
+            said.append(CLEAN)
+        kinetic, potential = self.sim.energy
+        end = (
+            f"At the end, {self.sim.time:g} s: {kinetic:.6g} J kinetic, {potential:.6g} J potential"
+        )
+        contacts = counted(len(self.sim.contacts), "contact")
+        return [*said, f"{end}; {contacts}, residual {self.sim.residual:.2g} m/s."]
+
+    @property
+    def table(self) -> Table:
+        """The final state: positions by coordinate, velocities by dof."""
+        rows = []
+        for array in ("qpos", "qvel"):
+            values = getattr(self.sim, array)
+            (axis,) = axes_of(self.sim.model, array, values.shape)
+            rows += [
+                {"array": array, "of": name, "value": float(value)}
+                for name, value in zip(axis.entries, values, strict=True)
+            ]
+        return Table(rows, ("array", "of", "value"), {"value": ".6g"}, heading="Final state")
+
+    def tables(self, full: bool) -> list[Table]:
+        table = self.table
+        if full or len(table) <= ROWS:
+            return [table] if len(table) else []
+        cut = table[:ROWS]
+        cut.legend = f"and {len(table) - ROWS} more (--all)"
+        return [cut]
+
+    def details(self) -> dict[str, Any]:
+        sim = self.sim
+        kinetic, potential = sim.energy
+        return {
+            "success": self.success,
+            "error": None if self.error is None else checks.one_line(self.error),
+            "settings": sim.settings,
+            "steps": self.steps,
+            "time": sim.time,
+            "qpos": sim.qpos,
+            "qvel": sim.qvel,
+            "kinetic": kinetic,
+            "potential": potential,
+            "contacts": len(sim.contacts),
+            "residual": sim.residual,
+            "us_per_step": self.us_per_step,
+            "findings": [finding.record() for finding in self.findings],
+        }
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """The plot of what was recorded; see `Trajectory.plot`.
+
+        Raises ValueError where nothing was, and ImportError without matplotlib.
+        """
+        if self.trajectory is None:
+            raise ValueError('nothing was recorded: run(…, record=("energy", "overlap"))')
+        return self.trajectory.plot(path)
+
+    def _repr_html_(self) -> str:
+        return self.report().html() if self.trajectory is None else super()._repr_html_()
+
+
+@takes_motion(without=("starts",))
+def run(
+    model: Source,
+    motion: Motion | None = None,
+    *,
+    pushes: Iterable[Push | str | Sequence[Any]] = (),
+    record: Sequence[str] = (),
+    ledger: bool = True,
+    threads: int = 1,
+    progress: Choice = None,
+    **fields: Unpack[MotionFields],
+) -> SimulationRun:
+    """Simulates a scene once, and says what the run shows.
+
+    model: a Model, a Scene, or what `stepcore.load` takes.
+    motion: what to run, or its fields as arguments: horizon, key, control, ctrl, control_dt; by
+        default 1 s from the first keyframe, which also gives the controls. ctrl="sines" runs
+        the controls of a measurement; `seed` is theirs.
+    pushes: forces on bodies, such as "torso:50,0,0@1" (50 N along x from 1 s on, for 0.1 s),
+        "torso:50,0,0@1+0.3", or (body, force, start, duration).
+    record: what is recorded at every step, such as ("qpos", "energy"); see `Sim.run`.
+    ledger: balances the energy of each step, which explains a failure in full and costs a few
+        percent.
+    threads: as of a `Sim`.
+    progress: as in `stepcore.trade`.
+
+    A run that fails is a result too: `success` is False, and `error` is the SimulationError.
+
+    Raises ValueError for arguments outside their limits, and what the control raises.
+
+    >>> from stepcore import lesson
+    >>> result = run(lesson.spring(), horizon=0.1, record="energy")
+    >>> result.steps, result.trajectory["energy"].shape
+    (50, (51, 2))
+    """
+    compiled = find_model(model)
+    motion = Motion.of(motion, fields, run)
+    horizon = HORIZON if motion.horizon is None else motion.horizon
+    sim = Sim(compiled, threads=threads, **({"ledger": True} if ledger else {}))
+    return simulated(sim, compiled.settings, motion, horizon, pushes, record, progress)
+
+
+def simulated(
+    sim: Sim,
+    settings: Settings,
+    motion: Motion,
+    horizon: float,
+    pushes: Iterable[Push | str | Sequence[Any]],
+    record: Sequence[str],
+    progress: Choice,
+) -> SimulationRun:
+    """Runs a Sim from the start of a motion; settings: those that were asked for.
+
+    horizon: [s], may be 0.
+    """
+    model, dt = sim.model, sim.settings.dt
+    sim.reset(key=0 if motion.key is None and model.keys else motion.key)
+    if not horizon / dt < MOST_STEPS:
+        limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s (2^64 steps)"
+        raise ValueError(f"horizon = {horizon:g}: must be {limit}")
+    steps, notes = round(horizon / dt), list(model.scene.notes)
+    if motion.horizon is not None and abs(steps * dt - horizon) > 1e-6 * dt:
+        notes.append(
+            f"{horizon:g} s is not a whole number of steps of {dt:g} s: the run is "
+            f"{steps * dt:g} s long"
+        )
+    if motion.control_dt is not None:
+        whole_steps("control_dt", motion.control_dt, dt, least=1)
+    control, period, drive = _driven(sim, motion, horizon)
+    shoved = [Push.of(push) for push in pushes]
+    begin = start_in_words(model, motion.key)
+    parts = [drive, *(f"push {push}" for push in shoved), scene_in_words(model)]
+    monitor, pace = Monitor(model), Pace(min(steps, LOOKS))
+    single = SingleRun(
+        sim,
+        control=control,
+        control_dt=period,
+        pushes=shoved,
+        probes=[monitor, pace] if steps else [],
+        record=recordable(record),
+        progress=progress,
+    )
+    error, cost = None, 0.0
+    try:
+        single.run(steps)
+        sim.balance()
+    except SimulationError as failure:
+        error = failure
+    else:
+        cost = pace.seconds(Sim(model, sim.settings)) if steps else 0.0
+    return SimulationRun(
+        name=model.scene.name or "scene",
+        motion=motion,
+        ran=f"{seconds(steps * dt)} from {begin}; {'; '.join(parts)}",
+        settings=settings,
+        steps=steps if error is None else error.step,
+        sim=sim,
+        findings=monitor.findings(failed=error is not None) if steps else [],
+        us_per_step=1e6 * cost or None,
+        notes=notes,
+        trajectory=single.trajectory,
+        error=error,
+    )
+
+
+def _driven(sim: Sim, motion: Motion, horizon: float) -> tuple[Control | None, float | None, str]:
+    """The control function and its period [s], and how actuators are driven, in words.
+
+    Controls that never change are set, and have no function.
+    """
+    model = sim.model
+    period = motion.control_dt or sim.settings.dt
+    what, held = actuators_in_words(model), np.array(sim.ctrl)
+    if motion.control is not None:
+        said = f"{what} driven by {control_name(motion.control)}, sampled every {seconds(period)}"
+        return motion.control, motion.control_dt, said if model.nu else held_in_words(model, held)
+    if motion.ctrl is None or not model.nu:
+        if motion.ctrl is not None and not motion.follows_sines:
+            control_table(motion.ctrl).over(model, held, 1, period)
+        return None, motion.control_dt, held_in_words(model, held)
+    periods = int(np.ceil(horizon / period)) + 1
+    if motion.follows_sines:
+        rows = smooth(model, held, periods, period, np.random.default_rng(motion.seed))
+        still = undriven(model, held)
+        said = f"{what} follow seeded sines within 0.4 of their range"
+        said += f"; {', '.join(still)} without a range held at zero" if still else ""
+        return _player(rows, period, sim), motion.control_dt, said
+    table = control_table(motion.ctrl)
+    period = motion.control_dt or table.period(sim.settings.dt)
+    periods = int(np.ceil(horizon / period)) + 1
+    if not table.changes:
+        sim.ctrl = table.over(model, held, 1, period)[0]
+        return None, motion.control_dt, f"{what} hold {_constants(table, model)}"
+    source = "the controls given" if table.source == "ctrl" else table.source
+    rows = table.over(model, held, periods, period)
+    said = f"{what} driven by {source}, a row every {seconds(period)}"
+    return _player(rows, period, sim), period, said
+
+
+def _player(rows: np.ndarray, period: float, sim: Sim) -> Callable[[float, Sim], np.ndarray]:
+    """A row each period [s], from now on; the last is held."""
+    begin = sim.time
+
+    def control(time: float, sim: Sim) -> np.ndarray:
+        row: np.ndarray = rows[min(round((time - begin) / period), len(rows) - 1)]
+        return row
+
+    return control
+
+
+def _constants(table: ControlTable, model: Model) -> str:
+    """Constant controls: "a=1, b=3", or "1, 3" where they have no names."""
+    values = [f"{value:g}" for value in np.atleast_2d(table.rows)[0]]
+    if table.columns is not None:
+        values = [f"{name}={value}" for name, value in zip(table.columns, values, strict=True)]
+    shown = ", ".join(values)
+    return shown if len(values) <= 8 else f"{len(values)} constant controls"
