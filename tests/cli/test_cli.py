@@ -9,7 +9,7 @@ import pytest
 
 import stepcore as sc
 from stepcore.cli import COMMANDS, main
-from stepcore.cli.motion import OPTIONS
+from stepcore.cli.arguments import OPTIONS
 from stepcore.loading import find_asset
 
 BALL = """<mujoco model="ball"><option timestep="0.004"/>
@@ -129,6 +129,7 @@ def test_info(capsys):
         (["run", "a-b:x", "--duration", "1"], "not the name of a package"),
         (["run", "BALL", "--duration", "nan"], "--duration"),
         (["run", "BALL", "--duration", "-1"], "--duration"),
+        (["run", "BALL", "--duration", "1 hour"], "'1 hour' must be a time: seconds, 1ms or 20us"),
         (["run", "BALL", "--duration", "1e300"], "--duration 1e+300 s: must be below"),
         (["diagnose", "BALL", "--starts", "3"], "--starts"),
         (["run", "BALL", "--duration", "1", "--dt", "0"], "dt"),
@@ -141,9 +142,9 @@ def test_info(capsys):
         (["trade", "BALL", "--horizon", "-1"], "horizon"),
         (["trade", "BALL", "--starts", "none"], "--starts"),
         (["trade", "BALL", "--ctrl", "no.npy"], "no such file"),
-        (["trade", "BALL", "--ctrl", "1,0"], "a measurement takes a .npy or .csv file of controls"),
+        (["trade", "BALL", "--ctrl", "1,0"], "this model has no actuators"),
         (["trade", "BALL", "--budget", "20"], "must be > 0, with its unit: "),
-        (["trade", "BALL", "--ctrl", "BALL"], ".npy or .csv"),
+        (["trade", "BALL", "--ctrl", "BALL"], "must end in .csv, .npy, .npz"),
         (["trade", "BALL", "--control", "json"], "FILE.py:FUNCTION or MODULE:FUNCTION"),
         (["trade", "BALL", "--control", "no_such_module:f"], "no_such_module"),
         (["trade", "BALL", "--json", "no/such/folder/x.json"], "no such folder"),
@@ -241,7 +242,7 @@ def test_a_state_of_many_numbers_is_cut(capsys, tmp_path):
     file = tmp_path / "chain.xml"
     file.write_text(f"<mujoco><worldbody>{hinge * 40}{'</body>' * 40}</worldbody></mujoco>")
     status, out, _ = call(capsys, "run", file, "--duration", 0)
-    assert status == 0 and "… and 4 more (--json)" in " ".join(out.split())
+    assert status == 0 and "and 44 more (--all)" in " ".join(out.split())
 
 
 def test_a_plot_of_a_run(capsys, tmp_path, ball):
@@ -252,11 +253,44 @@ def test_a_plot_of_a_run(capsys, tmp_path, ball):
     assert out.partition("\n")[2] == again.partition("\n")[2], "all but the time that it took"
 
 
+def test_times_and_lengths_take_units(capsys, ball):
+    """As --error does: 0.4 s in 2 ms are 200 steps."""
+    run = call(capsys, "run", ball, "--duration", "400ms", "--dt", "2ms", "--json")[1]
+    assert json.loads(run)["steps"] == 200
+    status, out, err = call(capsys, "run", ball, "--duration", "8ms", "--set", "dt=4 ms", "--json")
+    assert status == 0 and json.loads(out)["steps"] == 2, err
+    plain = ["--dts", "0.001:0.01:3", "--size", "0.2", "--horizon", "0.1"]
+    units = ["--dts", "1ms:10ms:3", "--size", "20cm", "--horizon", "100ms"]
+    spring = ("lesson:spring", "joint/spring/stiffness", "--values", "10,20", "--threads", 1)
+    first, second = (
+        call(capsys, "stability-map", *spring, *way, "--json") for way in (plain, units)
+    )
+    assert first[0] == 0 and first == second
+
+
+def test_ctrl_c_ends_a_run_and_keeps_what_it_showed(capsys, ball, monkeypatch, tmp_path):
+    import stepcore
+
+    step, calls = stepcore.Sim.step, []
+
+    def interrupted(sim, n=1):
+        calls.append(n)
+        if len(calls) == 101:
+            raise KeyboardInterrupt
+        step(sim, n)
+
+    monkeypatch.setattr(stepcore.Sim, "step", interrupted)
+    save = str(tmp_path / "run.npz")
+    status, out, _ = call(capsys, "run", ball, "--duration", 10, "--save", save)
+    assert status == 130 and "400 ms in 100 steps" in out and "Interrupted." in out
+    assert len(stepcore.Trajectory.load(save)) == 101
+
+
 def test_ctrl_c_is_exit_130(capsys, monkeypatch):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("stepcore.cli.motion.load", interrupted)
+    monkeypatch.setattr("stepcore.cli.arguments.load", interrupted)
     status, _, err = call(capsys, "run", "x", "--duration", 1)
     assert status == 130 and err.count("\n") == 1
 
@@ -264,7 +298,7 @@ def test_ctrl_c_is_exit_130(capsys, monkeypatch):
 def test_it_runs_as_a_module(ball):
     command = [sys.executable, "-m", "stepcore", "run", ball, "--duration", "0.1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and "energy" in done.stdout
+    assert done.returncode == 0 and "J kinetic" in done.stdout
 
 
 def test_the_package_runs_as_a_module_and_tells_its_version():
@@ -283,9 +317,9 @@ def test_a_run_is_one_second_by_default(capsys, ball):
 def test_a_run_says_what_it_makes_of_a_duration_between_steps(capsys, ball):
     status, out, _ = call(capsys, "run", ball, "--duration", 0.0149)
     assert status == 0 and "4 steps" in out
-    assert "note: --duration 0.0149 s is not a whole number of steps of 0.004 s" in out
+    assert "Note: 0.0149 s is not a whole number of steps of 0.004 s" in out
     assert "the run is 0.016 s long" in " ".join(out.split())
-    assert "note" not in call(capsys, "run", ball, "--duration", 0.4)[1]
+    assert "Note" not in call(capsys, "run", ball, "--duration", 0.4)[1]
 
 
 def test_a_run_tells_the_notes_of_its_file(capsys, tmp_path):
@@ -293,7 +327,7 @@ def test_a_run_tells_the_notes_of_its_file(capsys, tmp_path):
     joint = '<joint range="1 -1"/><geom size="1"/>'
     file.write_text(f"<mujoco><worldbody><body>{joint}</body></worldbody></mujoco>")
     status, out, _ = call(capsys, "run", file, "--duration", 0)
-    assert status == 0 and "note:" in out
+    assert status == 0 and "Note:" in out
     assert "range = 1 -1 is empty: no limit" in " ".join(out.split())
 
 

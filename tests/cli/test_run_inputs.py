@@ -63,6 +63,32 @@ def test_controls_of_a_file_are_held_for_their_period(capsys, carts, tmp_path):
     assert velocities(capsys, carts, *args) == pytest.approx([1.3 / 2, 0.0], abs=1e-12)
 
 
+@pytest.mark.parametrize("joints", [False, True])
+def test_a_log_with_names_and_times_drives_a_run_and_a_measurement(capsys, carts, tmp_path, joints):
+    """0.3 s of 2 N from the log's first time on, then 1 N; in any order of columns."""
+    names = "time,x" if joints else "t [s],a"
+    (tmp_path / "log.csv").write_text(f"{names}\n5.0,2\n5.3,1\n")
+    args = ["--ctrl", tmp_path / "log.csv"]
+    assert velocities(capsys, carts, *args) == pytest.approx([1.3 / 2, 0.0], abs=1e-12)
+    options = ["--horizon", "0.6", "--threads", "1", "--json"]
+    assert main(["converge", carts, *map(str, args), *options]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert "motors driven by log.csv, a row every 300 ms" in data["ran"]
+
+
+def test_a_measurement_takes_constant_controls_and_sines_by_name(capsys, carts):
+    options = ["--horizon", "0.1", "--threads", "1", "--json"]
+    for ctrl, said in (("b=4", "the controls given and held"), ("sines", "follow seeded sines")):
+        assert main(["converge", carts, "--ctrl", ctrl, *options]) == 0
+        assert said in json.loads(capsys.readouterr().out)["ran"]
+
+
+def test_a_column_without_an_actuator_names_the_nearest(capsys, tmp_path, carts):
+    (tmp_path / "log.csv").write_text("time,lihgt\n0,1\n")
+    assert main(["run", carts, "--ctrl", str(tmp_path / "log.csv")]) == 2
+    assert 'no actuator is named "lihgt"' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("period", [None, 0.05])
 def test_a_function_in_a_file_is_called_every_period(capsys, carts, tmp_path, period):
     """F = t: the sum over the calls of t dt, with a file whose name a module of Python has."""
@@ -165,7 +191,7 @@ def test_a_run_that_fails_says_how_it_began(capsys, tmp_path, monkeypatch):
     ("args", "said"),
     [
         ([], "1 s from the pose of the scene; motors are held at zero; law solref"),
-        (["--ctrl", "b=3"], "motors hold --ctrl b=3"),
+        (["--ctrl", "b=3"], "motors hold b=3"),
         (
             ["--control", "FILE:ramp"],
             "driven by the control function `ramp` of my_ramp.py, sampled every 10 ms",

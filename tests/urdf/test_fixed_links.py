@@ -16,7 +16,7 @@ import peers
 import pytest
 
 import stepcore as sc
-from stepcore.cli.motion import add_file, model_of
+from stepcore.cli.arguments import add_file, model_of
 
 KINDS = ("fixed", "fixed", "revolute", "continuous", "prismatic")
 KEPT = '<mujoco><compiler fusestatic="false"/></mujoco>'

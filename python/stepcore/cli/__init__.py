@@ -1,6 +1,6 @@
-"""The command line: `stepcore COMMAND`, also `python -m stepcore`. A module here is a command.
+"""The command line: `stepcore COMMAND`, also `python -m stepcore`.
 
-A command's module says what it takes (`add`) and does it (`call`); its docstring is its help. Only
+The module of a command has its help (`TEXTS`), adds its options (`add`) and runs it (`call`). Only
 the module of the command that was asked for is imported.
 """
 
@@ -9,14 +9,13 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib
-import inspect
 import os
 import sys
 import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
-from stepcore.cli.terminal import print_what_can_be_printed, reason, say
+from stepcore.cli.terminal import INTERRUPTED, print_what_can_be_printed, reason, say
 from stepcore.escapes import printable
 
 COMMANDS = {
@@ -50,8 +49,12 @@ scenes that come with stepcore (spring, drop, stack, grasp).
 
 exit status: 0 success, 1 run-time failure, 2 usage error, 130 interrupted
 """
-# As a shell reports a program that Ctrl-C has ended.
-INTERRUPTED = 130
+# Modules of the commands; `measurements` has all the others.
+MODULES = {
+    **dict.fromkeys(("run", "replay"), "run"),
+    **dict.fromkeys(("lesson", "info"), "installation"),
+    "view": "view",
+}
 
 
 class _Parser(argparse.ArgumentParser):
@@ -143,7 +146,7 @@ def _run(args: argparse.Namespace) -> int:
         warnings.showwarning = _warned
         check_output(args)
         try:
-            result = args.call(args)
+            result = args.call(args, args.command)
         finally:
             files.outputs.clear()
         if isinstance(result, Result):
@@ -181,11 +184,11 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         if name != asked:
             commands.add_parser(name, help=summary)
             continue
-        module = importlib.import_module(f"stepcore.cli.{name.replace('-', '_')}")
-        text, _, example = inspect.cleandoc(module.__doc__ or summary).partition("\n\nExample")
+        module = importlib.import_module(f"stepcore.cli.{MODULES.get(name, 'measurements')}")
+        text, _, example = module.TEXTS[name].strip().partition("\n\nExample")
         command = commands.add_parser(
-            name, help=summary, description=text, epilog=f"example{example}" if example else None
+            name, help=summary, description=text, epilog=f"example{example}"
         )
-        module.add(command)
-        command.set_defaults(call=module.call, parser=command)
+        module.add(command, name)
+        command.set_defaults(call=module.call, command=name, parser=command)
     return top

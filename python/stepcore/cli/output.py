@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from stepcore import files
-from stepcore.cli.terminal import put
-from stepcore.cli.usage import Usage
+from stepcore.cli.terminal import Usage, put
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 from stepcore.report.table import jsonable

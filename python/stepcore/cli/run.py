@@ -1,55 +1,69 @@
-"""Simulate a model and print its final state, energy and computing time, and what went wrong on
-the way: contacts that creep, joints beyond their limits, servos that do not hold. A run that fails
-writes a replay file, from which `stepcore replay` shows what failed.
-
-Example:
-  stepcore run gymnasium:half_cheetah --duration 2 --ctrl bthigh=1,fthigh=-1 --push torso:50,0,0@1
-"""
+"""The commands that run a model once: `run`, and `replay` of a run that failed."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from typing import Any
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
-from stepcore.cli.inputs import add_inputs, control_of, in_words, pushes_of
-from stepcore.cli.motion import add_file, add_key, key_of, model_of
-from stepcore.cli.output import Writes, add_force, add_json, attempted, print_json
-from stepcore.cli.terminal import put, reason, say
-from stepcore.cli.usage import Usage
+from stepcore.cli.arguments import OPTIONS, add_file, model_of, motion_of, time
+from stepcore.cli.output import Writes, add_output, attempted, deliver
+from stepcore.cli.terminal import INTERRUPTED, Usage, put, reason, say
+from stepcore.engine.model import Model
+from stepcore.engine.replay import replay
 from stepcore.engine.sim import Sim
-from stepcore.engine.trajectory import RECORDED, Trajectory
-from stepcore.experiment.pace import Pace
-from stepcore.experiment.single_run import LOOKS, SingleRun
-from stepcore.measure.monitors import Finding, Monitor
+from stepcore.engine.trajectory import RECORDED, Trajectory, whole_steps
+from stepcore.experiment.control_table import SINES
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.single_run import PUSH, PUSH_FORM, Push
+from stepcore.measure.run import HORIZON, MOST_STEPS, simulated
 from stepcore.report.outputs import is_replaceable
-from stepcore.report.report import NARROWEST, wrapped
-from stepcore.report.table import window
-from stepcore.report.units import computing, counted, seconds, times
+from stepcore.report.result import Result
+from stepcore.report.units import time_of
 from stepcore.viewing.needs import need
 
-# The counter of steps has 64 bits.
-MOST_STEPS = 2.0**64
-DURATION = 1.0
 # Endings of --save, and what it has of every step where --record does not say.
 SAVED = (".npz", ".mcap", ".html")
 RECORD = ("qpos", "qvel", "ctrl", "energy", "overlap")
-# Where the values of the report begin.
-LABEL = 11
-# Of a state so many numbers are printed.
-NUMBERS = 36
+# Settings that are times.
+TIMES = ("dt", "sleep_time")
+TEXTS = {
+    "run": """\
+Simulate a model and print its final state, energy and computing time, and what went
+wrong on the way: contacts that creep, joints beyond their limits, servos that do not hold. A run
+that fails writes a replay file, from which `stepcore replay` shows what failed.
+
+Example:
+  stepcore run gymnasium:half_cheetah --duration 2 --ctrl bthigh=1,fthigh=-1 --push torso:50,0,0@1
+""",
+    "replay": """\
+Run a failed simulation again from its replay file, and show which elements injected
+energy in the steps before the failure.
+
+`stepcore run` writes such a file when a run fails; in Python it is the error's `replay`.
+
+Example:
+  stepcore replay ball-step1201.replay.json --plot energy.png
+""",
+}
 
 
-def add(command: argparse.ArgumentParser) -> None:
+def add(command: argparse.ArgumentParser, name: str) -> None:
+    """Adds the options of a command."""
+    if name == "replay":
+        command.add_argument("file", metavar="FILE", help="a replay file (.replay.json)")
+        add_output(command)
+        return
     add_file(command)
-    add_key(command)
+    command.add_argument("--key", **OPTIONS["key"])
     command.add_argument(
-        "--duration", type=float, metavar="S", help=f"simulated time [s] (default: {DURATION:g})"
+        "--duration", type=time, metavar="S", help=f"simulated time [s] (default: {HORIZON:g})"
     )
     command.add_argument(
-        "--dt", type=float, metavar="S", help="time step [s] (default: the model's)"
+        "--dt", type=time, metavar="S", help="time step [s] (default: the model's)"
     )
     command.add_argument(
         "--set",
@@ -62,11 +76,6 @@ def add(command: argparse.ArgumentParser) -> None:
         "--replay", metavar="OUT", help="where to write the replay if the run fails"
     )
     command.add_argument(
-        "--plot",
-        metavar="OUT",
-        help="write the plot of energy and overlap, or of --record",
-    )
-    command.add_argument(
         "--save",
         metavar="OUT",
         help="write the run: .npz (arrays), .mcap (a log for Foxglove) or .html (a page that "
@@ -75,71 +84,89 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--record",
         metavar="NAMES",
-        help="what --plot and --save have of every step, such as qpos,ctrl,actuator_force "
+        help="what --plot, --html and --save have of every step, such as qpos,ctrl,actuator_force "
         "(default: energy,overlap; --save: qpos,qvel,ctrl too)",
     )
     add_inputs(command)
-    add_force(command)
-    add_json(command)
+    add_output(command, full="print the whole final state")
 
 
-def call(args: argparse.Namespace) -> int:
+def add_inputs(command: argparse.ArgumentParser) -> None:
+    """The options that drive a run."""
+    inputs = command.add_argument_group("inputs")
+    ctrl = OPTIONS["ctrl"]["help"].partition(" (default")[0]
+    words = f'{ctrl}; or "{SINES}", the seeded sines that measurements run'
+    inputs.add_argument("--ctrl", metavar="VALUES", help=words)
+    inputs.add_argument("--control", **OPTIONS["control"])
+    inputs.add_argument(
+        "--control-dt", type=time, metavar="S", help="control period [s] (default: every step)"
+    )
+    inputs.add_argument(
+        "--push",
+        action="append",
+        default=[],
+        metavar="BODY:F@T",
+        help=f"a force on a body's centre of mass, {PUSH_FORM} (default: {PUSH:g} s), T counted "
+        "from the beginning of the run; may be given several times",
+    )
+
+
+def call(args: argparse.Namespace, name: str) -> Result | int:
+    """Runs a command; returns its result or its exit status."""
+    return replay(args.file) if name == "replay" else _run(args)
+
+
+def _run(args: argparse.Namespace) -> int:
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt
-    duration = DURATION if args.duration is None else args.duration
+    duration = HORIZON if args.duration is None else args.duration
     if not 0 <= duration < float("inf"):
         raise Usage(f"--duration {duration:g}: must be finite and >= 0 s")
-    model = model_of(args)
+    model = model_of(args).with_settings(**changes)
     # The ledger explains a failure in full, and costs a few percent.
     sim = Sim(model, **({"ledger": True} | changes))
-    # Those that were asked for.
-    shown = Settings(**(sim.settings.as_dict() | {"ledger": changes.get("ledger", False)}))
-    key = key_of(args, model)
-    sim.reset(key=0 if key is None and model.keys else key)
-    steps = _steps(duration, sim.settings.dt)
-    notes = list(model.scene.notes)
-    run = steps * sim.settings.dt
-    if args.duration is not None and abs(run - duration) > 1e-6 * sim.settings.dt:
-        notes.append(
-            f"--duration {duration:g} s is not a whole number of steps of "
-            f"{sim.settings.dt:g} s: the run is {run:g} s long"
-        )
+    dt = model.settings.dt
+    if not duration / dt < MOST_STEPS:
+        limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s"
+        raise Usage(f"--duration {duration:g} s: must be {limit} (2^64 steps)")
     record = _recorded(args)
-    monitor, control = Monitor(sim.model), control_of(args, sim)
-    pace = Pace(min(steps, LOOKS))
-    ran = in_words(args, sim, control, key, run)
-    single = SingleRun(
-        sim,
-        control=control,
-        control_dt=args.control_dt,
-        pushes=pushes_of(args, model),
-        probes=[monitor, pace] if steps else [],
-        record=record,
-        progress=None,
-    )
-    try:
-        single.run(steps)
-        sim.balance()
-    except SimulationError as error:
-        said = [f"{one_line(error)}."]
-        said += [finding.text for finding in monitor.findings(failed=True)]
+    pushes, motion = pushes_of(args, model), motion_of_run(args, sim)
+    result = simulated(sim, model.settings, motion, duration, pushes, record, None, True)
+    if result.error is not None:
+        said = [f"{one_line(result.error)}.", *(finding.text for finding in result.findings)]
         # The failure is known before anything else can go wrong.
         say(" ".join(said), end=" ")
-        _keep(error, args, single.trajectory)
+        _keep(result.error, args, result.trajectory)
         return 1
-    unsaved = attempted(_saves(args, single.trajectory))
-    found = monitor.findings() if steps else []
-    step = pace.seconds(Sim(model, sim.settings)) if steps else 0.0
-    _report(sim, shown, ran, steps, step, notes, found, args.json)
+    unsaved = attempted(_saves(args, result.trajectory))
+    deliver(result, args)
     for other in unsaved:
         raise other
-    return 0
+    return INTERRUPTED if result.interrupted else 0
+
+
+def motion_of_run(args: argparse.Namespace, sim: Sim) -> Motion:
+    """The motion of --key, --ctrl, --control and --control-dt."""
+    if args.control_dt is not None:
+        whole_steps("--control-dt", args.control_dt, sim.settings.dt, least=1)
+    return Motion(horizon=args.duration or None, **motion_of(args, sim.model))
+
+
+def pushes_of(args: argparse.Namespace, model: Model) -> list[Push]:
+    """The pushes of --push."""
+    try:
+        pushes = [Push.of(text) for text in args.push]
+        for push in pushes:
+            push.on(model)
+    except ValueError as error:
+        raise Usage(f"--{one_line(error)}") from None
+    return pushes
 
 
 def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
     """What is recorded of every step, checked before the run."""
-    if args.plot is None and args.save is None:
+    if args.plot is None and args.save is None and args.html is None:
         if args.record is not None:
             raise Usage("--record is what --plot and --save have: give one of them")
         return ()
@@ -161,10 +188,8 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
-    """What writes the plot and the run itself; of a run that fails, what it did until then."""
+    """What writes the run itself, and the plot of one that failed, until then."""
     saves: Writes = []
-    if run is not None and args.plot is not None:
-        saves.append((args.plot, lambda: run.plot(args.plot)))
     if run is not None and args.save is not None:
         ending = SAVED.index(args.save[args.save.rindex(".") :])
         save = (run.save, run.save_mcap, run.save_html)[ending]
@@ -173,88 +198,18 @@ def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
 
 
 def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | None) -> None:
-    """Saves the replay of a failure, which was said, and what the run did until then."""
+    """Saves the replay of a failure, and what the run did until then."""
     path = args.replay or _replay_name(error)
     failed = attempted([(path, lambda: error.replay.save(path))])
     if failed:
         said = [f"The replay was not saved: {reason(failed[0])}."]
     else:
         said = [f"To see what failed: stepcore replay {path}"]
-    said += [f"Not saved: {reason(other)}." for other in attempted(_saves(args, run))]
+    saves = _saves(args, run)
+    if run is not None and args.plot is not None:
+        saves.append((args.plot, lambda: run.plot(args.plot)))
+    said += [f"Not saved: {reason(other)}." for other in attempted(saves)]
     put(" ".join(said), stream=sys.stderr)
-
-
-def _report(
-    sim: Sim,
-    shown: Settings,
-    ran: str,
-    steps: int,
-    step: float,
-    notes: list[str],
-    found: list[Finding],
-    as_json: bool,
-) -> None:
-    """Prints the final state and what the run showed.
-
-    shown: the settings that were asked for. ran: the motion, in words. step: computing time
-    of a step [s].
-    """
-    kinetic, potential = (float(part) for part in sim.energy)
-    cost = 1e6 * step or None
-    if as_json:
-        data = {
-            "settings": sim.settings,
-            "ran": ran,
-            "steps": steps,
-            "time": sim.time,
-            "qpos": sim.qpos,
-            "qvel": sim.qvel,
-            "kinetic": kinetic,
-            "potential": potential,
-            "contacts": len(sim.contacts),
-            "residual": sim.residual,
-            "us_per_step": cost,
-            "notes": notes,
-            "findings": [finding.record() for finding in found],
-        }
-        print_json(data)
-        return
-    model = sim.model
-    name = model.scene.name or "scene"
-    if not steps:
-        _say(f"{name}: no step was made.")
-    else:
-        dt = sim.settings.dt
-        took = f"{seconds(steps * dt)} in {counted(steps, 'step')} of {seconds(dt)}"
-        pace = cost and f"; {computing(cost)} a step, {times(1e6 * dt / cost)} real time"
-        _say(f"{name}: {took}{pace or ''}.")
-    for finding in found:
-        _say(f"{finding.severity}: {finding.text}")
-    if steps and not found:
-        _say("Nothing found: no contact creeps or sinks in, and limits and servos hold.")
-    _say(f"The motion: {ran}.")
-    _say(f"{shown!r}")
-    put("")
-    _say(f"time       {sim.time:g} s", LABEL)
-    _say(f"qpos       {_numbers(sim.qpos)}", LABEL)
-    _say(f"qvel       {_numbers(sim.qvel)}", LABEL)
-    _say(f"energy     {kinetic:.6g} J kinetic, {potential:.6g} J potential", LABEL)
-    _say(f"contacts   {len(sim.contacts)}, residual {sim.residual:.2g} m/s", LABEL)
-    for note in notes:
-        _say(f"note: {note}")
-
-
-def _say(text: str, indent: int = 2) -> None:
-    """Prints a text in lines that fit the terminal; those after the first are indented."""
-    put("\n".join(wrapped(text, max(NARROWEST, window()), hanging=indent, whole=True)))
-
-
-def _steps(duration: float, dt: float) -> int:
-    """Steps in a duration."""
-    if not duration / dt < MOST_STEPS:
-        limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s"
-        raise Usage(f"--duration {duration:g} s: must be {limit} (2^64 steps)")
-    return round(duration / dt)
 
 
 def _replay_name(error: SimulationError) -> str:
@@ -264,11 +219,6 @@ def _replay_name(error: SimulationError) -> str:
     while not is_replaceable(path):
         path = f"{path.removesuffix('.replay.json')}-new.replay.json"
     return path
-
-
-def _numbers(values: Any) -> str:
-    more = f" … and {len(values) - NUMBERS} more (--json)" if len(values) > NUMBERS else ""
-    return " ".join(f"{value:.6g}" for value in values[:NUMBERS]) + more
 
 
 def _setting(text: str) -> tuple[str, Any]:
@@ -283,6 +233,8 @@ def _setting(text: str) -> tuple[str, Any]:
         return name, value
     if name == "max_recovery_speed":
         return name, value if value in ("auto", "none") else _number(float, name, value)
+    if name in TIMES:
+        return name, _number(time_of, name, value)
     kind = type(fields[name])
     if kind is bool:
         if value.lower() not in ("true", "false"):
@@ -291,8 +243,11 @@ def _setting(text: str) -> tuple[str, Any]:
     return name, value if kind is str else _number(kind, name, value)
 
 
-def _number(kind: type, name: str, value: str) -> Any:
+def _number(read: Callable[[str], Any], name: str, value: str) -> Any:
     try:
-        return kind(value)
+        number = read(value)
     except ValueError:
-        raise Usage(f"--set {name}={value}: '{value}' is not a number") from None
+        number = None
+    if number is None:
+        raise Usage(f"--set {name}={value}: '{value}' is not a number")
+    return number

@@ -10,6 +10,8 @@ from typing import TextIO
 from stepcore.checks import one_line
 from stepcore.escapes import printable
 
+# As a shell reports a program that Ctrl-C has ended.
+INTERRUPTED = 130
 ERRORS = "stepcore.plain"
 REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}
 # What a user's arguments and files, and runs that fail, raise.
@@ -21,6 +23,10 @@ SPELT = """
 """
 WORDS = SPELT.split()
 PLAIN = dict(zip(WORDS[::2], WORDS[1::2], strict=True))
+
+
+class Usage(ValueError):
+    """The arguments of a command are wrong, or contradict each other."""
 
 
 def _plain(error: UnicodeError) -> tuple[str, int]:

@@ -1,4 +1,25 @@
-"""Watch a model move, in a browser: paused, stepped, taken back in time, with sliders for its
+"""The command `view`: a live view of a model, or a page that replays a run."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from stepcore.checks import one_line
+from stepcore.cli.arguments import add_file, add_key, controls_of, key_of, model_of, time
+from stepcore.cli.output import add_force, attempted
+from stepcore.cli.run import add_inputs, motion_of_run, pushes_of
+from stepcore.cli.terminal import Usage, put, say
+from stepcore.engine.sim import Sim
+from stepcore.experiment.control_table import SINES, control_table
+from stepcore.measure.run import simulated
+from stepcore.viewing.needs import need
+
+TEXTS = {
+    "view": """\
+Watch a model move, in a browser: paused, stepped, taken back in time, with sliders for its
 controls, contact forces, energy and the residual. It prints the address of the page, which a
 browser on another machine can open too (--host 0.0.0.0). With --html it runs the model and writes
 a page that replays the run, which anybody opens without Python.
@@ -6,32 +27,17 @@ a page that replays the run, which anybody opens without Python.
 Example:
   stepcore view gymnasium:half_cheetah --ctrl bthigh=1,fthigh=-1 --html run.html
 """
-
-from __future__ import annotations
-
-import argparse
-from typing import Any
-
-from stepcore._core import SimulationError
-from stepcore.checks import one_line
-from stepcore.cli.inputs import SINES, add_inputs, control_of, pushes_of
-from stepcore.cli.motion import add_file, add_key, key_of, model_of
-from stepcore.cli.output import add_force, attempted
-from stepcore.cli.terminal import put, say
-from stepcore.cli.usage import Usage
-from stepcore.engine.sim import Sim
-from stepcore.experiment.single_run import SingleRun
-from stepcore.viewing.needs import need
-
+}
 # How long the run of a page is [s].
 DURATION = 5.0
 
 
-def add(command: argparse.ArgumentParser) -> None:
+def add(command: argparse.ArgumentParser, name: str) -> None:
+    """Adds the options of the command."""
     add_file(command)
     add_key(command)
     command.add_argument(
-        "--dt", type=float, metavar="S", help="time step [s] (default: the model's)"
+        "--dt", type=time, metavar="S", help="time step [s] (default: the model's)"
     )
     live = command.add_argument_group("live view")
     live.add_argument(
@@ -44,13 +50,14 @@ def add(command: argparse.ArgumentParser) -> None:
     page = command.add_argument_group("page")
     page.add_argument("--html", dest="page", metavar="OUT", help="write a page that replays a run")
     page.add_argument(
-        "--duration", type=float, metavar="S", help=f"of that run [s] (default: {DURATION:g})"
+        "--duration", type=time, metavar="S", help=f"of that run [s] (default: {DURATION:g})"
     )
     add_inputs(command)
     add_force(page)
 
 
-def call(args: argparse.Namespace) -> int:
+def call(args: argparse.Namespace, name: str) -> int:
+    """Shows the model, or writes the page; returns the exit status."""
     if args.page is not None:
         need("trimesh", f"--html {args.page}")
     elif args.duration is not None:
@@ -65,26 +72,17 @@ def call(args: argparse.Namespace) -> int:
     if args.page is None:
         _live(args, sim)
         return 0
-    single = SingleRun(
-        sim,
-        control=control_of(args, sim),
-        control_dt=args.control_dt,
-        pushes=pushes_of(args, model),
-        record=("qpos",),
-    )
-    failed = False
-    try:
-        single.run(max(1, round(duration / sim.settings.dt)))
-    except SimulationError as error:
-        failed = True
-        say(one_line(error))
+    motion, pushes = motion_of_run(args, sim), pushes_of(args, model)
+    run = simulated(sim, sim.settings, motion, duration, pushes, ("qpos",), None)
+    if run.error is not None:
+        say(one_line(run.error))
     # Of a run that fails its motion until then is seen.
-    seen = single.trajectory
+    seen = run.trajectory
     if seen is not None:
         for unsaved in attempted([(args.page, lambda: seen.save_html(args.page))]):
             raise unsaved
         put(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
-    return 1 if failed else 0
+    return 0 if run.success else 1
 
 
 def _live(args: Any, sim: Sim) -> None:
@@ -92,7 +90,7 @@ def _live(args: Any, sim: Sim) -> None:
         raise Usage("--control, --control-dt and --push drive the run that --html writes")
     if args.ctrl == SINES:
         raise Usage("--ctrl sines drives the run that --html writes")
-    control = control_of(args, sim)
-    if control is not None:
-        sim.ctrl = control(sim.time, sim) if callable(control) else control
+    if args.ctrl is not None:
+        table = control_table(controls_of(args.ctrl, sim.model))
+        sim.ctrl = table.over(sim.model, np.array(sim.ctrl), 1, sim.settings.dt)[0]
     sim.view(host=args.host, port=args.port, wait=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
@@ -19,6 +19,7 @@ from stepcore.engine.snapshots import Taking
 from stepcore.engine.trajectory import Trajectory, whole_steps
 from stepcore.experiment.run import Probe
 from stepcore.report.progress import Choice, Progress
+from stepcore.report.units import time_of
 
 # About how often probes look at a run, unless they ask for more.
 LOOKS = 2000
@@ -76,7 +77,7 @@ class Push:
         # A sign may stand in an exponent: "1e+0".
         start, plus, length = when.partition("+") if "e+" not in when else (when, "", "")
         x, y, z = (_finite(push, part) for part in parts)
-        times = _finite(push, start), _finite(push, length) if plus else PUSH
+        times = _finite(push, start, time_of), _finite(push, length, time_of) if plus else PUSH
         if min(times) < 0:
             raise ValueError(f"push {push}: its times must be >= 0 s")
         return cls(body, (x, y, z), *times)
@@ -239,11 +240,11 @@ def _timed(sim: Any, state: bytes) -> float | None:
     return best / STEPS
 
 
-def _finite(push: str, part: str) -> float:
+def _finite(push: str, part: str, read: Callable[[str], float | None] = float) -> float:
     try:
-        value = float(part)
+        value = read(part)
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+        value = None
+    if value is None or not math.isfinite(value):
         raise ValueError(f"push {push}: '{part}' must be a finite number")
     return value

@@ -57,6 +57,7 @@ class SimulationRun(Result):
     us_per_step: computing time of a step [µs]; None where none was timed.
     trajectory: what was recorded, None without `record`.
     error: the `SimulationError` of a run that failed, whose `replay` runs it again; else None.
+    interrupted: whether Ctrl-C ended a run of the command line, which then says what it showed.
 
     >>> from stepcore import lesson, run
     >>> fallen = run(lesson.drop(), horizon=0.5)
@@ -75,17 +76,23 @@ class SimulationRun(Result):
     notes: list[str]
     trajectory: Trajectory | None = None
     error: SimulationError | None = None
+    interrupted: bool = False
 
     kind: ClassVar[str] = "run"
 
     @property
     def success(self) -> bool:
         """Whether the run came to its end."""
-        return self.error is None
+        return self.error is None and not self.interrupted
 
     @property
     def title(self) -> str:
-        return f"{self.name}: one run"
+        if not self.steps:
+            return f"{self.name}: no step was made"
+        dt, cost = self.settings.dt, self.us_per_step
+        took = f"{seconds(self.steps * dt)} in {counted(self.steps, 'step')} of {seconds(dt)}"
+        pace = f"; {computing(cost)} a step, {times(1e6 * dt / cost)} real time" if cost else ""
+        return f"{self.name}: {took}{pace}"
 
     @property
     def setup(self) -> str:
@@ -94,15 +101,9 @@ class SimulationRun(Result):
     @property
     def sentences(self) -> list[str]:
         said = [f"{checks.one_line(self.error)}."] if self.error is not None else []
-        if not self.steps:
-            return [*said, "No step was made."]
-        dt = self.settings.dt
-        took = f"{seconds(self.steps * dt)} in {counted(self.steps, 'step')} of {seconds(dt)}"
-        cost = self.us_per_step
-        pace = f"; {computing(cost)} a step, {times(1e6 * dt / cost)} real time" if cost else ""
-        said.append(f"{took}{pace}.")
+        said += ["Interrupted."] if self.interrupted else []
         said += [f"{finding.severity}: {finding.text}" for finding in self.findings]
-        if self.success and not self.findings:
+        if self.steps and self.success and not self.findings:
             said.append(CLEAN)
         kinetic, potential = self.sim.energy
         end = (
@@ -214,10 +215,12 @@ def simulated(
     pushes: Iterable[Push | str | Sequence[Any]],
     record: Sequence[str],
     progress: Choice,
+    interruptible: bool = False,
 ) -> SimulationRun:
-    """Runs a Sim from the start of a motion; settings: those that were asked for.
+    """Runs a Sim from the start of a motion.
 
-    horizon: [s], may be 0.
+    settings: those that were asked for. horizon: [s], may be 0. interruptible: Ctrl-C ends the run
+    and keeps what it showed.
     """
     model, dt = sim.model, sim.settings.dt
     sim.reset(key=0 if motion.key is None and model.keys else motion.key)
@@ -246,26 +249,31 @@ def simulated(
         record=recordable(record),
         progress=progress,
     )
-    error, cost = None, 0.0
+    error, interrupted, begun = None, False, sim.time
     try:
         single.run(steps)
         sim.balance()
     except SimulationError as failure:
-        error = failure
-    else:
-        cost = pace.seconds(Sim(model, sim.settings)) if steps else 0.0
+        error, steps = failure, failure.step
+    except KeyboardInterrupt:
+        if not interruptible:
+            raise
+        interrupted, steps = True, round((sim.time - begun) / dt)
+    timed = steps and error is None
+    cost = pace.seconds(Sim(model, sim.settings)) if timed else 0.0
     return SimulationRun(
         name=model.scene.name or "scene",
         motion=motion,
         ran=f"{seconds(steps * dt)} from {begin}; {'; '.join(parts)}",
         settings=settings,
-        steps=steps if error is None else error.step,
+        steps=steps,
         sim=sim,
         findings=monitor.findings(failed=error is not None) if steps else [],
         us_per_step=1e6 * cost or None,
         notes=notes,
         trajectory=single.trajectory,
         error=error,
+        interrupted=interrupted,
     )
 
 

@@ -168,6 +168,29 @@ NUMBER = r"\s*([0-9]+\.?[0-9]*(?:[eE][+-]?[0-9]+)?|\.[0-9]+(?:[eE][+-]?[0-9]+)?)
 LENGTH_FORMS = 'a length > 0: metres, "1mm", or "0.1%" of the scene\'s size'
 
 
+def time_of(text: str) -> float | None:
+    """A time as users write it [s]: "0.001", "1ms", "20 us"; None for anything else.
+
+    >>> time_of("20 us"), time_of("1ms"), time_of("2"), time_of("soon")
+    (2e-05, 0.001, 2.0, None)
+    """
+    return _in_units(text, TIMES)
+
+
+def length_of(text: str) -> float | None:
+    """A length as users write it [m]: "0.01", "1cm"; None for anything else."""
+    return _in_units(text, (*LENGTHS, ("cm", 1e-2)))
+
+
+def _in_units(text: str, units: Units) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        match = re.fullmatch(NUMBER + r"(\w+)\s*", text)
+        known = _spelt(units)
+        return float(match[1]) * known[match[2]] if match and match[2] in known else None
+
+
 def length(owner: str, name: str, value: object, size: float) -> float:
     """An error as users write it [m]: a number, "1mm", or "0.1%" of the scene's size [m].
 

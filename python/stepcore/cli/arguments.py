@@ -1,31 +1,52 @@
-"""The model and the motion that several commands take, from the fields of `Motion`."""
+"""What several commands take: the model, the motion, the controls; and how they are read."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 import importlib.util
+import math
 import os
 import sys
 import traceback
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
 from stepcore._core import SimulationError
 from stepcore.checks import nearest, one_line
-from stepcore.cli.usage import Usage
+from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
+from stepcore.experiment.control_table import ENDINGS, SINES, control_table
 from stepcore.loading import find_scene
 from stepcore.reading import load
+from stepcore.report.units import counted, length_of, time_of
 
+
+def time(text: str) -> float:
+    """A time on the command line [s]."""
+    value = time_of(text)
+    if value is None:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a time: seconds, 1ms or 20us")
+    return value
+
+
+def length(text: str) -> float:
+    """A length on the command line [m]."""
+    value = length_of(text)
+    if value is None:
+        raise argparse.ArgumentTypeError(f"'{text}' must be a length: metres, 1mm or 2cm")
+    return value
+
+
+CTRL = (
+    'constant controls, "1,0,-1" or "hip=1,knee=-1"; or a file (.csv, .npz, .npy) with a row for '
+    "each control period, or with a column for each actuator or joint by name and one of times"
+)
 # Options by the field of `Motion` that they set.
 OPTIONS: dict[str, dict[str, Any]] = {
-    "horizon": {"type": float, "metavar": "S", "help": "simulated time [s]"},
+    "horizon": {"type": time, "metavar": "S", "help": "simulated time [s]"},
     "starts": {
         "type": int,
         "metavar": "N",
@@ -41,12 +62,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "FILE.py:FUNCTION",
         "help": "a function (time, sim) -> controls, in a file or a module",
     },
-    "ctrl": {
-        "metavar": "FILE",
-        "help": "controls (.npy or .csv), one row for each control period",
-    },
+    "ctrl": {"metavar": "VALUES", "help": f"{CTRL} (default: seeded sines)"},
     "control_dt": {
-        "type": float,
+        "type": time,
         "metavar": "S",
         "help": "control period [s] (default: the model's time step with --control or --ctrl, else "
         "chosen to fit)",
@@ -77,26 +95,25 @@ def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
 
 
 def add_key(command: argparse.ArgumentParser) -> None:
-    """The keyframe to start from, of a command that runs no `Motion`."""
+    """The keyframe to start from."""
     command.add_argument("--key", **OPTIONS["key"])
 
 
 def add_motion(
-    command: argparse.ArgumentParser, without: tuple[str, ...] = (), **default: Any
+    command: argparse.ArgumentParser, fields: Collection[str] = tuple(OPTIONS), **default: Any
 ) -> None:
     """The motion that is measured, and how many runs go on at once.
 
-    without: fields of `Motion` that the measurement does not use. default: what it takes for those
-    that are not given, which the help names.
+    fields: those of `Motion` that the measurement takes. default: what it takes for those that are
+    not given, which the help names.
     """
     motion = command.add_argument_group("motion")
     for name, option in OPTIONS.items():
-        if name in without:
-            continue
-        words = option["help"]
-        if name in default:
-            words += f" (default: {default[name]})"
-        motion.add_argument(f"--{name.replace('_', '-')}", **(option | {"help": words}))
+        if name in fields:
+            words = option["help"]
+            if default.get(name) is not None:
+                words += f" (default: {default[name]})"
+            motion.add_argument(f"--{name.replace('_', '-')}", **(option | {"help": words}))
     motion.add_argument(
         "--threads",
         type=int,
@@ -123,33 +140,64 @@ def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
     """What `add_motion` took, as arguments of a measurement: only what was given."""
     given = {name: getattr(args, name, None) for name in (*OPTIONS, "threads")}
     given["key"] = key_of(args, model)
+    if given["ctrl"] is not None and given["control"] is not None:
+        raise Usage("--ctrl and --control are both given: a motion has one of them")
     if given["ctrl"] is not None:
-        given["ctrl"] = controls_of(given["ctrl"])
+        given["ctrl"] = controls_of(given["ctrl"], model)
     if given["control"] is not None:
         given["control"] = control_function(given["control"])
     return {name: value for name, value in given.items() if value is not None}
 
 
-def controls_of(path: str) -> Any:
-    """The rows of controls in a file, .npy or .csv."""
-    if not os.path.isfile(path):
-        takes = "a measurement takes a .npy or .csv file of controls"
-        raise Usage(f"--ctrl {path}: no such file; {takes}")
-    if not path.endswith((".npy", ".csv")):
-        raise Usage(f"--ctrl {path}: must end in .npy or .csv")
-    try:
-        with warnings.catch_warnings():
-            # numpy warns of an empty file, which is an error below.
-            warnings.simplefilter("ignore")
-            if path.endswith(".npy"):
-                values = np.load(path, allow_pickle=False)
-            else:
-                values = np.loadtxt(path, delimiter=",", ndmin=2)
-    except (ValueError, EOFError) as error:
-        raise Usage(f"--ctrl {path}: {one_line(error)}") from None
-    if values.size == 0:
-        raise Usage(f"--ctrl {path}: is empty; must hold a row of controls for each period")
+def controls_of(text: str, model: Model) -> Any:
+    """The controls of --ctrl, as `Motion` takes them."""
+    if text == SINES:
+        return text
+    if text.endswith(ENDINGS):
+        if not os.path.isfile(text):
+            raise Usage(f"--ctrl {text}: no such file")
+        try:
+            return control_table(text)
+        except (ValueError, OSError) as error:
+            raise Usage(f"--ctrl {text}: {one_line(error)}") from None
+    if os.path.exists(text):
+        raise Usage(f"--ctrl {text}: must end in {', '.join(ENDINGS)}")
+    return _constants(text, model)
+
+
+def _constants(text: str, model: Model) -> list[list[float]] | dict[str, float]:
+    """Constant controls: a row of all of them, or some by the name of their actuator."""
+    if not model.nu:
+        raise Usage(f"--ctrl {text}: this model has no actuators")
+    parts = [part.strip() for part in text.split(",")]
+    every = counted(model.nu, "number")
+    if not any("=" in part for part in parts):
+        if len(parts) != model.nu or os.path.splitext(text)[1][1:].isalpha():
+            limit = f"must be {every}, one for each actuator; NAME=VALUE pairs; "
+            raise Usage(f"--ctrl {text}: {limit}a .csv, .npz or .npy file; or {SINES!r}")
+        return [[_number(text, part) for part in parts]]
+    if not any(model.actuator_names):
+        raise Usage(f"--ctrl {text}: no actuator of this model has a name: give {every}")
+    values = {}
+    for part in parts:
+        name, equals, value = (word.strip() for word in part.partition("="))
+        if not equals:
+            raise Usage(f"--ctrl {text}: '{part}' must be NAME=VALUE, as the others are")
+        if not name or name not in model.actuator_names:
+            near = nearest(name, model.actuator_names)
+            raise Usage(f"--ctrl {text}: no actuator is named '{name}'{near}")
+        values[name] = _number(text, value)
     return values
+
+
+def _number(text: str, part: str) -> float:
+    try:
+        value = float(part)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise Usage(f"--ctrl {text}: '{part}' must be a finite number")
+    return value
 
 
 def control_function(text: str) -> Callable[..., Any]:

@@ -1,0 +1,391 @@
+"""The commands that measure a model: each calls the function of its name."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from stepcore.cli.arguments import (
+    OPTIONS,
+    add_file,
+    add_key,
+    add_motion,
+    key_of,
+    length,
+    model_of,
+    motion_of,
+    time,
+)
+from stepcore.cli.output import add_output
+from stepcore.cli.terminal import Usage
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.experiment import schedule
+from stepcore.report.result import Result
+
+LIST = "numbers a,b,c or FIRST:LAST:COUNT on a log scale"
+# How a command measures: its function, all that was given, and of it the function's arguments.
+Call = Callable[[Callable[..., Any], argparse.Namespace, Model, Mapping[str, Any]], Result]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A command that measures by the function of its name.
+
+    module: where this function is. text: the help. options: by the argument that each sets;
+    "flags" are what it is called where that differs. excluding: options of which one is given.
+    full: what --all prints. warn: of stiffness, as `stepcore.load` does; not where the result says
+    so in full. model: how the model is given. motion: defaults that the help names; None for a
+    command that runs no motion. call: how it measures, where this is no plain call.
+    """
+
+    module: str
+    text: str
+    options: Mapping[str, Mapping[str, Any]]
+    excluding: tuple[str, ...] = ()
+    full: str = "print every row of the tables"
+    warn: bool = True
+    model: Mapping[str, Any] | None = None
+    motion: Mapping[str, Any] | None = None
+    call: Call | None = None
+
+
+def _function(name: str) -> Callable[..., Any]:
+    """The function that a command calls."""
+    module = importlib.import_module(MEASUREMENTS[name].module)
+    function: Callable[..., Any] = getattr(module, name.replace("-", "_"))
+    return function
+
+
+def add(command: argparse.ArgumentParser, name: str) -> None:
+    """Adds the options of a command; their defaults are those of its function."""
+    measurement, function = MEASUREMENTS[name], _function(name)
+    takes = inspect.signature(function).parameters
+    add_file(command, **(measurement.model or {}))
+    alternatives = command.add_mutually_exclusive_group() if measurement.excluding else command
+    for argument, option in measurement.options.items():
+        keywords = dict(option)
+        flags = keywords.pop("flags", (f"--{argument}",))
+        if argument in takes and "action" not in keywords:
+            keywords.setdefault("default", takes[argument].default)
+        if flags[0].startswith("-"):
+            keywords["dest"] = argument
+        to = alternatives if argument in measurement.excluding else command
+        to.add_argument(*flags, **keywords)
+    if measurement.motion is None:
+        add_key(command)
+    else:
+        module = importlib.import_module(measurement.module)
+        shown = {field: getattr(module, field.upper(), None) for field in ("horizon", "starts")}
+        shown["horizon"] = shown["horizon"] or schedule.HORIZON
+        shown["starts"] = shown["starts"] or schedule.STARTS
+        add_motion(command, takes, **(shown | dict(measurement.motion)))
+    add_output(command, full=measurement.full)
+
+
+def call(args: argparse.Namespace, name: str) -> Result:
+    """Measures what a command was asked for."""
+    measurement, function = MEASUREMENTS[name], _function(name)
+    model = model_of(args, warn=measurement.warn)
+    takes = inspect.signature(function).parameters
+    given = {option: getattr(args, option) for option in measurement.options if option in takes}
+    if measurement.motion is not None:
+        given |= motion_of(args, model)
+    if measurement.call is not None:
+        return measurement.call(function, args, model, given)
+    result: Result = function(model, **given)
+    return result
+
+
+def _source(args: argparse.Namespace, model: Model) -> Model | str:
+    """The name of a file, which its measurement reads itself, unless it was read in another way."""
+    source: Model | str = model if args.without or args.fuse is False else args.file
+    return source
+
+
+def _check(
+    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
+) -> Result:
+    from stepcore.measure.check import file_in_words
+
+    result: Any = function(_source(args, model), **given)
+    # The commands that it names take the same file and motion.
+    said = {name: getattr(args, name, None) for name in OPTIONS}
+    checked: Result = replace(
+        result,
+        file=file_in_words(args.file, args.without, args.fuse is not False),
+        options={name: str(value) for name, value in said.items() if value is not None},
+    )
+    return checked
+
+
+def _trade(
+    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
+) -> Result:
+    result: Result = function(model, search="grid" if args.grid else None, **given)
+    return result
+
+
+def _ablate(
+    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
+) -> Result:
+    ablation: Any = function(model, **given)
+    if args.save is not None:
+        ablation.smallest.save(args.save)
+    result: Result = ablation
+    return result
+
+
+def _plan(
+    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
+) -> Result:
+    sim = None
+    if args.key is not None:
+        sim = Sim(model)
+        sim.reset(key=key_of(args, model))
+    result: Result = function(model, sim=sim, **given)
+    return result
+
+
+def _stability_map(
+    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
+) -> Result:
+    lists = {
+        "values": None if args.values is None else numbers("--values", args.values),
+        "dts": None if args.dts is None else numbers("--dts", args.dts, time),
+    }
+    result: Result = function(_source(args, model), **(dict(given) | lists))
+    return result
+
+
+def numbers(option: str, text: str, read: Callable[[str], float] = float) -> list[float]:
+    """A list as it is written on the command line."""
+    try:
+        if ":" not in text:
+            return [read(part) for part in text.split(",")]
+        first, last, count = text.split(":")
+        low, high, some = read(first), read(last), int(count)
+    except (ValueError, argparse.ArgumentTypeError):
+        raise Usage(f"{option} {text}: must be {LIST}") from None
+    if not (0 < low < high < math.inf and 2 <= some <= 1000):
+        limit = "0 < FIRST < LAST and a COUNT of 2 to 1000"
+        raise Usage(f"{option} {text}: must have {limit}")
+    ratio = (high / low) ** (1 / (some - 1))
+    return [low * ratio**k for k in range(some)]
+
+
+MEASUREMENTS = {
+    "check": Measurement(
+        "stepcore.measure.check",
+        """\
+Look for what makes a model misbehave, in seconds: overlaps, masses that no real thing
+has, units that look like mm or degrees, states outside of limits, servos that are too weak, too
+stiff or saturated, contacts that creep or sink in; then the element that limits the time step. Each
+finding names its cure. The first command to run on a scene that misbehaves.
+
+Example:
+  stepcore check gymnasium:half_cheetah
+""",
+        {
+            "depth": {
+                "metavar": "LENGTH",
+                "help": "name the solref with which contacts rest at this depth: metres, or "
+                '"0.1mm"',
+            }
+        },
+        warn=False,
+        motion={},
+        call=_check,
+    ),
+    "trade": Measurement(
+        "stepcore.measure.trade",
+        """\
+Run a model under many settings and compare each with a converged run: what speed costs in
+accuracy. Given an error or a budget, recommend settings and confirm them on further starts.
+
+Example:
+  stepcore trade gymnasium:half_cheetah --error 1mm --plot trade.png
+""",
+        {
+            "error": {
+                "metavar": "LENGTH",
+                "help": 'recommend the cheapest settings within this error: metres, "1mm" or '
+                '"0.1%%" of the scene\'s size',
+            },
+            "budget": {
+                "metavar": "COST",
+                "help": 'recommend the most accurate settings within this cost: "20us/step", '
+                '"5ms/s", or "100x" real time',
+            },
+            "further": {
+                "type": int,
+                "metavar": "N",
+                "help": "number of further starts that must confirm a recommendation (default: "
+                "%(default)s)",
+            },
+            "by": {
+                "choices": ("time", "flops"),
+                "help": "cost metric: wall time or floating-point operations (default: "
+                "%(default)s)",
+            },
+            "grid": {
+                "action": "store_true",
+                "help": "try a full grid of settings instead of a search",
+            },
+            "effort": {
+                "type": float,
+                "metavar": "STEPS",
+                "help": "the most that the converged motion may cost, in steps × (dofs + 2); a "
+                "larger one knows errors better and judges shorter time steps (default: "
+                "%(default)g)",
+            },
+            "mujoco": {"action": "store_true", "help": "run MuJoCo on the same motion too"},
+        },
+        excluding=("error", "budget"),
+        full="print every setting",
+        motion={},
+        call=_trade,
+    ),
+    "predict": Measurement(
+        "stepcore.measure.predictability",
+        """\
+Measure how long a model's motion can be predicted: until runs that start a rounding error
+apart are a thousand times as far apart. Beyond that time only statistics of the motion mean
+anything, whatever the settings.
+
+Example:
+  stepcore predict gymnasium:ant --horizon 5 --plot growth.png
+""",
+        {},
+        motion={},
+    ),
+    "diagnose": Measurement(
+        "stepcore.measure.diagnosis",
+        """\
+Find the element that limits the time step under each integrator: a spring, damper, servo,
+contact, limit or connect, with its frequency and damping. For a time step that is not stable,
+list changes of the model or the settings that make it so.
+
+Example:
+  stepcore diagnose gymnasium:half_cheetah --dt 0.01
+""",
+        {
+            "dt": {
+                "type": time,
+                "metavar": "S",
+                "help": "time step that is wanted [s] (default: the model's)",
+            }
+        },
+        full="print every element on its own, under every integrator",
+        warn=False,
+        motion={},
+    ),
+    "stability-map": Measurement(
+        "stepcore.measure.stability",
+        """\
+Map the stability and accuracy of a model over the time step and one of its values (a
+stiffness, a mass, a gain). There is one map for each integrator, with the stability limit from
+theory.
+
+Example:
+  stepcore stability-map lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png
+""",
+        {
+            "path": {
+                "flags": ("path",),
+                "metavar": "VALUE",
+                "nargs": "?",
+                "help": 'value to vary, such as "joint/knee/stiffness"',
+            },
+            "values": {"metavar": "LIST", "help": f"values to try: {LIST}"},
+            "dts": {"metavar": "LIST", "help": f"time steps to try [s]: {LIST}"},
+            "integrators": {
+                "flags": ("--integrator",),
+                "action": "append",
+                "metavar": "NAME",
+                "help": "integrator to map; may be given several times",
+            },
+            "deviation": {
+                "flags": ("--deviation", "--error"),
+                "metavar": "E",
+                "help": "deviation from the true motion above which a run is inaccurate: metres, "
+                "1mm, or a percentage of the scene's size (default: 10%%)",
+            },
+            "size": {
+                "type": length,
+                "metavar": "M",
+                "help": "length that deviations are relative to [m] (default: the scene's size)",
+            },
+        },
+        model={
+            "nargs": "?",
+            "default": "lesson:spring",
+            "words": " (default: lesson:spring; also lesson:stack)",
+        },
+        motion={"horizon": "1, or 25 times the largest time step if that is longer"},
+        call=_stability_map,
+    ),
+    "converge": Measurement(
+        "stepcore.measure.convergence",
+        """\
+Test whether the solver's sweeps converge the contact forces of a model. The report says
+which contacts are furthest from converged, how fast the sweeps converge, and whether more sweeps or
+smaller time steps reduce the error more for the same work.
+
+Example:
+  stepcore converge lesson:stack --plot residual.png
+""",
+        {
+            "states": {
+                "type": int,
+                "metavar": "N",
+                "help": "number of states at which sweeps are measured (default: %(default)s)",
+            }
+        },
+        full="print every row, all runs of equal work, the residual by sweeps",
+        motion={},
+    ),
+    "plan": Measurement(
+        "stepcore.measure.plan",
+        """\
+List what a step of a model computes and how many operations each entry costs, and what the
+step leaves out and why.
+
+Example:
+  stepcore plan gymnasium:half_cheetah --time
+""",
+        {"time": {"action": "store_true", "help": "also measure times [µs]"}},
+        full="print every entry, the names of all its elements",
+        call=_plan,
+    ),
+    "ablate": Measurement(
+        "stepcore.measure.ablation",
+        """\
+Remove each modelled feature in turn (friction, damping, limits, a geom, ...) and measure
+how much work that saves and how much error it adds; then find the smallest model within an error.
+
+Example:
+  stepcore ablate gymnasium:half_cheetah --error 5mm --save small.xml
+""",
+        {
+            "added": {
+                "flags": ("--added", "--error"),
+                "default": "1mm",
+                "metavar": "LENGTH",
+                "help": 'error that the smallest model may add: metres, "1mm" or "0.1%%" of the '
+                "scene's size (default: %(default)s)",
+            },
+            "save": {"metavar": "OUT.xml", "help": "write the smallest model as MJCF"},
+        },
+        full="print every feature",
+        motion={},
+        call=_ablate,
+    ),
+}
+
+TEXTS = {name: measurement.text for name, measurement in MEASUREMENTS.items()}
