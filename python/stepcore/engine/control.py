@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats, numbers
-from stepcore.report.units import counted
 
 if TYPE_CHECKING:
     from stepcore.engine.world import World
@@ -52,7 +51,7 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
             f"{sim.time:g} s)"
         )
     single = sim.settings.precision == "f32"
-    limit = f"must return {counted(nu, 'finite number')}, one for each actuator"
+    limit = f"must return {nu} finite number{'s' * (nu != 1)}, one for each actuator"
     if single:
         limit = f"{limit}, in single precision"
     try:

@@ -302,7 +302,7 @@ class ContactMonitor:
         """Whether an overlap threw its geoms further apart than it was deep: v²/2g > depth."""
         features = self.model.scene.features
         gravity = float(np.linalg.norm(self.model.scene.gravity)) if features.gravity else 0.0
-        return overlap.apart**2 > 2 * gravity * overlap.depth
+        return overlap.apart > (2 * gravity * overlap.depth) ** 0.5
 
     def _apart(self, pair: int) -> str:
         """How two geoms come apart: other positions, or no contact between the two bodies."""
