@@ -32,40 +32,30 @@ class Sizes:
     """Lengths of a model's geoms and bodies [m].
 
     thick: the smallest half size of each geom (a radius). reach: from the centre of each geom to
-    its furthest point. Both are inf of a plane and of a height field.
+    its furthest point. Both are inf of a plane and of a height field. bodies: the reach of a body's
+    largest geom; without one, its radius of gyration.
     """
 
     def __init__(self, model: Model) -> None:
-        self.thick: list[float] = []
-        self.reach: list[float] = []
-        for kind, size in zip(model.geom_type, model.geom_size.tolist(), strict=True):
-            thick, reach = _half_sizes(kind, size)
-            self.thick.append(thick)
-            self.reach.append(reach)
-        self.bodies = [self._body(model, body) for body in range(model.nbody)]
-
-    def _body(self, model: Model, body: int) -> float:
-        """A body's largest geom; without one, its radius of gyration or its distance to a child."""
-        own = np.flatnonzero(model.geom_body == body)
-        reaches = [r for k in own if math.isfinite(r := self.reach[k])]
-        if reaches:
-            return max(reaches)
-        mass, inertia = float(model.body_mass[body]), np.asarray(model.body_inertia[body])
-        if mass > 0 and np.trace(inertia) > 0:
-            return math.sqrt(float(np.trace(inertia)) / 2 / mass)
-        return UNKNOWN
+        sizes = zip(model.geom_type, model.geom_size.tolist(), strict=True)
+        halves = [_half_sizes(kind, size) for kind, size in sizes]
+        self.thick, self.reach = [thick for thick, _ in halves], [reach for _, reach in halves]
+        inertia = np.trace(np.asarray(model.body_inertia), axis1=1, axis2=2)
+        self.bodies: list[float] = []
+        for body, mass in enumerate(model.body_mass.tolist()):
+            geoms = np.flatnonzero(model.geom_body == body)
+            reaches = [reach for k in geoms if math.isfinite(reach := self.reach[k])]
+            gyration = math.sqrt(inertia[body] / 2 / mass) if mass > 0 else 0.0
+            self.bodies.append(max(reaches, default=gyration or UNKNOWN))
 
     def contact(self, geom1: int, geom2: int) -> float:
         """The thickness that a depth between two geoms is compared with [m]."""
         least = min(self.thick[geom1], self.thick[geom2])
         return least if math.isfinite(least) else UNKNOWN
 
-    def pair(self, body1: int, body2: int) -> float:
-        """The size of the smaller of two bodies [m]."""
-        return min(self.bodies[body1], self.bodies[body2])
-
 
 def _half_sizes(kind: str, size: list[float]) -> tuple[float, float]:
+    """The smallest half size of a geom, and the distance to its furthest point."""
     if kind in ("plane", "hfield"):
         return math.inf, math.inf
     if kind == "sphere":
