@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stepcore as sc
+from stepcore.scene.records import Variation
 from stepcore.scene.value_paths import changed
-from stepcore.scene.variation import Variation
 
 ARM = """<mujoco><option gravity="0 0 -9.81"/><worldbody>
 <geom name="floor" type="plane" size="5 5 1" friction="0.8"/>

@@ -21,8 +21,8 @@ from stepcore.engine.model_data import ModelData
 from stepcore.engine.touches import Touches, touches
 from stepcore.scene import collector
 from stepcore.scene.layout import Layout, called, named
+from stepcore.scene.records import Variation
 from stepcore.scene.value_paths import changed
-from stepcore.scene.variation import Variation
 from stepcore.signatures import refuse_unknown, takes_settings
 
 if TYPE_CHECKING:

@@ -12,10 +12,8 @@ from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Coordinates, rotated, turned
 from stepcore.experiment.friction import Friction
 from stepcore.experiment.run import Run
-from stepcore.scene import tying
 from stepcore.scene.elements import Equality
 from stepcore.scene.layout import QPOS, Layout
-from stepcore.scene.tying import LENGTHS
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ class Joints:
         self.limited = [k for k, joint in enumerate(coordinates.joints) if joint[3]]
         works = scene.features.equality and scene.features.constraint
         ties = {
-            k: tying.plain(layout, e)
+            k: e.plain(layout)
             for k, e in enumerate(scene.equalities)
             if works and e.active and e.type in ("connect", "weld")
         }
@@ -162,7 +160,7 @@ def _ends(
 def _inside(layout: Layout, equality: Equality) -> bool:
     """Whether an equality ties only what moves, and not to the world."""
     moving = all(layout.moving(body) for body in equality.bodies)
-    return moving and (equality.type in LENGTHS or len(equality.bodies) == 2)
+    return moving and (equality.ties_lengths or len(equality.bodies) == 2)
 
 
 class Balance:

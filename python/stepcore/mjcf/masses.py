@@ -16,7 +16,7 @@ from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Body, MassRules
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
-from stepcore.scene.plain import plain
+from stepcore.scene.records import plain
 
 if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import WorldReader

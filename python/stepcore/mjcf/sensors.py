@@ -12,9 +12,8 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Element
-from stepcore.scene.elements.sensor import MOST_NUMBERS
+from stepcore.scene.elements.sensor import ADHERES, MOST_NUMBERS
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
-from stepcore.scene.sensor_ends import ADHERES
 
 # Attributes that name the object, or the reference, with what they name and as what.
 NAMED = {

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stepcore import checks
 from stepcore.scene import controlling, orienting
+from stepcore.scene.element import Places, place_of
 from stepcore.scene.elements import Actuator
 from stepcore.scene.elements.actuator import LAW_FIELDS, MUSCLE, SECOND, TARGETS
 from stepcore.scene.frames import ORIGIN, Vec
@@ -140,14 +141,17 @@ def states(own: Law) -> int:
     return int(own.dynamics[0] != "none")
 
 
-def plain(actuator: Actuator) -> dict[str, Any]:
-    """The law as the engine's fields."""
+def plain(actuator: Actuator, places: Places) -> dict[str, Any]:
+    """The actuator as the engine reads it."""
     own = law(actuator)
     kind, parameters = own.dynamics
     # What a muscle leaves to be found stands in its place: `length_ranges.fill`.
     muscle = own.muscle_gain is not None or own.muscle_bias is not None
     lengthrange = actuator.lengthrange or (0.0, 1.0 if muscle else 0.0)
-    return {
+    feeds = None if actuator.feeds is None else place_of(places, actuator.feeds)
+    return actuator.record("type", *LAW, *TARGET) | {
+        "target": _target(actuator, places),
+        "feeds": feeds,
         "gain": list(own.gain),
         "bias": list(own.bias),
         "dampratio": own.dampratio,
@@ -165,16 +169,16 @@ def _listed(words: dict[str, Any] | None) -> dict[str, Any] | None:
     return words and {**words, "range": list(words["range"])}
 
 
-def target(actuator: Actuator, index: dict[int, int]) -> dict[str, Any]:
-    """What it pulls at as the engine reads it; index: of each element, by identity."""
+def _target(actuator: Actuator, places: Places) -> dict[str, Any]:
+    """What it pulls at as the engine reads it."""
     field, element = actuator.target
-    own: dict[str, Any] = {field: index.get(id(element), -1)}
+    own: dict[str, Any] = {field: -1 if element is None else place_of(places, element)}
     actuator = actuator.feeds or actuator
     if field == "site":
         reference = actuator.refsite
-        own["refsite"] = None if reference is None else index.get(id(reference), -1)
-    if field == "cranksite":
-        own["slidersite"] = index.get(id(actuator.slidersite), -1)
+        own["refsite"] = None if reference is None else place_of(places, reference)
+    if field == "cranksite" and actuator.slidersite is not None:
+        own["slidersite"] = place_of(places, actuator.slidersite)
         own["cranklength"] = actuator.cranklength
     return own
 

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stepcore import checks
-from stepcore.scene import actuation, orienting, sensing, tying
+from stepcore.scene import actuation, orienting
 from stepcore.scene.elements import Body, Element, Geom, Site, Tendon
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import IDENTITY, ORIGIN
 from stepcore.scene.layout import DOFS, SIZES, Layout
-
-if TYPE_CHECKING:
-    pass
 
 SIZE_WORDS = {
     "sphere": "a radius > 0",
@@ -70,9 +67,10 @@ def check(layout: Layout) -> None:
         actuation.check(actuator)
     orienting.check_inputs(scene.actuators)
     for equality in scene.equalities:
-        tying.check(layout, equality)
+        equality.check(layout)
     _check_pairs(layout)
-    sensing.check(layout)
+    for sensor in scene.sensors:
+        sensor.check(layout)
     for site in layout.sites:
         if any(size <= 0 for size in site.size[: SIZES[site.type]]):
             raise checks.refuse(

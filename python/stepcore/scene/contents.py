@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore import checks, files
@@ -34,7 +34,6 @@ from stepcore.scene.elements import (
 from stepcore.scene.elements.sensor import OBJECTS
 from stepcore.scene.holdings import Holdings
 from stepcore.scene.layout import named
-from stepcore.scene.sensor_ends import find as find_end
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -57,6 +56,12 @@ if TYPE_CHECKING:
     )
 
 E = TypeVar("E", bound=Element)
+
+# By kind: the list that holds the elements that sensors look at.
+_LISTS = {
+    **{"site": "sites", "body": "bodies", "geom": "geoms", "joint": "joints"},
+    **{"tendon": "tendons", "actuator": "actuators"},
+}
 
 
 class Contents(Holdings):
@@ -281,8 +286,34 @@ class Contents(Holdings):
         """
         checks.one_of(*OBJECTS)("Sensor", "type", type)
         kinds = zip(OBJECTS[type], (("object", object), ("reference", reference)), strict=True)
-        ends = {end: find_end(self, of, end, name) for of, (end, name) in kinds}
+        ends = {end: self._end(of, end, name) for of, (end, name) in kinds}
         return self._add(self.sensors, Sensor, fields, type=type, **ends)
+
+    def _end(self, kinds: Sequence[str], what: str, name: object) -> Element | None:
+        """The element of one of these kinds that has this name, or is the one given.
+
+        Raises ValueError for an unknown name, with the nearest, and for one that several kinds
+        have.
+        """
+        if name is None or isinstance(name, Element):
+            return name
+        if not kinds:
+            raise ValueError(f"{what} = {checks.shown(name)}: a sensor of this type has none")
+        every: list[Any] = [end for kind in kinds for end in getattr(self, _LISTS[kind])]
+        matches: list[Element] = [end for end in every if name and end.name == name]
+        if len(matches) == 1:
+            return matches[0]
+        words = " or ".join(kinds)
+        if matches:
+            what = " and ".join(type(end).__name__.lower() for end in matches)
+            raise ValueError(
+                f"{checks.shown(name)} is the name of a {what}: give the object itself"
+            )
+        if not isinstance(name, str):
+            raise ValueError(
+                f"{what} = {checks.shown(name)}: must be the name of a {words}, or one"
+            )
+        raise ValueError(self._no_such(words, name, [end.name for end in every]))
 
     def add_actuator(
         self,

@@ -58,6 +58,16 @@ class Row:
     poly: str = ""
 
 
+class Places(typing.Protocol):
+    """Where the elements of a scene stand in the compiled model: a `Layout`."""
+
+    bodies: list[Any]
+
+    def place(self, element: Element) -> int | None: ...
+
+    def body(self, owner: Element | str, body: Any) -> int: ...
+
+
 _TABLES: dict[type, dict[str, Row]] = {}
 # By class: the check of each field, its default, and what the check makes of the default.
 _CHECKS: dict[type, dict[str, tuple[checks.Check, object, object]]] = {}
@@ -179,6 +189,18 @@ class Element:
             record[engine_name] = value
         return record
 
+    def plain(self, places: Places) -> dict[str, Any]:
+        """The element as the engine reads it: its record, with indices for references.
+
+        −1 stands for an element that the scene does not have.
+        """
+        ends = _references(type(self))  # type: ignore[arg-type]
+        record = self.record(*ends)
+        for name in ends:
+            end = self.__dict__[name]
+            record[name] = None if end is None else place_of(places, end)
+        return record
+
     def __str__(self) -> str:
         kind = type(self).__name__.lower()
         name = self.__dict__.get("name", "")
@@ -213,6 +235,17 @@ def _record_plan(kind: type[Element], skip: tuple[str, ...]) -> list[tuple[str, 
         else:
             plan.append((name, ENGINE_NAMES.get(name, name), row.poly, ""))
     return plan
+
+
+@functools.cache
+def _references(kind: type[Element]) -> tuple[str, ...]:
+    return tuple(name for name, row in table(kind).items() if row.type.refers)
+
+
+def place_of(places: Places, element: Element) -> int:
+    """The index of an element among those of its kind; −1 if the scene does not have it."""
+    place = places.place(element)
+    return -1 if place is None else place
 
 
 def made(kind: type[E], values: Mapping[str, Any]) -> E:

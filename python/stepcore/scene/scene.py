@@ -11,7 +11,7 @@ from stepcore.scene.consistency import check
 from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Element
 from stepcore.scene.layout import Layout
-from stepcore.scene.plain import essence, plain
+from stepcore.scene.records import essence, plain
 
 if TYPE_CHECKING:
     import os

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from stepcore.mjcf.write.names import Names
 from stepcore.mjcf.write.tags import Tag, changed
-from stepcore.scene import tying
 from stepcore.scene.elements import Element, Equality
 
 if TYPE_CHECKING:
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
 
 def referred(scene: Contents) -> list[Element]:
     """The bodies, sites and joints that equalities name."""
-    values = [value for e in scene.equalities for value in tying.given(e).values()]
+    values = [value for e in scene.equalities for value in e.given().values()]
     return [value for value in values if isinstance(value, Element)]
 
 
@@ -25,7 +24,7 @@ def tags(scene: Contents, names: Names) -> list[Tag]:
 
 
 def _equality(equality: Equality, names: Names) -> Tag:
-    own = tying.given(equality)
+    own = equality.given()
     if equality.body1 is not None and equality.type == "connect":
         # Without it MuJoCo does not know what is connected.
         own["anchor"] = equality.anchor

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stepcore.mjcf import custom
 from stepcore.mjcf.option import said, to_say
+from stepcore.mjcf.schema import OWN_FEATURES
 from stepcore.mjcf.write import actuators
 from stepcore.mjcf.write.tags import Tag, changed, text
 from stepcore.scene.elements import GRAVITY
@@ -38,7 +38,7 @@ def add_option(root: Tag, scene: Contents) -> dict[str, Any]:
             attributes[name] = text(getattr(scene, name))
     features = changed(scene.features)
     for name, on in features.items():
-        if name in custom.OWN_FEATURES:
+        if name in OWN_FEATURES:
             rest[name] = on
         else:
             flags[name] = "enable" if on else "disable"

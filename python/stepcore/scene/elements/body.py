@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
-from stepcore.scene.element import Element
+from stepcore.scene.element import Element, Places, place_of
 from stepcore.scene.elements.field_types import (
     Flag,
     Inertia,
@@ -69,6 +69,17 @@ class Body(Element):
         axes = self.__dict__.get("iquat") if field == "inertia" else None
         if axes is not None and not _principal(axes, self.inertia):
             self.iquat = None
+
+    def plain(self, places: Places) -> dict[str, Any]:
+        """As for every element; what the body weighs by itself stands together."""
+        weight = ("mass", "ipos", "inertia", "iquat")
+        inertial = None
+        if self.mass is not None:
+            axes = None if self.iquat is None else list(self.iquat)
+            inertial = {"mass": self.mass, "pos": list(self.ipos), "inertia": list(self.inertia)}
+            inertial["axes"] = axes
+        parent = 0 if self.parent is None else place_of(places, self.parent)
+        return self.record("parent", *weight) | {"parent": parent, "inertial": inertial}
 
 
 def _principal(axes: Vec, inertia: Vec) -> bool:

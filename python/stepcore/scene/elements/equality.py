@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
-from stepcore.scene.element import Element
+from stepcore import checks
+from stepcore.scene.element import Element, Places, table
 from stepcore.scene.elements.body import Body
 from stepcore.scene.elements.field_types import (
     POLYCOEF,
@@ -27,7 +28,7 @@ from stepcore.scene.elements.geom import Geom
 from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
 from stepcore.scene.elements.tendon import Tendon
-from stepcore.scene.frames import ORIGIN
+from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
 
 # By type: what its rows are called.
 ROW_KINDS = {
@@ -38,13 +39,16 @@ ROW_KINDS = {
 }
 
 # By type: the fields that it can have beside its name, softness and `active`.
-BODIES, SITES = ("body1", "body2", "anchor"), ("site1", "site2")
+_COMMON = ("name", "type", "active", "solref", "solimp")
+_BODIES, _SITES = ("body1", "body2", "anchor"), ("site1", "site2")
 FIELDS = {
-    "connect": (*BODIES, *SITES),
-    "weld": (*BODIES, *SITES, "relpose", "torquescale"),
+    "connect": (*_BODIES, *_SITES),
+    "weld": (*_BODIES, *_SITES, "relpose", "torquescale"),
     "joint": ("joint1", "joint2", "polycoef"),
     "tendon": ("tendon1", "tendon2", "polycoef"),
 }
+# Fields that say what is tied, and where.
+_ENDS = (*_BODIES, *_SITES, "relpose", "joint1", "joint2", "tendon1", "tendon2")
 
 SomeBody = Annotated[Body | None, optional(element("Body"))]
 SomeSite = Annotated[Site | None, optional(element("Site"))]
@@ -107,3 +111,97 @@ class Equality(Element):
         tendons = (tendon for tendon in (self.tendon1, self.tendon2) if tendon is not None)
         passed = (element for tendon in tendons for element in tendon.elements())
         return own + tuple(e.body for e in passed if isinstance(e, (Joint, Site, Geom)))
+
+    @property
+    def ties_lengths(self) -> bool:
+        """Whether it ties joints or tendons, not bodies."""
+        return self.type in ("joint", "tendon")
+
+    def given(self) -> dict[str, Any]:
+        """The fields that say what is tied, where they differ from their defaults."""
+        rows = (row for row in table(Equality).values() if row.name not in _COMMON)
+        values = {row.name: getattr(self, row.name) for row in rows}
+        return {f: value for f, value in values.items() if value != table(Equality)[f].default}
+
+    def check(self, places: Places) -> None:
+        """Checks that it has what its type needs, and nothing else."""
+        fields, kind = self.given(), self.type
+        for field, value in fields.items():
+            if field not in FIELDS[kind]:
+                raise checks.refuse(self, field, value, f"left out: a {kind} has none")
+        if self.ties_lengths:
+            return self._check_lengths(places)
+        by_site = [field for field in _SITES if field in fields]
+        if by_site:
+            if len(by_site) < 2:
+                raise checks.ElementError(self, f"{by_site[0]} needs the other site too")
+            for field in (*_BODIES, "relpose"):
+                if field in fields:
+                    limit = "left out beside site1 and site2"
+                    raise checks.refuse(self, field, fields[field], limit)
+        elif self.body1 is None:
+            raise checks.ElementError(self, f"a {kind} needs body1, or site1 and site2")
+        ends = [getattr(self, field) for field in (by_site or ("body1", "body2"))]
+        first, second = (places.body(self, body) for body in self._tied_bodies(places))
+        for site in ends if by_site else ():
+            if places.place(site) is None:
+                raise checks.ElementError(self, f"refers to {site}, which is not in this scene")
+        if first == second:
+            same_body = f"{ends[0]} to {ends[1]}, of the same body"
+            what = same_body if by_site else f"{ends[0]} to itself"
+            raise checks.ElementError(self, f"connects {what}")
+
+    def _check_lengths(self, places: Places) -> None:
+        first, second = self._lengths()
+        if first is None:
+            raise checks.ElementError(self, f"a {self.type} equality needs {self.type}1")
+        for end in (first, second):
+            if end is None:
+                continue
+            if places.place(end) is None:
+                raise checks.ElementError(self, f"refers to {end}, which is not in this scene")
+            if isinstance(end, Joint) and end.type not in ("hinge", "slide"):
+                text = f"{end} is a {end.type}: must be a hinge or a slide"
+                raise checks.ElementError(self, text)
+        if first is second:
+            raise checks.ElementError(self, f"connects {first} to itself")
+
+    def _lengths(self) -> tuple[Joint | Tendon | None, Joint | Tendon | None]:
+        if self.type == "joint":
+            return self.joint1, self.joint2
+        return self.tendon1, self.tendon2
+
+    def _tied_bodies(self, places: Places) -> tuple[Any, Any]:
+        """The two bodies of a connect or weld; the second is the world where none is given."""
+        if self.site1 is not None and self.site2 is not None:
+            return self.site1.body, self.site2.body
+        return self.body1, self.body2 or places.bodies[0]
+
+    def plain(self, places: Places) -> dict[str, Any]:
+        """The equality as the engine reads it: its two ends, and their frames on bodies.
+
+        A frame is None where it follows from the pose of the scene.
+        """
+        record: dict[str, Any] = self.record(*_ENDS) | {"frame1": None, "frame2": None}
+        if self.ties_lengths:
+            first, second = (end and places.place(end) for end in self._lengths())
+        else:
+            first, second = (places.body(self, body) for body in self._tied_bodies(places))
+            record |= self._frames()
+        return record | {"first": first, "second": second}
+
+    def _frames(self) -> dict[str, Any]:
+        """What becomes one on the two bodies."""
+        if self.site1 is not None and self.site2 is not None:
+            ends = (("frame1", self.site1), ("frame2", self.site2))
+            return {name: _frame(site.pos, site.quat) for name, site in ends}
+        if self.type == "connect":
+            return {"frame1": _frame(self.anchor)}
+        frames = {"frame2": _frame(self.anchor)}
+        if self.relpose is not None:
+            frames["frame1"] = _frame(self.relpose[:3], self.relpose[3:])
+        return frames
+
+
+def _frame(pos: Vec, quat: Vec = IDENTITY) -> dict[str, Any]:
+    return {"pos": list(pos), "quat": list(quat)}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 from stepcore import checks
-from stepcore.scene.element import Element, FieldType
+from stepcore.scene.element import Element, FieldType, Places
 from stepcore.scene.elements.field_types import (
     NonNegative,
     Text,
@@ -55,7 +57,15 @@ OBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 # Types whose object, or whose reference, may be missing.
 NO_OBJECT = ("contact", "user", *OF_WHOLE)
 REFERENCE = ("insidesite", *OF_GAP)
-
+# Types whose readings have no bound, and the joints that types can look at.
+_DIRECTIONS = ("ballquat", "framequat", "framexaxis", "frameyaxis", "framezaxis")
+_JOINTS = {
+    **dict.fromkeys(OF_SCALAR_JOINT, ("hinge", "slide")),
+    **dict.fromkeys(OF_BALL, ("ball",)),
+    **dict.fromkeys(OF_LIMIT, ("hinge", "slide", "ball")),
+}
+# Why a sensor of an adhesion's speed is not computed.
+ADHERES = "the speed along the contacts of an adhesion is not computed"
 # The most contacts of a contact sensor, and numbers of one of type "user".
 MOST_NUMBERS = 10_000
 
@@ -116,3 +126,79 @@ class Sensor(Element):
     data: Annotated[tuple[str, ...], FieldType(_words, "str | Sequence[str]", "")] = ()
     reduce: Annotated[str, words("none", "mindist", "maxforce", "netforce")] = "none"
     num: Annotated[int, whole(1, MOST_NUMBERS)] = 1
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What it gives, of what some sensors choose from."""
+        return self.data or {"contact": ("found",), "rangefinder": ("dist",)}.get(self.type, ())
+
+    def check(self, places: Places) -> None:
+        """Raises ValueError where the sensor does not look at what its type needs."""
+        kinds, reference_kinds = OBJECTS[self.type]
+        self._check_end(places, "object", kinds, self.type in NO_OBJECT)
+        self._check_end(places, "reference", reference_kinds, self.type not in REFERENCE)
+        types = _JOINTS.get(self.type)
+        if types and self.object.type not in types:  # type: ignore[union-attr]
+            joints = " or a ".join(types)
+            raise checks.ElementError(self, f"{self.object}: must be a {joints} joint")
+        self._check_data()
+        if self.cutoff and self.type in _DIRECTIONS:
+            raise checks.refuse(self, "cutoff", self.cutoff, "0: a direction has no bound")
+        if self.type == "actuatorvel" and self.object.body is not None:  # type: ignore[union-attr]
+            raise checks.ElementError(self, ADHERES)
+
+    def _check_end(self, places: Places, field: str, kinds: Sequence[str], free: bool) -> None:
+        element = getattr(self, field)
+        kind = type(element).__name__.lower()
+        needed = "a " + " or a ".join(kinds) if kinds else "None"
+        if element is None:
+            if not free:
+                raise checks.ElementError(self, f"{field} = None: must be {needed}")
+        elif kind not in kinds:
+            limit = f"{needed} for a sensor of type {self.type}"
+            raise checks.ElementError(self, f"{field} = {element}: must be {limit}")
+        elif places.place(element) is None:
+            raise checks.ElementError(self, f"refers to {element}, which is not in this scene")
+        word = self.objtype if field == "object" else self.reftype
+        if word and kind != "body":
+            raise checks.ElementError(self, f"{field}: only a body can stand for its {word}")
+        if word == "subtree" and self.type != "contact":
+            raise checks.ElementError(self, f"{field}: only contact sensors see a subtree")
+
+    def _check_data(self) -> None:
+        if self.type not in ("contact", "rangefinder"):
+            counted = self.num != 1 and self.type != "user"
+            if self.data or self.reduce != "none" or counted:
+                text = "only contact sensors and rangefinders choose data"
+                raise checks.ElementError(self, text)
+            return
+        order = CONTACT_DATA if self.type == "contact" else RAY_DATA
+        ranks = [order.index(word) if word in order else -1 for word in self.data]
+        if -1 in ranks or any(b <= a for a, b in itertools.pairwise(ranks)):
+            limit = f"words of {', '.join(order)}, in this order"
+            raise checks.refuse(self, "data", " ".join(self.data), limit)
+        if self.reduce == "netforce" and {"linvel", "angvel"} & set(self.data):
+            raise checks.ElementError(self, "a net force has no velocity (linvel, angvel)")
+
+    def plain(self, places: Places) -> dict[str, Any]:
+        """The sensor as the engine reads it.
+
+        A sensor of type "user" gives zeros, whatever it is attached to.
+        """
+        looked_at = None if self.type == "user" else self.object
+        return self.record("objtype", "reftype", "noise") | {
+            "object": self._plain_end(places, looked_at, self.objtype),
+            "reference": self._plain_end(places, self.reference, self.reftype),
+            "data": list(self.quantities),
+        }
+
+    def _plain_end(
+        self, places: Places, element: Element | None, word: str
+    ) -> dict[str, Any] | None:
+        if element is None:
+            return None
+        kind = type(element).__name__.lower()
+        if kind == "body":
+            alone = self.type in ("contact", "distance", "normal", "fromto")
+            kind = {"subtree": "xbody"}.get(word, word) or ("body" if alone else "xbody")
+        return {"kind": kind, "index": places.place(element)}

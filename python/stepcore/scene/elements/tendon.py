@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 from stepcore import checks
-from stepcore.scene.element import Element, FieldType
+from stepcore.scene.element import Element, FieldType, Places, place_of
 from stepcore.scene.elements.field_types import (
     SOLIMP,
     SOLREF,
@@ -166,6 +166,24 @@ class Tendon(Element):
         for stop in self.path:
             parts = (stop,) if isinstance(stop, Site) else stop
             yield from (part for part in parts if isinstance(part, (Joint, Site, Geom)))
+
+    def plain(self, places: Places) -> dict[str, Any]:
+        """As for every element; each stop of the path says what it is."""
+        return self.record("path") | {"path": [_plain_stop(stop, places) for stop in self.path]}
+
+
+def _plain_stop(stop: Stop, places: Places) -> dict[str, Any]:
+    if isinstance(stop, Share):
+        return {"joint": place_of(places, stop.joint), "coef": stop.coef}
+    if isinstance(stop, Around):
+        side = stop.sidesite
+        return {
+            "geom": place_of(places, stop.geom),
+            "side": None if side is None else place_of(places, side),
+        }
+    if isinstance(stop, Pulley):
+        return {"divisor": stop.divisor}
+    return {"site": place_of(places, stop)}
 
 
 # A reference to one.
