@@ -7,7 +7,7 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.measure import batch_sweep
+from stepcore.measure import sweep as sweep_module
 
 SLIDING = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 1"/>
 <body pos="0 0 0.1"><freejoint/><geom name="box" type="box" size="0.1 0.1 0.1"/></body>
@@ -39,7 +39,7 @@ def test_a_batch_has_the_numbers_of_single_sims():
 def test_an_executor_gets_batches_of_some_points_each(monkeypatch, pool):
     model = sc.loads(SLIDING).compile()
     here = sc.sweep(model, GRID, slide, batch=True)
-    monkeypatch.setattr(batch_sweep, "SHARE", 3)
+    monkeypatch.setattr(sweep_module, "SHARE", 3)
     with pool(2) as executor:
         there = sc.sweep(model, GRID, slide, batch=True, executor=executor)
     assert there.records == here.records

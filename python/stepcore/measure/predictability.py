@@ -24,7 +24,7 @@ from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds, times
 
-# What is looked at by default [s].
+# The default horizon [s].
 HORIZON = 10.0
 
 
@@ -32,9 +32,8 @@ HORIZON = 10.0
 class StartGrowth:
     """Growth of a perturbation from one start, relative to its initial size.
 
-    predictable: the time until which the start can be predicted [s], inf beyond the horizon.
-    growth: the growth by the end.
-    largest: the largest growth.
+    predictable: how long the motion can be predicted [s]; inf beyond the horizon.
+    growth: at the end; largest: at any time.
     """
 
     start: int
@@ -47,11 +46,9 @@ class StartGrowth:
 class Predictability(Result):
     """How long a scene can be predicted; `stepcore.predict` returns it.
 
-    name: the name of the scene.
-    settings: its own settings.
+    name, settings: those of the scene.
     motion: the motion that was run, over `horizon` [s] in steps of `dt` [s] under `integrator`.
     growth: the growth of the perturbations; see `stepcore.experiment.growth.Growth`.
-    time: the time at which the first start is lost [s], inf if none is within the horizon.
     """
 
     kind = "predictability"
@@ -70,12 +67,12 @@ class Predictability(Result):
 
     @property
     def time(self) -> float:
-        """When the first of the starts can no longer be predicted [s]; inf beyond the horizon."""
+        """How long the motion can be predicted from every start [s]; inf beyond the horizon."""
         return self.growth.overall
 
     @property
     def limit(self) -> float:
-        """The growth of a perturbation at which a start is lost."""
+        """The growth of a perturbation from which a motion cannot be predicted."""
         return GROWTH
 
     @property
@@ -101,9 +98,9 @@ class Predictability(Result):
     def setup(self) -> str:
         """How it was measured, in a line."""
         return (
-            f"Run under {self.integrator}, dt {seconds(self.dt)}. From each start the motion runs "
-            f"again from {DIRECTIONS} perturbed states, {compact(NEARBY)} of the scene's size "
-            f"away; a start is lost when a perturbation has grown more than {times(GROWTH)}."
+            f"Run under {self.integrator}, dt {seconds(self.dt)}. Each start runs again from "
+            f"{DIRECTIONS} perturbed states, {compact(NEARBY)} of the scene's size away; it can be "
+            f"predicted until a perturbation has grown more than {times(GROWTH)}."
         )
 
     @property
@@ -119,8 +116,8 @@ class Predictability(Result):
         ends = np.isfinite(self.growth.ends)
         lost, starts = int(ends.sum()), counted(len(ends), "start")
         said = [
-            f"The motion can be predicted for {seconds(self.time)}: {lost} of {starts} "
-            f"{'is' if lost == 1 else 'are'} lost within {over}."
+            f"The motion can be predicted for {seconds(self.time)}: nearby motions diverge from "
+            f"{lost} of {starts} within {over}."
         ]
         if self.horizon < 2 * self.time:
             said.append(
@@ -132,8 +129,8 @@ class Predictability(Result):
     def tables(self, full: bool) -> list[Table]:
         """The starts."""
         heading = (
-            "For each start: the time that can be predicted [s]; the growth of the perturbation "
-            "by the end, and its largest"
+            "For each start: how long the motion can be predicted [s]; the growth of the "
+            "perturbation at the end, and the largest"
         )
         return [Table(self.table, heading=heading)]
 
@@ -167,15 +164,13 @@ def predict(
 ) -> Predictability:
     """Measures how long a scene can be predicted: until perturbed runs separate.
 
-    From every start the motion runs again from three perturbed states, 1e-9 of the scene's size
-    away. The runs use rk4 at a 16th of the shipped time step (a quarter of that, or another
-    integrator, if that fails), with rows solved to rounding. The scene can be predicted until they
-    are 1e3 times as far apart as they began; beyond that only statistics of its motion are
-    meaningful.
+    Each start runs again from three perturbed states, 1e-9 of the scene's size away. The runs use
+    rk4 at a 16th of the shipped time step (a quarter of that, or another integrator, if that
+    fails), with rows solved to rounding. The motion can be predicted until these runs are 1e3 times
+    as far apart as they began. Beyond that only statistics of the motion are meaningful.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    motion: the `Motion` that is run; or write its fields as arguments. By default the horizon is 10
-        s, and there are 8 starts.
+    motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
     threads: the number of runs at the same time (default: one per core).
     executor: any concurrent.futures executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
@@ -203,7 +198,7 @@ def predict(
     steps, period = time_steps(own, None, motion.period(own), horizon)
     runner = Runner(model, scheduled(motion, model, period))
     runner.check_repeatable()
-    # It is the motion awake that is predicted.
+    # Bodies that sleep would hide how perturbations grow.
     runs = ReferenceRuns(runner, model.settings.replace(sleep=False), min(steps), 0.0, workers)
     with workers.bar("predictability", (2 + DIRECTIONS) * runs.starts) as bar:
         level, growth = runs.growth(bar)

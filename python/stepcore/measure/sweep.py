@@ -9,17 +9,28 @@ from concurrent.futures import Executor
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from stepcore import checks
 from stepcore._core import SimulationError
+from stepcore.engine.arrays import Floats
+from stepcore.engine.batch import Batch
+from stepcore.engine.batch import unwatched as unwatched_batch
 from stepcore.engine.model import Model
+from stepcore.engine.parameters import Variants
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.arguments import Source, Workers
 from stepcore.loading import find_model
-from stepcore.measure.batch_sweep import measured_in_batches
 from stepcore.report.progress import Choice
 from stepcore.report.table import Table
 from stepcore.scene.scene import Scene
 from stepcore.scene.value_paths import WHOLE, find, is_path
+
+Point = dict[str, Any]
+Measure = Callable[[Any], Any]
+
+# A process of an executor measures at most this many points at a time.
+SHARE = 256
 
 
 def sweep(
@@ -42,9 +53,9 @@ def sweep(
     measure: called with the Sim; returns a number (column "value") or a mapping of columns.
     batch: True measures the points of equal settings together: `measure` is called with a `Batch`
         that has a point in each world (its `param` holds their values), and returns an array with
-        an entry for each world, or a mapping of such. The numbers are those of single Sims to the
-        bit, and a world that fails does not stop the others. With an executor a batch has up to
-        256 points, else all of them; a model must be given, and no function that makes one.
+        an entry for each world, or a mapping of such arrays. The numbers equal those of single Sims
+        bit for bit, and a world that fails does not stop the others. A batch has all points, or up
+        to 256 with an executor. It needs a model, not a function that makes one.
     threads: how many measurements run at once (default: one per core). Python's lock is released
         while a Sim steps.
     executor: any `concurrent.futures` executor in place of threads. Where it uses processes,
@@ -95,7 +106,7 @@ def sweep(
             raise checks.refuse(
                 "sweep", "batch", batch, "False with a function that makes the model"
             )
-        results = measured_in_batches(make_or_model, measure, points, workers)
+        results = _in_batches(make_or_model, measure, points, workers)
     else:
         results = workers.each(partial(at_point, make_or_model, measure), points, "sweep")
     own = [name for result in results for name in result if name != "failure"]
@@ -119,20 +130,99 @@ def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
             )
 
 
-def at_point(source: Any, measure: Callable[[Any], Any], point: dict[str, Any]) -> dict[str, Any]:
-    """One measurement as a record, or the reason why there is none."""
+def _settings_and_values(point: Point) -> tuple[Point, Point]:
+    """The settings of a point, and its values by path."""
+    values = {name: value for name, value in point.items() if is_path(name)}
+    return {name: value for name, value in point.items() if name not in values}, values
+
+
+def _record(measured: Any) -> Point:
+    """The columns that a measurement gives."""
+    return dict(measured) if isinstance(measured, Mapping) else {"value": measured}
+
+
+def _failure(error: Exception) -> Point:
+    return {"failure": checks.one_line(error)}
+
+
+def at_point(source: Any, measure: Measure, point: Point) -> Point:
+    """One measurement as a record, or the reason why it failed."""
     try:
-        got = measure(_made(source, point))
+        if isinstance(source, Model):
+            settings, values = _settings_and_values(point)
+            made = unwatched(Sim(source.with_values(values) if values else source, **settings))
+        else:
+            made = source(**point)
+            made = unwatched(Sim(made)) if isinstance(made, (Model, Scene)) else made
+        return _record(measure(made))
     except (ValueError, SimulationError) as error:
-        return {"failure": checks.one_line(error)}
-    return dict(got) if isinstance(got, Mapping) else {"value": got}
+        return _failure(error)
 
 
-def _made(source: Any, point: dict[str, Any]) -> Any:
-    """What is measured at a point."""
-    if isinstance(source, Model):
-        values = {name: value for name, value in point.items() if is_path(name)}
-        settings = {name: value for name, value in point.items() if not is_path(name)}
-        return unwatched(Sim(source.with_values(values) if values else source, **settings))
-    made = source(**point)
-    return unwatched(Sim(made)) if isinstance(made, (Model, Scene)) else made
+def _in_batches(
+    model: Model, measure: Measure, points: Sequence[Point], workers: Workers
+) -> list[Point]:
+    """The record of each point; those of equal settings are worlds of one batch."""
+    alike: dict[str, list[int]] = {}
+    for index, point in enumerate(points):
+        alike.setdefault(repr(_settings_and_values(point)[0]), []).append(index)
+    here = workers.executor is None
+    size = len(points) if here else SHARE
+    shares = [
+        group[at : at + size] for group in alike.values() for at in range(0, len(group), size)
+    ]
+    job = partial(_batch_of, model, measure, workers.threads if here else 1)
+    # In this process the batches follow each other, and each has all threads.
+    crew = Workers(1, workers.executor, workers.progress)
+    results = crew.each(job, [[points[index] for index in share] for share in shares], "sweep")
+    records = dict(zip(itertools.chain(*shares), itertools.chain(*results), strict=True))
+    return [records[index] for index in range(len(points))]
+
+
+def _batch_of(model: Model, measure: Measure, threads: int, points: Sequence[Point]) -> list[Point]:
+    """Records of points with the same settings."""
+    settings, values = _settings_and_values(points[0])
+    try:
+        base = model.with_settings(**settings)
+        columns = {path: _column(path, [point[path] for point in points]) for path in values}
+        refused = Variants(base, columns, len(points)).errors() if columns else {}
+        worlds = [world for world in range(len(points)) if world not in refused]
+        measured = _worlds(base, columns, worlds, measure, threads) if worlds else []
+    except (ValueError, SimulationError) as error:
+        return [_failure(error)] * len(points)
+    records = {world: _failure(error) for world, error in refused.items()}
+    records |= zip(worlds, measured, strict=True)
+    return [records[world] for world in range(len(points))]
+
+
+def _worlds(
+    model: Model, columns: Mapping[str, Floats], worlds: list[int], measure: Measure, threads: int
+) -> list[Point]:
+    """Records of the points whose values the model accepts."""
+    n = len(worlds)
+    batch = unwatched_batch(Batch(model, n, threads=min(threads, n), on_failure="go on"))
+    if columns:
+        batch.param.update({path: column[worlds] for path, column in columns.items()})
+    table = _record(measure(batch))
+    for name, values in table.items():
+        if np.shape(values)[:1] != (n,):
+            limit = f"with one entry for each of the batch's {n} worlds"
+            raise TypeError(
+                f'measure: "{name}" has shape {np.shape(values)}: must be an array {limit}'
+            )
+    failures = batch.failures
+    return [
+        _failure(failures[world])
+        if world in failures
+        else {name: values[world] for name, values in table.items()}
+        for world in range(n)
+    ]
+
+
+def _column(path: str, values: list[Any]) -> Floats:
+    """The values of a path as an array over the points."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        text = "with batch=True values must be numbers, or vectors of one length"
+        raise ValueError(f"grid[{checks.shown(path)}]: {text}") from None
