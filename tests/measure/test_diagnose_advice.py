@@ -10,7 +10,7 @@ import stiff
 
 import stepcore as sc
 from stepcore.engine.linear_maps import INTEGRATORS
-from stepcore.measure.diagnosis.oscillator import oscillator_dt
+from stepcore.measure.diagnosis.isolated import oscillator_dt
 from stepcore.measure.diagnosis.stiffness_warning import stiffness
 
 # Runs beyond their limits are what these tests make.

@@ -17,20 +17,25 @@ from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import HORIZON, home, scheduled
 from stepcore.measure.diagnosis.advice import advise
-from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
 from stepcore.measure.diagnosis.control import KIND, with_feedback
 from stepcore.measure.diagnosis.control_advice import advise_control, longest_period
-from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST, Limit, dt_limit
-from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
+from stepcore.measure.diagnosis.elements import softened_from
+from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements, closed_form_bound
 from stepcore.measure.diagnosis.judgement import Judge, Runaway, judge, judged_limit
-from stepcore.measure.diagnosis.limiters import limiters
+from stepcore.measure.diagnosis.limits import (
+    LONGEST,
+    SHORTEST,
+    Limit,
+    StepStability,
+    dt_limit,
+    step_stability,
+)
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
 from stepcore.measure.diagnosis.motion_runs import MotionRuns
 from stepcore.measure.diagnosis.observation import kicked, look
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.saturation import holds_when_kicked
-from stepcore.measure.diagnosis.solref import softened_from
-from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
+from stepcore.measure.diagnosis.shares import limiters
 from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
 from stepcore.measure.diagnosis.visited_states import eased, nudged, sampled_often, start, visited
 from stepcore.measure.diagnosis.words import gentle_chatter, notes

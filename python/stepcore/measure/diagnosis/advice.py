@@ -29,14 +29,13 @@ from stepcore.measure.diagnosis.changes import (
     rounded,
     text_of,
 )
-from stepcore.measure.diagnosis.dt_limits import LONGEST, Limit
-from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.isolated import ElementLimits
+from stepcore.measure.diagnosis.limits import LONGEST, Limit, StepStability, step_stability
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import step_map
 from stepcore.measure.diagnosis.motion_runs import stays_bounded
 from stepcore.measure.diagnosis.saturation import settles
 from stepcore.measure.diagnosis.shares import step_shares
-from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.report.units import seconds
 
 # The stability margin that a change leaves: the largest stable dt over the wanted one.

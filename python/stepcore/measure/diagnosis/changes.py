@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 from stepcore.engine.element import EQUALITIES, OVERRIDE, Element, Elements
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.element_limits import ElementLimits
-from stepcore.measure.diagnosis.solref import solref_of
+from stepcore.measure.diagnosis.elements import solref_of
+from stepcore.measure.diagnosis.isolated import ElementLimits
 from stepcore.report.units import unit_of
 from stepcore.scene.elements import Actuator, Joint
 from stepcore.scene.elements.actuator import LAW_FIELDS

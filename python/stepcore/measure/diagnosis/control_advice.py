@@ -27,9 +27,9 @@ from stepcore.measure.diagnosis.changes import NewValue, ratio, rounded, text_of
 from stepcore.measure.diagnosis.control import KIND, growth_when_held
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.growth import FINE, bisected
+from stepcore.measure.diagnosis.limits import StepStability, step_stability
 from stepcore.measure.diagnosis.linear_step import State
 from stepcore.measure.diagnosis.motion_runs import stays_bounded
-from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.report.units import seconds, unit_of
 from stepcore.scene.layout import Layout
 

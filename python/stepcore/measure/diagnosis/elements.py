@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from stepcore.engine.element import EQUALITIES, FRICTION_LOSSES, ROWS, Element, ElementSlopes
+from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.scene.elements import Joint, Tendon
+from stepcore.scene.frames import Vec
 
 # The elements that a diagnosis names. What the others do (gravity, a fluid, applied forces) counts
 # with the inertial forces.
@@ -45,3 +49,47 @@ def penalised_contacts(sim: Sim) -> tuple[Element, ...]:
     contacts = sim.contacts
     pairs = contacts["index"][contacts["dist"] < 0].tolist()
     return tuple(Element.of(sim.model, "contact", pair) for pair in dict.fromkeys(pairs))
+
+
+def solref_of(model: Model, element: Element) -> Vec | None:
+    """The solref of an element; None for one that is not a row with a solref under the law."""
+    limit = element.kind in ("limit", "tendon limit") and model.settings.law == "penalty"
+    if model.settings.law != "solref" and not limit:
+        return None
+    if element.kind == "contact":
+        return model.contact_pair(element.index).solref
+    fields = (field for field in element.fields(model) if field.name.startswith("solref"))
+    return next((field.value for field in fields), None)
+
+
+def may_limit_dt(solref: Vec, refsafe: bool) -> bool:
+    """Whether a row with this solref could limit dt.
+
+    refsafe keeps rows of the standard form stable, h²/(tc ζ)² + 4h/tc < 4 at h = tc/2, if
+    ζ > 1/√8.
+    """
+    return not refsafe or solref[0] <= 0 or solref[1] < math.sqrt(1 / 8)
+
+
+def softened_from(model: Model, element: Element) -> float:
+    """The dt [s] from which `refsafe` softens an element; inf where it never does."""
+    solref = solref_of(model, element)
+    if solref is None or not model.settings.refsafe or solref[0] <= 0:
+        return math.inf
+    return solref[0] / 2
+
+
+def first_softened(model: Model) -> float:
+    """The least dt [s] from which `refsafe` softens any row; inf where it softens none."""
+    law, scene = model.settings.law, model.scene
+    if law not in ("solref", "penalty") or not model.settings.refsafe:
+        return math.inf
+    lengths: list[Joint | Tendon] = [*scene.joints, *scene.tendons]
+    solrefs = [length.solreflimit for length in lengths if length.range is not None]
+    if law == "solref":
+        solrefs += [length.solreffriction for length in lengths if length.frictionloss > 0]
+        solrefs += [equality.solref for equality in scene.equalities]
+        # What is mixed of two geoms lies between theirs.
+        pairs = [g.solref for g in scene.geoms] if model.is_heap else model.pair_solref.tolist()
+        solrefs += [tuple(solref) for solref in pairs]
+    return min((solref[0] / 2 for solref in solrefs if solref[0] > 0), default=math.inf)

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.measure.diagnosis.spectrum import eigenvalues
 
 DAMPED = 1e-3
 PER_RADIAN = 0.05
@@ -150,3 +149,19 @@ def bisected(stable: Callable[[float], bool], low: float, high: float, fine: flo
         middle = math.sqrt(low * high)
         low, high = (middle, high) if stable(middle) else (low, middle)
     return low
+
+
+def eigenvalues(matrix: Any) -> Any:
+    """The eigenvalues of a matrix, shape (n,), complex; None where they cannot be computed.
+
+    That is where an entry is not finite, or the iteration leaves the range of numbers or does not
+    converge.
+    """
+    if matrix is None or not np.isfinite(matrix).all():
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            values = np.linalg.eigvals(matrix).astype(complex)
+    except np.linalg.LinAlgError:
+        return None
+    return values if np.isfinite(values).all() else None

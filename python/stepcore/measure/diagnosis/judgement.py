@@ -16,14 +16,13 @@ import numpy as np
 
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.growth import bisected
+from stepcore.measure.diagnosis.limits import Limit, StepStability, step_stability
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
 from stepcore.measure.diagnosis.motion_runs import FEWEST, MotionRun, MotionRuns
 from stepcore.measure.diagnosis.servo_range import crossing_dt
 from stepcore.measure.diagnosis.shares import Shares, growing_shares, limiting_shares
-from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 
 # Kinetic energy over the largest of the fine run that counts as an explosion.
 EXPLODED = 10.0

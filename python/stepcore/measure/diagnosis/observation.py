@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.judgement import Judge, Outcome, Runaway
+from stepcore.measure.diagnosis.limits import Limit
 from stepcore.measure.diagnosis.saturation import Saturation, saturation_of, saturations
 from stepcore.measure.diagnosis.shares import Shares
 

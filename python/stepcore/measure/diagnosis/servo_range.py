@@ -20,7 +20,7 @@ from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
-from stepcore.measure.diagnosis.oscillator import oscillator_dt
+from stepcore.measure.diagnosis.isolated import oscillator_dt
 
 
 def largest_force(model: Model, actuator: int) -> float:

@@ -66,7 +66,7 @@ def stiffness(scene: Scene) -> str:
     import numpy as np
 
     from stepcore.engine.model import Model
-    from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
+    from stepcore.measure.diagnosis.isolated import closed_form_bound
 
     model = Model(scene)
     if model.nv > MOST_DOFS:
@@ -88,7 +88,7 @@ def _may_be_stiff(scene: Scene) -> bool:
         return True
     if any(actuator.type != "motor" for actuator in scene.actuators):
         return True
-    from stepcore.measure.diagnosis.solref import may_limit_dt
+    from stepcore.measure.diagnosis.elements import may_limit_dt
 
     refsafe = scene.options.get("refsafe", True)
     solrefs = [geom.solref for geom in scene.geoms] + [e.solref for e in scene.equalities]
@@ -103,12 +103,10 @@ def _linearised(model: Model) -> str:
     """The text from the step itself, linearised at the first keyframe or qpos0."""
     import numpy as np
 
-    from stepcore.measure.diagnosis.dt_limits import SHORTEST, Limit
     from stepcore.measure.diagnosis.growth import bisected
-    from stepcore.measure.diagnosis.limiters import limiters
+    from stepcore.measure.diagnosis.limits import SHORTEST, Limit, step_stability
     from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
-    from stepcore.measure.diagnosis.shares import limiting_shares
-    from stepcore.measure.diagnosis.step_stability import step_stability
+    from stepcore.measure.diagnosis.shares import limiters, limiting_shares
 
     model = with_converged_rows(model)
     settings = model.settings

@@ -1,0 +1,410 @@
+"""The largest stable dt of one oscillator, x'' = −ω² x − c x', under each integrator.
+
+With h = dt, s the roots of s² + c s + ω², and c = c_explicit + c_implicit as the integrator treats
+the damping, a step is stable where
+
+    explicit                |1 + h s| ≤ 1
+    semi-implicit           ω² h² + 2 c h < 4
+    euler, implicitfast,
+    implicit, discrete      ω² h² + 2 (c_explicit − c_implicit) h < 4, ω² of a stiffness that is not
+                            implicit: with ω² and c implicit `discrete` is stable at any h
+    rk4                     |1 + z + z²/2 + z³/6 + z⁴/24| ≤ 1, z = h s
+    midpoint                always; a row of `solref`, which acts after it: h < 2/c and h < 2c/ω²
+
+The third with c_explicit = 0 and c = 2ζω is h < (2ζ + 2√(ζ² + 1))/ω. The conditions are those of
+Jury (1964) for the characteristic polynomial of the maps in `engine.linear_maps`.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from stepcore.engine.arrays import Floats
+from stepcore.engine.element import INERTIAL, ROWS, Element
+from stepcore.engine.linear_maps import INTEGRATORS, STIFFNESS_IMPLICIT, amplification
+from stepcore.engine.model import Model
+from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
+from stepcore.measure.diagnosis.control import KIND, control_dt
+from stepcore.measure.diagnosis.elements import may_limit_dt, softened_from, solref_of
+from stepcore.measure.diagnosis.growth import DAMPED, eigenvalues, largest_stable, neutral_growth
+from stepcore.measure.diagnosis.limits import LONGEST, SHORTEST
+from stepcore.measure.diagnosis.linear_motion import LinearMotion
+from stepcore.scene.layout import Layout
+
+# Rates [1/s] beyond this are taken as this, and those below its inverse as none, so that no square
+# leaves the range of numbers: limits there are far from any step that could be asked for.
+FASTEST = 1e120
+
+
+def oscillator_dt(
+    omega: float, explicit: float, implicit: float, integrator: str, horizon: float = 1.0
+) -> float:
+    """The largest stable dt [s] of an oscillator; inf where every dt is stable.
+
+    omega: natural frequency ω [rad/s]. explicit, implicit: the damping rates c that the integrator
+    treats explicitly and implicitly [1/s]. horizon: see `nutation_dt` [s].
+    """
+    omega, explicit, implicit = _in_range(omega), _in_range(explicit), _in_range(implicit)
+    damping = explicit + implicit
+    if integrator == "midpoint" or (omega <= 0 and damping <= 0):
+        return math.inf
+    if integrator == "explicit":
+        if damping <= 2 * DAMPED * omega:
+            return nutation_dt(omega, integrator, False, horizon)
+        return min(-2 * (s.real / abs(s)) / abs(s) for s in _roots(omega, damping))
+    if integrator == "rk4":
+        return min(_rk4(s) for s in _roots(omega, damping))
+    if integrator == "semi-implicit":
+        explicit, implicit = damping, 0.0
+    return _jury(omega, explicit - implicit)
+
+
+def row_dt_under_midpoint(omega: float, damping: float) -> float:
+    """The largest stable dt [s] of a `solref` row under midpoint.
+
+    The row acts after the implicit step: v⁺ = v + Δ, q⁺ = q + h (v + Δ/2), Δ = −h (c v + ω² q).
+    """
+    omega, damping = _in_range(omega), _in_range(damping)
+    limit = 2 / damping if damping > 0 else math.inf
+    return min(limit, 2 * damping / omega**2) if omega > 0 else limit
+
+
+def nutation_dt(omega: float, integrator: str, implicit: bool, horizon: float) -> float:
+    """The largest dt [s] of an undamped first-order motion v' = iωv, such as a nutation.
+
+    Explicit integrators make it grow by ω² dt/2 at every dt. The limit is the dt at which this
+    reaches the growth that `growth.neutral_growth` allows in the horizon [s].
+    """
+    omega = _in_range(omega)
+    if omega <= 0 or integrator == "midpoint" or implicit:
+        return math.inf
+    if integrator == "rk4":
+        return 2 * math.sqrt(2) / omega
+    return 2 * float(neutral_growth(omega, horizon)) / omega**2
+
+
+def _roots(omega: float, damping: float) -> tuple[complex, ...]:
+    """The roots of s² + c s + ω² that are not zero."""
+    root = cmath.sqrt(damping**2 / 4 - omega**2)
+    large = -damping / 2 - root
+    # The product of both is ω²: no digits are lost in a difference.
+    small = omega * (omega / large) if large != 0 else 0j
+    return tuple(s for s in (large, small) if abs(s) > 1 / FASTEST)
+
+
+def _jury(omega: float, damping: float) -> float:
+    """The positive root of ω² h² + 2 c h = 4."""
+    if omega <= 0:
+        return 2 / damping if damping > 0 else math.inf
+    # The form that loses no digits, for either sign of c.
+    root = math.sqrt(damping**2 + 4 * omega**2)
+    return 4 / (damping + root) if damping > 0 else (root - damping) / omega**2
+
+
+def _rk4(s: complex) -> float:
+    size = abs(s)
+    return _rk4_along(s / size) / size
+
+
+@lru_cache(maxsize=256)
+def _rk4_along(way: complex) -> float:
+    """The limit of a rate of length 1; joints of one kind, and all without ω, share theirs."""
+
+    def stable(h: float) -> bool:
+        return bool(abs(amplification("rk4", h * way)) <= 1 + 1e-9)
+
+    return largest_stable(stable, 1e-2, 4.0)
+
+
+def _in_range(rate: float) -> float:
+    """A rate [1/s] whose square is a number; 0 for one below 0, and for nan."""
+    return min(rate, FASTEST) if rate > 1 / FASTEST else 0.0
+
+
+# Of the largest eigenvalue: a smaller one is the rounding of a difference.
+NOTHING = 1e-6
+
+
+@dataclass(frozen=True)
+class ElementLimits:
+    """One element on its own, at the state at which it is stiffest.
+
+    element: which one it is.
+    omega: natural frequency [rad/s], 0 without stiffness.
+    ratio: damping ratio with all damping along its direction, nan without stiffness.
+    rate: its own damping over the mass that it moves [1/s].
+    limits: its largest stable dt by integrator [s], inf beyond `LONGEST`, 0 below `SHORTEST`.
+    softened: the dt from which `refsafe` softens it [s], inf if it never does.
+    state: the index of the state.
+    """
+
+    element: Element
+    omega: float
+    ratio: float
+    rate: float
+    limits: dict[str, float]
+    softened: float
+    state: int
+
+    @property
+    def name(self) -> str:
+        """The element's name."""
+        return self.element.name
+
+    @property
+    def stiffness(self) -> float:
+        """By what elements are compared: the larger of frequency and damping rate [1/s]."""
+        return max(self.omega, self.rate)
+
+    @property
+    def acts(self) -> bool:
+        """Whether it pulls at all; a spin: whether it limits any integrator."""
+        if self.element.kind == "spin":
+            return any(math.isfinite(limit) for limit in self.limits.values())
+        return self.stiffness > 0
+
+
+class IsolatedElements:
+    """The elements of a linearised motion, each on its own on the mass matrix.
+
+    horizon [s]: see `growth`. state: the index of the state.
+    """
+
+    def __init__(self, motion: LinearMotion, horizon: float, state: int) -> None:
+        self.motion, self.horizon, self.state = motion, horizon, state
+        self.root = np.linalg.inv(np.linalg.cholesky(motion.mass))
+        none, elements = np.zeros_like(motion.mass), motion.elements
+        self.damping = sum((e.damping for k, e in elements.items() if k != INERTIAL), none)
+        self.implicit = {
+            name: sum((elements[element].damping for element in treated), none)
+            for name, treated in motion.implicit.items()
+        }
+
+    def limits(self, element: Element, softened: float) -> ElementLimits:
+        """One element; softened: the dt [s] from which `refsafe` softens it."""
+        matrices = self.motion.elements[element]
+        if element.kind == "spin":
+            return self._spin(element, self._per_mass(matrices.damping), softened)
+        square, mode = self._stiffest(matrices.stiffness)
+        rate, direction = self._stiffest(matrices.damping)
+        omega = math.sqrt(square)
+        limits = {}
+        for name in INTEGRATORS:
+            dt = self._limit(name, element, omega, mode) if omega > 0 else math.inf
+            if rate > 0:
+                dt = min(dt, self._limit(name, element, 0.0, direction))
+            # Softened with dt from there on, it limits nothing that it did not limit before.
+            limits[name] = _as_tried(dt) if dt <= softened else math.inf
+        ratio = float(mode @ self.damping @ mode) / (2 * omega) if omega > 0 else math.nan
+        return ElementLimits(element, omega, ratio, rate, limits, softened, self.state)
+
+    def _spin(self, element: Element, turning: Floats, softened: float) -> ElementLimits:
+        values = eigenvalues(turning)
+        omega = 0.0 if values is None else float(np.abs(values.imag).max(initial=0.0))
+        limits = {}
+        for name in INTEGRATORS:
+            implicit = element in self.motion.implicit.get(name, ())
+            dt = nutation_dt(omega, name, implicit, self.horizon)
+            limits[name] = _as_tried(dt)
+        return ElementLimits(element, omega, 0.0, 0.0, limits, softened, self.state)
+
+    def _limit(self, name: str, element: Element, omega: float, direction: Floats) -> float:
+        """The largest stable dt [s] of an oscillation along a direction of unit mass."""
+
+        def along(damping: Floats) -> float:
+            return max(float(direction @ damping @ direction), 0.0)
+
+        own = along(self.motion.elements[element].damping)
+        if element.kind == KIND:
+            hidden = along(self.implicit[name]) if name in self.implicit else 0.0
+            return control_dt(omega, own, hidden, name, self.horizon, LONGEST)
+        if name == "midpoint" and element.kind in ROWS:
+            return row_dt_under_midpoint(omega, own)
+        if name == "explicit" and omega > 0:
+            # Damping only helps an oscillation here, whichever element it comes from.
+            return oscillator_dt(omega, along(self.damping), 0.0, name, self.horizon)
+        implicit = along(self.implicit[name]) if name in self.implicit else 0.0
+        explicit = 0.0 if element in self.motion.implicit.get(name, ()) else own
+        if name in STIFFNESS_IMPLICIT and element in self.motion.held and explicit == 0.0:
+            return math.inf
+        return oscillator_dt(omega, explicit, implicit, name, self.horizon)
+
+    def _per_mass(self, matrix: Floats) -> Floats:
+        """L⁻¹ X L⁻ᵀ, M = L Lᵀ."""
+        return self.root @ matrix @ self.root.T
+
+    def _stiffest(self, matrix: Floats) -> tuple[float, Floats]:
+        """The largest eigenvalue of M⁻¹X, X made symmetric, and its direction of unit mass."""
+        value, vector = _largest(self._per_mass(matrix))
+        return value, self.root.T @ vector
+
+
+def _as_tried(dt: float) -> float:
+    """A limit [s] among the steps that are tried: inf beyond the longest, 0 below the shortest."""
+    return math.inf if dt > LONGEST else dt if dt >= SHORTEST else 0.0
+
+
+def _largest(matrix: Floats) -> tuple[float, Floats]:
+    """The largest eigenvalue of the symmetric part, and its vector."""
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    if len(values) == 0:
+        return 0.0, np.zeros(0)
+    size = float(np.abs(values).max())
+    value = float(values[-1])
+    return (value if value > NOTHING * size and value > 0 else 0.0), vectors[:, -1]
+
+
+# The most pairs of geoms that are looked at.
+MOST_PAIRS = 1000
+
+
+@dataclass(frozen=True)
+class _Oscillator:
+    """ω² [1/s²] and damping rates [1/s] of an element as an integrator treats them.
+
+    tree: the body at the root of its tree; -1 for a row, whose acceleration is the same whatever
+    else acts.
+    """
+
+    tree: int
+    square: float
+    explicit: float
+    implicit: float = 0.0
+
+
+def closed_form_bound(model: Model, integrator: str | None = None) -> float:
+    """A step [s] that is stable whatever the elements do together; numbers out of range are stiff.
+
+    integrator: by default the model's own.
+    """
+    integrator = integrator or model.settings.integrator
+    joints = [*_joints(model, integrator), *_tendons(model, integrator)]
+    safe = math.inf
+    for row in [*_rows(model), *_penalties(model)]:
+        omega = math.sqrt(row.square)
+        safe = min(safe, oscillator_dt(omega, row.explicit, row.implicit, integrator))
+    for tree in {one.tree for one in joints}:
+        own = [one for one in joints if one.tree == tree]
+        square, explicit = sum(one.square for one in own), sum(one.explicit for one in own)
+        safe = min(safe, oscillator_dt(math.sqrt(square), explicit, 0.0, integrator))
+    return safe
+
+
+def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
+    """Springs, dampers and servos; what is treated implicitly helps the others of its joint."""
+    hidden = implicit_kinds(model, integrator)
+    gains = list(joint_gains(model))
+    implicit_stiffness = integrator in STIFFNESS_IMPLICIT
+    dampers = {gain.joint: gain.damping for gain in gains if gain.kind == "damper"}
+    for gain in gains:
+        weight, tree = _weight(model, gain.joint), root_of(model, int(model.jnt_body[gain.joint]))
+        # A servo that pushes away from its target grows physically, at any dt.
+        square, rate = max(gain.stiffness, 0.0) * weight, gain.damping * weight
+        own = dampers[gain.joint] * weight * ("damper" in hidden)
+        implicit = gain.kind in hidden
+        if implicit_stiffness:
+            # Servos and springs hold at any dt.
+            square = 0.0
+        if square > 0 or (
+            rate > 0 and not (implicit_stiffness or (gain.kind == "damper" and implicit))
+        ):
+            yield _Oscillator(tree, square, rate * (not implicit), own + rate * implicit)
+
+
+def _tendons(model: Model, integrator: str) -> Iterator[_Oscillator]:
+    """Springs and dampers of tendons, in each tree that they pass; J M⁻¹ Jᵀ is their weight."""
+    if integrator in STIFFNESS_IMPLICIT:
+        return
+    features = model.scene.features
+    late = "tendon damper" in implicit_kinds(model, integrator)
+    layout = Layout(model.scene)
+    for weight, tendon in zip(model.tendon_invweight0.tolist(), model.scene.tendons, strict=True):
+        square = features.spring * max(tendon.stiffness, 0.0) * weight
+        rate = features.damper * tendon.damping * weight
+        bodies = [element.body for element in tendon.elements()]
+        trees = {root_of(model, layout.body(tendon, body)) for body in bodies} - {0}
+        for tree in trees if square > 0 or (rate > 0 and not late) else ():
+            yield _Oscillator(tree, square, rate * (not late), rate * late)
+
+
+def _rows(model: Model) -> Iterator[_Oscillator]:
+    """Limits, equalities, friction losses and contacts that nothing softens with dt."""
+    layout = Layout(model.scene)
+    for element in _row_elements(model, layout):
+        solref = solref_of(model, element)
+        if solref is None:
+            continue
+        if solref[0] > 0:
+            inverse = solref[0] * solref[1]
+            square = 1 / inverse / inverse if inverse > 0 else math.inf
+            rate = 2 / solref[0]
+            limit = oscillator_dt(math.sqrt(square), rate, 0.0, model.settings.integrator)
+            if softened_from(model, element) < limit:
+                continue
+        else:
+            square, rate = -solref[0], -solref[1]
+        if element.kind in ("friction loss", "tendon friction loss"):
+            square = 0.0
+        yield _Oscillator(-1, max(square, 0.0), max(rate, 0.0))
+
+
+def _row_elements(model: Model, layout: Layout) -> Iterator[Element]:
+    """The elements that have rows, contacts only where their solref may limit dt."""
+    features, settings = model.scene.features, model.settings
+    if not features.constraint:
+        return
+    for j, joint in enumerate(layout.joints):
+        if features.limit and joint.range is not None:
+            yield Element.of(model, "limit", j)
+        if features.frictionloss and joint.frictionloss > 0:
+            yield Element.of(model, "friction loss", j)
+    for t, tendon in enumerate(model.scene.tendons):
+        if features.limit and tendon.range is not None:
+            yield Element.of(model, "tendon limit", t)
+        if features.frictionloss and tendon.frictionloss > 0:
+            yield Element.of(model, "tendon friction loss", t)
+    for e, equality in enumerate(model.scene.equalities):
+        if features.equality and equality.active:
+            yield Element.of(model, equality.row_kind, e)
+    if settings.law == "solref":
+        # A heap's contacts are judged while they are there.
+        solrefs = enumerate([] if model.is_heap else model.pair_solref.tolist())
+        hard = [pair for pair, solref in solrefs if may_limit_dt(solref, settings.refsafe)]
+        for pair in hard[:MOST_PAIRS]:
+            yield Element.of(model, "contact", pair)
+
+
+def _pair_weights(model: Model) -> list[float]:
+    """The largest sum of mean inverse masses that two bodies of a heap can have [1/kg]."""
+    weights = sorted((float(w) for w in model.body_invweight0[:, 0]), reverse=True)
+    return [sum(weights[:2])]
+
+
+def _penalties(model: Model) -> Iterator[_Oscillator]:
+    """The spring of a contact under the law `penalty`, on the masses of both bodies."""
+    s = model.settings
+    if s.law != "penalty":
+        return
+    weights = model.pair_invweight0[:MOST_PAIRS] if not model.is_heap else _pair_weights(model)
+    for weight in weights:
+        square = s.penalty_stiffness * float(weight)
+        rate = 2 * s.penalty_damping_ratio * math.sqrt(square)
+        yield _Oscillator(-1, square, rate)
+
+
+def _weight(model: Model, joint: int) -> float:
+    """The largest entry of M⁻¹'s diagonal at qpos0 among the joint's dofs."""
+    return float(model.dof_invweight0[joint_dofs(model, joint)].max())
+
+
+def root_of(model: Model, body: int) -> int:
+    """The body at the root of a body's tree."""
+    while model.body_parent[body] > 0:
+        body = int(model.body_parent[body])
+    return body
