@@ -70,8 +70,8 @@ def test_settings_refuse_what_is_no_number_within_the_limits(field, value):
         ({"cone": None}, "cone"),
         ({"precision": "f16"}, "must be one of f32, f64"),
         ({"law": "rigid", "solver": "newton"}, "'pgs' under a Coulomb law"),
-        ({"timestep": 0.1}, "no 'timestep'"),
-        ({"tolerence": 0.1}, "nearest: tolerance"),
+        ({"timestep": 0.1}, "no '?(argument \")?timestep"),
+        ({"tolerence": 0.1}, 'nearest: "?tolerance'),
     ],
 )
 def test_settings_refuse(fields, text):
@@ -280,13 +280,13 @@ def test_a_batch_needs_a_number_of_worlds(model, n):
 
 @pytest.mark.parametrize("threads", [0, -1, 10**6, 1.5, "2"])
 def test_a_batch_needs_a_number_of_threads(model, threads):
-    refuses("^threads = .*: must be", sc.Batch, model, 2, threads)
+    refuses("^threads = .*: must be", sc.Batch, model, 2, threads=threads)
 
 
 def test_other_arguments_of_a_batch(model):
     refuses("lanes = 1: must be one of True, False, 'auto'", sc.Batch, model, 2, lanes=1)
     refuses("precision = 'f8'", sc.Batch, model, 2, precision="f8")
-    refuses("no 'thread'", sc.Batch, model, 2, thread=2)
+    refuses('no argument "thread"; nearest: "threads"', sc.Batch, model, 2, thread=2)
 
 
 def test_a_batch_names_the_world(model):
