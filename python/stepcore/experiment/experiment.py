@@ -15,6 +15,7 @@ from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.cost import TimedRun, costs, heaviness
 from stepcore.experiment.errors import STICKS, Errors, errors
 from stepcore.experiment.failure import failure
+from stepcore.experiment.growth import Growth, growth
 from stepcore.experiment.reference import Reference, ReferenceRuns
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Probes, Runner, positions, recorded
@@ -115,6 +116,10 @@ class Experiment:
         if self._size is None:
             self._size = scene_size(self.model.scene, reference.runs)
         return reference
+
+    def growth(self, settings: Settings, bar: Progress) -> Growth:
+        """How fast perturbed runs separate under some settings."""
+        return growth(self.runner, settings, self.size, self.workers, bar)
 
     @property
     def size(self) -> float:

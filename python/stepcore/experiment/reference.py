@@ -21,7 +21,6 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.experiment.arguments import Workers
-from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.closed_form import Exact, closed
 from stepcore.experiment.converged import (
     Known,
@@ -222,14 +221,10 @@ class ReferenceRuns:
         solves = 1.0 if integrator == "rk4" else 0.25
         return steps * (self.runner.model.nv + 2) * solves * self.weight
 
-    def level(self, integrator: str, dt: float, bar: Progress, bare: bool = False) -> Level:
-        """All starts at one step, until one fails; bare: only positions are recorded."""
-        settings, starts = self.settings(integrator, dt), self.runner.starts
-        if bare:
-            runs = screened(self.runner, settings, starts, self.workers, bar, until_fails=True)
-        else:
-            job = partial(self.runner.run, settings)
-            runs = self.workers.until(lambda run: run.failure, job, starts, bar)
+    def level(self, integrator: str, dt: float, bar: Progress) -> Level:
+        """All starts at one step, until one fails."""
+        job = partial(self.runner.run, self.settings(integrator, dt))
+        runs = self.workers.until(lambda run: run.failure, job, self.runner.starts, bar)
         self.spent += self.cost(integrator, dt) * len(runs) / self.starts
         return Level(dt, integrator, runs)
 

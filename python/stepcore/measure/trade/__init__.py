@@ -176,7 +176,7 @@ def trade(
     if further and _recommends(frontier, target, limit):
         unseen = dataclasses.replace(motion, seed=motion.seed + APART)
         others = scheduled(unseen, model, period, starts=further + 1).part(1)
-        confirm = Confirmation(cache, made, others)
+        confirm = Confirmation(cache, others)
         if target is not None:
             # A full grid is not searched again.
             again = None if full else HardestStarts(cache, confirm, counts, kind, target)

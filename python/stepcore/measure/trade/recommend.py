@@ -22,8 +22,9 @@ from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.errors import WORST_START, errors
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.failure import far_off
-from stepcore.experiment.growth import DIRECTIONS, Growth, growth
-from stepcore.experiment.reference import Reference, ReferenceRuns
+from stepcore.experiment.growth import DIRECTIONS, Growth
+from stepcore.experiment.reference import Reference
+from stepcore.experiment.runner import positions
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.trade.methods import DENSER, Kind, Steps
 from stepcore.measure.trade.rows import MARGIN, Frontier, Further, TradeRow
@@ -61,28 +62,25 @@ Ran = tuple[int, float, str | None]
 class Confirmation:
     """Further starts with their own reference, on which settings are tested."""
 
-    def __init__(self, cache: RunCache, made: ReferenceRuns, others: Schedule) -> None:
+    def __init__(self, cache: RunCache, others: Schedule) -> None:
         self.cache, own = cache, cache.experiment
         self.further = Experiment(own.model, others, own.workers, own.size)
-        runner, workers = self.further.runner, own.workers
-        further = ReferenceRuns(runner, made.shipped, made.finest, math.inf, workers, made.weight)
         self.hard: list[int] = []
         self.ends = np.full(self.count, np.inf)
         self.scored: np.ndarray | None = None
         # By settings and further start: how wrong the run was [m], and why it failed if it did.
         self.ran: dict[Settings, dict[int, Ran]] = {}
         # As fine as the search's own: a further start may be harder than all of those.
-        level = cache.reference.level
-        with workers.bar("further starts", self.count) as bar:
-            self.truth = further.level(level.integrator, level.dt, bar, bare=True)
+        settings, level = cache.reference.settings, cache.reference.level
+        runs = self.further.run(settings, probes=positions, bar="further starts")
+        self.truth = dataclasses.replace(level, runs=runs)
         if self.truth.failed:
             return
         if cache.reference.growth.factor.max() < CALM:
             self.scored = np.ones((self.count, len(others.times)), bool)
             return
-        settings = further.settings(level.integrator, level.dt)
-        with workers.bar("further perturbed runs", (1 + DIRECTIONS) * self.count) as bar:
-            grown = growth(runner, settings, own.size, workers, bar)
+        with own.workers.bar("further perturbed runs", (1 + DIRECTIONS) * self.count) as bar:
+            grown = self.further.growth(settings, bar)
         self.scored, self.ends = grown.scored, grown.ends
 
     @property
