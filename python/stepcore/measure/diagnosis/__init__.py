@@ -21,7 +21,6 @@ from stepcore.measure.diagnosis.control import KIND, with_feedback
 from stepcore.measure.diagnosis.control_advice import advise_control, longest_period
 from stepcore.measure.diagnosis.elements import softened_from
 from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements, closed_form_bound
-from stepcore.measure.diagnosis.judgement import Judge, Runaway, judge, judged_limit
 from stepcore.measure.diagnosis.limits import (
     LONGEST,
     SHORTEST,
@@ -31,10 +30,10 @@ from stepcore.measure.diagnosis.limits import (
     step_stability,
 )
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
+from stepcore.measure.diagnosis.motion_check import Judge, Runaway, judge, judged_limit
 from stepcore.measure.diagnosis.motion_runs import MotionRuns
-from stepcore.measure.diagnosis.observation import kicked, look
 from stepcore.measure.diagnosis.result import Diagnosis
-from stepcore.measure.diagnosis.saturation import holds_when_kicked
+from stepcore.measure.diagnosis.saturation import holds_when_kicked, kicked, look
 from stepcore.measure.diagnosis.shares import limiters
 from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
 from stepcore.measure.diagnosis.visited_states import eased, nudged, sampled_often, start, visited

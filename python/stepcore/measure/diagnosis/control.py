@@ -255,24 +255,18 @@ def control_dt(
     """The largest stable period [s] of a control alone on a unit mass, one step a period.
 
     omega² and damping: its gains on position [1/s²] and velocity [1/s]. implicit: damping of the
-    joint that the integrator treats implicitly [1/s]. With p = dt ω² and d = dt c the z-map is
-
-        explicit             v⁺ = v − p q − d v,                        q⁺ = q + dt v
-        midpoint, rk4        v⁺ = v − p q − d v,                        q⁺ = q + dt (v + v⁺)/2
-        all others           v⁺ = v − (p q + d v + dt i v)/(1 + dt i),  q⁺ = q + dt v⁺
-
-    The second is exact: it is stable for dt < 2/c and dt < 2 c/ω².
+    joint that the integrator treats implicitly [1/s].
     """
-    rates = np.linalg.eigvals(np.array([[0.0, 1.0], [-omega * omega, -damping]]))
+    pull = np.array([[-omega * omega, -damping]])
+    rates = np.linalg.eigvals(np.vstack([[0.0, 1.0], pull]))
     hidden = implicit if integrator in DAMPING_IMPLICIT else 0.0
-    rest, velocity = np.eye(2)
+    free, unit = np.array([[0.0, 1.0], [0.0, -hidden]]), np.eye(1)
+    law, late = Feedback.prompt_law(lambda time, sim: (), pull), (hidden * unit, 0 * unit)
 
     def stable(dt: float) -> bool:
-        pull = np.array([omega * omega, damping + hidden]) / (1 + dt * hidden)
-        after = velocity - dt * pull
-        moving = {"explicit": velocity, "midpoint": (velocity + after) / 2}
-        moving["rk4"] = moving["midpoint"]
-        step = np.array([rest + dt * moving.get(integrator, after), after])
+        step = held_step(
+            integrator, dt, 1, lambda y: free @ y, np.eye(2), unit, late, None, law, unit
+        )
         return worst_growth(np.linalg.eigvals(step), dt, rates, horizon).stable
 
     fastest = max(omega, damping)

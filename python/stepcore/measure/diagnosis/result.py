@@ -15,9 +15,9 @@ from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis import words
 from stepcore.measure.diagnosis.advice import MARGIN, Advice
 from stepcore.measure.diagnosis.isolated import ElementLimits
-from stepcore.measure.diagnosis.judgement import Outcome, Runaway
 from stepcore.measure.diagnosis.limits import Limit
 from stepcore.measure.diagnosis.linear_step import State
+from stepcore.measure.diagnosis.motion_check import Outcome, Runaway
 from stepcore.measure.diagnosis.saturation import Saturation
 from stepcore.report.result import Result
 from stepcore.report.table import Table

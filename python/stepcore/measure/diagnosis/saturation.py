@@ -1,4 +1,4 @@
-"""Servos at the ends of their force ranges, where their damping is gone.
+"""Servos at the ends of their force ranges, where kv has no effect, and what the motion does.
 
 A force that is clamped no longer depends on the velocity: its derivative is zero, and an integrator
 that treats the servo's damping implicitly takes an explicit step there. With gain kv, force range
@@ -13,14 +13,22 @@ every state that is linearised, goes from end to end too once it is pushed (`swi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.judgement import CHATTER, EXPLODED, Judge, first_failing
+from stepcore.measure.diagnosis.limits import Limit
 from stepcore.measure.diagnosis.linear_step import State
+from stepcore.measure.diagnosis.motion_check import (
+    CHATTER,
+    EXPLODED,
+    Judge,
+    Outcome,
+    Runaway,
+    first_failing,
+)
 from stepcore.measure.diagnosis.motion_runs import MotionRun, largest_speeds
 from stepcore.measure.diagnosis.servo_range import (
     crossing_dt,
@@ -29,6 +37,7 @@ from stepcore.measure.diagnosis.servo_range import (
     reaching_speed,
     swinging_dt,
 )
+from stepcore.measure.diagnosis.shares import Shares
 
 # The kick over the speed at which the range is reached; the most servos that are kicked.
 KICK, SERVOS = 1.5, 6
@@ -66,27 +75,62 @@ class Saturation:
 
 
 @dataclass(frozen=True)
-class _Candidate:
-    """A servo that a step may throw across its range.
+class Observation:
+    """What was seen of the motion at the wanted step.
 
-    alone [s]: from which step on, by closed form. speed [rad/s or m/s]: at which the range is
-    reached. swinging: see `Saturation`.
+    limit, shares: of the scene's integrator, after it. outcome: what the motion did; None where
+    the step is too long to tell. saturations: servos that chatter. lasting: see `Judge.lasting`.
+    runaway: where the motion blows up at every step.
     """
 
-    servo: Element
-    alone: float
-    speed: float
-    swinging: bool
+    limit: Limit
+    shares: Shares
+    outcome: Outcome | None = None
+    saturations: list[Saturation] = field(default_factory=list)
+    lasting: float | None = None
+    runaway: Runaway | None = None
 
 
-def saturations(judge: Judge, integrator: str, wanted: float) -> list[Saturation]:
-    """The servos that chatter at the wanted dt [s] once they are kicked, the worst first."""
-    found = []
-    for candidate in _candidates(judge, integrator, wanted):
-        kicked = _Kicked(judge, integrator, candidate)
-        if not kicked.rests(kicked.run(wanted)):
-            found.append(kicked.saturation(wanted))
-    return sorted(found, key=lambda one: (not one.severe, one.dt))
+def look(judge: Judge | Runaway | None, limit: Limit, shares: Shares, wanted: float) -> Observation:
+    """Runs the motion at the wanted step [s], and after kicks beyond the servos' force ranges.
+
+    limit, shares: of the scene's integrator so far.
+    """
+    if isinstance(judge, Runaway):
+        return Observation(limit, shares, runaway=judge)
+    if judge is None or wanted > judge.longest:
+        return Observation(limit, shares)
+    run = judge.run(limit.integrator, wanted)
+    outcome = judge.judged(run)
+    if limit.dt >= wanted and outcome.kind == "explodes":
+        # Driven near its limit, the motion swings wider than the fine run's.
+        outcome = replace(outcome, kind="holds")
+    if limit.dt < wanted:
+        chatter = []
+        if limit.outcome == "chatters":
+            servo = max(shares, key=lambda element: shares[element])
+            chatter = [_described(judge, servo, run, limit.dt, True, run.peak > judge.bound)]
+        return Observation(limit, shares, outcome, chatter)
+    limit, shares, chatter = kicked(judge, limit, shares, wanted)
+    lasting = judge.lasting(limit.integrator, wanted) if outcome.holds else None
+    return Observation(limit, shares, outcome, chatter, lasting)
+
+
+def kicked(
+    judge: Judge, limit: Limit, shares: Shares, wanted: float
+) -> tuple[Limit, Shares, list[Saturation]]:
+    """A limit and its shares after kicks of the servos, and those that chatter at the wanted dt [s]
+    then, the worst first."""
+    chatter = []
+    for kick in _kicks(judge, limit.integrator, wanted):
+        run = kick.run(wanted)
+        if not kick.rests(run):
+            chatter.append(kick.saturation(run))
+    chatter.sort(key=lambda servo: (not servo.severe, servo.dt))
+    if chatter and chatter[0].severe:
+        limit = replace(limit, dt=chatter[0].dt, state=0, outcome="chatters")
+        shares = {chatter[0].element: 1.0}
+    return limit, shares, chatter
 
 
 def holds_when_kicked(judge: Judge, model: Model, integrator: str, dt: float) -> bool:
@@ -94,10 +138,9 @@ def holds_when_kicked(judge: Judge, model: Model, integrator: str, dt: float) ->
     if not judge.holds(model, integrator, dt):
         return False
     changed = replace(judge, real=replace(judge.real, model=model))
-    for candidate in _candidates(changed, integrator, dt):
-        kicked = _Kicked(changed, integrator, candidate)
-        run = kicked.run(dt)
-        if not kicked.rests(run) and kicked.severe(run):
+    for kick in _kicks(changed, integrator, dt):
+        run = kick.run(dt)
+        if not kick.rests(run) and kick.severe(run):
             return False
     return True
 
@@ -116,10 +159,9 @@ def settles(model: Model, state: State, integrator: str, dt: float, servo: int) 
         return True
     push = np.zeros(model.nv)
     push[dof] = kick
-    begun = abs(float(state.qvel[dof] + kick))
     state = replace(state, feedback=None)
     speeds = largest_speeds(model, state, integrator, dt, BRIEF, push)
-    return speeds is not None and bool(speeds[dof] <= RESTS * begun)
+    return speeds is not None and bool(speeds[dof] <= RESTS * abs(state.qvel[dof] + kick))
 
 
 def _fastest(model: Model, servo: int) -> float:
@@ -128,93 +170,82 @@ def _fastest(model: Model, servo: int) -> float:
     return FASTEST if turns else FASTEST_SLIDE
 
 
-def saturation_of(judge: Judge, element: Element, run: MotionRun, dt: float) -> Saturation:
-    """What a servo does that chatters in the motion itself.
+@dataclass(frozen=True)
+class _Kick:
+    """The motion after a kick of a servo's joint beyond its force range.
 
-    run: at the wanted step. dt [s]: the largest step at which it does not.
+    alone [s]: the step from which on it may be thrown across the range, by closed form. speed
+    [rad/s or m/s]: at which the range is reached. swinging: see `Saturation`.
     """
-    return _described(judge, element, run, dt, True, run.peak > judge.bound)
+
+    judge: Judge
+    integrator: str
+    servo: Element
+    alone: float
+    speed: float
+    swinging: bool
+
+    def run(self, dt: float) -> MotionRun:
+        """The kicked motion at a step."""
+        real = self.judge.real
+        kick = np.zeros(real.model.nv)
+        kick[driven_dof(real.model, self.servo.index)] = KICK * self.speed
+        horizon = min(STEPS * dt, self.judge.fine.reached)
+        return real.run(self.integrator, dt, horizon=horizon, kick=kick)
+
+    def rests(self, run: MotionRun) -> bool:
+        """Whether the servo does not chatter in a run."""
+        return run.finite and float(run.swings[self.servo.index]) <= CHATTER
+
+    def severe(self, run: MotionRun) -> bool:
+        """Whether a run has much more energy than the kick and the motion, or swings for good."""
+        begun = max(float(run.energies[0]), self.judge.fine.peak, self.judge.floor)
+        lasting = self.swinging and float(run.jumps[self.servo.index]) > CHATTER
+        return not run.finite or run.peak > EXPLODED * begun or lasting
+
+    def saturation(self, run: MotionRun) -> Saturation:
+        """What it does in a run at the wanted step."""
+        limit = first_failing(lambda dt: self.rests(self.run(dt)), self.alone, run.dt)
+        if self.swinging:
+            # At some longer steps friction catches this kick, and not another one.
+            limit = min(limit, self.alone)
+        servo = _described(self.judge, self.servo, run, limit, False, self.severe(run))
+        return replace(servo, speed=self.speed, swinging=self.swinging)
 
 
-def _candidates(judge: Judge, integrator: str, wanted: float) -> list[_Candidate]:
-    """Servos that a step of `wanted` [s] may throw across, worst first."""
+def _kicks(judge: Judge, integrator: str, wanted: float) -> list[_Kick]:
+    """Kicks of the servos that a step of `wanted` [s] may throw across, the worst first."""
     model, qpos = judge.real.model, judge.real.start.qpos
-    if not model.nu or not model.scene.features.actuation:
-        return []
-    found = []
-    for i in range(model.nu):
+    kicks: list[_Kick] = []
+    for i in range(model.nu if model.scene.features.actuation else 0):
         if model.actuator_joint[i] < 0:
             # Not along one joint, which alone could be kicked.
             continue
         usual = max(_fastest(model, i), judge.fine.speeds[driven_dof(model, i)])
         servo, speed = Element.of(model, "actuator", i), reaching_speed(model, i)
         limit, swing = swinging_dt(model, qpos, i, integrator)
-        ways = [
-            _Candidate(servo, crossing_dt(model, qpos, i), speed, False),
-            _Candidate(servo, limit, min(speed, swing), True),
+        may = [
+            _Kick(judge, integrator, servo, crossing_dt(model, qpos, i), speed, False),
+            _Kick(judge, integrator, servo, limit, min(speed, swing), True),
         ]
-        may = [way for way in ways if KICK * way.speed <= usual and way.alone < wanted]
-        found += may[:1]
-    return sorted(found, key=lambda candidate: candidate.alone)[:SERVOS]
-
-
-@dataclass(frozen=True)
-class _Kicked:
-    """The motion after a kick of a servo's joint beyond its force range."""
-
-    judge: Judge
-    integrator: str
-    candidate: _Candidate
-
-    @property
-    def index(self) -> int:
-        """The servo's."""
-        return self.candidate.servo.index
-
-    def run(self, dt: float) -> MotionRun:
-        """The kicked motion at a step."""
-        model = self.judge.real.model
-        kick = np.zeros(model.nv)
-        kick[driven_dof(model, self.index)] = KICK * self.candidate.speed
-        horizon = min(STEPS * dt, self.judge.fine.reached)
-        return self.judge.real.run(self.integrator, dt, horizon=horizon, kick=kick)
-
-    def rests(self, run: MotionRun) -> bool:
-        """Whether the servo does not chatter in a run."""
-        return run.finite and float(run.swings[self.index]) <= CHATTER
-
-    def severe(self, run: MotionRun) -> bool:
-        """Whether a run has much more energy than the kick and the motion, or swings for good."""
-        begun = max(float(run.energies[0]), self.judge.fine.peak, self.judge.floor)
-        lasting = self.candidate.swinging and float(run.jumps[self.index]) > CHATTER
-        return not run.finite or run.peak > EXPLODED * begun or lasting
-
-    def saturation(self, wanted: float) -> Saturation:
-        """What it does at the wanted step."""
-        alone = self.candidate.alone
-        limit = first_failing(lambda dt: self.rests(self.run(dt)), alone, wanted)
-        if self.candidate.swinging:
-            # At some longer steps friction catches this kick, and not another one.
-            limit = min(limit, alone)
-        run = self.run(wanted)
-        found = _described(self.judge, self.candidate.servo, run, limit, False, self.severe(run))
-        return replace(found, speed=self.candidate.speed, swinging=self.candidate.swinging)
+        kicks += [kick for kick in may if KICK * kick.speed <= usual and kick.alone < wanted][:1]
+    return sorted(kicks, key=lambda kick: kick.alone)[:SERVOS]
 
 
 def _described(
     judge: Judge, servo: Element, run: MotionRun, dt: float, reached: bool, severe: bool
 ) -> Saturation:
+    """What a servo does in a run at the wanted step; dt [s]: the largest at which it rests."""
     model = judge.real.model
-    usual = float(judge.fine.speeds[driven_dof(model, servo.index)])
-    joint = int(model.actuator_joint[servo.index])
+    dof, joint = driven_dof(model, servo.index), int(model.actuator_joint[servo.index])
     return Saturation(
         element=servo,
         joint=model.element_name("joint", joint),
         angular=model.jnt_type[joint] != "slide",
         force=largest_force(model, servo.index),
         speed=reaching_speed(model, servo.index),
-        thrown=float(run.speeds[driven_dof(model, servo.index)]),
-        usual=usual,
+        thrown=float(run.speeds[dof]),
+        usual=float(judge.fine.speeds[dof]),
         dt=dt,
         reached=reached,
         severe=severe,

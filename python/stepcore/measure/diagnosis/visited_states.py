@@ -27,16 +27,17 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.diagnosis.linear_step import State, sim_at, state_now, state_of
 
-# The most states that are kept, and the most steps and samples of the run.
+# The most states, and the most steps and samples of the run.
 STATES, STEPS, SAMPLES = 8, 20_000, 200
 # The most dofs at all states together, with at least two states.
 DOFS = 200
-# The most sets of overlaps and limits of which the deepest state is kept, and about how often
-# during a run they are looked for.
+# The most sets of overlaps and limits whose deepest state is kept, and about how often in a run
+# these are looked for.
 PATTERNS, LOOKS = 32, 5_000
-# From so many e-folds in the horizon on a start is pushed by this velocity [rad/s or m/s].
+# A start from which the motion grows by more e-folds than this in the horizon is pushed by this
+# velocity [rad/s or m/s].
 UNSTABLE, NUDGE = 5.0, 1e-6
-# The share of the motion over which the seeded controls are blended in.
+# The share of the motion over which random controls are blended in.
 EASING = 0.25
 
 # Which limits are exceeded, and which pairs of geoms overlap.
@@ -45,8 +46,7 @@ Pattern = tuple[bytes, frozenset[int]]
 
 @dataclass(frozen=True)
 class Visit:
-    """The states, the step at which the run was made [s], the time it reached [s], and why it
-    ended early."""
+    """The states of a run, its step [s], the time that it reached [s], and why it ended early."""
 
     states: list[State]
     dt: float
@@ -55,10 +55,7 @@ class Visit:
 
 
 def eased(schedule: Schedule, ctrl: Floats) -> Schedule:
-    """The schedule with its controls blended in from `ctrl`.
-
-    A jump of the controls would make a stiff servo act with a shock that nobody asked for.
-    """
+    """The schedule with its controls blended in from `ctrl`: a jump would shock a stiff servo."""
     if schedule.ctrl is None:
         return schedule
     share = np.minimum(1.0, np.arange(schedule.periods) / (EASING * schedule.periods))[:, None]
@@ -66,10 +63,10 @@ def eased(schedule: Schedule, ctrl: Floats) -> Schedule:
 
 
 def nudged(schedule: Schedule, model: Model, growth: float) -> Schedule:
-    """The schedule with a start that is pushed a little where the motion grows from rounding.
+    """The schedule with its start pushed a little where the motion grows by more than `UNSTABLE`.
 
-    growth [1/s]: the fastest of the motion at the start. A body that spins about its middle axis
-    tumbles; begun exactly on it, when it does is up to rounding.
+    growth [1/s]: the fastest of the motion at the start. A body that spins exactly about its middle
+    axis tumbles at a time that rounding decides.
     """
     first = schedule.starts[0]
     if growth * schedule.horizon < UNSTABLE:
@@ -109,7 +106,7 @@ def visited(model: Model, schedule: Schedule, safe: float) -> Visit:
     run = replace(schedule, period=period, periods=periods, every=max(1, periods // SAMPLES))
     control = None
     if schedule.control is not None:
-        # One object in the whole run, seen by the probe; a function is not copied again.
+        # The probe copies the object that the run uses; `follow` does not copy a plain function.
         control = fresh(schedule.control)
         run = replace(run, control=_handed_on(control))
     runner = Runner(model, run)
@@ -158,10 +155,7 @@ class _SampledStates(Probe):
 
 
 class _BriefStates(Probe):
-    """Keeps the deepest state of each set of overlaps and reached limits, at whatever step.
-
-    A bounce is shorter than the time between two samples.
-    """
+    """Keeps the deepest state of each set of overlaps and reached limits, between samples too."""
 
     def __init__(self, model: Model, steps: int) -> None:
         joints = Coordinates(model).joints
@@ -194,7 +188,7 @@ class _BriefStates(Probe):
             self.deepest[pattern] = depth, state_now(sim, f"t = {sim.time:.3g} s", sim.time)
 
     def states(self, model: Model) -> Iterator[State]:
-        """The states, with the rows that act there."""
+        """The kept states, with the rows that act there."""
         for _, state in self.deepest.values():
             sim = sim_at(model, state)
             try:
@@ -206,9 +200,9 @@ class _BriefStates(Probe):
 
 
 def _chosen(seen: Sequence[State]) -> list[State]:
-    """The first; the last with each set of rows, the largest sets first; then evenly in time.
+    """The first; the last with each set of rows, the largest sets first; others evenly in time.
 
-    A large model, whose linearised step takes long, has fewer.
+    A large model has fewer, because its linearised step takes long.
     """
     most = max(2, min(STATES, DOFS // len(seen[0].qvel)))
     kept = {0}

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 
 from stepcore.engine.element import INERTIAL, Element, Elements, listed
 from stepcore.measure.diagnosis.isolated import ElementLimits
-from stepcore.measure.diagnosis.judgement import Runaway
 from stepcore.measure.diagnosis.limits import SHORTEST, StepStability
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
+from stepcore.measure.diagnosis.motion_check import Runaway
 from stepcore.measure.diagnosis.saturation import Saturation
 from stepcore.measure.diagnosis.visited_states import Visit
 from stepcore.report.units import counted, hertz, seconds
