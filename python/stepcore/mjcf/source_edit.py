@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from stepcore.mjcf.nodes import Source
     from stepcore.scene.contents import Contents
 
+# First byte, last byte, replacement.
+_Edit = tuple[int, int, bytes]
+
 
 def save(scene: Contents, path: str | os.PathLike[str]) -> None:
     """Writes the scene to a file; see `Scene.save`."""
@@ -39,21 +42,23 @@ def kept(scene: Contents, directory: str) -> bytes | None:
     directory: the folder that the text is saved to.
     """
     source = scene._source
-    if source is None:
+    original = None if source is None else _read(type(scene)(), source.data, source)
+    if source is None or original is None:
         return None
-    original = _read(type(scene)(), source.data, source)
-    if original is None or not _only_settings_differ(original, scene):
+    same = original.with_settings(scene.settings)
+    same.name = scene.name
+    if same != scene:
         return None
     try:
-        marks = _Marks.of(source.data)
+        tags = _Tags(source.data)
     except expat.ExpatError:
         return None
-    if marks.names_files and directory != source.directory:
+    if tags.names_files and directory != source.directory:
         return None
     if original == scene:
         return source.data
-    for place in (marks.option, None):
-        data = _edited(source.data, marks, place, original, scene)
+    for in_place in (True, False):
+        data = _edited(source.data, tags, in_place, original, scene)
         if data is not None and _read(type(scene)(), data, source) == scene:
             return data
     return None
@@ -68,14 +73,8 @@ def _read(scene: Contents, data: bytes, source: Source) -> Contents | None:
     return scene
 
 
-def _only_settings_differ(original: Contents, scene: Contents) -> bool:
-    same = original.with_settings(scene.settings)
-    same.name = scene.name
-    return same == scene
-
-
 @dataclass
-class _Open:
+class _Tag:
     """A start tag: its bytes in the text, and whether it closes itself."""
 
     start: int
@@ -83,142 +82,115 @@ class _Open:
     closed: bool
 
 
-@dataclass
-class _Marks:
-    """The tags that hold settings, the last of each kind."""
+class _Tags:
+    """The start tags that hold settings, the last of each path below the root, whose path is "".
 
-    root: _Open | None = None
-    end: int = -1
-    option: _Open | None = None
-    flag: _Open | None = None
-    text: _Open | None = None
-    names_files: bool = False
-    path: list[str] = field(default_factory=list)
+    end: where the end tag of the root begins. names_files: whether any element has a file.
+    """
 
-    @classmethod
-    def of(cls, data: bytes) -> _Marks:
-        marks = cls()
+    def __init__(self, data: bytes) -> None:
+        self.last: dict[str, _Tag] = {}
+        self.end = -1
+        self.names_files = False
+        path: list[str] = []
         parser = expat.ParserCreate()
 
         def start(tag: str, attrs: dict[str, str]) -> None:
-            marks._start(data, parser.CurrentByteIndex, tag, attrs)
+            path.append(tag)
+            where = "/".join(path[1:])
+            self.names_files |= "file" in attrs
+            if where == "option":
+                self.last.pop("option/flag", None)
+            ours = where == "custom/text" and attrs.get("name") == custom.NAME
+            if ours or where in ("", "option", "option/flag"):
+                at = parser.CurrentByteIndex
+                # Up to the ">" that is not quoted.
+                match = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(data, at)
+                stop = match.end() if match else at
+                self.last[where] = _Tag(at, stop, data[stop - 2 : stop] == b"/>")
 
-        def end(tag: str) -> None:
-            marks.path.pop()
-            if not marks.path:
-                marks.end = parser.CurrentByteIndex
+        def end(_tag: str) -> None:
+            path.pop()
+            if not path:
+                self.end = parser.CurrentByteIndex
 
         parser.StartElementHandler, parser.EndElementHandler = start, end
         parser.Parse(data, True)
-        return marks
-
-    def _start(self, data: bytes, at: int, tag: str, attrs: dict[str, str]) -> None:
-        where = "/".join([*self.path[1:], tag])
-        self.path.append(tag)
-        self.names_files |= "file" in attrs
-        mark = _tag(data, at)
-        if len(self.path) == 1:
-            self.root = mark
-        elif where == "option":
-            self.option, self.flag = mark, None
-        elif where == "option/flag":
-            self.flag = mark
-        elif where == "custom/text" and attrs.get("name") == custom.NAME:
-            self.text = mark
-
-
-def _tag(data: bytes, start: int) -> _Open:
-    """The start tag at this byte, up to the ">" that is not quoted."""
-    match = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(data, start)
-    stop = match.end() if match else start
-    return _Open(start, stop, data[stop - 2 : stop] == b"/>")
-
-
-# First byte, last byte, replacement.
-_Edit = tuple[int, int, bytes]
 
 
 def _edited(
-    data: bytes, marks: _Marks, option: _Open | None, original: Contents, scene: Contents
+    data: bytes, tags: _Tags, in_place: bool, original: Contents, scene: Contents
 ) -> bytes | None:
-    """The text with the settings of `scene`, in this option tag or in a new one at the end."""
-    if marks.root is None or marks.root.closed:
+    """The text with the settings of `scene`, in its last <option> or in a new one at the end."""
+    root = tags.last[""]
+    if root.closed:
         return None
     before, after = original.settings.as_dict(), scene.settings.as_dict()
     changed = {name: value for name, value in after.items() if value != before[name]}
     attributes, flags, _ = said(changed)
-    rest = said(to_say(scene.settings))[2]
     edits: list[_Edit] = []
+    added: list[Tag] = []
     if scene.name != original.name:
-        edits.append(_with(data, marks.root, {"model": scene.name}))
-    late: list[Tag] = []
-    if option is None:
+        edits.append(_with(data, root, {"model": scene.name}))
+    option, flag = tags.last.get("option"), tags.last.get("option/flag")
+    if not in_place or option is None:
         if attributes or flags:
-            late.append(Tag("option", **attributes))
+            added.append(Tag("option", **attributes))
             if flags:
-                late[-1].add(Tag("flag", **flags))
+                added[-1].add(Tag("flag", **flags))
     else:
-        edits += _in_option(data, option, marks.flag, attributes, flags)
-    edits += _custom(data, marks, rest, late)
-    if late:
-        lines = "".join(f"  {_flat(tag)}\n" for tag in late)
-        edits.append((marks.end, marks.end, lines.encode()))
+        start, stop, text = _with(data, option, attributes)
+        if flags and flag is not None:
+            edits.append(_with(data, flag, flags))
+        elif flags:
+            inner = Tag("flag", **flags).start().encode()
+            text = (
+                text[:-2].rstrip() + b">" + inner + b"</option>" if option.closed else text + inner
+            )
+        edits.append((start, stop, text))
+    rest = said(to_say(scene.settings))[2]
+    held = tags.last.get("custom/text")
+    if held is not None:
+        edits.append(_custom(data, held, rest))
+    elif rest:
+        added.append(Tag("custom"))
+        added[-1].add(Tag("text", name=custom.NAME, data=custom.data(rest)))
+    if added:
+        lines = "".join(f"  {_on_one_line(tag)}\n" for tag in added)
+        edits.append((tags.end, tags.end, lines.encode()))
     for start, stop, new in sorted(edits, reverse=True):
         data = data[:start] + new + data[stop:]
     return data
 
 
-def _in_option(
-    data: bytes,
-    option: _Open,
-    flag: _Open | None,
-    attributes: dict[str, str],
-    flags: dict[str, str],
-) -> list[_Edit]:
-    start, stop, tag = _with(data, option, attributes)
-    if not flags:
-        return [(start, stop, tag)]
-    if flag is not None:
-        return [(start, stop, tag), _with(data, flag, flags)]
-    inner = Tag("flag", **flags).start().encode()
-    if option.closed:
-        return [(start, stop, tag[:-2].rstrip() + b">" + inner + b"</option>")]
-    return [(start, stop, tag + inner)]
-
-
-def _custom(data: bytes, marks: _Marks, rest: dict[str, Any], late: list[Tag]) -> list[_Edit]:
-    """The edits of stepcore's own text; a new text is added to `late`."""
-    if marks.text is None:
-        if rest:
-            late.append(Tag("custom"))
-            late[-1].add(Tag("text", name=custom.NAME, data=custom.data(rest)))
-        return []
-    tag = data[marks.text.start : marks.text.stop].decode("utf-8", "replace")
-    held = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", tag)
+def _custom(data: bytes, held: _Tag, rest: dict[str, Any]) -> _Edit:
+    """The edit of stepcore's own text, whose words other than settings stay."""
+    tag = data[held.start : held.stop].decode("utf-8", "replace")
+    match = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", tag)
     settings = Settings().as_dict()
-    words = (held.group(1) if held else "").split()
+    words = (match.group(1) if match else "").split()
     others = [word for word in words if word.partition("=")[0] not in settings]
     text = " ".join([*filter(None, [custom.data(rest)]), *others])
-    if not text and marks.text.closed:
+    if not text and held.closed:
         # MuJoCo refuses a text without data.
-        return [(marks.text.start, marks.text.stop, b"")]
-    return [_with(data, marks.text, {"data": text})]
+        return held.start, held.stop, b""
+    return _with(data, held, {"data": text})
 
 
-def _with(data: bytes, tag: _Open, attributes: dict[str, str]) -> _Edit:
+def _with(data: bytes, tag: _Tag, attributes: dict[str, str]) -> _Edit:
     """The edit that sets these attributes of a start tag."""
     text = data[tag.start : tag.stop]
     for name, value in attributes.items():
         word = f'{name}="{escaped(value)}"'.encode()
-        pattern = rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')""" % name.encode()
-        if re.search(pattern, text):
-            text = re.sub(pattern, lambda _, word=word: word, text, count=1)  # type: ignore[misc]
+        match = re.search(rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')""" % name.encode(), text)
+        if match:
+            text = text[: match.start()] + word + text[match.end() :]
         else:
             cut = len(text) - (2 if tag.closed else 1)
             text = text[:cut].rstrip() + b" " + word + text[cut:]
     return tag.start, tag.stop, text
 
 
-def _flat(tag: Tag) -> str:
-    inside = "".join(map(_flat, tag.inside))
+def _on_one_line(tag: Tag) -> str:
+    inside = "".join(map(_on_one_line, tag.inside))
     return tag.start() + (f"{inside}</{tag.kind}>" if inside else "")
