@@ -464,7 +464,9 @@ def test_geoms_are_thrown_apart_only_if_they_were(stiffness, thrown):
 
 def test_a_limit_and_what_pushes_are_elements_of_their_finding():
     one = the(watched(stop(5.0, "0.1 1"), time=3.0, control=lambda t, s: [1.0])[1], "limit")
-    assert [tuple(element) for element in one.elements] == [("limit", 0, "limit of joint `elbow`")]
+    assert [(e.kind, e.index, e.name) for e in one.elements] == [
+        ("limit", 0, "limit of joint `elbow`")
+    ]
 
 
 WHEEL = """<mujoco><option cone="elliptic"/><worldbody>

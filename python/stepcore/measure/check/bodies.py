@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.sizes import Sizes
@@ -52,8 +52,15 @@ def about_bodies(model: Model, sizes: Sizes) -> Iterator[Finding]:
 # Units.
 
 
-def _units(severity: str, problem: str, cure: str, *more: Any) -> Finding:
-    return Finding("units", severity, problem, cure, *more, commands=LIST)
+def _units(
+    severity: str,
+    problem: str,
+    cure: str,
+    elements: tuple[Element, ...],
+    value: float,
+    unit: str,
+) -> Finding:
+    return Finding("units", severity, problem, cure, elements, value, unit, LIST)
 
 
 def _lengths(model: Model, moving: list[int], sizes: Sizes) -> Iterator[Finding]:
@@ -220,17 +227,12 @@ def _densities(model: Model, layout: Layout, moving: list[int]) -> Iterator[Find
         if density > DENSEST:
             steel, water = times(density / STEEL), times(density / WATER)
             than = f"{steel} the density of steel and {water} that of water"
-        yield Finding(
-            "density",
-            "remark",
+        problem = (
             f"{listed(bodies, 'bodies')} has {float(model.body_mass[body]):.3g} kg in its geoms, "
-            f"{density:.3g} kg/m³, which is {than}",
-            "check mass, density and size of its geoms",
-            bodies,
-            density,
-            "kg/m³",
-            commands=LIST,
+            f"{density:.3g} kg/m³, which is {than}"
         )
+        cure = "check mass, density and size of its geoms"
+        yield Finding("density", "remark", problem, cure, bodies, density, "kg/m³", commands=LIST)
 
 
 def _repaired(model: Model, layout: Layout, moving: list[int]) -> Iterator[Finding]:
@@ -249,18 +251,13 @@ def _repaired(model: Model, layout: Layout, moving: list[int]) -> Iterator[Findi
     if wrong:
         a, b, c = wrong[0][1]
         bodies = named(model, "body", [index for index, _ in wrong])
-        yield Finding(
-            "inertia",
-            "error",
+        problem = (
             f"{listed(bodies, 'bodies')} has principal moments {a:.3g}, {b:.3g} and {c:.3g} kg·m², "
             "although no body has one greater than the sum of the others; balanceinertia replaces "
-            "them by their mean",
-            "write those of the real body",
-            bodies,
-            float(c),
-            "kg·m²",
-            commands=LIST,
+            "them by their mean"
         )
+        cure = "write those of the real body"
+        yield Finding("inertia", "error", problem, cure, bodies, float(c), "kg·m²", commands=LIST)
 
 
 def _inertias(model: Model, layout: Layout, moving: list[int], sizes: Sizes) -> Iterator[Finding]:
@@ -289,18 +286,14 @@ def _inertias(model: Model, layout: Layout, moving: list[int], sizes: Sizes) -> 
     gyration, reach, _, mass = wrong[0]
     bodies = named(model, "body", [body for _, _, body, _ in wrong])
     large = gyration > reach
-    yield Finding(
-        "inertia",
-        "error" if large else "warning",
+    problem = (
         f"the inertia of {listed(bodies, 'bodies')} belongs to mass {metres(gyration)} from its "
         f"centre, but the body reaches {'only ' * large}{metres(reach)} (a ball of its mass and "
-        f"size has {0.4 * mass * reach**2:.2g} kg·m²)",
-        'correct its <inertial>, or let it come from the geoms (inertiafromgeom="true")',
-        bodies,
-        gyration,
-        "m",
-        commands=LIST,
+        f"size has {0.4 * mass * reach**2:.2g} kg·m²)"
     )
+    cure = 'correct its <inertial>, or let it come from the geoms (inertiafromgeom="true")'
+    severity = "error" if large else "warning"
+    yield Finding("inertia", severity, problem, cure, bodies, gyration, "m", LIST)
 
 
 def _ratios(model: Model) -> Iterator[Finding]:
@@ -319,17 +312,12 @@ def _ratios(model: Model) -> Iterator[Finding]:
             worst, pair = ratio, (heavy, light)
     if worst > RATIO:
         bodies = named(model, "body", pair)
-        yield Finding(
-            "mass ratio",
-            "remark",
+        problem = (
             f"{bodies[0].name} is {times(worst)} as heavy as {bodies[1].name}, which it can touch, "
-            "so sweeps converge slowly there",
-            "use solver newton, which is not slowed down by mass ratios (law solref only)",
-            bodies,
-            worst,
-            "1",
-            commands=LIST,
+            "so sweeps converge slowly there"
         )
+        cure = "use solver newton, which is not slowed down by mass ratios (law solref only)"
+        yield Finding("mass ratio", "remark", problem, cure, bodies, worst, "1", commands=LIST)
 
 
 def _extremes(model: Model) -> list[list[int]]:

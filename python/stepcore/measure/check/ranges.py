@@ -59,14 +59,12 @@ def _inverted(model: Model) -> Iterator[Finding]:
         if isinstance(note, EmptyRange):
             low, high = (f"{bound:g}" for bound in note.bounds)
             order = f'write {note.field}="{high} {low}"'
-            yield Finding(
-                "inverted range",
-                "error",
+            problem = (
                 f"{note.where}: {note.field} = {low} {high} limits nothing, because its first "
-                "number must be the smaller one",
-                order if low != high else "give it two different numbers",
-                value=float(low),
+                "number must be the smaller one"
             )
+            cure = order if low != high else "give it two different numbers"
+            yield Finding("inverted range", "error", problem, cure, value=float(low))
 
 
 def _joints_outside(model: Model, qpos: np.ndarray, where: str, keyed: bool) -> Iterator[Finding]:
@@ -87,16 +85,14 @@ def _joints_outside(model: Model, qpos: np.ndarray, where: str, keyed: bool) -> 
     joints = named(model, "joint", [entry[1] for entry in outside])
     bounds = f"{length_of(model, k, low)} to {length_of(model, k, high)}"
     cure = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
-    yield Finding(
-        "outside a limit",
-        "error" if keyed else "warning",
+    problem = (
         f"{where} has {listed(joints, 'joints')} at {length_of(model, k, value)}, outside of its "
-        f"range of {bounds}, whose limit throws it back",
-        f"{cure} (the nearest is {low if value < low else high:.4g}), or widen the range",
-        joints,
-        value,
-        "rad" if is_angular(model, k) else "m",
+        f"range of {bounds}, whose limit throws it back"
     )
+    cure = f"{cure} (the nearest is {low if value < low else high:.4g}), or widen the range"
+    severity = "error" if keyed else "warning"
+    unit = "rad" if is_angular(model, k) else "m"
+    yield Finding("outside a limit", severity, problem, cure, joints, value, unit)
 
 
 def _tendons_outside(
@@ -117,16 +113,14 @@ def _tendons_outside(
     outside.sort(key=lambda entry: -entry[0])
     _, i, length = outside[0]
     tendons = named(model, "tendon", [entry[1] for entry in outside])
-    yield Finding(
-        "outside a limit",
-        "error" if keyed else "warning",
+    problem = (
         f"{where} has {listed(tendons, 'tendons')} at a length of {_tendon(model, i, length)}, "
-        f"outside of its range of {_tendon(model, i, *ranges[i])}, whose limit throws it back",
-        "correct the pose, or widen the range",
-        tendons,
-        length,
-        "" if model.scene.tendons[i].path.fixed else "m",
+        f"outside of its range of {_tendon(model, i, *ranges[i])}, whose limit throws it back"
     )
+    cure = "correct the pose, or widen the range"
+    severity = "error" if keyed else "warning"
+    unit = "" if model.scene.tendons[i].path.fixed else "m"
+    yield Finding("outside a limit", severity, problem, cure, tendons, length, unit)
 
 
 def _tendon(model: Model, tendon: int, *lengths: float) -> str:
@@ -145,16 +139,13 @@ def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
     if len(outside):
         k = int(outside[np.argmax(over[outside])])
         actuators, (low, high) = named(model, "actuator", (k, *outside)), bounds[k]
-        yield Finding(
-            "clamped control",
-            "warning",
+        problem = (
             f"{where} has a control of {ctrl[k]:.4g} for {listed(actuators, 'actuators')}, clamped "
-            f"to its ctrlrange of {low:.4g} to {high:.4g}",
-            "correct its ctrl, or widen the ctrlrange",
-            actuators,
-            float(ctrl[k]),
-            commands=(PLOT,),
+            f"to its ctrlrange of {low:.4g} to {high:.4g}"
         )
+        cure = "correct its ctrl, or widen the ctrlrange"
+        kind = "clamped control"
+        yield Finding(kind, "warning", problem, cure, actuators, float(ctrl[k]), "", PLOT)
 
 
 def _one_sided(model: Model) -> Iterator[Finding]:
@@ -164,15 +155,12 @@ def _one_sided(model: Model) -> Iterator[Finding]:
     if len(wrong):
         low, high = (float(end) for end in model.actuator_forcerange[wrong[0]])
         servos, most = named(model, "actuator", wrong), max(abs(low), abs(high))
-        yield Finding(
-            "force range",
-            "warning",
+        problem = (
             f"the forcerange of {listed(servos, 'servos')}, {low:.4g} to {high:.4g}, lets it push "
-            "in one direction only",
-            f"{-most:.4g} to {most:.4g} lets it hold a position",
-            servos,
-            most,
+            "in one direction only"
         )
+        cure = f"{-most:.4g} to {most:.4g} lets it hold a position"
+        yield Finding("force range", "warning", problem, cure, servos, most)
 
 
 def _overpowered(model: Model) -> Iterator[Finding]:
@@ -205,17 +193,14 @@ def _overpowered(model: Model) -> Iterator[Finding]:
     actuators = named(model, "actuator", [entry[1] for entry in strong])
     name, wanted = actuators[0].name, LEFT * BEYOND * beyond / ratio
     range_ = "forcerange" if model.actuator_bias[k, 1] < 0 else "ctrlrange"
-    yield Finding(
-        "limit",
-        "warning",
+    problem = (
         f"{listed(actuators, 'actuators')} can push {model.element_name('joint', index)} "
-        f"{length_of(model, index, beyond)} beyond its range with {strength(model, k, force)}",
-        f"a smaller {range_} of {name}, or {harder_limit(model, index, beyond, wanted)}",
-        named(model, "limit", [index]),
-        beyond,
-        "rad" if is_angular(model, index) else "m",
-        commands=(PLOT,),
+        f"{length_of(model, index, beyond)} beyond its range with {strength(model, k, force)}"
     )
+    cure = f"a smaller {range_} of {name}, or {harder_limit(model, index, beyond, wanted)}"
+    elements = named(model, "limit", [index])
+    unit = "rad" if is_angular(model, index) else "m"
+    yield Finding("limit", "warning", problem, cure, elements, beyond, unit, PLOT)
 
 
 def _largest_force(model: Model, k: int, low: float, high: float) -> float:
@@ -250,17 +235,14 @@ def _pressed(model: Model) -> Iterator[Finding]:
     if wrong:
         i, rest = wrong[0]
         tendons = named(model, "tendon", [index for index, _ in wrong])
-        yield Finding(
-            "spring beyond a limit",
-            "warning",
+        problem = (
             f"the spring of {listed(tendons, 'tendons')} is at rest at a length of "
             f"{_tendon(model, i, rest)}, outside of the tendon's range of "
-            f"{_tendon(model, i, *ranges[i])}, so it always presses on the limit",
-            "correct its springlength, or widen the range",
-            tendons,
-            rest,
-            "" if model.scene.tendons[i].path.fixed else "m",
+            f"{_tendon(model, i, *ranges[i])}, so it always presses on the limit"
         )
+        cure = "correct its springlength, or widen the range"
+        unit = "" if model.scene.tendons[i].path.fixed else "m"
+        yield Finding("spring beyond a limit", "warning", problem, cure, tendons, rest, unit)
 
 
 def _unused(model: Model) -> Iterator[Finding]:
@@ -279,11 +261,9 @@ def _unused(model: Model) -> Iterator[Finding]:
     if idle:
         tendons = named(model, "tendon", idle)
         verb, its = ("does", "it has") if len(idle) == 1 else ("do", "they have")
-        yield Finding(
-            "unused tendon",
-            "remark",
-            f"{listed(tendons, 'tendons')} {verb} nothing",
+        problem = f"{listed(tendons, 'tendons')} {verb} nothing"
+        cure = (
             f"{its} no spring, damping, friction loss, armature or limit (a range needs limited or "
-            "autolimits), and no actuator, equality or sensor uses it",
-            tendons,
+            "autolimits), and no actuator, equality or sensor uses it"
         )
+        yield Finding("unused tendon", "remark", problem, cure, tendons)

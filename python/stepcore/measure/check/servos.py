@@ -56,16 +56,14 @@ def _saturated(model: Model, start: Start, ctrl: np.ndarray) -> Iterator[Finding
     full.sort(reverse=True)
     _, k, force, end = full[0]
     servos = named(model, "actuator", [entry[1] for entry in full])
-    yield Finding(
-        "saturation",
-        "warning",
+    problem = (
         f"{listed(servos, 'servos')} asks for {strength(model, k, force)} at the start and has "
-        f"{strength(model, k, end)}, so it is saturated and kv has no effect",
-        "start with a control that matches the pose (the keyframe's ctrl), or widen its forcerange",
-        servos,
-        force,
-        commands=(PLOT,),
+        f"{strength(model, k, end)}, so it is saturated and kv has no effect"
     )
+    cure = (
+        "start with a control that matches the pose (the keyframe's ctrl), or widen its forcerange"
+    )
+    yield Finding("saturation", "warning", problem, cure, servos, force, commands=PLOT)
 
 
 def _too_weak(model: Model, qpos: np.ndarray, where: str, seen: set[int]) -> Iterator[Finding]:
@@ -95,17 +93,15 @@ def _too_weak(model: Model, qpos: np.ndarray, where: str, seen: set[int]) -> Ite
         _, k, need, end = some[0]
         actuators = named(model, "actuator", [entry[1] for entry in some])
         range_ = "forcerange" if servo else "range"
-        yield Finding(
-            "servo too weak" if servo else "motor too weak",
-            "error" if servo else "remark",
+        problem = (
             f"{listed(actuators, 'actuators')} cannot hold {where}: its load there is "
             f"{strength(model, k, abs(need))} and its {range_} ends at "
-            f"{strength(model, k, abs(end))}",
-            f"widen the {range_}, raise the gear, or lighten what it carries",
-            actuators,
-            need,
-            commands=(PLOT,) if servo else (),
+            f"{strength(model, k, abs(end))}"
         )
+        cure = f"widen the {range_}, raise the gear, or lighten what it carries"
+        kind = "servo too weak" if servo else "motor too weak"
+        severity = "error" if servo else "remark"
+        yield Finding(kind, severity, problem, cure, actuators, need, "", PLOT if servo else ())
 
 
 def _forces(model: Model, k: int) -> tuple[float, float]:
@@ -176,17 +172,15 @@ def _without_armature(model: Model) -> Iterator[Finding]:
     gain, rate = f"kv {kv:.3g}", f"a damping rate of {kv * inverse:.3g}/s"
     if swings:
         gain, rate = f"kp {kp:.3g}", hertz(omega)
-    yield Finding(
-        "armature",
-        "warning",
+    problem = (
         f"{listed(servos, 'servos')} has {gain} on a joint without armature that moves "
-        f"{1 / inverse:.3g} {unit}, which is {rate} at a dt of {seconds(dt)}",
-        f'armature="{_up(needed):g}" on {model.element_name("joint", joint)} makes it slow enough '
-        "(a geared motor has that much), or lower the gains",
-        servos,
-        1 / inverse,
-        unit,
+        f"{1 / inverse:.3g} {unit}, which is {rate} at a dt of {seconds(dt)}"
     )
+    cure = (
+        f'armature="{_up(needed):g}" on {model.element_name("joint", joint)} makes it slow enough '
+        "(a geared motor has that much), or lower the gains"
+    )
+    yield Finding("armature", "warning", problem, cure, servos, 1 / inverse, unit)
 
 
 def _up(value: float) -> float:

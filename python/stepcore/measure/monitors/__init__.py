@@ -20,12 +20,12 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.actuators import ActuatorMonitor
 from stepcore.measure.monitors.contacts import REST, ContactMonitor
-from stepcore.measure.monitors.finding import Finding, Named, Next, named, ordered
+from stepcore.measure.monitors.finding import Finding, Next, named, ordered
 from stepcore.measure.monitors.joints import JointMonitor
 from stepcore.report.settings import solver_words
 from stepcore.report.units import percent, speed, times
 
-__all__ = ["Finding", "Monitor", "Named", "Next", "monitored", "ordered"]
+__all__ = ["Finding", "Monitor", "Next", "monitored", "ordered"]
 
 # A run is looked at about this often.
 LOOKS = 1000
@@ -101,18 +101,16 @@ class Monitor(Probe):
         share = percent(stays / given) if stays < given else times(stays / given)
         pgs = settings.law == "solref" and settings.solver == "pgs"
         worst = named(model, self.unsolved[0], [self.unsolved[1]])
-        yield Finding(
-            "residual",
-            "warning",
+        problem = (
             f"the rows are not solved by {solver_words(settings)}: a residual of {speed(stays)} "
-            f"stays, {share} of the speed that gravity gives in a step, worst in {worst[0].name}",
-            f"use more sweeps{', solver newton' * pgs} or smaller time steps; `stepcore converge` "
-            "says how many",
-            worst,
-            stays,
-            "m/s",
-            commands=(Next("converge", "how many sweeps, or how small a step, solve the rows"),),
+            f"stays, {share} of the speed that gravity gives in a step, worst in {worst[0].name}"
         )
+        cure = (
+            f"use more sweeps{', solver newton' * pgs} or smaller time steps; `stepcore converge` "
+            "says how many"
+        )
+        commands = (Next("converge", "how many sweeps, or how small a step, solve the rows"),)
+        yield Finding("residual", "warning", problem, cure, worst, stays, "m/s", commands)
 
 
 def monitored(runner: Runner, settings: Settings) -> list[Finding]:

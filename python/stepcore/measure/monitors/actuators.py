@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.measure.monitors.contacts import FEWEST, REST
-from stepcore.measure.monitors.finding import Finding, Named, Next, named
-from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
+from stepcore.measure.monitors.finding import Finding, Next, named
+from stepcore.report.units import FORCES, TORQUES, metres, percent, plural, quantity, radians
 
 # A force this near to the end of its range is at it.
 AT_END = 1e-9
@@ -23,25 +24,19 @@ STEADY = 0.05
 CLAMPED, SATURATED = 0.05, 0.5
 # How far a servo may sag: of a radian, or of the range of a slide; and what a cure leaves of that.
 SAGS, LEFT = 0.1, 0.1
-PLOT = Next("run", "energy over time", ("--plot", "run.png"))
+PLOT = (Next("run", "energy over time", ("--plot", "run.png")),)
 
 
 @dataclass(frozen=True)
-class Clamped:
-    """An actuator whose control was clamped for a share of the run; value: furthest outside."""
+class AtEnd:
+    """An actuator that was at or beyond the end of a range for a share of the run.
+
+    value: the control furthest outside of its range, or the end of the force range.
+    """
 
     actuator: int
     share: float
     value: float
-
-
-@dataclass(frozen=True)
-class Saturated:
-    """An actuator whose force was at the end of its range for a share of the run."""
-
-    actuator: int
-    share: float
-    end: float
 
 
 @dataclass(frozen=True)
@@ -85,7 +80,7 @@ class ActuatorMonitor:
             gear = self.model.actuator_gear[self.servos, 0]
             self.length.append(gear * np.array(sim.qpos)[self.at])
 
-    def clamped(self) -> Iterator[Clamped]:
+    def clamped(self) -> Iterator[AtEnd]:
         """Controls outside of their range."""
         if not self.ctrl or not self.model.scene.features.clampctrl:
             return
@@ -93,9 +88,9 @@ class ActuatorMonitor:
         outside = np.maximum(bounds[:, 0] - ctrl, ctrl - bounds[:, 1])
         for k in np.flatnonzero((outside > 0).any(axis=0)):
             share = float(np.mean(outside[:, k] > 0))
-            yield Clamped(int(k), share, float(ctrl[outside[:, k].argmax(), k]))
+            yield AtEnd(int(k), share, float(ctrl[outside[:, k].argmax(), k]))
 
-    def saturated(self) -> Iterator[Saturated]:
+    def saturated(self) -> Iterator[AtEnd]:
         """Forces at the end of their range."""
         if not self.force:
             return
@@ -107,7 +102,7 @@ class ActuatorMonitor:
         low, high = low & (force != 0), high & (force != 0)
         for k in np.flatnonzero((low | high).any(axis=0)):
             end = bounds[k, 0] if low[:, k].sum() > high[:, k].sum() else bounds[k, 1]
-            yield Saturated(int(k), float(np.mean(low[:, k] | high[:, k])), float(end))
+            yield AtEnd(int(k), float(np.mean(low[:, k] | high[:, k])), float(end))
 
     def at_rest(self) -> Iterator[Servo]:
         """Position servos whose control and error are constant over the end of the run."""
@@ -171,54 +166,36 @@ class ActuatorMonitor:
                 continue
             actuator = named(model, "actuator", [clamped.actuator])
             low, high = model.actuator_ctrlrange[clamped.actuator]
-            yield Finding(
-                "clamped control",
-                "warning",
+            problem = (
                 f"the control of {actuator[0].name} is clamped for {percent(clamped.share)} of the "
-                f"run, {clamped.value:.4g} to its ctrlrange of {low:.4g} to {high:.4g}",
-                "widen the ctrlrange, or scale the control",
-                actuator,
-                clamped.share,
-                "1",
-                commands=(PLOT,),
+                f"run, {clamped.value:.4g} to its ctrlrange of {low:.4g} to {high:.4g}"
             )
+            cure = "widen the ctrlrange, or scale the control"
+            kind = "clamped control"
+            yield Finding(kind, "warning", problem, cure, actuator, clamped.share, "1", PLOT)
         servos = set(self.servos.tolist()) - explained
         full = [s for s in self.saturated() if s.share >= SATURATED and s.actuator in servos]
         if full:
             yield self._saturated(sorted(full, key=lambda saturated: -saturated.share))
 
-    def _saturated(self, full: list[Saturated]) -> Finding:
+    def _saturated(self, full: list[AtEnd]) -> Finding:
         """Servos at the ends of their force ranges, in one sentence; the longest there first."""
         model = self.model
         actuators = named(model, "actuator", [saturated.actuator for saturated in full])
-        ends = dict.fromkeys(strength(model, at.actuator, abs(at.end)) for at in full)
-        largest = max(full, key=lambda saturated: abs(saturated.end))
-        force = f"up to {strength(model, largest.actuator, abs(largest.end))}"
+        ends = dict.fromkeys(strength(model, at.actuator, abs(at.value)) for at in full)
+        largest = max(full, key=lambda saturated: abs(saturated.value))
+        force = f"up to {strength(model, largest.actuator, abs(largest.value))}"
         force = next(iter(ends)) if len(ends) == 1 else force
         shares = list(dict.fromkeys(percent(saturated.share) for saturated in reversed(full)))
         share = f"{shares[0].removesuffix(' %')} to {shares[-1]}" if shares[1:] else shares[0]
         one = "is at the end of its forcerange"
         ranges = one if len(full) == 1 else "are at the ends of their forceranges"
-        return Finding(
-            "saturation",
-            "warning",
-            f"{self._all(actuators)} {ranges} ({force}) for {share} of the run, where kv has "
-            "no effect",
-            "slow the motion or lower kp; a wider forcerange must be one that the hardware has",
-            actuators,
-            full[0].share,
-            "1",
-            commands=(PLOT,),
+        problem = (
+            f"{_all(actuators)} {ranges} ({force}) for {share} of the run, where kv has no effect"
         )
-
-    def _all(self, actuators: tuple[Named, ...]) -> str:
-        """All of some actuators by name: "servos `a`, `b` and `c`"."""
-        names = [actuator.name for actuator in actuators]
-        given = [self.model.actuator_names[actuator.index] for actuator in actuators]
-        if len(names) > 1 and all(given):
-            names = [f"`{name}`" for name in given]
-            names[0] = f"servos {names[0]}"
-        return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+        cure = "slow the motion or lower kp; a wider forcerange must be one that the hardware has"
+        value = full[0].share
+        return Finding("saturation", "warning", problem, cure, actuators, value, "1", PLOT)
 
     def _sags(self, servo: Servo) -> Finding | None:
         """A servo that rests away from what its control asks for, if its load causes that."""
@@ -248,16 +225,9 @@ class ActuatorMonitor:
             )
             enough, leaves = kp * error / (LEFT * notable), length(LEFT * notable)
             cure = f"kp {enough:.3g} leaves {leaves}, or let the control carry the load"
-        return Finding(
-            kind,
-            severity,
-            f"{actuator[0].name} {problem}",
-            cure,
-            actuator,
-            error,
-            "rad" if angular else "m",
-            commands=(PLOT,),
-        )
+        problem = f"{actuator[0].name} {problem}"
+        unit = "rad" if angular else "m"
+        return Finding(kind, severity, problem, cure, actuator, error, unit, PLOT)
 
 
 def on_one_dof(model: Model) -> list[int]:
@@ -275,3 +245,11 @@ def strength(model: Model, actuator: int, force: float) -> str:
     joint = int(model.actuator_joint[actuator])
     linear = joint < 0 or model.jnt_type[joint] == "slide"
     return quantity(force, FORCES if linear else TORQUES)
+
+
+def _all(actuators: Sequence[Element]) -> str:
+    """All of some actuators by name: "servos `a`, `b` and `c`"."""
+    if len(actuators) == 1:
+        return actuators[0].name
+    *labels, last = (actuator.label for actuator in actuators)
+    return f"{plural(actuators[0].noun)} {', '.join(labels)} and {last}"

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.errors import STICKS
 from stepcore.experiment.friction import Friction
 from stepcore.experiment.sizes import Sizes
-from stepcore.measure.monitors.finding import Finding, Named, Next, listed, named, others
+from stepcore.measure.monitors.finding import Finding, Next, listed, named, others
 from stepcore.measure.monitors.soft_rows import advised, pair_solimp
 from stepcore.report.units import metres, newtons, percent, speed
 
@@ -52,50 +53,22 @@ class Look(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Overlap:
-    """Two geoms that overlap at the start by a depth [m].
+class Contact:
+    """What a contact of a pair of geoms does, as far as it was asked.
 
-    movable: whether some joint moves them apart. apart: how fast they left the overlap [m/s]; 0
-    if they did not.
+    depth: at the start, or at rest [m]. force: normal, at rest [N]. speed: mean of its tangential
+    velocity, or at which its geoms left their overlap [m/s]. share: friction over μ × normal force.
+    held: for how long friction held it [s]. movable: whether some joint moves its geoms apart.
     """
 
     pair: int
-    depth: float
+    part: int = 0
+    depth: float = 0.0
+    force: float = 0.0
+    speed: float = 0.0
+    share: float = 0.0
+    held: float = 0.0
     movable: bool = True
-    apart: float = 0.0
-
-
-@dataclass(frozen=True)
-class Creep:
-    """A contact that moves at a mean speed [m/s] although its friction holds it for a time [s].
-
-    share: friction over μ × normal force.
-    """
-
-    pair: int
-    part: int
-    speed: float
-    held: float
-    share: float
-
-
-@dataclass(frozen=True)
-class Slide:
-    """A contact without friction that slides at a mean speed [m/s]."""
-
-    pair: int
-    part: int
-    speed: float
-
-
-@dataclass(frozen=True)
-class Resting:
-    """A contact at rest at the end of a run: its depth [m] and normal force [N]."""
-
-    pair: int
-    part: int
-    depth: float
-    force: float
 
 
 class ContactMonitor:
@@ -164,11 +137,11 @@ class ContactMonitor:
     # What the looks show.
 
     @property
-    def starts(self) -> list[Overlap]:
+    def starts(self) -> list[Contact]:
         """The overlaps at the start, the deepest first."""
         return [] if self.separation is None else self.separation.overlaps()
 
-    def creeps(self, times: list[float]) -> Iterator[Creep]:
+    def creeps(self, times: list[float]) -> Iterator[Contact]:
         """Contacts that move steadily for a while although friction holds them.
 
         Soft friction is a damper: the speed that a contact begins with dies away within its time
@@ -191,14 +164,15 @@ class ContactMonitor:
             if creeps:
                 yield max(creeps, key=lambda creep: creep.speed)
 
-    def slides(self) -> Iterator[Slide]:
+    def slides(self) -> Iterator[Contact]:
         """Contacts without friction that were there for a fifth of the run or more."""
         for (pair, part), seen in self.seen.items():
             if self.friction.of(pair) > 0 or len(seen) < max(FEWEST, 0.2 * self.looks):
                 continue
-            yield Slide(pair, part, float(np.mean([np.linalg.norm(at.past) for at in seen])))
+            speed = float(np.mean([np.linalg.norm(at.past) for at in seen]))
+            yield Contact(pair, part, speed=speed)
 
-    def resting(self) -> Iterator[Resting]:
+    def resting(self) -> Iterator[Contact]:
         """Contacts that keep their depth to the end of the run."""
         first = self.looks - max(FEWEST, int(REST * self.looks))
         for (pair, part), seen in self.seen.items():
@@ -208,7 +182,7 @@ class ContactMonitor:
                 continue
             if np.ptp(depth) < STEADY * depth.mean():
                 force = float(np.mean([at.force for at in late]))
-                yield Resting(pair, part, float(depth.mean()), force)
+                yield Contact(pair, part, float(depth.mean()), force)
 
     # What is worth saying of them.
 
@@ -228,7 +202,7 @@ class ContactMonitor:
     def _thick(self, pair: int) -> float:
         return self.sizes.contact(*self.model.contact_pair(pair).geoms)
 
-    def _named(self, pairs: Iterable[int]) -> tuple[Named, ...]:
+    def _named(self, pairs: Iterable[int]) -> tuple[Element, ...]:
         return named(self.model, "contact", pairs)
 
     def _geoms(self, pair: int) -> str:
@@ -239,10 +213,10 @@ class ContactMonitor:
             return "geoms " + " and ".join(f"`{name}`" for name in names)
         return " and ".join(model.element_name("geom", geom) for geom in geoms)
 
-    def _jammed(self, starts: list[Overlap], resting: list[Resting]) -> dict[int, Resting]:
+    def _jammed(self, starts: list[Contact], resting: list[Contact]) -> dict[int, Contact]:
         """Pairs of one tree that overlap from the start to the end: their joints hold them."""
         rest = {at.pair: at for at in resting}
-        jammed: dict[int, Resting] = {}
+        jammed: dict[int, Contact] = {}
         for start in starts:
             at, geoms = rest.get(start.pair), self.model.contact_pair(start.pair).geoms
             roots = {self.model.root(int(self.model.geom_body[g])) for g in geoms}
@@ -251,27 +225,23 @@ class ContactMonitor:
                 jammed.setdefault(at.pair, at)
         return jammed
 
-    def _jam(self, jammed: list[Resting]) -> Finding:
+    def _jam(self, jammed: list[Contact]) -> Finding:
         worst, contacts = jammed[0], self._named(at.pair for at in jammed)
         also = others([contact.name for contact in contacts[1:]], "pairs")
-        return Finding(
-            "overlap",
-            "warning",
+        problem = (
             f"{self._geoms(worst.pair)} overlap by {metres(worst.depth)}{also}, as their joints "
-            f"hold them, and push each other with {newtons(worst.force)} all the time",
-            self._apart(worst.pair),
-            contacts,
-            worst.depth,
-            "m",
-            commands=TEST_CONTACTS,
+            f"hold them, and push each other with {newtons(worst.force)} all the time"
         )
+        cure = self._apart(worst.pair)
+        depth = worst.depth
+        return Finding("overlap", "warning", problem, cure, contacts, depth, "m", TEST_CONTACTS)
 
-    def _overlaps(self, starts: list[Overlap], resting: list[Resting]) -> Iterator[Finding]:
+    def _overlaps(self, starts: list[Contact], resting: list[Contact]) -> Iterator[Finding]:
         """Pairs that overlap at the start, and not because they rest like that."""
         rest: dict[int, float] = {}
         for at in resting:
             rest[at.pair] = max(rest.get(at.pair, 0.0), at.depth)
-        deep: dict[int, Overlap] = {}
+        deep: dict[int, Contact] = {}
         for start in starts:
             notable = OVERLAP * self._thick(start.pair)
             known = RESTS * rest.get(start.pair, 0.0)
@@ -282,27 +252,24 @@ class ContactMonitor:
         worst, contacts = next(iter(deep.values())), self._named(deep)
         share = worst.depth / self._thick(worst.pair)
         thrown = self._thrown(worst)
-        becomes = f" and are thrown apart at {speed(worst.apart)}" if thrown else ""
+        becomes = f" and are thrown apart at {speed(worst.speed)}" if thrown else ""
         if not worst.movable:
             becomes = " and no joint can move them apart"
         also = others([contact.name for contact in contacts[1:]], "pairs")
-        yield Finding(
-            "overlap at the start",
-            "error" if share > OVERLAP * 10 and (thrown or not worst.movable) else "warning",
+        problem = (
             f"{self._geoms(worst.pair)} overlap by {metres(worst.depth)} at the start, "
-            f"{percent(share)} of the thinner one's half thickness{also},{becomes}".rstrip(","),
-            self._apart(worst.pair),
-            contacts,
-            worst.depth,
-            "m",
-            commands=TEST_CONTACTS,
+            f"{percent(share)} of the thinner one's half thickness{also},{becomes}".rstrip(",")
         )
+        kind = "overlap at the start"
+        severity = "error" if share > OVERLAP * 10 and (thrown or not worst.movable) else "warning"
+        cure = self._apart(worst.pair)
+        yield Finding(kind, severity, problem, cure, contacts, worst.depth, "m", TEST_CONTACTS)
 
-    def _thrown(self, overlap: Overlap) -> bool:
+    def _thrown(self, overlap: Contact) -> bool:
         """Whether an overlap threw its geoms further apart than it was deep: v²/2g > depth."""
         features = self.model.scene.features
         gravity = float(np.linalg.norm(self.model.scene.gravity)) if features.gravity else 0.0
-        return overlap.apart > (2 * gravity * overlap.depth) ** 0.5
+        return overlap.speed > (2 * gravity * overlap.depth) ** 0.5
 
     def _apart(self, pair: int) -> str:
         """How two geoms come apart: other positions, or no contact between the two bodies."""
@@ -331,26 +298,22 @@ class ContactMonitor:
         contacts = self._named(creep.pair for _, creep in creeps)
         impratio = _round_up(settings.impratio * ratio / LEFT)
         cure = 'stiction=True or law="rigid" (solver pgs, integrator semi-implicit) leaves none'
-        changes = {}
+        changes: dict[str, Any] = {}
+        commands: tuple[Next, ...] = ()
         if impratio <= IMPRATIO:
             changes = {"cone": "elliptic", "impratio": impratio}
+            sets = ("--set", "cone=elliptic", "--set", f"impratio={impratio:g}")
+            commands = (Next("run", "whether the creep is gone", sets),)
             less = speed(worst.speed * settings.impratio / impratio)
             cure = f'cone="elliptic" with impratio="{impratio:g}" leaves {less} or less, and {cure}'
-        sets = [word for name, value in changes.items() for word in ("--set", _set(name, value))]
-        yield Finding(
-            "creep",
-            "warning",
+        problem = (
             f"{listed(contacts, 'contacts')} creeps at {speed(worst.speed)} although its friction "
-            f"holds ({percent(worst.share)} of what it could be)",
-            cure,
-            contacts,
-            worst.speed,
-            "m/s",
-            changes,
-            (Next("run", "whether the creep is gone", tuple(sets)),) if sets else (),
+            f"holds ({percent(worst.share)} of what it could be)"
         )
+        found = ("creep", "warning", problem, cure, contacts, worst.speed, "m/s")
+        yield Finding(*found, commands, changes)
 
-    def _depths(self, resting: list[Resting], asked: float | None) -> Iterator[Finding]:
+    def _depths(self, resting: list[Contact], asked: float | None) -> Iterator[Finding]:
         """How deep contacts rest, and the solref that makes it less."""
         notable = []
         for at in resting:
@@ -366,18 +329,15 @@ class ContactMonitor:
         pair = self.model.contact_pair(worst.pair)
         wanted = asked if asked is not None else LEFT * DEEP * thick
         solimp = pair_solimp(self.model, *pair.geoms)
-        yield Finding(
-            "depth at rest",
-            "warning" if ratio > 1 else "remark",
+        problem = (
             f"{listed(contacts, 'contacts')} rests {metres(worst.depth)} deep, "
             f"{percent(worst.depth / thick)} of the thinner geom's half thickness, under "
-            f'solref="{pair.solref[0]:g} {pair.solref[1]:g}"',
-            advised("", pair.solref, solimp, worst.depth, wanted, self.model.settings),
-            contacts,
-            worst.depth,
-            "m",
-            commands=TEST_CONTACTS,
+            f'solref="{pair.solref[0]:g} {pair.solref[1]:g}"'
         )
+        cure = advised("", pair.solref, solimp, worst.depth, wanted, self.model.settings)
+        kind = "depth at rest"
+        severity = "warning" if ratio > 1 else "remark"
+        yield Finding(kind, severity, problem, cure, contacts, worst.depth, "m", TEST_CONTACTS)
 
     def _slides(self) -> Iterator[Finding]:
         """Contacts that have no friction, and slide."""
@@ -389,16 +349,12 @@ class ContactMonitor:
         frictionless = self.model.contact_pair(fast[0].pair).condim == 1
         cure = 'condim="3"' if frictionless else 'friction="0.8"'
         why = "condim is 1" if frictionless else "its friction is 0"
-        yield Finding(
-            "no friction",
-            "remark",
+        problem = (
             f"{listed(contacts, 'contacts')} slides at {speed(fast[0].speed)} without friction, "
-            f"because {why}",
-            f"{cure} on one of the two geoms gives it friction",
-            contacts,
-            fast[0].speed,
-            "m/s",
+            f"because {why}"
         )
+        cure = f"{cure} on one of the two geoms gives it friction"
+        yield Finding("no friction", "remark", problem, cure, contacts, fast[0].speed, "m/s")
 
 
 TEST_CONTACTS = (
@@ -438,12 +394,14 @@ class Separation:
                 self.speed = np.where(leaves, np.maximum(self.speed, speed), self.speed)
         self.time, self.moved = sim.time, moved
 
-    def overlaps(self) -> list[Overlap]:
+    def overlaps(self) -> list[Contact]:
         """The overlaps with what became of them, the deepest first."""
-        values = zip(
-            self.pairs, self.depth.tolist(), self.movable, self.speed.tolist(), strict=True
+        columns = (self.pairs, self.depth.tolist(), self.speed.tolist(), self.movable)
+        overlaps = (
+            Contact(pair, depth=depth, speed=speed, movable=movable)
+            for pair, depth, speed, movable in zip(*columns, strict=True)
         )
-        return sorted((Overlap(*value) for value in values), key=lambda at: -at.depth)
+        return sorted(overlaps, key=lambda overlap: -overlap.depth)
 
 
 def settled(series: np.ndarray) -> float | None:
@@ -467,21 +425,18 @@ def _spells(seen: list[Look]) -> Iterator[list[Look]]:
         yield spell
 
 
-def _steady(pair: int, part: int, held: list[Look], times: list[float]) -> Creep | None:
+def _steady(pair: int, part: int, held: list[Look], times: list[float]) -> Contact | None:
     """The creep in a window; None where its speed changes, or nothing rubs."""
     past = np.array([at.past for at in held])
     drift, share = past.mean(axis=0), float(np.mean([at.share for at in held]))
     mean = float(np.linalg.norm(drift))
     if share < RUBS or np.linalg.norm(past - drift, axis=1).max() > UNSTEADY * mean:
         return None
-    return Creep(pair, part, mean, times[held[-1].look] - times[held[0].look], share)
+    held_for = times[held[-1].look] - times[held[0].look]
+    return Contact(pair, part, speed=mean, share=share, held=held_for)
 
 
 def _round_up(value: float) -> float:
     """1, 2 or 5 times a power of ten, not below the value."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(power * step for step in (1, 2, 5, 10) if power * step >= value * (1 - 1e-9))
-
-
-def _set(name: str, value: str | float) -> str:
-    return f"{name}={value}" if isinstance(value, str) else f"{name}={value:g}"

@@ -6,20 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 
 # The most severe first: what cannot be right, what will be noticed, what may be meant.
 SEVERITIES = ("error", "warning", "remark")
 # A sentence names the first element, and this many others.
 OTHERS = 3
-
-
-class Named(NamedTuple):
-    """An element of a model, with the name that `Model.element_name` gives it."""
-
-    kind: str
-    index: int
-    name: str
 
 
 class Next(NamedTuple):
@@ -40,19 +33,19 @@ class Finding:
     cure: what mends it; "" where nothing is known to.
     elements: those that have the problem, the worst first; none if it is the whole scene.
     value, unit: the number that it is judged by; None and "" where there is none.
-    settings: the settings that the cure changes, with their new values.
     commands: what to run next because of it.
+    settings: the settings that the cure changes, with their new values.
     """
 
     kind: str
     severity: str
     problem: str
     cure: str = ""
-    elements: tuple[Named, ...] = ()
+    elements: tuple[Element, ...] = ()
     value: float | None = None
     unit: str = ""
-    settings: Mapping[str, Any] = field(default_factory=dict)
     commands: tuple[Next, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def element(self) -> str:
@@ -82,13 +75,12 @@ def ordered(findings: Iterable[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
-def named(model: Model, kind: str, indices: Iterable[int]) -> tuple[Named, ...]:
+def named(model: Model, kind: str, indices: Iterable[int]) -> tuple[Element, ...]:
     """Elements of one kind, each once and in this order."""
-    each = dict.fromkeys(map(int, indices))
-    return tuple(Named(kind, index, model.element_name(kind, index)) for index in each)
+    return tuple(Element.of(model, kind, index) for index in dict.fromkeys(map(int, indices)))
 
 
-def listed(elements: Sequence[Named], noun: str) -> str:
+def listed(elements: Sequence[Element], noun: str) -> str:
     """ "servo `a` (and servo `b`, servo `c` and 3 more servos)"; noun: of more than one."""
     first, *rest = (element.name for element in elements)
     return first + others(rest, noun)

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.bodies import Joints
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.contacts import settled
-from stepcore.measure.monitors.finding import OTHERS, Finding, Named, Next, listed, named
+from stepcore.measure.monitors.finding import OTHERS, Finding, Next, listed, named
 from stepcore.measure.monitors.soft_rows import advised
 from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
 from stepcore.scene.layout import Layout
 
-Element = tuple[str, int]
 # A joint is kept beyond its limit where it is there for this share of a run; one that only runs
 # into its limit is not.
 KEPT = 0.05
@@ -32,7 +32,7 @@ OVERPOWERS = 0.5
 WIDEST = 3.0
 # What only resists motion pushes no joint beyond its limit.
 RESISTS = ("damper", "friction loss")
-PLOT = Next("run", "energy over time", ("--plot", "run.png"))
+PLOT = (Next("run", "energy over time", ("--plot", "run.png")),)
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Beyond:
     most: float
     kept: float
     rest: float | None
-    forces: tuple[tuple[Element, float], ...]
+    forces: tuple[tuple[tuple[str, int], float], ...]
     limit: float
 
 
@@ -70,7 +70,7 @@ class JointMonitor:
         self.beyond: list[np.ndarray] = []
         self.dofs = [int(model.jnt_dofadr[joint]) for joint in joints.limited]
         # By limit: how far beyond it was, and what acted on its dof.
-        self.acted: dict[int, list[tuple[float, dict[Element, float]]]] = {}
+        self.acted: dict[int, list[tuple[float, dict[tuple[str, int], float]]]] = {}
 
     def look(self, sim: Sim) -> None:
         """Records every connection and limit."""
@@ -138,28 +138,22 @@ class JointMonitor:
         notable.sort(key=lambda entry: -entry[0])
         _, worst, size = notable[0]
         equalities = model.scene.equalities
-        connections = tuple(
-            Named(kind, k, model.element_name(kind, k))
-            for k, kind in ((g.equality, equalities[g.equality].row_kind) for _, g, _ in notable)
-        )
+        tied = [gape.equality for _, gape, _ in notable]
+        connections = tuple(Element.of(model, equalities[k].row_kind, k) for k in tied)
         solref, solimp = equalities[worst.equality].solref, equalities[worst.equality].solimp
         now = worst.most if worst.rest is None else worst.rest
         wanted = min(LEFT * GAPES * size, now * LEFT)
-        yield Finding(
-            "gap",
-            "warning",
+        problem = (
             f"{listed(connections, 'connections')} gapes by {'up to ' * (worst.rest is None)}"
             f"{metres(now)}, {percent(now / size)} of the smaller body's size, under its "
-            f'solref="{solref[0]:g} {solref[1]:g}"',
-            advised("", solref, solimp, now, wanted, model.settings),
-            connections,
-            now,
-            "m",
-            commands=(
-                Next("converge", "whether the connections are solved"),
-                Next("run", "energy and overlap over time", ("--plot", "run.png")),
-            ),
+            f'solref="{solref[0]:g} {solref[1]:g}"'
         )
+        cure = advised("", solref, solimp, now, wanted, model.settings)
+        commands = (
+            Next("converge", "whether the connections are solved"),
+            Next("run", "energy and overlap over time", ("--plot", "run.png")),
+        )
+        yield Finding("gap", "warning", problem, cure, connections, now, "m", commands)
 
     def _overpowered(self) -> Iterator[Finding]:
         """Limits that a force pushes beyond: the worst with its cure, the others by name."""
@@ -191,18 +185,15 @@ class JointMonitor:
         if also:
             more = f" and {len(also) - OTHERS} more" if len(also) > OTHERS else ""
             cure = f"{cure or 'less of that force'}. Also beyond: {', '.join(also[:OTHERS])}{more}"
-        yield Finding(
-            "limit",
-            "warning",
+        problem = (
             f"{pusher} pushes {model.element_name('joint', worst.joint)} "
             f"{length_of(model, worst.joint, worst.kept)} beyond its range with {strength}"
-            f"{', and stays there' if worst.rest is not None else ''}",
-            cure or "less of that force",
-            named(model, "limit", [at.joint for at in (worst, *(at for _, at in rest))]),
-            worst.kept,
-            "rad" if angular else "m",
-            commands=(PLOT,),
+            f"{', and stays there' if worst.rest is not None else ''}"
         )
+        cure = cure or "less of that force"
+        elements = named(model, "limit", [at.joint for at in (worst, *(at for _, at in rest))])
+        unit = "rad" if angular else "m"
+        yield Finding("limit", "warning", problem, cure, elements, worst.kept, unit, PLOT)
 
 
 def is_angular(model: Model, joint: int) -> bool:

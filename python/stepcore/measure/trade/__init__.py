@@ -168,7 +168,7 @@ def trade(
     points: list[mujoco_points.Point] = []
     timed: list[TimedRun] = []
     if mujoco:
-        theirs = mujoco_points.MujocoTrials(source, runner, reference, size)
+        theirs = mujoco_points.MujocoTrials(source, experiment, reference)
         points, timed = theirs.points(counts, workers)
     frontier = Frontier.of(maker.rows(tried, timed), reference.high, reference.largest, by)
     frontier = _with_statistics(frontier, made, reference, motion)

@@ -25,7 +25,7 @@ from stepcore.experiment.arguments import Workers
 from stepcore.experiment.bodies import Bodies
 from stepcore.experiment.cost import TimedRun
 from stepcore.experiment.errors import Errors, errors, pareto
-from stepcore.experiment.failure import far_off
+from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Clock, Runner
@@ -230,50 +230,52 @@ class Poses(Probe):
         self.qpos.append(sim.data.qpos.copy())
         self.qvel.append(sim.data.qvel.copy())
 
-    def end(self, sim: World, path: Run) -> None:
-        path.failure = _warned(sim.data)
-        if path.failure is None:
+    def end(self, sim: World, run: Run) -> None:
+        run.failure = _warned(sim.data)
+        if run.failure is None:
             seen = self.bodies.states(np.array(self.qpos), np.array(self.qvel))
-            path.com, path.quat, path.gyration = seen.com, seen.quat, self.bodies.gyration
+            run.com, run.quat, run.gyration = seen.com, seen.quat, self.bodies.gyration
 
 
 class MujocoTrials:
-    """MuJoCo's settings run on a trade's motion."""
+    """MuJoCo's settings run on a trade's motion; one after the other, as they share its model."""
 
-    def __init__(self, source: Any, runner: Runner, reference: Reference, size: float) -> None:
-        self.runner = MujocoRunner(runner.model, runner.schedule, load(source, runner.model))
-        self.reference, self.size = reference, size
+    def __init__(self, source: Any, own: Experiment, reference: Reference) -> None:
+        self.experiment = Experiment(own.model, own.schedule, size=own.size)
+        theirs = load(source, own.model)
+        self.experiment.runner = MujocoRunner(own.model, own.schedule, theirs)
+        self.reference = reference
 
     def points(self, steps: Steps, workers: Workers) -> tuple[list[Point], list[TimedRun]]:
         """Integrators × solvers × steps, all run from every start; and the same to be timed."""
-        solvers = SOLVERS if any(path.rows for path in self.reference.runs) else ("newton",)
+        solvers = SOLVERS if any(run.rows for run in self.reference.runs) else ("newton",)
         pieces = sorted({max(1, round(steps.own / factor)) for factor in FACTORS})
         asked = [Setting(steps.dt(n), i, s) for n in pieces for i in TRIED for s in solvers]
-        starts = len(self.runner.schedule.starts)
+        starts = len(self.reference.runs)
         with workers.bar("MuJoCo", len(asked) * starts) as bar:
             check = self._check()
             points = []
             for setting in asked:
                 points.append(self._point(setting, check))
                 bar.advance(starts)
+        runner = self.experiment.runner
         runs = [
-            TimedRun(self.runner, setting, failed=point.failure is not None)
+            TimedRun(runner, setting, failed=point.failure is not None)
             for setting, point in zip(asked, points, strict=True)
         ]
         return points, runs
 
     def _check(self) -> Check:
         """MuJoCo's own limit, beside the reference."""
-        ref, schedule = self.reference, self.runner.schedule
-        few = range(min(CHECKED, len(schedule.starts)))
-        # At most so many times the reference's step: this is to be seen, not to be the truth.
-        dt = schedule.period / max(1, int(schedule.period / ref.settings.dt / COARSER + 1e-9))
+        ref, period = self.reference, self.experiment.schedule.period
+        few = range(min(CHECKED, len(ref.runs)))
+        # Coarser than the reference: this is to be seen, not to be the truth.
+        dt = period / max(1, int(period / ref.settings.dt / COARSER + 1e-9))
         coarse, fine = (
-            [self._path(Setting(step, "rk4", "newton", exact=True), start) for start in few]
-            for step in (dt, dt / 2)
+            self._runs(Setting(step, "rk4", "newton", exact=True), few) for step in (dt, dt / 2)
         )
         apart, moved = math.inf, math.inf
-        if not any(path.failure for path in (*coarse, *fine)):
+        if not any(run.failure for run in (*coarse, *fine)):
             truth, scored = ref.runs[: len(few)], ref.scored[: len(few)]
             apart = errors(fine, truth, scored).high
             moved = errors(fine, coarse, scored).high
@@ -281,15 +283,14 @@ class MujocoTrials:
 
     def _point(self, setting: Setting, check: Check) -> Point:
         """One setting of MuJoCo's, from every start."""
-        ref = self.reference
-        paths = [self._path(setting, start) for start in range(len(ref.runs))]
-        failure = next((f"start {i}: {p.failure}" for i, p in enumerate(paths) if p.failure), None)
-        failure = failure or far_off(paths, ref.runs, self.size)
-        wrong = None if failure else errors(paths, ref.runs, ref.scored, self.size)
+        runs = self._runs(setting, range(len(self.reference.runs)))
+        failure = self.experiment.failure(runs, self.reference)
+        wrong = None if failure else self.experiment.errors(runs, self.reference)
         return Point(setting.dt, setting.integrator, setting.solver, wrong, check, failure=failure)
 
-    def _path(self, setting: Setting, start: int) -> Run:
-        return self.runner.run(setting, start, [Poses(self.runner.bodies)])
+    def _runs(self, setting: Any, starts: range) -> list[Run]:
+        """Runs from some starts, until one fails."""
+        return self.experiment.run(setting, starts, lambda runner: [Poses(runner.bodies)])
 
 
 def timed(points: Sequence[Point], runs: Sequence[TimedRun]) -> list[Point]:

@@ -5,6 +5,7 @@ The search only records positions; settings that it chooses are run again and fu
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from functools import partial
@@ -189,20 +190,23 @@ class RowMaker:
         runs, work, failure = cache.full[settings], cache.work[settings], cache.failure(settings)
         if failure is None and self.by == "time" and math.isnan(cost):
             failure = "failed while it was timed"
-        common = {
-            "failure": failure,
-            "shipped": settings == experiment.model.settings,
-            "clamped": self.tau is not None and 2 * settings.dt > self.tau * (1 + 1e-12),
-        }
-        if failure is not None:
-            return TradeRow(settings, None, math.nan, math.nan, **common)
-        updates = float(np.mean([run.row_updates for run in runs]))
-        return TradeRow(
+        row = TradeRow(
             settings,
-            self.split.errors(settings, runs),
-            cost,
-            updates / experiment.schedule.horizon,
+            errors=None,
+            cost=math.nan,
+            row_updates=math.nan,
+            failure=failure,
+            shipped=settings == experiment.model.settings,
+            clamped=self.tau is not None and 2 * settings.dt > self.tau * (1 + 1e-12),
+        )
+        if failure is not None:
+            return row
+        return dataclasses.replace(
+            row,
+            errors=self.split.errors(settings, runs),
+            cost=cost,
+            row_updates=float(np.mean([run.row_updates for run in runs]))
+            / experiment.schedule.horizon,
             flops=work.flops,
             nbytes=work.nbytes,
-            **common,
         )

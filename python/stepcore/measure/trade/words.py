@@ -299,9 +299,9 @@ def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float)
             "errors are measured from the limit dt → 0, where contacts are harder than as shipped"
         )
     for name, gap in reference.gaps.items():
-        least = "" if gap.settled else "at least "
+        bound = "" if gap.settled else "at least "
         yield (
-            f"modelling error: {MODELS[name]} moves positions by {least}{metres(gap.distance)} "
+            f"modelling error: {MODELS[name]} moves positions by {bound}{metres(gap.distance)} "
             f"(RMS, worst start; compared with {gap.against}); no time step and no solver changes "
             "this"
         )
