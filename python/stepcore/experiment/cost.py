@@ -11,8 +11,10 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.sim import Sim
+from stepcore.experiment.arguments import Workers
+from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.run import Probe, Run
-from stepcore.experiment.runner import Runner
+from stepcore.experiment.runner import Runner, positions
 from stepcore.report.progress import Progress
 
 # The fewest and the most rounds over all settings, and the time to spend on them if they are quick
@@ -114,13 +116,14 @@ class Stopwatch:
 
 
 class Work(NamedTuple):
-    """Floating-point operations per simulated second, and bytes of memory."""
+    """Floating-point operations and row updates per simulated second, and bytes of memory."""
 
     flops: float
     nbytes: int
+    row_updates: float
 
 
-UNKNOWN = Work(math.nan, 0)
+UNKNOWN = Work(math.nan, 0, math.nan)
 
 
 class Counter(Probe):
@@ -138,7 +141,20 @@ class Counter(Probe):
             self._sum += sim.count_flops() * steps
 
     def end(self, sim: Sim, run: Run) -> None:
-        self.work = Work(self._sum / self.schedule.horizon, sim.nbytes)
+        horizon = self.schedule.horizon
+        self.work = Work(self._sum / horizon, sim.nbytes, sim.row_updates / horizon)
+
+
+def priced(
+    runner: Runner, settings: Settings, starts: Sequence[int], workers: Workers
+) -> tuple[list[Run], Work]:
+    """Runs of positions from some starts, until one fails, and the work of the first of them."""
+    counter = Counter(runner)
+    runs = [runner.run(settings, starts[0], [*positions(runner), counter])]
+    if not runs[0].failure and len(starts) > 1:
+        hidden = Progress("", len(starts) - 1, False)
+        runs += screened(runner, settings, starts[1:], workers, hidden, until_fails=True)
+    return runs, counter.work
 
 
 def heaviness(runner: Runner, settings: Settings) -> float:

@@ -9,23 +9,19 @@ from functools import partial
 
 import numpy as np
 
-from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.features import MotionUsage, Removal, without
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.arguments import Workers
-from stepcore.experiment.cost import TimedRun, costs
+from stepcore.experiment.cost import TimedRun, costs, priced
 from stepcore.experiment.errors import errors
-from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.failure import failure
 from stepcore.experiment.run import Probe, Run
-from stepcore.experiment.runner import Runner, positions
+from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
 
-# Steps of the first start whose operations are counted, spread over the motion.
-COUNTED = 40
 # Contacts and limits of a start are read at most this often.
 READINGS = 500
 
@@ -111,44 +107,15 @@ def outcome_of(
         model = baseline.without(removals)
     except ValueError as error:
         return VariantOutcome(failure=one_line(error))
-    experiment = Experiment(model, baseline.schedule, workers)
-    quiet = Progress("", len(baseline.runs), False)
-    runs = experiment.run(model.settings, probes=positions, bar=quiet)
+    runner = Runner(model, baseline.schedule)
+    runs, work = priced(runner, model.settings, runner.starts, workers or Workers())
     failed = failure(runs, baseline.runs[: len(runs)], baseline.size)
     if failed is not None:
         return VariantOutcome(failure=failed)
     added = errors(runs, baseline.runs, baseline.scored)
     truth = baseline.truth
     off = () if truth is None else errors(runs, truth, baseline.scored).each
-    return VariantOutcome(added.each, added.position_max, off, *_work_per_second(experiment.runner))
-
-
-class WorkCount(Probe):
-    """Floating-point operations of single steps, spread evenly over a motion."""
-
-    def __init__(self, periods: int) -> None:
-        self.every = max(1, periods // COUNTED)
-        self.total = self.steps = 0
-
-    def period(self, sim: Sim, period: int) -> None:
-        if period % self.every == 0:
-            self.total += sim.count_flops(1)
-            self.steps += 1
-
-
-def _work_per_second(runner: Runner) -> tuple[float | None, float]:
-    """Floating-point operations and row updates per simulated second of the first start's motion.
-
-    None and nan if it fails.
-    """
-    settings = runner.model.settings
-    count, sim = WorkCount(runner.schedule.periods), runner.sim(settings)
-    try:
-        runner.follow(sim, 0, [count])
-    except SimulationError:
-        return None, np.nan
-    flops = count.total / count.steps / settings.dt
-    return flops, sim.row_updates / runner.schedule.horizon
+    return VariantOutcome(added.each, added.position_max, off, work.flops, work.row_updates)
 
 
 class UsageProbe(Probe):
