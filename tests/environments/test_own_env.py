@@ -178,5 +178,5 @@ def test_an_array_asked_for_late_is_refused_where_it_is_not_known():
     env = Env(sc.loads(CART), reward=later)
     env.reset(seed=0)
     asked.append(True)
-    with pytest.raises(AttributeError, match="xpos is asked for only now"):
+    with pytest.raises(AttributeError, match="xpos was not read when the environment was created"):
         env.step(np.zeros(1))

@@ -1,4 +1,4 @@
-"""Environments of gymnasium: its MuJoCo tasks as stepcore runs them, and one's own models.
+"""Gymnasium environments: gymnasium's MuJoCo tasks run by stepcore, and your own models.
 
 Importing this registers them:
 

@@ -1,4 +1,4 @@
-"""What an environment shows of itself: pictures of a world by `stepcore.viewing`, for `render`."""
+"""Draw a world for `render`, with `stepcore.viewing`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Picture = NDArray[np.uint8]
 
 
 class WorldCamera:
-    """Draws worlds of a model, with a camera that goes along with what moves.
+    """Draws worlds of a model with a camera that follows the moving bodies.
 
     width, height: of a picture, in points.
     """
@@ -29,7 +29,7 @@ class WorldCamera:
         self._following: Any = None
 
     def draw(self, world: Any, index: int | None = None) -> Picture:
-        """A picture of a Sim, or of a world of a Batch; shape (height, width, 3)."""
+        """Draw a Sim, or one world of a Batch; returns shape (height, width, 3)."""
         from stepcore.viewing.camera import Following
         from stepcore.viewing.drawing import drawing_of
         from stepcore.viewing.frames import poses_of
@@ -58,7 +58,7 @@ class WorldCamera:
 
 
 def camera_for(owner: str, render_mode: Any, width: int, height: int) -> WorldCamera | None:
-    """The camera that a mode needs; ValueError for an unknown mode and sizes that cannot be."""
+    """Return the camera of a render mode; ValueError for an unknown mode or impossible size."""
     if render_mode is None:
         return None
     # Drawing takes as long to import as to draw, and few environments are drawn.
@@ -71,5 +71,5 @@ def camera_for(owner: str, render_mode: Any, width: int, height: int) -> WorldCa
 
 
 def metadata_of(dt: float) -> dict[str, Any]:
-    """What gymnasium is told: the modes, and how many actions a second of the world has."""
+    """Return gymnasium's metadata: the render modes, and the actions per simulated second."""
     return {"render_modes": MODES, "render_fps": max(1, round(1 / dt))}

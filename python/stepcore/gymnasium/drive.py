@@ -1,4 +1,4 @@
-"""`Drive`: the worlds of an environment, moved one action at a time, and read for its task."""
+"""`Drive`: steps the worlds of an environment by one action and reads them for its task."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Drive:
     # Moments.
 
     def trial(self) -> Moment:
-        """The worlds as they are, for functions to be tried on; it is noted what they ask for."""
+        """Return the present worlds for a trial of the functions; record which arrays they read."""
         nu = len(self.model.names["actuator"])
         action = np.zeros((*self.world.qpos.shape[:-1], nu), dtype=np.float32)
 
@@ -81,7 +81,7 @@ class Drive:
         return self._moment(read, {}, action, Readings(read, self._asked_before))
 
     def moment(self, action: NDArray[Any], late: dict[str, Any]) -> Moment:
-        """The worlds after an action."""
+        """Return the worlds after an action."""
         before = Readings(_unknown, self._asked_before, self._before)
         return self._moment(lambda name: getattr(self.world, name), late, action, before)
 
@@ -93,13 +93,13 @@ class Drive:
         )
 
     def keep(self, now: Moment) -> None:
-        """Keeps what the next action's functions will ask of `now` as their moment before."""
+        """Keep the arrays that the functions will read as `now.before` after the next action."""
         self._before = {name: np.array(getattr(now, name)) for name in self._asked_before}
 
     # Actions.
 
     def act(self, action: NDArray[Any]) -> tuple[Moment, dict[int, SimulationError]]:
-        """Takes an action; returns the moment after it and the errors of worlds that failed.
+        """Take an action; return the moment after it, and the errors of worlds that failed.
 
         A world that fails stands in its last finite state.
         """
@@ -118,7 +118,7 @@ class Drive:
         return self.moment(action, late), errors
 
     def _stepped(self, n: int) -> dict[int, SimulationError]:
-        """Takes n steps; the errors of worlds that have failed."""
+        """Take n steps; return the errors of worlds that failed."""
         if n:
             try:
                 self.world.step(n)
@@ -127,7 +127,7 @@ class Drive:
         return self.world.failures if isinstance(self.world, Batch) else {}
 
     def _late(self, action: NDArray[Any]) -> dict[str, Any]:
-        """Before the last step: what it will have where it last evaluates its forces."""
+        """Before the last step, read the arrays at the place where it last evaluates forces."""
         source: Sim | Batch = self.world
         if self._stage is not None:
             source = self._stage
@@ -144,7 +144,7 @@ class Drive:
     # Resets.
 
     def starts(self, rngs: Iterable[np.random.Generator]) -> tuple[Floats, Floats]:
-        """qpos and qvel of first states, one for each generator, shape (k, nq) and (k, nv)."""
+        """Draw first states, one for each generator: qpos (k, nq) and qvel (k, nv)."""
         drawn = [self.task.start(self.model, rng) for rng in rngs]
         qpos, qvel = (np.array(values, dtype=np.float64) for values in zip(*drawn, strict=True))
         for name, table, size in (("qpos", qpos, self.model.nq), ("qvel", qvel, self.model.nv)):
@@ -153,7 +153,7 @@ class Drive:
         return qpos, qvel
 
     def first(self, qpos: Floats, qvel: Floats) -> Moment:
-        """The moment of worlds that were just reset to these states, in their order."""
+        """Return the moment of worlds that were just reset to these states, in their order."""
         names = (self._asked | self._asked_before) - {"qpos", "qvel"}
         kept: dict[str, Any] = {"qpos": qpos, "qvel": qvel}
         if names:
@@ -173,7 +173,7 @@ class Drive:
         return {name: value * 0 if name in zero else value for name, value in values.items()}
 
     def keep_first(self, worlds: Any, first: Moment) -> None:
-        """Keeps a first moment as the one before, for these worlds."""
+        """Keep a first moment as `before` for these worlds."""
         for name in self._asked_before:
             value = getattr(first, name)
             if name not in self._before:
@@ -181,12 +181,12 @@ class Drive:
             self._before[name][worlds] = value
 
     def keep_only(self, first: Moment) -> None:
-        """Keeps the first moment of a Sim, whose arrays have no axis of worlds."""
+        """Keep the first moment of a Sim, whose arrays have no axis of worlds."""
         self._before = {name: np.array(getattr(first, name)[0]) for name in self._asked_before}
 
 
 def _stand(worlds: list[int], source: Sim | Batch) -> None:
-    """Lets worlds be read that failed, as their own step will; nothing that is read is told."""
+    """Allow failed worlds to be read, without reporting the failure again."""
     if isinstance(source, Batch):
         source.reset(worlds=worlds)
     else:
@@ -195,10 +195,10 @@ def _stand(worlds: list[int], source: Sim | Batch) -> None:
 
 
 def _unknown(name: str) -> NoReturn:
-    """An array that no function asked for when the environment was made."""
+    """Explain that no function read this array when the environment was made."""
     raise AttributeError(
-        f"{name} is asked for only now: functions must ask for the same arrays whenever they are "
-        "called, so that these are known of the moment before and after a reset"
+        f"{name} was not read when the environment was created: observe, reward and the others "
+        "must read the same arrays in every call, because the moment before a step is kept for them"
     )
 
 

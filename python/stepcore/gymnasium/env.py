@@ -101,7 +101,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
 
     @property
     def sim(self) -> Sim:
-        """The world, for whatever an environment does not tell of it."""
+        """The `Sim` of this environment."""
         world = self._drive.world
         assert isinstance(world, Sim)
         return world
@@ -114,7 +114,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Floats, dict[str, Any]]:
-        """Begins an episode; see `gymnasium.Env.reset`. There are no options."""
+        """Begin an episode; see `gymnasium.Env.reset`. There are no options."""
         super().reset(seed=seed)
         no_options(options)
         qpos, qvel = self._drive.starts([self.np_random])
@@ -128,7 +128,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         return observation, {name: owned(value[0]) for name, value in info.items()}
 
     def step(self, action: NDArray[Any]) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """Takes an action, shape (nu,); see `gymnasium.Env.step`. It is never truncated."""
+        """Take an action, shape (nu,); see `gymnasium.Env.step`. The episode is never truncated."""
         if not self._begun:
             raise gymnasium.error.ResetNeeded("Env.step: call reset first")
         now, errors = self._drive.act(checked(action, self.action_space.shape))
@@ -141,17 +141,17 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         return observation, float(reward), bool(terminated), False, info
 
     def render(self) -> Picture | None:
-        """Draws the world, shape (height, width, 3); None without a `render_mode`."""
+        """Draw the world, shape (height, width, 3); return None without a `render_mode`."""
         return None if self._camera is None else self._camera.draw(self.sim)
 
     def close(self) -> None:
-        """Frees what draws."""
+        """Free the renderer."""
         if self._camera is not None:
             self._camera.close()
 
 
 def checked(action: Any, shape: tuple[int, ...] | None) -> NDArray[Any]:
-    """The action as an array of its space's shape."""
+    """Return the action as an array of the shape of its space."""
     array = np.asarray(action)
     if array.shape != shape:
         raise ValueError(f"action has shape {array.shape}: must be {shape}")
@@ -159,6 +159,6 @@ def checked(action: Any, shape: tuple[int, ...] | None) -> NDArray[Any]:
 
 
 def no_options(options: dict[str, Any] | None) -> None:
-    """Refuses any option of a reset."""
+    """Refuse any option of a reset."""
     if options:
         raise ValueError(f"options = {checks.shown(options)}: must be empty, a reset has none")

@@ -1,7 +1,7 @@
-"""The information of many worlds, as gymnasium's vector environments give it.
+"""Information of many worlds, in the form of gymnasium's vector environments.
 
-Each name has an array with the worlds first, and "_name" says which worlds have told it; the
-others' entries are 0 or None.
+Each name has an array with the worlds first, and "_name" says which worlds have an entry; the
+others have 0 or None.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Mask = NDArray[np.bool_]
 
 
 def masked(infos: dict[str, Any], info: dict[str, Any], mask: Mask) -> dict[str, Any]:
-    """`infos` with what the worlds of a mask tell: a row each, or one a world for all worlds."""
+    """Add the entries of the worlds of a mask to `infos`."""
     worlds = np.flatnonzero(mask)
     for name, value in info.items():
         rows = np.asarray(value)
@@ -43,7 +43,7 @@ def _fill(infos: dict[str, Any], name: str, rows: Any, worlds: Any, mask: Mask) 
 
 
 def final_infos(info: dict[str, Any], observations: Floats, ended: Mask) -> dict[str, Any]:
-    """How the episodes of some worlds ended: "final_obs" and "final_info"."""
+    """Return "final_obs" and "final_info" of worlds whose episodes ended."""
     last = np.full(len(ended), None, dtype=object)
     for world in np.flatnonzero(ended):
         last[world] = observations[world].copy()
@@ -56,7 +56,7 @@ def final_infos(info: dict[str, Any], observations: Floats, ended: Mask) -> dict
 
 
 def failures(errors: dict[int, Any], n: int) -> NDArray[Any]:
-    """The text of each world's failure, None where there is none."""
+    """Return the text of each world's failure, or None."""
     texts = np.full(n, None, dtype=object)
     for world, error in errors.items():
         texts[world] = str(error)

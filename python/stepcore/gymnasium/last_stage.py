@@ -1,4 +1,4 @@
-"""Where a step of rk4 last evaluates its forces: its fourth stage.
+"""The fourth stage of an rk4 step, where it last evaluates its forces.
 
 After mj_step MuJoCo's poses and forces are of that place, while qpos and qvel have moved on; a
 step of one stage has it where the step began. The stages are those of the engine's rk4
@@ -21,7 +21,7 @@ REACHES = (0.5, 0.5, 1.0)
 
 
 def go_to_last_stage(scratch: Sim | Batch, qpos: Floats, qvel: Floats) -> None:
-    """Puts `scratch` where the step from these states has its last stage, and evaluates it there.
+    """Put `scratch` at the last stage of the step from these states, and evaluate it there.
 
     A step of one stage has it where it begins.
 
@@ -45,12 +45,12 @@ def go_to_last_stage(scratch: Sim | Batch, qpos: Floats, qvel: Floats) -> None:
 
 
 def _finite(values: Floats, otherwise: Floats) -> Floats:
-    """Worlds whose values are not all finite have others instead."""
+    """Replace the values of worlds that are not all finite."""
     return np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, otherwise)
 
 
 def _turns(model: Model) -> list[tuple[slice, slice]]:
-    """Where each quaternion is in qpos, and its rate in qvel."""
+    """Yield the place of each quaternion in qpos and of its rate in qvel."""
     ends = [
         (int(q) + QPOS[kind], int(v) + DOFS[kind])
         for kind, q, v in zip(model.jnt_type, model.jnt_qposadr, model.jnt_dofadr, strict=True)
@@ -60,7 +60,7 @@ def _turns(model: Model) -> list[tuple[slice, slice]]:
 
 
 def _advanced(turns: list[tuple[slice, slice]], qpos: Floats, move: Floats) -> Floats:
-    """qpos ⊕ move: positions are shifted, quaternions turned about the body's own axes."""
+    """Return qpos ⊕ move: shift positions, and rotate quaternions about the axes of the body."""
     out = np.empty_like(qpos)
     at_qpos, at_move = 0, 0
     for quat, dofs in turns:
@@ -75,7 +75,7 @@ def _advanced(turns: list[tuple[slice, slice]], qpos: Floats, move: Floats) -> F
 
 
 def _exp(vector: Floats) -> Floats:
-    """Quaternions w x y z of rotation vectors."""
+    """Return the quaternions w x y z of rotation vectors."""
     angle = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
     return np.concatenate([np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * vector], axis=-1)
 

@@ -1,4 +1,4 @@
-"""`Moment`: what a task's functions are given of one world, or of many."""
+"""`Moment`: the argument of a task's functions, for one world or many."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stepcore.engine.model import Model
 
 
 class Readings:
-    """Arrays of a world by name, each read when it is first asked for and then kept."""
+    """Arrays of a world by name; each is read once, when it is first needed."""
 
     def __init__(
         self, read: Callable[[str], Any], asked: set[str], kept: dict[str, Any] | None = None
@@ -64,10 +64,10 @@ class Moment(Readings):
 
 
 def owned(value: Any, dtype: Any = None) -> Any:
-    """A copy that stays as it is when the world moves on; a number where there is no axis."""
+    """Return a copy that does not change with the world; a number for an array without axes."""
     return np.array(value, dtype=dtype)[()]
 
 
 def state_vector(now: Moment) -> Floats:
-    """qpos and qvel one after the other, shape (nq + nv,)."""
+    """qpos followed by qvel, shape (nq + nv,)."""
     return np.concatenate([now.qpos, now.qvel], axis=-1)

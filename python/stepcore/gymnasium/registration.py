@@ -1,4 +1,4 @@
-"""Tells gymnasium of the tasks."""
+"""Register the tasks in gymnasium."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MODULE = "stepcore.gymnasium.tasks"
 
 
 def register_envs() -> None:
-    """Registers every task as "stepcore/<name>-v0", unless that is done."""
+    """Register every task as "stepcore/<name>-v0", unless it is registered already."""
     for name, entry in TASKS.items():
         known = f"stepcore/{name}-v0"
         if known not in gymnasium.registry:

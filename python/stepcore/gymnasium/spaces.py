@@ -1,4 +1,4 @@
-"""`Spaces`: a task's functions tried once, and the spaces that follow."""
+"""`Spaces`: the action and observation spaces of a task, found by a trial of its functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`Task`: what is observed of a model, what is rewarded, how an episode begins and ends."""
+"""`Task`: observation, reward, and how an episode begins and ends."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Outcome = tuple[Floats, NDArray[np.bool_], dict[str, Any]]
 
 
 class Task(ABC):
-    """What an environment asks of its worlds. To be subclassed.
+    """The functions of an environment. Subclass it for a task of your own.
 
     Each function takes a `Moment` and serves one world and many: its arrays have the worlds, if
     there are many, as their first axis, and what it returns has them too.
@@ -42,40 +42,40 @@ class Task(ABC):
         """The compiled model."""
 
     def observe(self, now: Moment) -> Floats:
-        """The observation, shape (k,); qpos and qvel unless a task says otherwise."""
+        """Return the observation, shape (k,); by default qpos and qvel."""
         return state_vector(now)
 
     def reward(self, now: Moment) -> Floats:
-        """The reward, shape ()."""
+        """Return the reward, shape ()."""
         return np.zeros(now.shape)
 
     def terminated(self, now: Moment) -> NDArray[np.bool_]:
-        """Whether the episode is over, shape ()."""
+        """Return whether the episode is over, shape ()."""
         return np.zeros(now.shape, dtype=bool)
 
     def info(self, now: Moment) -> dict[str, Any]:
-        """What else is told after an action, by name."""
+        """Return further information after an action, by name."""
         return {}
 
     def reset_info(self, now: Moment) -> dict[str, Any]:
-        """What else is told after a reset, by name."""
+        """Return further information after a reset, by name."""
         return {}
 
     def outcome(self, now: Moment) -> Outcome:
-        """Reward, termination and information after an action."""
+        """Return reward, termination and information after an action."""
         return self.reward(now), self.terminated(now), self.info(now)
 
     def start(self, model: Model, rng: np.random.Generator) -> tuple[ArrayLike, ArrayLike]:
-        """qpos and qvel of one world's first state, drawn with its own generator."""
+        """Draw qpos and qvel of one world's first state with its own generator."""
         return model.qpos0, np.zeros(model.nv)
 
     def action_space(self, model: Model) -> Box:
-        """The actions: controls within the actuators' ranges."""
+        """The action space: controls within the ranges of the actuators."""
         low, high = model.actuator_ctrlrange.astype(np.float32).T
         return Box(low, high, dtype=np.float32)
 
     def observation_space(self, size: int) -> Box:
-        """The observations: any numbers, as many as `observe` gives."""
+        """The observation space: unbounded, of the size that `observe` returns."""
         return Box(-np.inf, np.inf, (size,), dtype=np.float64)
 
 
@@ -84,7 +84,7 @@ Function = Callable[[Moment], Any]
 
 @dataclass(frozen=True, kw_only=True)
 class FunctionTask(Task):
-    """A task of one's own model and functions; what is None is as `Task` has it."""
+    """A task of a model and functions; those of `Task` replace a None."""
 
     source: Source
     observing: Function | None = None
@@ -123,7 +123,7 @@ class FunctionTask(Task):
 
 
 def task_of(model: Source | Task, frame_skip: int, **functions: Any) -> Task:
-    """A `Task` as it is, or the task of a model with these functions.
+    """Return a `Task` unchanged, or make the task of a model with these functions.
 
     Raises ValueError for functions beside a `Task`, which has its own, and for a function that
     cannot be called.

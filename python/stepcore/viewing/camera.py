@@ -1,4 +1,4 @@
-"""Where a picture is taken from."""
+"""Cameras."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Camera:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where it stands [m]."""
+        """Position of the camera [m]."""
         flat = np.cos(self.lift)
         way = np.array([flat * np.cos(self.turn), flat * np.sin(self.turn), np.sin(self.lift)])
         place: NDArray[np.float64] = self.target + self.far * way
@@ -41,7 +41,7 @@ class Camera:
 
 
 class Following:
-    """A camera that goes along with what moves: it stands there as at the first instant."""
+    """A camera that follows the moving bodies, at the distance of the first instant."""
 
     def __init__(self, drawing: Drawing, first: Instant) -> None:
         self.moving = drawing.moving if drawing.moving.any() else ~drawing.moving
@@ -53,12 +53,12 @@ class Following:
         return middle
 
     def at(self, instant: Instant) -> Camera:
-        """The camera at an instant."""
+        """Return the camera at an instant."""
         return replace(self.camera, target=self.camera.target + self._middle(instant) - self.start)
 
 
 def camera_of(drawing: Drawing, instant: Instant, turn: float, lift: float, far: float) -> Camera:
-    """The camera that sees what moves; far: of the extent of the drawing."""
+    """Return a camera that sees what moves; far: in extents of the drawing."""
     moves = drawing.moving if drawing.moving.any() else ~drawing.moving
     points = [
         instant.placed(shape.body, corners(shape))

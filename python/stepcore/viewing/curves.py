@@ -49,7 +49,7 @@ class Curves:
         self.sent = 0.0
 
     def draw(self, made: Callable[[], Points], now: bool = True) -> None:
-        """Draws curves; not `now`: unless that was done lately.
+        """Draw the curves; without `now` only if they were not drawn lately.
 
         made: makes the times, and the values of shape (names, times), where they are drawn.
         """
@@ -62,7 +62,7 @@ class Curves:
 
 
 def energies(instants: Sequence[Instant]) -> Points:
-    """Times; kinetic energy, and changes of potential and total since the first instant, (3, n)."""
+    """Return times, and kinetic energy and the changes of potential and total energy, (3, n)."""
     kinetic, potential = np.array([instant.energy for instant in instants]).T
     total = kinetic + potential
     # Potential energy has no zero of its own.
@@ -71,7 +71,7 @@ def energies(instants: Sequence[Instant]) -> Points:
 
 
 def residuals(instants: Sequence[Instant]) -> Points:
-    """Times; the decimal logarithm of each instant's residual in m/s, shape (1, n)."""
+    """Return times and the decimal logarithm of each instant's residual in m/s, shape (1, n)."""
     found = np.maximum([[instant.residual for instant in instants]], LEAST)
     return _times(instants), np.log10(found)
 

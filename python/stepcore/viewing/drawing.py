@@ -34,7 +34,7 @@ GROUND = (0.62, 0.66, 0.70, 1.0)
 
 @dataclass(frozen=True)
 class Shape:
-    """One geom as it is drawn.
+    """One drawn geom.
 
     body: the index of the body that carries it. kind: "plane", "sphere", "capsule", "ellipsoid",
     "cylinder", "box" or "triangles". size: as `Geom.size`. pos, quat: in the body's frame.
@@ -55,9 +55,9 @@ class Shape:
 
     @property
     def checks(self) -> tuple[Vec, Vec]:
-        """The colours of a plane's squares, by which motion over it is seen.
+        """The colours of a plane's squares, which make motion over it visible.
 
-        They differ by no more than leaves what stands on the plane the brighter.
+        Their contrast is low, so that what stands on the plane stays brighter.
         """
         if self.squares is None:
             return self.rgba, (*(0.86 * c for c in self.rgba[:3]), self.rgba[3])
@@ -69,7 +69,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What a model looks like.
+    """The appearance of a model.
 
     name: of the scene. shapes: of all its geoms. bodies: names of the bodies, the world first.
     moving: whether each body can move. extent: a length by which the bodies together are as large
@@ -91,7 +91,7 @@ class Drawing:
 
 
 def drawing_of(model: ModelData, world: World) -> Drawing:
-    """The drawing of a model.
+    """Return the drawing of a model.
 
     world: a Sim of the model at any state; its geoms are read where the engine has them.
     """
@@ -139,7 +139,7 @@ def _in_order(model: ModelData) -> list[Any]:
 
 
 def _plain(model: ModelData, looks: Looks) -> bool:
-    """Whether nothing but the ground has a colour."""
+    """Return whether nothing but the ground has a colour."""
     pairs = [*zip(looks.colours, model.geom_body, strict=True)]
     pairs += [(look, body) for body, _, look in looks.geoms]
     return all(look.rgba == GREY for look, body in pairs if body)
@@ -152,7 +152,7 @@ def _colliding(
     moving: NDArray[np.bool_],
     plain: bool,
 ) -> list[Shape]:
-    """The geoms that the engine has, those that only draw and are primitives included."""
+    """Return the geoms of the engine, including primitives that only draw."""
     shapes = []
     colours = [Look(GREY)] * model.ngeom if looks is None else looks.colours
     for index, geom in enumerate(Layout(model.scene).geoms):
@@ -175,7 +175,7 @@ def _colliding(
 
 
 def _visual(looks: Looks, moving: NDArray[np.bool_], plain: bool) -> list[Shape]:
-    """The geoms that only draw and that the engine has not."""
+    """Return the geoms that only draw and are not in the engine."""
     shapes = []
     for body, geom, look in looks.geoms:
         surface = _surface(geom)
@@ -204,14 +204,14 @@ def _surface(geom: Geom) -> surfaces.Surface | None:
 
 
 def _in_body(world: World, body: int, geom: int) -> tuple[Vec, Vec]:
-    """Where a geom stands in the frame of its body."""
+    """Return the pose of a geom in the frame of its body."""
     turn = world.xmat[body]
     pos = turn.T @ (world.geom_xpos[geom] - world.xpos[body])
     return tuple(pos.tolist()), quat_of(turn.T @ world.geom_xmat[geom])
 
 
 def quat_of(matrix: NDArray[Any]) -> Vec:
-    """The quaternion w x y z of a rotation matrix (Shepperd's method)."""
+    """Return the quaternion w x y z of a rotation matrix (Shepperd's method)."""
     m = matrix
     trace = np.trace(m)
     # Four times the square of each entry of the quaternion.
@@ -226,7 +226,7 @@ def quat_of(matrix: NDArray[Any]) -> Vec:
 
 
 def corners(shape: Shape) -> NDArray[Any]:
-    """Points of the body's frame between which a shape lies, shape (n, 3); none for a plane."""
+    """Return points that bound a shape in the frame of its body, shape (n, 3); none for a plane."""
     if shape.kind == "plane":
         return np.empty((0, 3))
     if shape.surface is not None:
@@ -245,7 +245,7 @@ def corners(shape: Shape) -> NDArray[Any]:
 
 
 def _extent(shapes: list[Shape], world: World, moving: NDArray[np.bool_]) -> float:
-    """The diagonal of the box round what moves; round everything where nothing does."""
+    """Return the diagonal of the box around what moves, or around everything if nothing moves."""
     chosen = [shape for shape in shapes if moving[shape.body]] or shapes
     points = [corners(s) @ world.xmat[s.body].T + world.xpos[s.body] for s in chosen]
     if not any(map(len, points)):

@@ -105,22 +105,22 @@ FRAME_TRANSFORMS = _object(
 
 
 def time_of(nanoseconds: int) -> Json:
-    """A time as messages have it."""
+    """Return a time in the form of the messages."""
     return {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9}
 
 
 def vector(values: Any) -> Json:
-    """Three numbers."""
+    """Return three numbers as x, y, z."""
     return dict(zip("xyz", map(float, values), strict=True))
 
 
 def quaternion(wxyz: Any) -> Json:
-    """A quaternion in the order of the engine."""
+    """Return a quaternion, given in the order of the engine."""
     return dict(zip("wxyz", map(float, wxyz), strict=True))
 
 
 def transform(nanoseconds: int, frame: str, pos: Any, quat: Any) -> Json:
-    """Where a frame is in the world."""
+    """Return the pose of a frame in the world."""
     return {
         "timestamp": time_of(nanoseconds),
         "parent_frame_id": WORLD,
@@ -131,7 +131,7 @@ def transform(nanoseconds: int, frame: str, pos: Any, quat: Any) -> Json:
 
 
 def entity(nanoseconds: int, frame: str, name: str, **primitives: list[Json]) -> Json:
-    """Primitives that go along with a frame, and replace what had the same name."""
+    """Return primitives that move with a frame and replace those of the same name."""
     lists = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
     return {
         "timestamp": time_of(nanoseconds),
@@ -145,7 +145,7 @@ def entity(nanoseconds: int, frame: str, name: str, **primitives: list[Json]) ->
 
 
 def of_shape(shape: Shape, reach: float) -> tuple[str, Json]:
-    """The list that a shape stands in, and its primitive; reach: the extent of the scene [m]."""
+    """Return the list for a shape and its primitive; reach: the extent of the scene [m]."""
     pose = {"position": vector(shape.pos), "orientation": quaternion(shape.quat)}
     color = dict(zip("rgba", map(float, shape.rgba), strict=True))
     r, h = (*shape.size, 0.0, 0.0)[:2]
@@ -171,7 +171,7 @@ def of_shape(shape: Shape, reach: float) -> tuple[str, Json]:
 
 
 def arrow(place: NDArray[Any], along: NDArray[Any], thickness: float) -> Json:
-    """An arrow from a place [m]; along: its direction and length [m]."""
+    """Return an arrow from a point [m]; along: its direction and length [m]."""
     length = float(np.linalg.norm(along))
     head = min(3 * thickness, length / 2)
     return {
@@ -189,7 +189,7 @@ def _double(size: Sequence[float]) -> tuple[float, ...]:
 
 
 def _turn_from_x(along: NDArray[Any]) -> Sequence[float]:
-    """A quaternion that turns the x axis into a direction."""
+    """Return a quaternion that rotates the x axis into a direction."""
     x = along / np.linalg.norm(along)
     # The axis that is furthest from it makes the frame whole.
     other = np.eye(3)[int(np.argmin(np.abs(x)))]

@@ -1,4 +1,4 @@
-"""What is seen of a run at each of its instants: poses, contacts, energy and the residual."""
+"""The instants of a run for drawing: poses, contacts, energy and the residual."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Instant:
     """One instant.
 
     time: [s]. xpos, xquat: of the bodies, shapes (nbody, 3) and (nbody, 4). places, forces: of the
-    contacts that bear, in world axes [m] and [N], shape (n, 3). energy: kinetic and potential [J].
-    residual: of the solve [m/s]. tendons: the ways of spatial tendons between their sites, each of
+    contacts that carry load, in world axes [m] and [N], shape (n, 3). energy: kinetic and
+    potential [J]. residual: of the solve [m/s]. tendons: the paths of spatial tendons, each of
     shape (points, 3) [m].
     """
 
@@ -35,7 +35,7 @@ class Instant:
     tendons: list[NDArray[Any]]
 
     def placed(self, body: int, points: Any) -> NDArray[Any]:
-        """Points of a body's frame in the world [m], shape (n, 3)."""
+        """Return points of a body's frame in world coordinates [m], shape (n, 3)."""
         turn = np.array(frames.matrix(self.xquat[body].tolist()))
         places: NDArray[Any] = np.reshape(points, (-1, 3)) @ turn.T + self.xpos[body]
         return places
@@ -43,7 +43,7 @@ class Instant:
 
 @dataclass(frozen=True)
 class Replayed:
-    """A run as it is seen: its drawing, and its instants in the order of time."""
+    """A run for drawing: its shapes, and its instants in order of time."""
 
     drawing: Drawing
     instants: list[Instant]
@@ -51,7 +51,7 @@ class Replayed:
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """Of each instant [s]."""
+        """Time of each instant [s]."""
         return np.array([instant.time for instant in self.instants])
 
     @property
@@ -67,7 +67,7 @@ class Replayed:
 
 
 def instant_of(sim: Any) -> Instant:
-    """The present instant of a Sim, which solves it."""
+    """Return the present instant of a Sim; this solves its forces."""
     sim.forward()
     contacts = sim.contacts
     bearing = np.linalg.norm(contacts["force"], axis=1) > 0
@@ -81,7 +81,7 @@ def instant_of(sim: Any) -> Instant:
 
 
 def poses_of(sim: Any) -> Instant:
-    """The present instant of a Sim without a solve: its poses and tendons alone."""
+    """Return poses and tendons of a Sim without solving forces."""
     nothing = np.empty((0, 3))
     return Instant(
         time=sim.time,
@@ -96,7 +96,7 @@ def poses_of(sim: Any) -> Instant:
 
 
 def replayed(snapshots: Snapshots, label: str = "") -> Replayed:
-    """A run as it is seen; its solves are made again."""
+    """Return a run for drawing; its forces are solved again."""
     sim = snapshots.sim()
     sim.restore(snapshots.states[0])
     drawing, instants = drawing_of(snapshots.model, sim), []
@@ -107,11 +107,11 @@ def replayed(snapshots: Snapshots, label: str = "") -> Replayed:
 
 
 def distance(one: Replayed, other: Replayed) -> NDArray[np.float64]:
-    """RMS distance of the bodies that move of two runs, at the instants of the first [m].
+    """Return the RMS distance of the moving bodies of two runs, at the instants of the first [m].
 
-    NaN where the other has not begun or has ended.
+    The distance is NaN before the other run begins and after it ends.
 
-    Raises ValueError where the two have not the same bodies.
+    Raises ValueError if the two runs have different bodies.
     """
     if one.drawing.bodies != other.drawing.bodies:
         counts = f"{len(one.drawing.bodies)} and {len(other.drawing.bodies)}"

@@ -23,7 +23,7 @@ _one_at_a_time = threading.Lock()
 
 
 class Guard:
-    """Lets requests in by their token, host and origin.
+    """Admits requests by their token, host and origin.
 
     host: the address on which the view is served. token: the last part of its address.
     """
@@ -34,7 +34,7 @@ class Guard:
         self.stands = False
 
     def lets_in(self, path: str, headers: Any) -> bool:
-        """Whether a request for this path may pass."""
+        """Return whether a request for this path may pass."""
         given = path.partition("?")[0].split("/")[1:2]
         known = bool(given) and hmac.compare_digest(given[0].encode(), self.token.encode())
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
@@ -45,12 +45,12 @@ class Guard:
         return len(origins) == 1 and _is_page_of(origins[0], hosts[0])
 
     def _is_own(self, host: str) -> bool:
-        """Whether a view of this machine alone was asked for by a name of this machine."""
+        """Return whether the Host header names this machine, for a view of this machine alone."""
         name = _name(f"//{host}")
         return not is_loopback(self.host) or name == self.host or is_loopback(name)
 
     def asked_first(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """What a server does with a request: refuses it, or answers it without its token."""
+        """Refuse a request, or let the server answer it without its token."""
 
         def process(connection: Any, request: Any) -> Any:
             if not self.lets_in(request.path, request.headers):
@@ -93,7 +93,7 @@ def _name(address: str) -> str:
 
 
 def is_loopback(name: str) -> bool:
-    """Whether no other machine reaches this name or address."""
+    """Return whether only this machine can reach the name or address."""
     octets = name.split(".")
     return name in ("localhost", "::1") or (
         len(octets) == 4 and octets[0] == "127" and all(octet.isdecimal() for octet in octets)
@@ -101,5 +101,5 @@ def is_loopback(name: str) -> bool:
 
 
 def _is_page_of(origin: str, host: str) -> bool:
-    """Whether an origin is that of the page which a server of this Host header serves."""
+    """Return whether an origin is that of the page served under this Host header."""
     return origin.lower() in (f"http://{host}".lower(), f"https://{host}".lower())

@@ -1,4 +1,4 @@
-"""The live view: a page in which a Sim runs, or recorded runs are gone through.
+"""The live view: a page that runs a Sim or plays recorded runs.
 
 It is made with viser (the extra "view"): a server on this machine, and a page in any browser that
 can reach it.
@@ -28,7 +28,7 @@ EVERYWHERE = ("0.0.0.0", "::")
 
 
 class View:
-    """A view that is open.
+    """An open view.
 
     url: its address, whose last part is a secret: whoever knows it sees the view and can drive it.
     It stays open until `close`, or the end of the program.
@@ -43,12 +43,12 @@ class View:
 
     @property
     def url(self) -> str:
-        """Its address in a browser of this machine."""
+        """The address in a browser of this machine."""
         return self._url("localhost" if self._host in EVERYWHERE else self._host)
 
     @property
     def outer_url(self) -> str:
-        """Its address in browsers of other machines, which `host` lets in; else ""."""
+        """The address for other machines, if `host` lets them in; otherwise ""."""
         own = _own_address() if self._host in EVERYWHERE else self._host
         return "" if is_loopback(own) else self._url(own)
 
@@ -57,7 +57,7 @@ class View:
         return f"http://{name}:{self._server.get_port()}/{self._token}"
 
     def close(self) -> None:
-        """Ends the view."""
+        """End the view."""
         self._stop.set()
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5)
@@ -65,7 +65,7 @@ class View:
             self._server.stop()
 
     def wait(self) -> None:
-        """Waits until someone closes the view or presses Ctrl-C, which closes it."""
+        """Wait until someone closes the view or presses Ctrl-C, which closes it."""
         try:
             while not self._stop.wait(0.2):
                 pass
@@ -99,12 +99,12 @@ class View:
 
 
 def view_sim(sim: Any, host: str = "localhost", port: int = PORT) -> View:
-    """A live view of a copy of a Sim; see `Sim.view`."""
+    """Open a live view of a copy of a Sim; see `Sim.view`."""
     return _view(host, port, lambda server: SimPanel(server, sim))
 
 
 def view_runs(runs: Sequence[Replayed], host: str = "localhost", port: int = PORT) -> View:
-    """A view of recorded runs, laid over each other; see `Trajectory.view`."""
+    """Open a view of recorded runs over each other; see `Trajectory.view`."""
     return _view(host, port, lambda server: RunPanel(server, runs))
 
 
@@ -116,12 +116,12 @@ def view(
     port: int = PORT,
     wait: bool | None = None,
 ) -> View:
-    """Opens a view of a Sim, a scene or a recorded run, or of several runs laid over each other.
+    """Open a view of a Sim, a scene or a recorded run, or of several runs laid over each other.
 
     runs: a `Sim`, a `Scene` or a `Trajectory`; or a list of trajectories with the same bodies.
         The first keeps its colours; lines join the bodies of the others with its own, and their
         RMS distance stands beside.
-    labels: what the runs are called.
+    labels: names of the runs.
     host, port: where the page is served; "0.0.0.0" lets other machines see it. The next free port
         is taken.
     wait: returns only when the view is closed, by Ctrl-C; by default so except at a prompt and in
@@ -147,7 +147,7 @@ def view(
 
 
 def several(runs: Sequence[Any], labels: Sequence[str] = ()) -> list[Replayed]:
-    """Trajectories as they are seen together, with their labels."""
+    """Return trajectories for a common drawing, with their labels."""
     if not runs or not all(hasattr(run, "_replayed") for run in runs):
         raise ValueError(f"runs = {checks.shown(runs)}: must be a list of trajectories")
     names = [*labels, *(f"run {k + 1}" for k in range(len(labels), len(runs)))]
@@ -158,7 +158,7 @@ def several(runs: Sequence[Any], labels: Sequence[str] = ()) -> list[Replayed]:
 
 
 def opened(view: View, wait: bool | None) -> View:
-    """The view, whose address is printed; waits for its end where nobody sits at a prompt."""
+    """Print the address of the view and, outside of a prompt, wait until it ends."""
     prompt = hasattr(sys, "ps1") or "ipykernel" in sys.modules
     waits = wait or (wait is None and not prompt)
     outer = "" if view.outer_url in ("", view.url) else f"from another machine {view.outer_url}"
@@ -181,7 +181,7 @@ def _view(host: str, port: int, panel: Callable[[Any], Panel]) -> View:
 
 
 def _own_address() -> str:
-    """The address by which other machines reach this one, or its name."""
+    """Return the address or name by which other machines reach this one."""
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
         # Nothing is sent: the system only says which of its addresses it would send from.
         asked.connect(("192.0.2.1", 9))
@@ -190,7 +190,7 @@ def _own_address() -> str:
 
 
 def _check_host(host: str) -> None:
-    """Refuses an address that is not this machine's, for which viser would wait for ever."""
+    """Refuse an address of another machine, on which viser would wait for ever."""
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as tried:
@@ -202,7 +202,7 @@ def _check_host(host: str) -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what viser prints of its own: its address in a box, and that it has stopped."""
+    """Suppress viser's own output: its address in a box, and its end."""
     console = need("rich", "a view").get_console()
     console.quiet, before = True, console.quiet
     try:

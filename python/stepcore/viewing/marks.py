@@ -1,4 +1,4 @@
-"""What is drawn besides shapes: contacts as balls, forces as arrows, tendons as rods."""
+"""Overlays: contacts as balls, forces as arrows, tendons as rods."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Mark(NamedTuple):
 
 
 def ropes(drawing: Drawing, instant: Instant) -> list[Mark]:
-    """The tendons of an instant."""
+    """Return the marks of the tendons of an instant."""
     width = 0.004 * drawing.extent
     return [
         Mark("rod", start, end, width, BRICK)
@@ -34,9 +34,9 @@ def ropes(drawing: Drawing, instant: Instant) -> list[Mark]:
 
 
 def loads(drawing: Drawing, instant: Instant, newtons: float) -> list[Mark]:
-    """The contacts of an instant and their forces.
+    """Return the marks of the contacts of an instant and of their forces.
 
-    newtons: the force whose arrow is `ARROW` of the extent long.
+    newtons: the force whose arrow has the length `ARROW` × extent.
     """
     extent, result = drawing.extent, []
     scale = ARROW * extent / (newtons or 1.0)

@@ -1,4 +1,4 @@
-"""Runs as logs in the container MCAP (https://mcap.dev), which Foxglove opens."""
+"""Write runs as MCAP logs (https://mcap.dev), which Foxglove opens."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def write(
     data: Mapping[str, NDArray[Any]],
     path: str | os.PathLike[str],
 ) -> None:
-    """Writes the log of a run; time, data: what was recorded. See `Trajectory.save_mcap`."""
+    """Write the log of a run; time, data: the recorded arrays. See `Trajectory.save_mcap`."""
     target = files.path("path", path)
     writer_of = need("mcap.writer", "Trajectory.save_mcap", "mcap").Writer
     schemas = {
@@ -71,7 +71,7 @@ def write(
 
 
 def _seen(run: Replayed) -> Iterator[Message]:
-    """Poses, shapes, contacts and the state at every instant that is seen."""
+    """Write poses, shapes, contacts and the state at every drawn instant."""
     frames = frame_names(run.drawing.bodies)
     yield "/scene", _nanoseconds(run.instants[0].time), _scene(run, frames)
     weight = run.drawing.weight or run.strongest or 1.0
@@ -92,7 +92,7 @@ def _seen(run: Replayed) -> Iterator[Message]:
 
 
 def frame_names(bodies: tuple[str, ...]) -> list[str]:
-    """The names of the bodies' frames: no two are alike, and the first is the world's."""
+    """Return unique names of the bodies' frames; the first is the world's."""
     names: list[str] = [foxglove.WORLD]
     for index, body in enumerate(bodies[1:], start=1):
         name = body or f"body {index}"
@@ -101,7 +101,7 @@ def frame_names(bodies: tuple[str, ...]) -> list[str]:
 
 
 def _scene(run: Replayed, frames: list[str]) -> foxglove.Json:
-    """What every body looks like."""
+    """Write the appearance of every body."""
     at, drawing = _nanoseconds(run.instants[0].time), run.drawing
     entities = []
     for body, frame in enumerate(frames):
@@ -125,7 +125,7 @@ def _contacts(at: int, instant: Instant, scale: float, thickness: float) -> foxg
 
 
 def _recorded(time: NDArray[Any], data: Mapping[str, NDArray[Any]]) -> Iterator[Message]:
-    """The recorded arrays at every step."""
+    """Write the recorded arrays at every step."""
     for step in range(len(time)) if data else ():
         row = {name: np.asarray(values[step]) for name, values in data.items()}
         yield "/recorded", _nanoseconds(float(time[step])), jsonable(row)

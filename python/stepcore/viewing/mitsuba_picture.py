@@ -25,7 +25,7 @@ SKY = (226, 233, 241)
 
 
 class MitsubaPicture:
-    """Draws instants of a drawing by following rays; a second or less for a picture."""
+    """Draws instants of a drawing by ray tracing, in a second or less a picture."""
 
     name = "mitsuba"
 
@@ -36,7 +36,7 @@ class MitsubaPicture:
         self.shapes = [(shape, self._group(shape)) for shape in drawing.shapes if shape.shown]
 
     def _group(self, shape: Shape) -> Any:
-        """The shape in its body's frame, which is placed anew for every picture."""
+        """Return the shape in the frame of its body; each picture places it anew."""
         mi = self.mi
         vertices, faces = surface_of(shape, 20 * self.drawing.extent)
         vertices = vertices @ np.array(frames.matrix(shape.quat)).T + shape.pos
@@ -61,7 +61,7 @@ class MitsubaPicture:
         return {"type": "twosided", "material": inner}
 
     def draw(self, instant: Instant, camera: Camera, marks: list[Mark]) -> NDArray[np.uint8]:
-        """The picture of an instant, shape (height, width, 3)."""
+        """Draw an instant; returns shape (height, width, 3)."""
         mi = self.mi
         scene: dict[str, Any] = {
             "type": "scene",
@@ -87,9 +87,9 @@ class MitsubaPicture:
         return np.clip(drawn[..., :3] + clear * SKY, 0, 255).astype(np.uint8)
 
     def _lights(self, instant: Instant, camera: Camera) -> dict[str, Any]:
-        """The lights of the drawing, each as if it were far away; else a sun.
+        """Return the lights of the drawing, each as if it were far away, or a sun without them.
 
-        One that shines to all sides shines at what the camera looks at.
+        A light that shines to all sides is aimed at the target of the camera.
         """
         lights = self.drawing.lights
         if not lights:
@@ -124,7 +124,7 @@ class MitsubaPicture:
         }
 
     def _mark(self, mark: Mark) -> dict[str, Any]:
-        """A mark as round parts."""
+        """Return a mark as spheres and cylinders."""
         colour = {"type": "rgb", "value": [_linear(c) for c in mark.colour]}
         material = {"type": "twosided", "material": {"type": "diffuse", "reflectance": colour}}
         start, end = np.asarray(mark.start, float), np.asarray(mark.end, float)
@@ -136,7 +136,7 @@ class MitsubaPicture:
         return parts
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: this renderer holds no resources."""
 
 
 _BOX = {"type": "box"}
@@ -159,5 +159,5 @@ def _rod(
 
 
 def _linear(c: float) -> float:
-    """A colour of a file, which is as a screen shows it, as light (sRGB)."""
+    """Return a colour of a file (sRGB) as linear light."""
     return c / 12.92 if c <= 0.04045 else ((min(c, 1.0) + 0.055) / 1.055) ** 2.4

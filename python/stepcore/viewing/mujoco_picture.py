@@ -1,4 +1,4 @@
-"""Pictures by MuJoCo's renderer: the shapes of a drawing in a MuJoCo model that only draws."""
+"""Pictures by MuJoCo's renderer, from a MuJoCo model that holds the shapes of a drawing."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class MujocoPicture:
         )
 
     def _squares(self, spec: Any, shape: Shape, k: int) -> str:
-        """A material of squares, by which motion over a plane is seen."""
+        """Add a checker material, which makes motion over a plane visible."""
         mujoco = self.mujoco
         one, other = (rgba[:3] for rgba in shape.checks)
         texture = spec.add_texture(
@@ -130,7 +130,7 @@ class MujocoPicture:
         return str(material.name)
 
     def draw(self, instant: Instant, camera: Camera, marks: list[Mark]) -> NDArray[np.uint8]:
-        """The picture of an instant, shape (height, width, 3)."""
+        """Draw an instant; returns shape (height, width, 3)."""
         mujoco = self.mujoco
         self.data.mocap_pos[:], self.data.mocap_quat[:] = instant.xpos, instant.xquat
         mujoco.mj_forward(self.model, self.data)
@@ -163,5 +163,5 @@ class MujocoPicture:
         scene.ngeom += 1
 
     def close(self) -> None:
-        """Frees the renderer."""
+        """Free the renderer."""
         self.renderer.close()

@@ -1,4 +1,4 @@
-"""Packages that only viewing needs, with what to install where one is missing."""
+"""Optional packages of viewing, with the command that installs a missing one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def need(package: str, what: str, extra: str = "view") -> Any:
-    """The package; ImportError, which says what to install, without it."""
+    """Return the package; raise ImportError with the command that installs it."""
     try:
         return importlib.import_module(package)
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""A scene, a model or a world as a notebook shows it: its words over a picture of it."""
+"""Show a scene, a model or a world in a notebook: its words over its picture."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SIZE = 480, 360
 
 
 def shown(value: Any, geoms: int, world: Callable[[], Any]) -> str | None:
-    """The words of `repr(value)` over a picture of the Sim that `world` makes, as HTML.
+    """Return `repr(value)` over a picture of the Sim that `world` makes, as HTML.
 
     None, so that the words alone are shown, of more than `MOST` geoms and where nothing draws: no
     renderer works here, or it is a scene that does not compile.

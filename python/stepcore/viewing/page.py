@@ -33,7 +33,7 @@ from stepcore.viewing.needs import need
 
 
 def page(runs: Sequence[Replayed], title: str = "") -> str:
-    """The page that replays these runs, laid over each other."""
+    """Return the page that replays these runs over each other."""
     title = title or runs[0].drawing.name or "stepcore"
     data = {
         "title": title,
@@ -61,12 +61,12 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
 
 
 def save_page(runs: Sequence[Replayed], path: str | os.PathLike[str]) -> None:
-    """Writes the page to a file."""
+    """Write the page to a file."""
     Path(files.path("path", path)).write_text(page(runs), encoding="utf-8")
 
 
 def framed(text: str, height: int = 480) -> str:
-    """The page as a notebook shows it, apart from the notebook's own scripts."""
+    """Return the page in a frame, isolated from the notebook's scripts."""
     inner = html.escape(text)
     style = f"box-sizing:border-box;width:100%;height:{height}px;"
     style += "border:1px solid #8884;border-radius:6px"
@@ -74,7 +74,7 @@ def framed(text: str, height: int = 480) -> str:
 
 
 def three() -> str:
-    """The script of three.js from the installed package trimesh."""
+    """Return the script of three.js from the installed package trimesh."""
     trimesh = need("trimesh", "a page that replays a run")
     archive = resources.files(trimesh).joinpath("resources/templates/viewer.zip")
     try:
@@ -98,7 +98,7 @@ def _tints(count: int) -> list[Any]:
 
 
 def _newtons(runs: Sequence[Replayed]) -> float:
-    """The force whose arrow is `ARROW` long: the weight, or the largest force without gravity."""
+    """Return the force of an arrow of length `ARROW`: the weight, else the largest force."""
     weight = max(run.drawing.weight for run in runs)
     return weight or max(run.strongest for run in runs) or 1.0
 
@@ -160,7 +160,7 @@ def _shape(shape: Shape) -> dict[str, Any]:
 
 
 def _surface(vertices: NDArray[Any], faces: NDArray[Any]) -> dict[str, Any]:
-    """A surface with its places in 16 bits each: a part in 65,000 of its size."""
+    """Return a surface with coordinates of 16 bits (1/65,000 of its size)."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
     grid = np.round((vertices - low) / span * 65535)
@@ -175,7 +175,7 @@ def _surface(vertices: NDArray[Any], faces: NDArray[Any]) -> dict[str, Any]:
 
 
 def _packed(numbers: Any, kind: str = "<f4") -> str:
-    """Numbers as the page reads them: little-endian, in base64."""
+    """Return numbers for the page: little-endian, in base64."""
     # A run that explodes has numbers beyond single precision.
     with np.errstate(over="ignore"):
         return base64.b64encode(np.ascontiguousarray(numbers, kind).tobytes()).decode()

@@ -1,4 +1,4 @@
-"""What can be pressed and read in a live view: `SimPanel` of a Sim, `RunPanel` of recorded runs."""
+"""The controls and figures of a live view: `SimPanel` of a Sim, `RunPanel` of recorded runs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SLIDERS = 40
 
 
 class Panel(ABC):
-    """What all views have: pause, speed, time, what is shown, and figures."""
+    """The common part of all views: pause, speed, time, overlays and figures."""
 
     def __init__(self, server: Any, stage: Stage) -> None:
         self.server, self.stage, self.gui = server, stage, server.gui
@@ -49,7 +49,7 @@ class Panel(ABC):
         return locked
 
     def _shown(self) -> None:
-        """The boxes that say what is drawn."""
+        """Add the check boxes of the overlays."""
         with self.gui.add_folder("Shown"):
             for name in ("contacts", "forces"):
                 box = self.gui.add_checkbox(name.capitalize(), True)
@@ -63,7 +63,7 @@ class Panel(ABC):
                 box.on_update(lambda _: self.stage.show_hidden(box.value))
 
     def _curves(self, span: tuple[float, float] | None = None) -> None:
-        """The plots of energy and residual."""
+        """Add the plots of energy and residual."""
         self.energy = Curves(self.gui, "energy [J]", ENERGY, span=span)
         self.residual = Curves(self.gui, "log10 of the residual in m/s", (("log10", RED),), span)
 
@@ -79,7 +79,7 @@ class Panel(ABC):
         return switch
 
     def play(self, on: bool) -> None:
-        """Goes on or pauses."""
+        """Play or pause."""
         self.playing = on
         self.pause.label = "Pause" if on else "Play"
 
@@ -89,14 +89,14 @@ class Panel(ABC):
         self.draw()
 
     def pass_time(self, seconds: float) -> None:
-        """Lets so much time of the clock pass, and draws."""
+        """Advance by an interval of wall time, and draw."""
         with self.lock:
             if self.playing:
                 self.advance(seconds * SPEEDS[self.speed.value])
                 self.draw()
 
     def say(self, rows: Sequence[tuple[str, str]]) -> None:
-        """Shows figures."""
+        """Show the figures."""
         newtons, length = self.stage.newtons, ARROW * self.stage.extent
         rows = [*rows, ("arrow of " + f"{newtons:.3g} N", f"{length:.3g} m")]
         lines = "".join(
@@ -110,23 +110,23 @@ class Panel(ABC):
     @property
     @abstractmethod
     def seen(self) -> Instant:
-        """The present instant, of the first run."""
+        """The present instant of the first run."""
 
     @abstractmethod
     def advance(self, seconds: float) -> None:
-        """Goes on by so much of the motion's time."""
+        """Advance by an interval of simulated time."""
 
     @abstractmethod
     def step(self) -> None:
-        """Goes on by one step."""
+        """Advance by one step."""
 
     @abstractmethod
     def draw(self) -> None:
-        """Draws the present instant."""
+        """Draw the present instant."""
 
 
 def figures_of(instant: Instant) -> list[tuple[str, str]]:
-    """Time, energy, contacts and residual, as they are read."""
+    """Return time, energy, contacts and residual as text."""
     kinetic, potential = instant.energy
     return [
         ("time", f"{instant.time:.3f} s"),
@@ -139,12 +139,12 @@ def figures_of(instant: Instant) -> list[tuple[str, str]]:
 
 
 def tint_of(k: int) -> str:
-    """The colour of the run that is laid over the first as number k, as pages write it."""
+    """Return the colour of the k-th overlaid run, in the form of a page."""
     return "#" + "".join(f"{round(255 * c):02x}" for c in TINTS[k % len(TINTS)])
 
 
 class SimPanel(Panel):
-    """Runs a copy of a Sim, with its controls as sliders, and goes back in its time."""
+    """Runs a copy of a Sim with sliders for its controls, and can go back in time."""
 
     def __init__(self, server: Any, sim: Any) -> None:
         self.sim = type(sim)(sim.model)
@@ -204,7 +204,7 @@ class SimPanel(Panel):
         return put
 
     def restart(self, key: int | None) -> None:
-        """Begins again, where the view began or at a keyframe."""
+        """Begin again, from the start of the view or a keyframe."""
         if key is None:
             self.sim.restore(self.begin)
         else:
@@ -228,7 +228,7 @@ class SimPanel(Panel):
         self.draw()
 
     def _forget_what_comes(self) -> None:
-        """A motion that goes on from an earlier time is another one."""
+        """Drop later instants, because the motion continues from an earlier time."""
         while len(self.times) > 1 and self.times[-1] > self.sim.time:
             self.times.pop()
             self.states.pop()
@@ -279,7 +279,7 @@ class SimPanel(Panel):
             self.back.value = 1.0
 
     def _remember(self) -> None:
-        """Adds the instant to the curves, which end at it; what comes later is kept."""
+        """Add the instant to the curves and end them there; keep later instants."""
         now = self.instant.time
         at = bisect_left(self.past, now, key=lambda instant: instant.time)
         if at == len(self.past) or self.past[at].time > now:
@@ -289,7 +289,7 @@ class SimPanel(Panel):
 
 
 class RunPanel(Panel):
-    """Goes through recorded runs, which are laid over each other."""
+    """Plays recorded runs over each other."""
 
     def __init__(self, server: Any, runs: Sequence[Replayed]) -> None:
         self.runs = runs
@@ -314,19 +314,19 @@ class RunPanel(Panel):
         return self.runs[0].instants[self._at()[0]]
 
     def _at(self) -> list[int]:
-        """The index of the present instant of each run."""
+        """Return the index of the present instant of each run."""
         now = min(self.now, self.end) + 1e-9
         return [max(0, int(np.searchsorted(t, now, side="right")) - 1) for t in self.times]
 
     def _distances(self) -> Curves | None:
-        """The plot of the distances of the others from the first run."""
+        """Add the plot of the distances of the other runs from the first."""
         if not self.gaps:
             return None
         names = [(run.label or "the other", tint_of(k)) for k, run in enumerate(self.runs[1:])]
         return Curves(self.gui, "distance [mm]", names, span=(self.begin, self.end))
 
     def _legend(self) -> str:
-        """Which run is which."""
+        """Add the legend of the runs."""
         first = self.runs[0].label or "run 1"
         lines = [f"{escape(first)}: in its own colours"]
         lines += [
@@ -372,5 +372,5 @@ class RunPanel(Panel):
             self.apart.draw(lambda: self._apart_until(at[0] + 1), not self.playing)
 
     def _apart_until(self, end: int) -> Points:
-        """The distances of the others from the first run [mm]."""
+        """Return the distances of the other runs from the first [mm]."""
         return self.times[0][:end], 1000 * np.array([gap[:end] for gap in self.gaps])

@@ -37,12 +37,12 @@ def picture(
     forces: bool = True,
     renderer: str | None = None,
 ) -> NDArray[np.uint8]:
-    """Draws the present state of a Sim, without a window or a graphics card.
+    """Draw the present state of a Sim, without a window or a graphics card.
 
-    path: where the picture is written, in the format of its extension.
-    width, height: in points.
-    turn, lift: where the camera stands about z, and how far above the horizon [degrees].
-    far: how far it is, of the size of what moves.
+    path: file of the picture; its extension is the format.
+    width, height: in pixels.
+    turn, lift: azimuth and elevation of the camera [degrees].
+    far: distance of the camera, in sizes of what moves.
     forces: whether contacts and their forces are drawn.
     renderer: "mujoco" (OpenGL) or "mitsuba" (rays on the processor alone); by default MuJoCo's
         where it works, else Mitsuba's.
@@ -114,13 +114,13 @@ def save_video(
 def _check_ending(
     owner: str, path: str | os.PathLike[str], known: Collection[str], such: str
 ) -> None:
-    """Refuses a file that could not be written, before seconds of drawing."""
+    """Refuse a file that cannot be written, before seconds of drawing."""
     if os.path.splitext(files.path("path", path))[1].lower() not in known:
         raise checks.refuse(owner, "path", path, f"a name that ends in {such}")
 
 
 def renderer_of(drawing: Drawing, width: int, height: int, name: str | None = None) -> Any:
-    """The renderer of this name, or the first that works."""
+    """Return the renderer of this name, or the first that works."""
     for field, value in (("width", width), ("height", height)):
         checks.whole(2, LARGEST)("picture", field, value)
     checks.one_of(None, *RENDERERS)("picture", "renderer", name)

@@ -1,4 +1,4 @@
-"""Triangles of the primitives, for renderers that draw nothing else."""
+"""Triangles of primitives, for renderers that draw only triangles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ROUND, RINGS = 28, 12
 
 
 def surface_of(shape: Shape, reach: float) -> Surface:
-    """The triangles of any shape in its own frame; reach: half size of an endless plane [m]."""
+    """Return the triangles of a shape in its frame; reach: half size of an infinite plane [m]."""
     if shape.surface is not None:
         return shape.surface
     r, h = (*shape.size, 0.0)[:2]
@@ -38,7 +38,7 @@ def surface_of(shape: Shape, reach: float) -> Surface:
 
 
 def _turned(profile: NDArray[np.float64]) -> Surface:
-    """The surface of a profile (radius, z), from below upwards, turned about z."""
+    """Return the surface of a profile (radius, z), from below upwards, rotated about z."""
     angles = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
     round_ = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     rings = [np.concatenate([r * round_, np.full((ROUND, 1), z)], axis=1) for r, z in profile]
@@ -50,7 +50,7 @@ def _turned(profile: NDArray[np.float64]) -> Surface:
 
 
 def _box(half: NDArray[np.float64]) -> Surface:
-    """A box whose sides share no corners, so that they are lit as sides."""
+    """Return a box whose sides share no corners, so that each side is lit as a plane."""
     places: list[NDArray[np.float64]] = []
     faces: list[list[tuple[int, ...]]] = []
     for axis in range(3):

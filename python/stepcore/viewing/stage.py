@@ -1,4 +1,4 @@
-"""`Stage`: drawings in a page of viser, moved from instant to instant."""
+"""`Stage`: moves drawings in a page of viser from instant to instant."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AMBER, RED, LINK = (244, 163, 0), (215, 38, 61), (209, 73, 91)
 class Stage:
     """Drawings that share one scene of a page; the first keeps its colours.
 
-    server: viser's. show_all: whether geoms are shown that most often are hidden.
+    server: viser's. show_all: whether hidden groups of geoms are shown.
     """
 
     def __init__(self, server: Any, drawings: Sequence[Drawing]) -> None:
@@ -78,7 +78,7 @@ class Stage:
         return frames
 
     def _lights(self, drawing: Drawing) -> None:
-        """The lights of the file, and a weak sky; the camera has no headlight here."""
+        """Add the lights of the file and a weak sky; the camera has no headlight."""
         scene = self.server.scene
         scene.configure_default_lights(enabled=False)
         # What surfaces reflect beside the lamps; viser's own washes colours out.
@@ -106,7 +106,7 @@ class Stage:
             )
 
     def _grid(self, name: str, shape: Shape) -> None:
-        """Lines on a plane, by which motion over it is seen."""
+        """Add lines on a plane, which make motion over it visible."""
         cell = float(2.0 ** np.round(np.log2(self.extent / 2)))
         width, height = (2 * (half or 20 * self.extent) for half in shape.size[:2])
         darker = tuple(round(170 * min(1.0, c)) for c in shape.rgba[:3])
@@ -123,21 +123,21 @@ class Stage:
         )
 
     def show_hidden(self, on: bool) -> None:
-        """Shows or hides the geoms that most often are hidden."""
+        """Show or hide the hidden groups of geoms."""
         for mesh in self.hidden:
             mesh.visible = on
 
     def see_through(self, on: bool) -> None:
-        """Makes what moves transparent, so that forces inside are seen, or as it was."""
+        """Make moving bodies transparent, so that forces inside are visible, or opaque again."""
         for mesh, opacity in self.solid:
             mesh.opacity = min(THIN, 1.0 if opacity is None else opacity) if on else opacity
 
     def follow(self, on: bool, instant: Instant) -> None:
-        """Keeps the middle of what moves where it is seen now, or lets it go."""
+        """Keep the middle of what moves at its place in the picture, or stop."""
         self.anchor = np.array(self.root.position) + self._middle(instant) if on else None
 
     def begin_again(self, instant: Instant) -> None:
-        """A motion begins anew, where the camera looked at first."""
+        """Begin a motion again, with the camera at its first target."""
         self.root.position = (0.0, 0.0, 0.0)
         if self.anchor is not None:
             self.anchor = self._middle(instant)
@@ -149,7 +149,7 @@ class Stage:
         return middle
 
     def look(self, instants: Sequence[Instant]) -> None:
-        """Where a new client looks from: from the front and above, at what moves.
+        """Place the camera of a new client in front of and above what moves.
 
         instants: of the first run; a motion that stays near is seen whole.
         """
@@ -164,7 +164,7 @@ class Stage:
         self.server.initial_camera.look_at = tuple(at)
 
     def show(self, instants: Sequence[Instant]) -> None:
-        """Moves everything to these instants, one of each run."""
+        """Move everything to these instants, one for each run."""
         with self.server.atomic():
             if self.anchor is not None:
                 self.root.position = self.anchor - self._middle(instants[0])

@@ -17,9 +17,9 @@ FINEST = 200
 
 
 def of_mesh(mesh: Mesh) -> Surface | None:
-    """The triangles of a mesh's file, scaled and in the frame that they are meant in.
+    """Return the triangles of a mesh's file, scaled and in the frame of the geom.
 
-    None for a mesh that has none of its own: its hull is drawn.
+    Returns None for a mesh without faces, whose hull is drawn.
     """
     if mesh.faces is None or not len(mesh.faces):
         return None
@@ -33,7 +33,7 @@ def of_mesh(mesh: Mesh) -> Surface | None:
 
 
 def of_hfield(hfield: HField) -> Surface:
-    """The upper side of a height field; where it has very many points, some of them."""
+    """Return the upper side of a height field, thinned out if it has very many points."""
     heights = np.asarray(hfield.elevation, float)[::-1]
     rows, columns = (_some(count) for count in heights.shape)
     low, high = heights.min(), heights.max()

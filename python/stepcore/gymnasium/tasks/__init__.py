@@ -1,4 +1,4 @@
-"""gymnasium's MuJoCo tasks, one in a file, and their table."""
+"""The table of gymnasium's MuJoCo tasks, one file each."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stepcore.gymnasium.vector_env import VectorEnv
 
 
 class Entry(NamedTuple):
-    """module: where the class of this name is. The others are gymnasium's registered limits."""
+    """module: of the class with this name. The other fields are gymnasium's registered limits."""
 
     module: str
     max_episode_steps: int
@@ -34,7 +34,7 @@ TASKS = {
 
 
 def named(name: str, **options: Any) -> Task:
-    """The task of this name with these options."""
+    """Return the task with this name and these options."""
     module = import_module(f"stepcore.gymnasium.tasks.{TASKS[name].module}")
     task: Task = getattr(module, name)(**options)
     return task
@@ -48,7 +48,7 @@ def make(
     height: int = 480,
     **options: Any,
 ) -> Env:
-    """One world of a task; what `gymnasium.make` calls.
+    """Make one world of a task; `gymnasium.make` calls this.
 
     settings, render_mode, width, height: as for `Env`. options: those of the task.
     """
@@ -73,7 +73,7 @@ def make_vec(
     lanes: bool | Literal["auto"] = "auto",
     **options: Any,
 ) -> VectorEnv:
-    """Many worlds of a task; what `gymnasium.make_vec` calls.
+    """Make many worlds of a task; `gymnasium.make_vec` calls this.
 
     All but `task` and the options of the task are as for `VectorEnv`.
     """

@@ -1,4 +1,4 @@
-"""Ant: to walk forward on four legs."""
+"""Ant: walk forward on four legs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from stepcore.gymnasium.tasks.mujoco_task import (
 
 @dataclass(frozen=True, kw_only=True)
 class Ant(MujocoTask):
-    """Options as those of gymnasium's Ant-v5."""
+    """The options are those of gymnasium's Ant-v5."""
 
     late: ClassVar[tuple[str, ...]] = ("xpos", "cfrc_ext")  # type: ignore[misc]
 
@@ -41,7 +41,7 @@ class Ant(MujocoTask):
     include_cfrc_ext_in_observation: bool = True
 
     def contact_forces(self, now: Moment) -> Floats:
-        """Forces on all bodies but the world, clipped, shape (6 (nbody - 1),)."""
+        """Return the clipped forces on all bodies but the world, shape (6 (nbody - 1),)."""
         forces = np.clip(now.cfrc_ext[..., 1:, :], *self.contact_force_range)
         return forces.reshape(*now.shape, -1)
 
@@ -52,14 +52,14 @@ class Ant(MujocoTask):
         return np.concatenate([state, self.contact_forces(now)], axis=-1)
 
     def healthy(self, now: Moment) -> NDArray[np.bool_]:
-        """Whether it stands, shape ()."""
+        """Return whether the ant stands, shape ()."""
         low, high = self.healthy_z_range
         height = now.qpos[..., 2]
         finite = np.all(np.isfinite(state_vector(now)), axis=-1)
         return finite & (low <= height) & (height <= high)
 
     def main_velocity(self, now: Moment, axis: int) -> Floats:
-        """Velocity of the main body along an axis, shape ()."""
+        """Return the velocity of the main body along an axis, shape ()."""
         return velocity(now, "xpos", (..., now.model.index("body", self.main_body), axis))
 
     def parts(self, now: Moment) -> dict[str, Floats]:

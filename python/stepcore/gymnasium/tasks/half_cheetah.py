@@ -1,4 +1,4 @@
-"""HalfCheetah: to run forward."""
+"""HalfCheetah: run forward."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, observed, squares, 
 
 @dataclass(frozen=True, kw_only=True)
 class HalfCheetah(MujocoTask):
-    """Options as those of gymnasium's HalfCheetah-v5."""
+    """The options are those of gymnasium's HalfCheetah-v5."""
 
     xml_file: str = "half_cheetah.xml"
     forward_reward_weight: float = 1.0

@@ -1,4 +1,4 @@
-"""Hopper: to hop forward on one leg."""
+"""Hopper: hop forward on one leg."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stepcore.gymnasium.tasks.upright import Upright, within
 
 @dataclass(frozen=True, kw_only=True)
 class Hopper(Upright):
-    """Options as those of gymnasium's Hopper-v5."""
+    """The options are those of gymnasium's Hopper-v5."""
 
     xml_file: str = "hopper.xml"
     healthy_state_range: tuple[float, float] = (-100.0, 100.0)

@@ -1,4 +1,4 @@
-"""What Humanoid and HumanoidStandup have in common: what they observe, and how they begin."""
+"""The common observation and first state of Humanoid and HumanoidStandup."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class Human(MujocoTask):
         return np.concatenate(parts, axis=-1)
 
     def controls(self, now: Moment) -> Floats:
-        """The controls as MuJoCo keeps them, in double precision, shape (nu,)."""
+        """Return the controls in double precision, as MuJoCo keeps them, shape (nu,)."""
         return now.action.astype(np.float64)
 
     def contact_forces(self, now: Moment) -> Floats:
-        """Forces on all bodies, shape (6 (nbody - 1),)."""
+        """Return the forces on all bodies, shape (6 (nbody - 1),)."""
         return _of_bodies(now, now.cfrc_ext)
 
     def reset_info(self, now: Moment) -> dict[str, Floats]:
@@ -66,12 +66,12 @@ class Human(MujocoTask):
 
 
 def _of_bodies(now: Moment, values: Floats) -> Floats:
-    """The rows of all bodies but the world in one."""
+    """Return the rows of all bodies but the world as one vector."""
     return values[..., 1:, :].reshape(*now.shape, -1)
 
 
 def _actuator_forces(now: Moment) -> Floats:
-    """Force of the actuators on each dof, shape (nv,); each drives a joint of one dof."""
+    """Return actuator forces by dof, shape (nv,); each actuator drives a joint of one dof."""
     model = now.model
     dofs = model.jnt_dofadr[model.actuator_joint]
     forces = np.zeros((*now.shape, model.nv))

@@ -1,4 +1,4 @@
-"""Humanoid: to walk forward on two legs."""
+"""Humanoid: walk forward on two legs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CENTRE = (..., 0)
 
 @dataclass(frozen=True, kw_only=True)
 class Humanoid(Human):
-    """Options as those of gymnasium's Humanoid-v5."""
+    """The options are those of gymnasium's Humanoid-v5."""
 
     xml_file: str = "humanoid.xml"
     forward_reward_weight: float = 1.25
@@ -30,7 +30,7 @@ class Humanoid(Human):
     healthy_z_range: tuple[float, float] = (1.0, 2.0)
 
     def healthy(self, now: Moment) -> NDArray[np.bool_]:
-        """Whether it stands, shape ()."""
+        """Return whether the humanoid stands, shape ()."""
         return within(now.qpos[..., 2], self.healthy_z_range)
 
     def parts(self, now: Moment) -> dict[str, Floats]:

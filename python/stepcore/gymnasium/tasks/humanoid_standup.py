@@ -1,4 +1,4 @@
-"""HumanoidStandup: to stand up from lying on the ground."""
+"""HumanoidStandup: stand up from the ground."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stepcore.gymnasium.tasks.mujoco_task import squares
 
 @dataclass(frozen=True, kw_only=True)
 class HumanoidStandup(Human):
-    """Options as those of gymnasium's HumanoidStandup-v5."""
+    """The options are those of gymnasium's HumanoidStandup-v5."""
 
     xml_file: str = "humanoidstandup.xml"
     uph_cost_weight: float = 1.0

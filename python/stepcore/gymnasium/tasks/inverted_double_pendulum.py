@@ -1,4 +1,4 @@
-"""InvertedDoublePendulum: to balance two poles, one on the other, on a cart."""
+"""InvertedDoublePendulum: balance two poles, one on the other, on a cart."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LARGEST = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class InvertedDoublePendulum(MujocoTask):
-    """Options as those of gymnasium's InvertedDoublePendulum-v5."""
+    """The options are those of gymnasium's InvertedDoublePendulum-v5."""
 
     late: ClassVar[tuple[str, ...]] = ("site_xpos", "constraint_force")  # type: ignore[misc]
 

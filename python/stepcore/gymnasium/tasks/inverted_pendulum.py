@@ -1,4 +1,4 @@
-"""InvertedPendulum: to balance a pole on a cart."""
+"""InvertedPendulum: balance a pole on a cart."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEANING = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class InvertedPendulum(MujocoTask):
-    """Options as those of gymnasium's InvertedPendulum-v5."""
+    """The options are those of gymnasium's InvertedPendulum-v5."""
 
     xml_file: str = "inverted_pendulum.xml"
     frame_skip: int = 2

@@ -1,4 +1,4 @@
-"""`MujocoTask`: what gymnasium's MuJoCo tasks have in common, as they are in their version 5."""
+"""`MujocoTask`: the common part of gymnasium's MuJoCo tasks, version 5."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KNOWN_FILE = "mujoco/assets/half_cheetah"
 
 @dataclass(frozen=True, kw_only=True)
 class MujocoTask(Task):
-    """One of gymnasium's MuJoCo tasks. Its fields are what `gymnasium.make` takes.
+    """One of gymnasium's MuJoCo tasks. `gymnasium.make` takes its fields.
 
     xml_file: a file among gymnasium's own models, or a path that begins with ".", "~" or "/".
     """
@@ -37,10 +37,10 @@ class MujocoTask(Task):
 
     @abstractmethod
     def parts(self, now: Moment) -> dict[str, Floats]:
-        """The terms of the reward by name, which info tells."""
+        """Return the terms of the reward by name, for `info`."""
 
     def total(self, parts: dict[str, Floats]) -> Floats:
-        """The reward."""
+        """Return the reward."""
         return np.sum(list(parts.values()), axis=0)
 
     def outcome(self, now: Moment) -> Outcome:
@@ -49,7 +49,7 @@ class MujocoTask(Task):
 
 
 def model_path(xml_file: str) -> str:
-    """The path of a model, by gymnasium's rule."""
+    """Return the path of a model by gymnasium's rule."""
     if not isinstance(xml_file, str):
         raise ValueError(f"xml_file = {checks.shown(xml_file)}: must be a text")
     path = Path(os.path.expanduser(xml_file))
@@ -63,30 +63,30 @@ def model_path(xml_file: str) -> str:
 
 
 def squares(values: NDArray[Any]) -> Any:
-    """Sum of squares over the last axis."""
+    """Return the sum of squares over the last axis."""
     return np.sum(np.square(values), axis=-1)
 
 
 def distance(x: Floats) -> Floats:
-    """Length of vectors, shape (…, k)."""
+    """Return the length of vectors, shape (…, k)."""
     return np.sqrt(squares(x))
 
 
 def velocity(now: Moment, name: str, index: Any) -> Floats:
-    """Mean rate of entries of an array since the action before."""
+    """Return the mean rate of entries of an array since the last action."""
     after, before = getattr(now, name)[index], getattr(now.before, name)[index]
     return (after - before) / now.dt
 
 
 def observed(now: Moment, excluded: int, qvel: Floats) -> Floats:
-    """qpos without its first entries, and velocities."""
+    """Return qpos without its first entries, and the velocities."""
     return np.concatenate([now.qpos[..., excluded:], qvel], axis=-1)
 
 
 def uniform(
     model: Model, rng: np.random.Generator, scale: float, *, qvel: bool = True
 ) -> tuple[Floats, Floats]:
-    """The model's first state with uniform noise; without `qvel`, that of the velocities is normal.
+    """Return the first state with uniform noise; without `qvel` the noise of velocities is normal.
 
     The draws are gymnasium's, in their order.
     """

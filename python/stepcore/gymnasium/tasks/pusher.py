@@ -1,4 +1,4 @@
-"""Pusher: to push a cylinder to a place with an arm."""
+"""Pusher: push a cylinder to a goal with an arm."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ARM = 7
 
 @dataclass(frozen=True, kw_only=True)
 class Pusher(MujocoTask):
-    """Options as those of gymnasium's Pusher-v5."""
+    """The options are those of gymnasium's Pusher-v5."""
 
     late: ClassVar[tuple[str, ...]] = ("xpos",)  # type: ignore[misc]
 
@@ -54,11 +54,11 @@ class Pusher(MujocoTask):
 
 
 def _place(rng: np.random.Generator) -> Floats:
-    """Where the cylinder may begin, from its goal [m], shape (2,)."""
+    """Draw a first place of the cylinder relative to its goal [m], shape (2,)."""
     x = rng.uniform(low=-0.3, high=0, size=1)
     return np.concatenate([x, rng.uniform(low=-0.2, high=0.2, size=1)])
 
 
 def _body(now: Moment, name: str) -> Floats:
-    """Position of a body [m], shape (3,)."""
+    """Return the position of a body [m], shape (3,)."""
     return now.xpos[..., now.model.index("body", name), :]

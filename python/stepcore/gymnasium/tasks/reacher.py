@@ -1,4 +1,4 @@
-"""Reacher: to reach a place with the tip of an arm in a plane."""
+"""Reacher: reach a target with the tip of a planar arm."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FARTHEST = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class Reacher(MujocoTask):
-    """Options as those of gymnasium's Reacher-v5."""
+    """The options are those of gymnasium's Reacher-v5."""
 
     late: ClassVar[tuple[str, ...]] = ("xpos",)  # type: ignore[misc]
 
@@ -50,6 +50,6 @@ class Reacher(MujocoTask):
 
 
 def _way(now: Moment) -> Floats:
-    """From the target to the finger's tip [m], shape (3,)."""
+    """Return the vector from the target to the fingertip [m], shape (3,)."""
     tip, target = (now.model.index("body", name) for name in ("fingertip", "target"))
     return now.xpos[..., tip, :] - now.xpos[..., target, :]

@@ -1,4 +1,4 @@
-"""Swimmer: to swim forward in a plane."""
+"""Swimmer: swim forward in a plane."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from stepcore.gymnasium.tasks.mujoco_task import (
 
 @dataclass(frozen=True, kw_only=True)
 class Swimmer(MujocoTask):
-    """Options as those of gymnasium's Swimmer-v5."""
+    """The options are those of gymnasium's Swimmer-v5."""
 
     xml_file: str = "swimmer.xml"
     frame_skip: int = 4

@@ -1,4 +1,4 @@
-"""What Hopper and Walker2d have in common: to move forward in a plane without falling."""
+"""The common part of Hopper and Walker2d: move forward in a plane without falling."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FASTEST = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Upright(MujocoTask):
-    """qpos begins with x, height z and the angle of the torso."""
+    """A walker whose qpos begins with x, height z and the angle of the torso."""
 
     frame_skip: int = 4
     forward_reward_weight: float = 1.0
@@ -35,7 +35,7 @@ class Upright(MujocoTask):
         return observed(now, excluded, np.clip(now.qvel, -FASTEST, FASTEST))
 
     def healthy(self, now: Moment) -> NDArray[np.bool_]:
-        """Whether it stands, shape ()."""
+        """Return whether the walker stands, shape ()."""
         height = within(now.qpos[..., 1], self.healthy_z_range)
         return height & within(now.qpos[..., 2], self.healthy_angle_range)
 
@@ -63,6 +63,6 @@ class Upright(MujocoTask):
 
 
 def within(value: Floats, interval: tuple[float, float]) -> NDArray[np.bool_]:
-    """Whether values are within an open interval."""
+    """Return whether values are within an open interval."""
     low, high = interval
     return (low < value) & (value < high)

@@ -1,4 +1,4 @@
-"""Walker2d: to walk forward on two legs in a plane."""
+"""Walker2d: walk forward on two legs in a plane."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from stepcore.gymnasium.tasks.upright import Upright
 
 @dataclass(frozen=True, kw_only=True)
 class Walker2d(Upright):
-    """Options as those of gymnasium's Walker2d-v5."""
+    """The options are those of gymnasium's Walker2d-v5."""
 
     xml_file: str = "walker2d_v5.xml"
     healthy_z_range: tuple[float, float] = (0.8, 2.0)
