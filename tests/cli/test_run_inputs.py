@@ -253,6 +253,14 @@ def test_a_control_of_the_wrong_length_is_named(capsys, carts, tmp_path):
     assert "must return 2 finite numbers" in capsys.readouterr().err
 
 
+def test_a_control_of_other_arguments_is_named(capsys, carts, tmp_path):
+    file = tmp_path / "one.py"
+    file.write_text("def one(sim):\n    return [0, 0]\n")
+    for command in ("run", "diagnose"):
+        assert main([command, carts, "--control", f"{file}:one"]) == 2
+        assert "the control function must take (time, sim)" in capsys.readouterr().err
+
+
 def test_actuators_without_names_are_given_as_numbers(capsys):
     assert main(["run", "gymnasium:hopper", "--ctrl", "thigh=1"]) == 2
     assert "no actuator of this model has a name: give 3 numbers" in capsys.readouterr().err

@@ -206,3 +206,13 @@ def test_a_forged_file_is_refused_in_one_line(tmp_path, change):
     with pytest.raises(ValueError, match=r"run\.npz: ") as caught:
         sc.Trajectory.load(path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_of_another_kind_is_refused_by_its_name(tmp_path):
+    """What stood there before stays."""
+    file = tmp_path / "x.csv"
+    file.write_text("a,b")
+    run = sc.Sim("lesson:drop").run(0.05)
+    with pytest.raises(ValueError, match=r"must end in .npz; to_pandas\(\) has the frame"):
+        run.save(file)
+    assert file.read_text() == "a,b"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import importlib.util
+import inspect
 import math
 import os
 import sys
@@ -219,6 +220,13 @@ def control_function(text: str) -> Callable[..., Any]:
         known = [key for key, value in vars(imported).items() if callable(value)]
         raise Usage(f"--control {text}: {module} has no function '{name}'{nearest(name, known)}")
 
+    try:
+        inspect.signature(function).bind("time", "sim")
+    except TypeError:
+        raise Usage(f"--control {text}: the control function must take (time, sim)") from None
+    except ValueError:
+        # Some functions written in C have no signature.
+        pass
     return _NamedControl(text, function)
 
 

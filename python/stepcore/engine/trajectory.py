@@ -137,7 +137,9 @@ class Trajectory:
         """Writes the recorded arrays and the names of their axes to a file of numpy's (.npz).
 
         `Trajectory.load` reads it. It has no snapshots: what is to be looked at later is written
-        by `save_html`, `save_video` or `save_mcap`.
+        by `save_html`, `save_video` or `save_mcap`. For other formats see `to_pandas`.
+
+        Raises ValueError for a path with another ending.
 
         >>> from stepcore import Sim, Trajectory, lesson
         >>> Sim(lesson.drop()).run(0.5).save("drop.npz")

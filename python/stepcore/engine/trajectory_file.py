@@ -25,6 +25,11 @@ def write(
     path: str | os.PathLike[str], time: NDArray[Any], data: Data, axes: Axes, unsolved: str
 ) -> None:
     """See `Trajectory.save`."""
+    target = files.path("path", path)
+    ending = os.path.splitext(target)[1]
+    if ending not in ("", ".npz"):
+        limit = "must end in .npz; to_pandas() has the frame that pandas writes in other formats"
+        raise ValueError(f"path = {checks.shown(target)}: {limit}")
     arrays = {"kind": np.array(KIND), "version": np.array(VERSION), "time": time}
     arrays["unsolved"] = np.array(unsolved)
     for name, values in data.items():
@@ -34,7 +39,6 @@ def write(
     # A step loads no reports.
     from stepcore.report.outputs import MARK
 
-    target = files.path("path", path)
     with open(target, "wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     with zipfile.ZipFile(target, "a") as archive:
