@@ -16,8 +16,8 @@ import griffe
 ENTRY = re.compile(r"(\w+(?: \[[^\]]*\])?(?:, \w+(?: \[[^\]]*\])?)*): (.*)")
 NAME = re.compile(r"(?<!`)`(\w+)(\.\w+)?`(?!`)")
 PAGE = re.compile(r"docs/(\w+)\.md")
-# What holds an array of numbers; its first argument explains it.
-ARRAYS = ("StateArray", "Readout", "ModelArray")
+# What holds an array of numbers, and which of its arguments explains it.
+ARRAYS = {"StateArray": 0, "Readout": 0, "ModelArray": 0, "Count": 0, "Names": 0, "Entry": 1}
 UNIT = re.compile(r" \[[^\]]*\]")
 
 
@@ -56,7 +56,8 @@ def _explain_array(attribute: griffe.Attribute) -> None:
     """Gives `qpos = StateArray("Positions …")` that text as its docstring."""
     value = attribute.value
     if isinstance(value, griffe.ExprCall) and str(value.function) in ARRAYS:
-        attribute.docstring = griffe.Docstring(ast.literal_eval(str(value.arguments[0])))
+        text = value.arguments[ARRAYS[str(value.function)]]
+        attribute.docstring = griffe.Docstring(ast.literal_eval(str(text)))
         attribute.docstring.parent = attribute
         attribute.value = None
         attribute.annotation = "NDArray"

@@ -54,7 +54,7 @@ def find_model(source: Any) -> Model:
 
     Raises ValueError for anything else.
     """
-    from stepcore.engine.stepped import compiled
+    from stepcore.engine.world import compiled
 
     if isinstance(source, (str, os.PathLike)) or is_mujoco(source):
         source = find_scene(source)

@@ -30,7 +30,7 @@ def test_importing_loads_the_table_alone():
 
 
 def test_a_step_loads_the_scene_and_the_engine():
-    """Not the reader, the measurements, the report or the executors."""
+    """Not the reader, the measurements, reports or executors; only how numbers are written."""
     code = (
         "import sys, stepcore as sc; scene = sc.Scene(); arm = scene.add_body(); "
         "scene.add_joint(arm, armature=1.0, damping=1.0); scene.add_geom(arm, size=0.1); "
@@ -38,10 +38,20 @@ def test_a_step_loads_the_scene_and_the_engine():
     )
     loaded = fresh(code)
     assert "stepcore.engine.batch" in loaded
-    allowed = ("_core", "vectors", "checks", "escapes", "files", "signatures", "engine", "scene")
+    allowed = (
+        "_core",
+        "vectors",
+        "checks",
+        "escapes",
+        "files",
+        "signatures",
+        "engine",
+        "scene",
+        "report.units",
+    )
     allowed += ("mjcf.nodes", "mjcf.lenient_xml", "mjcf.refusal_texts")
     rest = [name.removeprefix("stepcore.") for name in loaded if name.startswith("stepcore.")]
-    assert [name for name in rest if not name.startswith(allowed)] == ["mjcf"]
+    assert [name for name in rest if not name.startswith(allowed)] == ["report", "mjcf"]
 
 
 @pytest.mark.parametrize("names", [["lesson"], sorted(sc.__all__)])

@@ -18,10 +18,10 @@ from stepcore.engine.arrays import Floats, indices_of, numbers, snapshot
 from stepcore.engine.parameters import Parameters
 from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
 from stepcore.engine.sim import Momentum
-from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import recordable
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
+from stepcore.engine.world import World, compiled
 from stepcore.signatures import refuse_unknown, takes_settings
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ WORTH_THREADS = 2000
 ON_FAILURE = ("stop", "go on")
 
 
-class Batch(Stepped):
+class Batch(World):
     """Simulates many worlds of a model. Its arrays are those of a `Sim` with a leading world axis.
 
     An array whose documentation says shape (nq,) has shape (n, nq) here, and so on.

@@ -14,10 +14,10 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.linearization import Linearization, linearized
-from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run
 from stepcore.engine.unsolved import UnsolvedWarning
+from stepcore.engine.world import World, compiled
 from stepcore.signatures import refuse_unknown, takes_settings
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Momentum(NamedTuple):
     angular: Floats
 
 
-class Sim(Stepped):
+class Sim(World):
     """Simulates one world of a model.
 
     model: a `Model`, a `Scene`, which is compiled, or what `stepcore.load` takes, such as the path

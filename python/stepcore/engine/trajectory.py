@@ -139,7 +139,7 @@ class Trajectory:
         `Trajectory.load` reads it. It has no snapshots: what is to be looked at later is written
         by `save_html`, `save_video` or `save_mcap`. For other formats see `to_pandas`.
 
-        Raises ValueError for a path with another ending.
+        Raises ValueError for a path that ends as another format does, such as .csv.
 
         >>> from stepcore import Sim, Trajectory, lesson
         >>> Sim(lesson.drop()).run(0.5).save("drop.npz")

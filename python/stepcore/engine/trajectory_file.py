@@ -19,6 +19,8 @@ Axes = Mapping[str, tuple[Axis, ...]]
 
 # Goes up when the layout of the file changes.
 KIND, VERSION = "stepcore trajectory", 1
+# Endings of other formats, which would name a file that nobody can open.
+OTHERS = (".csv", ".tsv", ".txt", ".json", ".xlsx", ".parquet", ".html", ".mcap", ".mp4", ".gif")
 
 
 def write(
@@ -26,8 +28,7 @@ def write(
 ) -> None:
     """See `Trajectory.save`."""
     target = files.path("path", path)
-    ending = os.path.splitext(target)[1]
-    if ending not in ("", ".npz"):
+    if target.lower().endswith(OTHERS):
         limit = "must end in .npz; to_pandas() has the frame that pandas writes in other formats"
         raise ValueError(f"path = {checks.shown(target)}: {limit}")
     arrays = {"kind": np.array(KIND), "version": np.array(VERSION), "time": time}

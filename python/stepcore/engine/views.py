@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -14,7 +14,35 @@ if TYPE_CHECKING:
     from stepcore.engine.world import World
 
 
+class Entry:
+    """The entry of a view's element in an array of its world.
+
+    axes: how many axes of the entry follow that of the elements. writable: whether it can be
+    assigned, as the array can.
+    """
+
+    def __init__(self, array: str, doc: str, *, axes: int = 1, writable: bool = False) -> None:
+        self.array, self.axes, self.writable = array, axes, writable
+        self.__doc__ = doc
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, view: Any, owner: type | None = None) -> Floats:
+        if view is None:
+            return self  # type: ignore[return-value]
+        array: Floats = getattr(view._sim, self.array)
+        return array[(..., view._at(self.array), *[slice(None)] * self.axes)]
+
+    def __set__(self, view: Any, value: ArrayLike) -> None:
+        if not self.writable:
+            raise AttributeError(f"{self.name} of a {view.kind} is read-only")
+        fill(self.__get__(view), f"{self.name} of {view._label}", value)
+
+
 class _View(KnownNames):
+    """One element of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
+
     kind = ""
 
     def __init__(self, sim: World, index: int) -> None:
@@ -35,29 +63,21 @@ class _View(KnownNames):
     def _label(self) -> str:
         return f'{self.kind} "{self.name}"' if self.name else f"{self.kind} {self.index}"
 
+    def _at(self, array: str) -> int | slice:
+        """Where the element stands in an array."""
+        return self._index
+
     def __repr__(self) -> str:
         return f"<{self.kind} {self.index} {quoted(self.name)} of {self._sim!r}>"
 
 
-class BodyView(_View):
-    """One body of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
-
-    kind = "body"
+class _Point(_View):
+    """What has a frame that moves: its velocity follows from its Jacobian."""
 
     @property
-    def xpos(self) -> Floats:
-        """Position of the body's frame [m], shape (3,)."""
-        return self._sim.xpos[..., self.index, :]
-
-    @property
-    def xquat(self) -> Floats:
-        """Orientation of the body's frame as a quaternion w x y z, shape (4,)."""
-        return self._sim.xquat[..., self.index, :]
-
-    @property
-    def xmat(self) -> Floats:
-        """Orientation of the body's frame as a rotation matrix, shape (3, 3)."""
-        return self._sim.xmat[..., self.index, :, :]
+    def jacobian(self) -> Floats:
+        """Jacobian of the frame, shape (6, nv); see `Sim.jacobian`."""
+        raise NotImplementedError
 
     @property
     def velocity(self) -> Floats:
@@ -65,29 +85,34 @@ class BodyView(_View):
         velocity: Floats = self.jacobian @ self._sim.qvel[..., None]
         return velocity[..., 0]
 
+
+class BodyView(_Point):
+    """One body of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
+
+    kind = "body"
+    xpos = Entry("xpos", "Position of the body's frame [m], shape (3,).")
+    xquat = Entry("xquat", "Orientation of the body's frame as a quaternion w x y z, shape (4,).")
+    xmat = Entry(
+        "xmat", "Orientation of the body's frame as a rotation matrix, shape (3, 3).", axes=2
+    )
+    subtree_com = Entry(
+        "subtree_com", "Centre of mass of the body with all that hangs on it [m], shape (3,)."
+    )
+    xfrc_applied = Entry(
+        "xfrc_applied",
+        "Force on its centre of mass [N] and moment [N·m], shape (6,); can be written.",
+        writable=True,
+    )
+
     @property
     def jacobian(self) -> Floats:
         """Jacobian of the body's frame, shape (6, nv); see `Sim.jacobian`."""
         return self._sim.jacobian(self.index)
 
     @property
-    def subtree_com(self) -> Floats:
-        """Centre of mass of the body with all that hangs on it [m], shape (3,)."""
-        return self._sim.subtree_com[..., self.index, :]
-
-    @property
     def mass(self) -> float:
         """Mass of the body [kg]."""
         return float(self._sim.model.body_mass[self.index])
-
-    @property
-    def xfrc_applied(self) -> Floats:
-        """Force on its centre of mass [N] and moment [N·m], shape (6,); can be written."""
-        return self._sim.xfrc_applied[..., self.index, :]
-
-    @xfrc_applied.setter
-    def xfrc_applied(self, value: ArrayLike) -> None:
-        fill(self.xfrc_applied, f"xfrc_applied of {self._label}", value)
 
 
 class JointView(_View):
@@ -97,86 +122,59 @@ class JointView(_View):
     """
 
     kind = "joint"
+    qpos = Entry(
+        "qpos",
+        "Positions [m or rad]: 7 for a free joint, 4 for a ball, 1 for a slide or hinge.",
+        axes=0,
+        writable=True,
+    )
+    qvel = Entry(
+        "qvel",
+        "Velocities [m/s or rad/s]: 6 for a free joint, 3 for a ball, 1 for a slide or hinge.",
+        axes=0,
+        writable=True,
+    )
+    qacc = Entry("qacc", "Accelerations of the last solve [m/s² or rad/s²].", axes=0)
+    qfrc_applied = Entry(
+        "qfrc_applied", "Applied forces on its dofs [N or N·m].", axes=0, writable=True
+    )
+    constraint_force = Entry(
+        "constraint_force",
+        "Forces of all constraint rows on its dofs in the last solve [N or N·m].",
+        axes=0,
+    )
+    qfrc_bias = Entry("bias", "Coriolis, centrifugal and gravity forces on its dofs.", axes=0)
+    qfrc_passive = Entry("passive", "Forces of springs and dampers on its dofs.", axes=0)
+    qfrc_constraint = Entry("constraint_force", "MuJoCo's name for `constraint_force`.", axes=0)
 
     @property
     def type(self) -> str:
         """Type of the joint: "free", "ball", "slide" or "hinge"."""
         return self._sim.model.jnt_type[self.index]
 
-    @property
-    def _dofs(self) -> slice:
-        start = int(self._sim.model.jnt_dofadr[self.index])
-        return slice(start, start + DOFS[self.type])
-
-    @property
-    def qpos(self) -> Floats:
-        """Positions [m or rad]: 7 for a free joint, 4 for a ball, 1 for a slide or hinge."""
-        start = int(self._sim.model.jnt_qposadr[self.index])
-        return self._sim.qpos[..., start : start + QPOS[self.type]]
-
-    @qpos.setter
-    def qpos(self, value: ArrayLike) -> None:
-        fill(self.qpos, f"qpos of {self._label}", value)
-
-    @property
-    def qvel(self) -> Floats:
-        """Velocities [m/s or rad/s]: 6 for a free joint, 3 for a ball, 1 for a slide or hinge."""
-        return self._sim.qvel[..., self._dofs]
-
-    @qvel.setter
-    def qvel(self, value: ArrayLike) -> None:
-        fill(self.qvel, f"qvel of {self._label}", value)
-
-    @property
-    def qacc(self) -> Floats:
-        """Accelerations of the last solve [m/s² or rad/s²]."""
-        return self._sim.qacc[..., self._dofs]
-
-    @property
-    def qfrc_applied(self) -> Floats:
-        """Applied forces on its dofs [N or N·m]."""
-        return self._sim.qfrc_applied[..., self._dofs]
-
-    @qfrc_applied.setter
-    def qfrc_applied(self, value: ArrayLike) -> None:
-        fill(self.qfrc_applied, f"qfrc_applied of {self._label}", value)
-
-    @property
-    def constraint_force(self) -> Floats:
-        """Forces of all constraint rows on its dofs in the last solve [N or N·m]."""
-        return self._sim.constraint_force[..., self._dofs]
+    def _at(self, array: str) -> slice:
+        model = self._sim.model
+        if array == "qpos":
+            start, count = int(model.jnt_qposadr[self.index]), QPOS[self.type]
+        else:
+            start, count = int(model.jnt_dofadr[self.index]), DOFS[self.type]
+        return slice(start, start + count)
 
 
 class GeomView(_View):
     """One geom of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
 
     kind = "geom"
-
-    @property
-    def xpos(self) -> Floats:
-        """Position of the geom [m], shape (3,)."""
-        return self._sim.geom_xpos[..., self.index, :]
-
-    @property
-    def xmat(self) -> Floats:
-        """Orientation of the geom as a rotation matrix, shape (3, 3)."""
-        return self._sim.geom_xmat[..., self.index, :, :]
+    xpos = Entry("geom_xpos", "Position of the geom [m], shape (3,).")
+    xmat = Entry("geom_xmat", "Orientation of the geom as a rotation matrix, shape (3, 3).", axes=2)
 
 
-class SiteView(_View):
+class SiteView(_Point):
     """One site of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
 
     kind = "site"
-
-    @property
-    def xpos(self) -> Floats:
-        """Position of the site [m], shape (3,)."""
-        return self._sim.site_xpos[..., self.index, :]
-
-    @property
-    def xmat(self) -> Floats:
-        """Orientation of the site as a rotation matrix, shape (3, 3)."""
-        return self._sim.site_xmat[..., self.index, :, :]
+    xpos = Entry("site_xpos", "Position of the site [m], shape (3,).")
+    xmat = Entry("site_xmat", "Orientation of the site as a rotation matrix, shape (3, 3).", axes=2)
 
     @property
     def jacobian(self) -> Floats:
@@ -184,37 +182,19 @@ class SiteView(_View):
         jacobian: Floats = self._sim._core.site_jacobian(self.index)
         return jacobian
 
-    @property
-    def velocity(self) -> Floats:
-        """Velocity of the site [m/s], then its angular velocity [rad/s], shape (6,)."""
-        velocity: Floats = self.jacobian @ self._sim.qvel[..., None]
-        return velocity[..., 0]
-
 
 class TendonView(_View):
     """One tendon of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
 
     kind = "tendon"
-
-    @property
-    def length(self) -> Floats:
-        """Length [m, or the unit of its joints], shape ()."""
-        return self._sim.ten_length[..., self.index]
-
-    @property
-    def velocity(self) -> Floats:
-        """Rate of the length, shape ()."""
-        return self._sim.ten_velocity[..., self.index]
-
-    @property
-    def jacobian(self) -> Floats:
-        """Derivative of the length by the dofs, its moment arms, shape (nv,)."""
-        return self._sim.ten_J[..., self.index, :]
-
-    @property
-    def force(self) -> Floats:
-        """Force of its spring and damper along it, positive where it lengthens it [N], shape ()."""
-        return self._sim.ten_force[..., self.index]
+    length = Entry("ten_length", "Length [m, or the unit of its joints], shape ().", axes=0)
+    velocity = Entry("ten_velocity", "Rate of the length, shape ().", axes=0)
+    jacobian = Entry("ten_J", "Derivative of the length by the dofs, its moment arms, shape (nv,).")
+    force = Entry(
+        "ten_force",
+        "Force of its spring and damper along it, positive where it lengthens it [N], shape ().",
+        axes=0,
+    )
 
 
 class SensorView(_View):
@@ -242,37 +222,18 @@ class ActuatorView(_View):
     """
 
     kind = "actuator"
+    ctrl = Entry("ctrl", "Control, shape (1,).", axes=0, writable=True)
+    act = Entry("act", "Activation, shape (1,), or (0,) without one.", axes=0, writable=True)
+    length = Entry(
+        "actuator_length", "Length along which it pulls, times its gear [m or rad].", axes=0
+    )
+    velocity = Entry(
+        "actuator_velocity", "Rate of its length, times its gear [m/s or rad/s].", axes=0
+    )
+    force = Entry("actuator_force", "Force of the last solve, before the gear [N or N·m].", axes=0)
 
-    @property
-    def ctrl(self) -> Floats:
-        """Control, shape (1,)."""
-        return self._sim.ctrl[..., self.index : self.index + 1]
-
-    @ctrl.setter
-    def ctrl(self, value: ArrayLike) -> None:
-        fill(self.ctrl, f"ctrl of {self._label}", value)
-
-    @property
-    def act(self) -> Floats:
-        """Activation, shape (1,), or (0,) without one."""
-        start = int(self._sim.model.actuator_actadr[self.index])
-        return self._sim.act[..., start : start + 1] if start >= 0 else self._sim.act[..., :0]
-
-    @act.setter
-    def act(self, value: ArrayLike) -> None:
-        fill(self.act, f"act of {self._label}", value)
-
-    @property
-    def length(self) -> Floats:
-        """Length along which it pulls, times its gear [m or rad]."""
-        return self._sim.actuator_length[..., self.index]
-
-    @property
-    def velocity(self) -> Floats:
-        """Rate of its length, times its gear [m/s or rad/s]."""
-        return self._sim.actuator_velocity[..., self.index]
-
-    @property
-    def force(self) -> Floats:
-        """Force of the last solve, before the gear [N or N·m]."""
-        return self._sim.actuator_force[..., self.index]
+    def _at(self, array: str) -> int | slice:
+        if array == "act":
+            start = int(self._sim.model.actuator_actadr[self.index])
+            return slice(start, start + 1) if start >= 0 else slice(0, 0)
+        return slice(self.index, self.index + 1) if array == "ctrl" else self.index

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.engine.stepped import compiled
+from stepcore.engine.world import compiled
 from stepcore.gymnasium.moment import Moment, state_vector
 from stepcore.reading import load
 from stepcore.scene.scene import Scene

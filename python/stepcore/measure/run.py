@@ -203,7 +203,8 @@ def run(
     compiled = find_model(model)
     motion = Motion.of(motion, fields, run)
     horizon = HORIZON if motion.horizon is None else motion.horizon
-    sim = Sim(compiled, threads=threads, **({"ledger": True} if ledger else {}))
+    watched = compiled.with_settings(ledger=True) if ledger else compiled
+    sim = Sim(watched, threads=threads)
     return simulated(sim, compiled.settings, motion, horizon, pushes, record, progress)
 
 
