@@ -18,6 +18,7 @@ from stepcore.experiment.arguments import Source, Workers, set_up
 from stepcore.experiment.failure import FAR
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
+from stepcore.experiment.schedule import home
 from stepcore.measure.stability import lesson_maps
 from stepcore.measure.stability.lesson_maps import GROWS, MapCase, MapSetting, limit_of_springs
 from stepcore.measure.stability.result import (
@@ -41,7 +42,6 @@ __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
 STEPS = 25
 # Of all cells together: above half an hour of the smallest scene.
 MOST_STEPS = 1e10
-LESSON = {"lesson:spring": "spring", "lesson:stack": "stack"}
 # Every cell starts at the keyframe and holds its controls.
 WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt")
 
@@ -109,14 +109,15 @@ def stability_map(
     """
     tolerance = Tolerance(deviation)
     size = None if size is None else _positive("size", size)
-    lesson = "spring" if model is None else LESSON.get(model) if isinstance(model, str) else None
-    case: MapCase | None = None
-    if lesson is not None and path is None:
-        case = lesson_maps.stack(tolerance, size) if lesson == "stack" else lesson_maps.spring(size)
-        _narrow(case, lesson, values, dts, integrators)
+    model = "lesson:spring" if model is None else model
+    lesson: MapCase | None = None
+    if path is None and model == "lesson:spring":
+        lesson = lesson_maps.spring(size)
+    elif path is None and model == "lesson:stack":
+        lesson = lesson_maps.stack(tolerance, size)
     setup = set_up(
         stability_map,
-        case.model if case else "lesson:spring" if model is None else model,
+        lesson.model if lesson else model,
         motion,
         fields,
         missing="no motion to map",
@@ -124,14 +125,15 @@ def stability_map(
         executor=executor,
         progress=progress,
     )
-    key = setup.motion.key
-    if case is None:
-        case = _case(setup.model, path, values, dts, integrators, key, size)
-    elif key is not None:
-        raise ValueError(
-            f"key = {checks.shown(key)}: must be None, because the lesson's maps have their own "
-            "start"
-        )
+    names = None if integrators is None else _integrators(integrators)
+    if lesson is None:
+        case = _case(setup.model, path, values, names, setup.motion.key, size)
+    else:
+        case = _narrowed(lesson, names, setup.motion.key)
+    if values is not None:
+        case.values = _ascending("values", values)
+    if dts is not None:
+        case.dts, case.horizon = _ascending("dts", dts), None
     horizon = setup.motion.horizon or case.horizon or max(1.0, STEPS * max(case.dts))
     _check_steps(case, horizon)
     panels = _Panels(case, MapMotion(horizon, case.key), tolerance, setup.workers)
@@ -154,47 +156,40 @@ def stability_map(
 def _ran(case: MapCase, horizon: float) -> str:
     """The motion in words, and the law if all panels have the same."""
     model = case.model
-    key = None if case.key is None else model.keys[model.index("key", case.key)]
-    ctrl = np.zeros(model.nu) if key is None else key.ctrl
-    begin = "the pose of the scene" if key is None else start_in_words(model, case.key)
     laws = {str(s.settings.get("law", model.settings.law)) for s in case.settings}
     law = f"; law {laws.pop()}" if len(laws) == 1 else ""
-    said = f"{seconds(horizon)} from {begin}; {held_in_words(model, ctrl)}{law}"
-    return said + without_in_words(model)
+    drive = held_in_words(model, home(model, case.key)[1])
+    begin = start_in_words(model, case.key)
+    return f"{seconds(horizon)} from {begin}; {drive}{law}{without_in_words(model)}"
 
 
-def _narrow(
-    case: MapCase,
-    lesson: str,
-    values: Sequence[float] | None,
-    dts: Sequence[float] | None,
-    integrators: str | Sequence[str] | None,
-) -> None:
-    """Replaces a lesson map's axes and integrators by those that are given."""
-    if integrators is not None:
-        if lesson == "stack":
-            raise ValueError(
-                f"integrators = {checks.shown(integrators)}: must be None, because the map of the "
-                "stack is by law and sweeps; name a value to map it by integrator"
-            )
-        named = _integrators(integrators)
-        case.settings = [setting for setting in case.settings if setting.label in named]
-    if values is not None:
-        case.values = _ascending("values", values)
-    if dts is not None:
-        case.dts, case.horizon = _ascending("dts", dts), None
+def _narrowed(case: MapCase, names: list[str] | None, key: str | int | None) -> MapCase:
+    """A map of the lesson, by the integrators that are named."""
+    if key is not None:
+        raise ValueError(
+            f"key = {checks.shown(key)}: must be None, because the lesson's maps have their own "
+            "start"
+        )
+    if names is None:
+        return case
+    if case.model.scene.name == "stack":
+        raise ValueError(
+            f"integrators = {checks.shown(names)}: must be None, because the map of the stack is "
+            "by law and sweeps; name a value to map it by integrator"
+        )
+    chosen = [setting for setting in case.settings if setting.label in names]
+    return dataclasses.replace(case, settings=chosen)
 
 
 def _case(
     model: Model,
     path: str | None,
     values: Sequence[float] | None,
-    dts: Sequence[float] | None,
-    integrators: str | Sequence[str] | None,
+    names: list[str] | None,
     key: str | int | None,
     size: float | None,
 ) -> MapCase:
-    """The map of a scene over a value, by integrator."""
+    """The map of a scene over a value, by integrator, with the default axes."""
     if path is None:
         raise ValueError('path = None: must name the value to vary, as "joint/knee/stiffness"')
     element, field = find(model.scene, path)
@@ -202,25 +197,19 @@ def _case(
         key = 0 if model.keys else None
     else:
         model.index("key", key)
-    if values is None:
-        present = getattr(element, field)
-        number = checks.number(present)
-        if number is None or number <= 0:
-            raise ValueError(
-                f"values = None: must be given, because {path} is {checks.shown(present)}"
-            )
-        values = np.geomspace(number / 100, number * 100, 13).tolist()
-    if dts is None:
-        dts = np.geomspace(model.settings.dt / 10, 10 * model.settings.dt, 13).tolist()
-    asked = model.settings.integrator if integrators is None else integrators
+    present = checks.number(getattr(element, field))
+    if values is None and (present is None or present <= 0):
+        shown = checks.shown(getattr(element, field))
+        raise ValueError(f"values = None: must be given, because {path} is {shown}")
+    around = np.geomspace(0.01, 100.0, 13) * (present or 1.0)
     settings = [
         MapSetting(
             name, {"integrator": name}, None, partial(_linear, model, path, key, name), GROWS
         )
-        for name in _integrators(asked)
+        for name in names or [model.settings.integrator]
     ]
-    axes = (_ascending("values", values), _ascending("dts", dts))
-    return MapCase(model, path, path, *axes, settings, key, size=size)
+    dts = np.geomspace(model.settings.dt / 10, 10 * model.settings.dt, 13).tolist()
+    return MapCase(model, path, path, around.tolist(), dts, settings, key, size=size)
 
 
 def _linear(
@@ -263,11 +252,13 @@ class _Panels:
         else:
             law = str({k: v for k, v in setting.settings.items() if k != "integrator"})
             if law not in self.truths:
-                job = partial(_true_motion, model, case, self.motion, self.tolerance)
+                job = partial(
+                    converged, model, case.path, case.dts, case.size, self.motion, self.tolerance
+                )
                 self.truths[law] = self.workers.each(job, case.values, "true motion")
             truth = self.truths[law]
         grid = list(product(case.values, case.dts))
-        runs = self.workers.each(partial(_run, model, case.path, self.motion), grid, setting.label)
+        runs = self.workers.each(partial(self.motion.cell, model, case.path), grid, setting.label)
         cells = [
             self._judged(value, dt, run, truth[k // len(case.dts)])
             for k, ((value, dt), run) in enumerate(zip(grid, runs, strict=True))
@@ -297,21 +288,6 @@ class _Panels:
             return MapCell(value, dt, FINITE, np.nan, False)
         state = ACCURATE if deviation <= share else INACCURATE
         return MapCell(value, dt, state, deviation)
-
-
-def _true_motion(
-    model: Model, case: MapCase, motion: MapMotion, tolerance: Tolerance, value: float
-) -> TrueMotion:
-    here = model.with_values({case.path: value})
-    return converged(here, motion, case.dts, tolerance, case.size)
-
-
-def _run(
-    model: Model, path: str, motion: MapMotion, cell: tuple[float, float]
-) -> tuple[np.ndarray, str | None]:
-    """The points of one cell as read, and why it failed."""
-    value, dt = cell
-    return motion.run(model.with_values({path: value}), dt, motion.times(dt))
 
 
 def _integrators(asked: str | Sequence[str]) -> list[str]:

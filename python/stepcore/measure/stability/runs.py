@@ -129,6 +129,13 @@ class MapMotion:
             return probe.at_times(), one_line(error)
         return probe.at_times(), None
 
+    def cell(
+        self, model: Model, path: str, cell: tuple[float, float]
+    ) -> tuple[np.ndarray, str | None]:
+        """The points of a cell, a value and a dt [s], at its `times`; and why it failed."""
+        value, dt = cell
+        return self.run(model.with_values({path: value}), dt, self.times(dt))
+
 
 @dataclass(frozen=True, eq=False)
 class TrueMotion:
@@ -164,9 +171,16 @@ def size_of(model: Model, points: np.ndarray) -> float:
 
 
 def converged(
-    model: Model, motion: MapMotion, dts: Sequence[float], tolerance: Tolerance, size: float | None
+    model: Model,
+    path: str,
+    dts: Sequence[float],
+    size: float | None,
+    motion: MapMotion,
+    tolerance: Tolerance,
+    value: float,
 ) -> TrueMotion:
     """The scene's own run with converged rows: dt is halved until the run no longer changes."""
+    model = model.with_values({path: value})
     model, times = model.with_settings(reference_settings(model)), motion.all_times(dts)
     dt = min(*dts, motion.horizon / FIRST)
     last: np.ndarray | None = None
