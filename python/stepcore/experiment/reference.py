@@ -165,6 +165,14 @@ class Reference:
         return self.growth.scored
 
     @property
+    def notes(self) -> list[str]:
+        """Limits of comparisons with this motion."""
+        short = int((~self.scored).any(axis=1).sum())
+        if not short:
+            return []
+        return [f"{short} of {len(self.scored)} starts count only as long as they can be predicted"]
+
+    @property
     def runs(self) -> list[Run]:
         """The motion: the closed form, or the finest runs."""
         return self.level.runs if self.exact is None else self.exact.runs

@@ -70,6 +70,13 @@ class Schedule:
             return ""
         return f" under {control_name(self.control)}, sampled every {seconds(self.period)}"
 
+    @property
+    def notes(self) -> list[str]:
+        """What the motion leaves out."""
+        if not self.undriven:
+            return []
+        return [f"actuators without a control range are not driven: {', '.join(self.undriven)}"]
+
     def steps(self, dt: float) -> int:
         """Steps in one period."""
         return round(self.period / dt)

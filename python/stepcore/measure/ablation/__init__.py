@@ -113,6 +113,8 @@ def ablate(
     reference, notes = _reference(experiment)
     baseline = _baseline(experiment, reference)
     tolerance = units.length("ablate", "added", added, baseline.size)
+    if reference:
+        notes += [*_poor(reference, tolerance), *reference.notes]
     features = RemovableFeatures(model)
     selection = Selection(baseline, features, tolerance, workers)
     removals = features.removals(usage_of(experiment.runner, workers), model.settings)
@@ -146,7 +148,7 @@ def ablate(
         restored_on=selection.restored_on,
         smallest=without(model.scene.with_settings(model.settings), removed),
         reference=reference.error if reference else None,
-        notes=[*notes, *_notes(reference, baseline, tolerance), *_screened(cut, few, starts)],
+        notes=[*notes, *schedule.notes, *_screened(cut, few, starts)],
         batches=workers.speedup.sentences,
         ran=motion_in_words(model, motion, experiment.schedule),
     )
@@ -206,19 +208,13 @@ def _baseline(experiment: Experiment, reference: Reference | None = None) -> Bas
     return Baseline(model, schedule, tuple(runs), truth, scored, experiment.size)
 
 
-def _notes(reference: Reference | None, baseline: Baseline, tolerance: float) -> Iterator[str]:
-    if reference is not None and reference.error > tolerance:
+def _poor(reference: Reference, tolerance: float) -> Iterator[str]:
+    """A note on a reference that is not as good as the tolerance."""
+    if reference.error > tolerance:
         yield (
             f"the reference has an error of {metres(reference.error)}, more than the tolerance: "
             'column "error" is uncertain by that amount; column "added" is not affected'
         )
-    short = int((~baseline.scored).any(axis=1).sum())
-    if short:
-        count = f"{short} of {len(baseline.runs)} starts"
-        yield f"{count} count only as long as they can be predicted"
-    if baseline.schedule.undriven:
-        names = ", ".join(baseline.schedule.undriven)
-        yield f"actuators without a control range are not driven: {names}"
 
 
 def _screened(cut: int, few: int, starts: int) -> list[str]:

@@ -135,7 +135,7 @@ def converge(
         reference=reference,
         size=experiment.size,
         ending=end,
-        notes=list(model.scene.notes),
+        notes=[*model.scene.notes, *schedule.notes],
         # The residual is this measurement's own answer.
         findings=[finding for finding in monitored(runner, own) if finding.kind != "residual"],
         ran=motion_in_words(model, motion, schedule),

@@ -450,11 +450,7 @@ class Convergence(Result):
 
     def _cautions(self) -> list[str]:
         """Notes on a reference that is too poor."""
-        said = []
-        short = int((~self.reference.scored).any(axis=1).sum())
-        if short:
-            count = f"{short} of {len(self.reference.scored)} starts"
-            said.append(f"{count} count only as long as they can be predicted")
+        said = list(self.reference.notes)
         residual = max(run.residual for run in self.reference.runs)
         if self.verdict != "no rows" and residual > 1e-3 * max(self.own.residual, 1e-9):
             said.append(

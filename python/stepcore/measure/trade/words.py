@@ -268,9 +268,7 @@ def about_run(
         if forces:
             what = "contacts are forces under the law penalty, and no limit or other row"
         yield f"{what} was ever active, so the choice of solver has no effect"
-    if schedule.undriven:
-        names = ", ".join(schedule.undriven)
-        yield f"actuators without a control range are not driven: {names}"
+    yield from schedule.notes
     if softened is not None:
         yield (
             "contacts and limits are softened (MuJoCo's refsafe keeps their time constants at 2 dt "
