@@ -16,11 +16,10 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.batched_runs import screened
-from stepcore.experiment.cost import UNKNOWN, Counter, TimedRun, Work, costs
+from stepcore.experiment.cost import UNKNOWN, TimedRun, Work, costs, priced
 from stepcore.experiment.errors import WORST_START
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.other_models import ErrorSplit
-from stepcore.experiment.recorder import Positions
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
@@ -134,28 +133,18 @@ class RunCache:
         return better is not None
 
 
-def priced(runner: Runner, settings: Settings) -> tuple[Run, Work]:
-    """The positions of the run from the first start, and its work."""
-    counter = Counter(runner)
-    return runner.run(settings, 0, [Positions(runner.bodies), counter]), counter.work
-
-
 def screen_starts(runner: Runner, workers: Workers, job: Job) -> Ran:
     """Positions under one setting from start `first` to before `last`, until one fails."""
     settings, first, last = job
-    runs, work = [], UNKNOWN
     if first == 0:
-        run, work = priced(runner, settings)
-        runs, first = [run], 1
-    if first < last and not (runs and runs[0].failure):
-        runs += screened(runner, settings, range(first, last), workers, "", until_fails=True)
-    return runs, work
+        return priced(runner, settings, range(last), workers)
+    return screened(runner, settings, range(first, last), workers, "", until_fails=True), UNKNOWN
 
 
 def all_starts(runner: Runner, settings: Settings) -> Ran:
     """Recorded runs of one setting from every start, until one fails; and the work."""
     runs = runner.runs(settings)
-    return runs, UNKNOWN if runs[-1].failure else priced(runner, settings)[1]
+    return runs, UNKNOWN if runs[-1].failure else priced(runner, settings, [0], Workers())[1]
 
 
 class RowMaker:
