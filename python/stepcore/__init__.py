@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from stepcore.engine.batch import Batch as Batch
     from stepcore.engine.linearization import Linearization as Linearization
     from stepcore.engine.model import Model as Model
-    from stepcore.engine.model_data import Keyframe as Keyframe
     from stepcore.engine.noise import Noise as Noise
     from stepcore.engine.plan import Plan as Plan
     from stepcore.engine.postmortem import PostMortem as PostMortem
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from stepcore.engine.replay import replay as replay
     from stepcore.engine.rollout import Rollout as Rollout
     from stepcore.engine.sim import Sim as Sim
+    from stepcore.engine.tables import Keyframe as Keyframe
     from stepcore.engine.trajectory import Trajectory as Trajectory
     from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
     from stepcore.experiment.motion import Motion as Motion
@@ -93,12 +93,12 @@ _MODULES = {
     "stepcore.engine.linearization": "Linearization",
     "stepcore.engine.model": "Model",
     "stepcore.engine.noise": "Noise",
-    "stepcore.engine.model_data": "Keyframe",
     "stepcore.engine.plan": "Plan",
     "stepcore.engine.postmortem": "PostMortem",
     "stepcore.engine.replay": "Replay replay",
     "stepcore.engine.rollout": "Rollout",
     "stepcore.engine.sim": "Sim",
+    "stepcore.engine.tables": "Keyframe",
     "stepcore.engine.trajectory": "Trajectory",
     "stepcore.engine.unsolved": "UnsolvedWarning",
     "stepcore.experiment.motion": "Motion",

@@ -5,7 +5,7 @@ import warnings
 import pytest
 
 import stepcore as sc
-from stepcore.engine import model as engine_model
+from stepcore.engine import compilation
 
 # Stiff enough that loading has to look at the step itself.
 STIFF = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="a" stiffness="{}"/>
@@ -18,14 +18,14 @@ def compiled(monkeypatch):
 
     The warning linearises the step of a variant without constraints too.
     """
-    seen, compile_scene = [], engine_model._compiled
+    seen, compile_scene = [], compilation.compile_data
 
     def counted(scene, data):
         if scene.features.constraint:
             seen.append(scene)
         return compile_scene(scene, data)
 
-    monkeypatch.setattr(engine_model, "_compiled", counted)
+    monkeypatch.setattr(compilation, "compile_data", counted)
     return seen
 
 

@@ -79,6 +79,34 @@ class ModelArray(ReadOnlyArray):
         return array
 
 
+class Names:
+    """The names of a model's elements of one kind, which the attribute names."""
+
+    def __init__(self, doc: str) -> None:
+        self.__doc__ = doc
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.kind = name.removesuffix("_names")
+
+    def __get__(self, model: Any, owner: type | None = None) -> tuple[str, ...]:
+        if model is None:
+            return self  # type: ignore[return-value]
+        names: tuple[str, ...] = model.names[self.kind]
+        return names
+
+
+class Count:
+    """The number of a model's elements of one kind."""
+
+    def __init__(self, doc: str, kind: str) -> None:
+        self.__doc__, self.kind = doc, kind
+
+    def __get__(self, model: Any, owner: type | None = None) -> int:
+        if model is None:
+            return self  # type: ignore[return-value]
+        return len(model.names[self.kind])
+
+
 def fill(array: Floats, name: str, value: ArrayLike) -> None:
     """Overwrites an array; ValueError if `value` is not real numbers of its shape.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from stepcore.engine.model_data import ModelData
+    from stepcore.engine.model import Model
 
 UNITS = {
     "time": "s",
@@ -54,7 +54,7 @@ class Axis:
     entries: tuple[str, ...]
 
 
-def axes_of(model: ModelData | None, array: str, shape: Sequence[int]) -> tuple[Axis, ...]:
+def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis, ...]:
     """The axes of an array after time; without a model, or a name for them, they are numbered."""
     known = AXES.get(array, ()) if model is not None else ()
     axes = []
@@ -67,7 +67,7 @@ def axes_of(model: ModelData | None, array: str, shape: Sequence[int]) -> tuple[
     return tuple(axes)
 
 
-def _entries(model: ModelData, axis: str) -> Sequence[str]:
+def _entries(model: Model, axis: str) -> Sequence[str]:
     fixed = {"xyz": XYZ, "wxyz": WXYZ, "force": FORCE, "part": ("kinetic", "potential")}
     if axis in fixed:
         return fixed[axis]
@@ -81,7 +81,7 @@ def _entries(model: ModelData, axis: str) -> Sequence[str]:
     return lists[axis]() if axis in lists else ()
 
 
-def _of_joints(model: ModelData, parts: Mapping[str, Sequence[str]]) -> list[str]:
+def _of_joints(model: Model, parts: Mapping[str, Sequence[str]]) -> list[str]:
     """The entries of joints: "knee", or "root.x" and so on of a joint of several."""
     entries: list[str] = []
     for k, name in enumerate(model.called("joint")):
@@ -90,7 +90,7 @@ def _of_joints(model: ModelData, parts: Mapping[str, Sequence[str]]) -> list[str
     return entries
 
 
-def _readings(model: ModelData) -> list[str]:
+def _readings(model: Model) -> list[str]:
     entries: list[str] = []
     for k, name in enumerate(model.called("sensor")):
         count = int(model.sensor_dim[k])

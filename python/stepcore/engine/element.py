@@ -19,7 +19,7 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore._core import Sim as CoreSim
     from stepcore.engine.arrays import Floats
-    from stepcore.engine.model_data import ModelData
+    from stepcore.engine.model import Model
 
 # Kinds that are rows of the solver (contacts except under the law `penalty`).
 EQUALITIES = ("connect", "weld", "joint equality", "tendon equality")
@@ -65,7 +65,7 @@ class Element:
     label: str = field(default="", compare=False, repr=False)
 
     @classmethod
-    def of(cls, model: ModelData, kind: str, index: int, part: int = -1) -> Element:
+    def of(cls, model: Model, kind: str, index: int, part: int = -1) -> Element:
         """The element of a kind with its name."""
         known = "actuator" if kind == "control" else kind
         noun, owner, label = model.element_words(known, index, part)
@@ -74,7 +74,7 @@ class Element:
         words = f"{noun} of {owner}" if owner else noun
         return cls(kind, index, part, f"{words} {label}".rstrip(), noun, owner, label)
 
-    def fields(self, model: ModelData) -> tuple[SceneField, ...]:
+    def fields(self, model: Model) -> tuple[SceneField, ...]:
         """The values of the scene that a user can change to change this element.
 
         Of a contact: those of its pair or of both its geoms, or of the override that replaces them.
@@ -132,7 +132,7 @@ def _owner(layout: Layout, kind: str, index: int) -> Any:
     return scene.contact_override if kind == OVERRIDE else layout.elements[kind][index]
 
 
-def _contact_fields(model: ModelData, layout: Layout, index: int) -> tuple[SceneField, ...]:
+def _contact_fields(model: Model, layout: Layout, index: int) -> tuple[SceneField, ...]:
     scene, geoms = model.scene, model.contact_pair(index).geoms
     if scene.contact_override.enable:
         owners = [(OVERRIDE, 0)]
@@ -228,7 +228,7 @@ class ElementSlopes:
         return -(self.stiffness @ x[:n] + self.damping @ x[n:])
 
 
-def element_slopes(model: ModelData, core: CoreSim) -> dict[Element, ElementSlopes]:
+def element_slopes(model: Model, core: CoreSim) -> dict[Element, ElementSlopes]:
     """Those of every element that acts at the present state; see `Sim.element_slopes`."""
     ids, forces, energies, entries = core.element_slopes()
     matrices = np.zeros((len(ids), 2, model.nv, model.nv))

@@ -17,7 +17,7 @@ from stepcore.report.units import counted
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
-    from stepcore.engine.model_data import ModelData
+    from stepcore.engine.model import Model
     from stepcore.scene.contents import Contents
     from stepcore.scene.elements import Geom
 
@@ -191,7 +191,7 @@ class RemovableFeatures:
     geom: by index in the compiled model, the index in the scene's lists.
     """
 
-    def __init__(self, model: ModelData) -> None:
+    def __init__(self, model: Model) -> None:
         self.model, self.scene = model, model.scene
         self.plan: dict[str, Any] = model.core.plan()
         self.pairs: list[tuple[int, int]] = model.core.pairs()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stepcore.engine.arrays import Floats
 
 if TYPE_CHECKING:
-    from stepcore.engine.model_data import ModelData
+    from stepcore.engine.model import Model
 
 AXES = {
     "slide": ("",),
@@ -100,7 +100,7 @@ class Linearization:
 
 
 def linearized(
-    model: ModelData, dt: float, numbers: Floats, degenerate: list[tuple[str, int, int]]
+    model: Model, dt: float, numbers: Floats, degenerate: list[tuple[str, int, int]]
 ) -> Linearization:
     """The linearisation of a step of dt [s]; numbers: A and B side by side.
 

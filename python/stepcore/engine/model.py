@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import copy
 import functools
-import hashlib
+import math
+import operator
 import pickle
-import threading
 import zlib
-from collections import OrderedDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings
-from stepcore.engine.file_lines import with_file_lines
-from stepcore.engine.model_data import ModelData
+from stepcore.engine.arrays import Count, Floats, ModelArray, Names, numbers
+from stepcore.engine.compilation import bare, compiled_once, compiled_scenes
+from stepcore.engine.tables import ContactPair, Keyframe
 from stepcore.engine.touches import Touches, touches
 from stepcore.scene import collector
-from stepcore.scene.layout import Layout, called, named
-from stepcore.scene.records import Variation
 from stepcore.scene.value_paths import changed
 from stepcore.signatures import refuse_unknown, takes_settings
 
@@ -30,15 +29,11 @@ if TYPE_CHECKING:
 
     from stepcore.engine.plan.result import Plan
     from stepcore.engine.sim import Sim
-    from stepcore.scene.contents import Contents
     from stepcore.scene.scene import Scene
     from stepcore.signatures import SettingsFields
 
-# Compiled scenes that a process keeps for the models sent to it.
-KEPT = 16
 
-
-class Model(ModelData):
+class Model:
     """Compiles a scene.
 
     scene: the `Scene`. It is copied: later edits do not change the model.
@@ -72,7 +67,7 @@ class Model(ModelData):
         with collector.held():
             self._scene = copy.deepcopy(scene)
             merged = _merged(self._scene.settings, settings, fields)
-            super().__init__(_engine_once(scene, self._scene), merged)
+            self._core, self._settings = compiled_once(scene, self._scene), merged
 
     @property
     def scene(self) -> Scene:
@@ -119,6 +114,312 @@ class Model(ModelData):
         """
         return touches(self, geom1, geom2, qpos, precision, lanes)
 
+    @property
+    def settings(self) -> Settings:
+        """The settings that a `Sim` of this model has unless it changes them."""
+        return self._settings
+
+    @property
+    def core(self) -> _core.Model:
+        """The engine's own object; for use within stepcore."""
+        return self._core
+
+    # Counts.
+
+    nu = Count("Length of ctrl: the number of actuators.", "actuator")
+    nbody = Count("The number of bodies, the world included.", "body")
+    njnt = Count("The number of joints.", "joint")
+    ngeom = Count("The number of geoms.", "geom")
+    nsite = Count("The number of sites.", "site")
+    ntendon = Count("The number of tendons.", "tendon")
+
+    @property
+    def nq(self) -> int:
+        """Length of qpos."""
+        return self._core.nq
+
+    @property
+    def nv(self) -> int:
+        """Length of qvel: the number of dofs."""
+        return self._core.nv
+
+    @property
+    def na(self) -> int:
+        """Length of act: the number of activations."""
+        return self._core.na
+
+    @functools.cached_property
+    def npair(self) -> int:
+        """The number of pairs of geoms that can meet."""
+        return sum(self.heap.values()) if self.is_heap else len(self._core.pairs())
+
+    @functools.cached_property
+    def is_heap(self) -> bool:
+        """Whether pairs of geoms are found as they come near, because too many could meet.
+
+        Up to 2000 pairs are listed when a scene is compiled: `pairs`; up to 20,000 where fewer than
+        eight trees move. Above that a model is a heap.
+        """
+        return self._core.heap() is not None
+
+    @functools.cached_property
+    def heap(self) -> dict[tuple[str, str], int]:
+        """Of a heap, how many pairs can meet by the types of their geoms; else empty."""
+        return {(one, two): count for one, two, count in self._core.heap() or ()}
+
+    # Names, in the order of the arrays.
+
+    @functools.cached_property
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """Names of "body", "joint", "geom", "site", "tendon", "actuator", "equality", "key"."""
+        return {kind: tuple(names) for kind, names in self._core.names().items()}
+
+    body_names = Names("Names of the bodies, the world first.")
+    joint_names = Names("Names of the joints.")
+    geom_names = Names("Names of the geoms.")
+    site_names = Names("Names of the sites.")
+    tendon_names = Names("Names of the tendons.")
+    sensor_names = Names("Names of the sensors.")
+    actuator_names = Names("Names of the actuators.")
+    key_names = Names("Names of the keyframes.")
+
+    def element_name(self, kind: str, index: int, part: int = -1) -> str:
+        """What an element is called: "spring of joint `knee`", "contact `floor`/`foot`".
+
+        kind, index, part: as in `Sim.rows`, `Sim.contacts` and a `SimulationError`; part -1 is
+        the whole element. An unknown kind or an index too large is a ValueError.
+        """
+        index, part = checks.count("index", index, 0), checks.count("part", part, -1)
+        return self._core.element_name(checks.word("kind", kind), index, part)
+
+    def element_words(self, kind: str, index: int, part: int = -1) -> tuple[str, str, str]:
+        """The parts of that: noun, owner and label, as in "spring", "joint", "`knee`"."""
+        return self._core.element_words(kind, index, part)
+
+    def called(self, kind: str) -> tuple[str, ...]:
+        """What the elements of a kind are called in lists, in their order.
+
+        Their names; "geom 15 of body `jaw`" for one without, where its body or joint says where it
+        stands in the file. kind: as in `names`. Raises ValueError for an unknown kind.
+        """
+        if checks.word("kind", kind) not in self._called:
+            known = checks.nearest(kind, self._called, listed=len(self._called))
+            raise ValueError(f"kind: no elements are called {checks.quoted(kind)}{known}")
+        return self._called[kind]
+
+    @functools.cached_property
+    def _called(self) -> dict[str, tuple[str, ...]]:
+        return {
+            kind: tuple(name or self.element_name(kind, k) for k, name in enumerate(names))
+            for kind, names in self.names.items()
+        }
+
+    def element_force(
+        self, kind: str, ctrl: Floats, act: Floats, qpos: Floats, qvel: Floats
+    ) -> Floats:
+        """Generalised force of all elements of one kind at many states, shape (…, nv) [N or N·m].
+
+        kind: "spring", "damper" or "actuator". ctrl, act, qpos, qvel: shapes (…, nu), (…, na),
+        (…, nq), (…, nv), with the same leading axes.
+        """
+        given = {"ctrl": (ctrl, self.nu), "act": (act, self.na), "qpos": (qpos, self.nq)}
+        leading = np.shape(numbers("qvel", qvel))[:-1]
+        flat = []
+        for name, (value, count) in (given | {"qvel": (qvel, self.nv)}).items():
+            array = numbers(name, value)
+            if array.shape != (*leading, count):
+                raise ValueError(f"{name} has shape {array.shape}: must be {(*leading, count)}")
+            flat.append(array.reshape(math.prod(leading), count))
+        force = self._core.element_force(checks.word("kind", kind), *flat)
+        return force.reshape((*leading, self.nv))
+
+    def root(self, body: int) -> int:
+        """The index of the body below the world that carries a body; 0 for the world itself."""
+        parents, body = self.body_parent, self.index("body", body)
+        while body and parents[body]:
+            body = int(parents[body])
+        return body
+
+    def index(self, kind: str, name: str | int) -> int:
+        """Returns the index of an element.
+
+        kind: "body", "joint", "geom", "site", "tendon", "sensor", "actuator", "equality" or "key".
+        name: its name, or an index, which may be negative.
+
+        Raises ValueError, with the nearest names, if there is no such element.
+        """
+        names = self.names.get(kind) if isinstance(kind, str) else None
+        if names is None:
+            limit = f"one of {', '.join(self.names)}"
+            raise ValueError(f"kind = {checks.shown(kind)}: must be {limit}")
+        if isinstance(name, str):
+            if name and name in names:
+                return names.index(name)
+            raise ValueError(self.scene._no_such(kind, name, names))
+        try:
+            index = range(len(names))[operator.index(name)]
+        except (TypeError, IndexError):
+            if not names:
+                # Only refusals need it.
+                from stepcore.report.units import plural
+
+                many = plural("keyframe" if kind == "key" else kind)
+                raise ValueError(
+                    f"{kind} = {checks.shown(name)}: the model has no {many}"
+                ) from None
+            limit = f"the name of a {kind} or an index below {len(names)}"
+            raise ValueError(f"{kind} = {checks.shown(name)}: must be {limit}") from None
+        return index
+
+    # Arrays.
+
+    @functools.cached_property
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        lists = self._core.addresses().items()
+        addresses = {name: np.array(entries, dtype=np.int32) for name, entries in lists}
+        return {name: _frozen(array) for name, array in (self._core.tables() | addresses).items()}
+
+    @functools.cached_property
+    def _pair_arrays(self) -> dict[str, NDArray[Any]]:
+        if self.is_heap:
+            raise ValueError(
+                f"pairs: this model is a heap, whose {self.npair} pairs of geoms that could meet "
+                "are not listed: contact_pair(index) tells of one, Sim.contacts which touch now"
+            )
+        pairs = self._core.pairs()
+        data = [self._core.pair(index) for index in range(len(pairs))]
+        arrays: dict[str, NDArray[Any]] = {
+            "pair_geoms": np.array(pairs, dtype=np.int32).reshape(-1, 2),
+            "pair_solref": np.array([pair[4] for pair in data], dtype=float).reshape(-1, 2),
+            "pair_friction": np.array([pair[3] for pair in data], dtype=float),
+            "pair_invweight0": np.array([pair[5] for pair in data], dtype=float),
+        }
+        return {name: _frozen(array) for name, array in arrays.items()}
+
+    def contact_pair(self, index: int) -> ContactPair:
+        """The pair of geoms of a contact, and what its contacts share.
+
+        index: as in `Sim.contacts`. Raises ValueError where no two geoms that can meet have it.
+        """
+        first, second, condim, friction, solref, invweight = self._core.pair(
+            checks.count("index", index, 0)
+        )
+        return ContactPair((first, second), condim, friction, (solref[0], solref[1]), invweight)
+
+    qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")
+    body_mass = ModelArray("Mass of each body [kg], shape (nbody,).")
+    body_ipos = ModelArray("Centre of mass in the body's frame [m], shape (nbody, 3).")
+    body_iquat = ModelArray(
+        "Orientation of the principal axes of the inertia in the body's frame, shape (nbody, 4)."
+    )
+    body_inertia = ModelArray(
+        "Inertia about the centre of mass, in the body's axes [kg·m²], shape (nbody, 3, 3)."
+    )
+    body_parent = ModelArray("Index of each body's parent, shape (nbody,).")
+    body_invweight0 = ModelArray(
+        "Mean inverse mass [1/kg] and inverse inertia [1/(kg·m²)] at qpos0, shape (nbody, 2)."
+    )
+    dof_invweight0 = ModelArray(
+        "Diagonal of the inverse mass matrix at qpos0, averaged over each joint, shape (nv,)."
+    )
+    jnt_qposadr = ModelArray("Index in qpos at which each joint begins, shape (njnt,).")
+    jnt_dofadr = ModelArray("Index in qvel at which each joint begins, shape (njnt,).")
+    jnt_body = ModelArray("Index of the body that each joint moves, shape (njnt,).")
+    jnt_range = ModelArray(
+        "Lower and upper limit of each joint [rad or m], ±inf without one, shape (njnt, 2)."
+    )
+    jnt_axis = ModelArray("Axis of each joint in the body's frame, a unit vector, shape (njnt, 3).")
+    jnt_pos = ModelArray("Anchor of each joint in the body's frame [m], shape (njnt, 3).")
+    geom_size = ModelArray("Sizes of each geom in MuJoCo's convention [m], shape (ngeom, 3).")
+    geom_body = ModelArray("Index of each geom's body, shape (ngeom,).")
+    sensor_dim = ModelArray("How many numbers each sensor gives, shape (nsensor,).")
+    site_body = ModelArray("Index of each site's body, shape (nsite,).")
+    tendon_length0 = ModelArray("Length of each tendon at qpos0, shape (ntendon,).")
+    tendon_invweight0 = ModelArray(
+        "J M⁻¹ Jᵀ of each tendon's moment arms J at qpos0, shape (ntendon,)."
+    )
+    tendon_lengthspring = ModelArray(
+        "Lengths between which each tendon's spring is slack, shape (ntendon, 2)."
+    )
+    tendon_range = ModelArray(
+        "Shortest and longest length of each tendon, ±inf without a limit, shape (ntendon, 2)."
+    )
+    actuator_joint = ModelArray("Index of the joint that each actuator drives, shape (nu,).")
+    actuator_ctrlrange = ModelArray(
+        "Range to which each control is clamped, ±inf without one, shape (nu, 2)."
+    )
+    actuator_actrange = ModelArray(
+        "Range to which each activation is clamped, ±inf without one, shape (nu, 2)."
+    )
+    actuator_actadr = ModelArray(
+        "Index in act of each actuator's activation, -1 without one, shape (nu,)."
+    )
+    actuator_gear = ModelArray("Gear of each actuator for each dof of its joint, shape (nu, 6).")
+    actuator_gain = ModelArray("Force per unit of control, before the gear, shape (nu,).")
+    actuator_bias = ModelArray(
+        "Force at control 0, and per unit of length and of velocity, before the gear, "
+        "shape (nu, 3). A damping ratio is converted to the damping that it stands for."
+    )
+    actuator_forcerange = ModelArray(
+        "Range to which each force is clamped before the gear [N or N·m], ±inf without one, "
+        "shape (nu, 2)."
+    )
+    pair_geoms = ModelArray(
+        "The two geoms of each pair that can ever collide, shape (npair, 2).", "_pair_arrays"
+    )
+    pair_solref = ModelArray(
+        "The solref that the geoms of each pair have together, (npair, 2).", "_pair_arrays"
+    )
+    pair_friction = ModelArray(
+        "Coefficient of sliding friction of each pair, shape (npair,).", "_pair_arrays"
+    )
+    pair_invweight0 = ModelArray(
+        "Sum of both bodies' mean inverse mass of each pair at qpos0 [1/kg], shape (npair,).",
+        "_pair_arrays",
+    )
+
+    @functools.cached_property
+    def sensor_type(self) -> tuple[str, ...]:
+        """Type of each sensor: "accelerometer", "touch" and so on."""
+        return tuple(self._core.sensor_types())
+
+    @functools.cached_property
+    def jnt_type(self) -> tuple[str, ...]:
+        """Type of each joint: "free", "ball", "slide" or "hinge"."""
+        return tuple(self._core.joint_types())
+
+    @functools.cached_property
+    def geom_type(self) -> tuple[str, ...]:
+        """Type of each geom: "plane", "hfield", "sphere", "capsule", …; see `Geom`."""
+        return tuple(self._core.geom_types())
+
+    def geom_hull(self, geom: str | int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Returns the convex hull by which a mesh collides, in the frame of its geom.
+
+        geom: a name or an index.
+
+        Returns its vertices [m], shape (n, 3), and its triangles as indices of them,
+        counter-clockwise from outside, shape (m, 3). Both are empty for a geom that has none.
+        """
+        index = self.index("geom", geom)
+        vertices, triangles = self._core.geom_hull(index) or ((), ())
+        return np.reshape(vertices, (-1, 3)), np.reshape(np.array(triangles, int), (-1, 3))
+
+    @functools.cached_property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of geoms that can ever collide, each by what it is called (`called`)."""
+        names = self.called("geom")
+        return tuple((names[a], names[b]) for a, b in self.pair_geoms.tolist())
+
+    @functools.cached_property
+    def keys(self) -> tuple[Keyframe, ...]:
+        """The keyframes, with defaults for what they leave open."""
+        states = zip(self.key_names, self._core.keys(), strict=True)
+        return tuple(
+            Keyframe(name, time, *(_frozen(np.array(x, dtype=float)) for x in arrays))
+            for name, (time, arrays) in states
+        )
+
     # Copies.
 
     def with_values(self, values: Mapping[str, Any]) -> Model:
@@ -150,7 +451,7 @@ class Model(ModelData):
 
     @functools.cached_property
     def _pickled(self) -> bytes:
-        return zlib.compress(_bare(self._scene))
+        return zlib.compress(bare(self._scene))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpickled, (self._pickled, self._settings)
@@ -165,16 +466,10 @@ class Model(ModelData):
         return other
 
     def __repr__(self) -> str:
-        counts = {
-            "nq": self.nq,
-            "nv": self.nv,
-            "nu": self.nu,
-            "nbody": self.nbody,
-            "ngeom": self.ngeom,
-            "pairs": self.npair,
-        }
+        fields = ("nq", "nv", "nu", "nbody", "ngeom", "npair")
+        counts = {name: getattr(self, name) for name in fields}
         name = f" {checks.quoted(self._scene.name)}" if self._scene.name else ""
-        shown = ", ".join(f"{key} {count}" for key, count in counts.items())
+        shown = ", ".join(f"{key} {n}" for key, n in counts.items()).replace("npair", "pairs")
         return f"<Model{name}: {shown}; {self._settings!r}>"
 
     def _repr_html_(self) -> str | None:
@@ -185,101 +480,17 @@ class Model(ModelData):
         return shown(self, self.ngeom, lambda: Sim(self))
 
 
-class _CompiledScenes:
-    """The last scenes that this process compiled for models sent to it, by their pickle.
-
-    Compiling is deterministic and takes longer than unpickling: a worker that gets a model again
-    and again, under whatever settings, compiles it once.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._models: OrderedDict[bytes, _core.Model] = OrderedDict()
-
-    def get(self, pickled: bytes, scene: Scene) -> _core.Model:
-        """The compiled model of a scene, which is what was pickled."""
-        key = hashlib.blake2b(pickled, digest_size=16).digest()
-        with self._lock:
-            if key in self._models:
-                self._models.move_to_end(key)
-                return self._models[key]
-        model = _engine(scene)
-        with self._lock:
-            self._models[key] = model
-            while len(self._models) > KEPT:
-                self._models.popitem(last=False)
-        return model
-
-
-_compiled_scenes = _CompiledScenes()
-
-
 def _unpickled(pickled: bytes, settings: Settings) -> Model:
     model = object.__new__(Model)
     model._scene, model._settings = pickle.loads(zlib.decompress(pickled)), settings
-    model._core = _compiled_scenes.get(pickled, model._scene)
+    model._core = compiled_scenes.get(pickled, model._scene)
     model.__dict__["_pickled"] = pickled
     return model
 
 
-class ModelVariation(Variation):
-    """A model compiled many times with other values of the same paths, as `with_values` does.
-
-    `data` makes a scene, `compiled` compiles it.
-    """
-
-    def __init__(self, model: Model, paths: Iterable[str]) -> None:
-        super().__init__(model.scene, paths, model.masses())
-
-    def compiled(self, data: dict[str, Any] | ValueError) -> _core.Model:
-        """The engine's model of `data`; raises the error if it is one. Any thread may ask."""
-        return _compiled(self.scene, data)
-
-
-def _bare(scene: Scene) -> bytes:
-    """A pickle of the scene without its file's own text, which no step needs."""
-    scene = copy.copy(scene)
-    scene._source = None
-    return pickle.dumps(scene)
-
-
-def _engine_once(scene: Scene, copied: Scene) -> _core.Model:
-    """The engine's model of a scene, which is kept with it until the scene is edited.
-
-    `stepcore.load` compiles most scenes to warn of their time step, before anybody else does.
-    """
-    try:
-        key = hashlib.blake2b(_bare(scene), digest_size=16).digest()
-    except Exception:  # what the pickling of a user's own data raises is of any type
-        return _engine(copied)
-    if scene._compiled is None or scene._compiled[0] != key:
-        scene._compiled = key, _engine(copied)
-    model: _core.Model = scene._compiled[1]
-    return model
-
-
-def _engine(scene: Scene) -> _core.Model:
-    """The engine's model of a scene."""
-    try:
-        data: dict[str, Any] | ValueError = scene.to_dict()
-    except ValueError as error:
-        data = error
-    return _compiled(scene, data)
-
-
-def _compiled(scene: Contents, data: dict[str, Any] | ValueError) -> _core.Model:
-    """The engine's model; an error about an element of a file gets its file and line."""
-    try:
-        if isinstance(data, ValueError):
-            raise data
-        return _core.compile(data)
-    except checks.ElementError as error:
-        place = getattr(error.owner, "place", "")
-        if not place:
-            raise named(scene, error) from None
-        raise checks.ElementError(f"{place}: {called(scene, error.owner)}", error.text) from None
-    except ValueError as error:
-        raise with_file_lines(error, Layout(scene)) from None
+def _frozen(array: Any) -> Any:
+    array.flags.writeable = False
+    return array
 
 
 def _merged(own: Settings, given: Settings | None, fields: SettingsFields) -> Settings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,12 +10,28 @@ from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore.engine.arrays import Floats, numbers
-from stepcore.engine.model import Model, ModelVariation
+from stepcore.engine.compilation import compile_data
+from stepcore.engine.model import Model
 from stepcore.scene.elements import Body
+from stepcore.scene.records import Variation
 from stepcore.scene.value_paths import WHOLE, find
 
 if TYPE_CHECKING:
     from stepcore import _core
+
+
+class ModelVariation(Variation):
+    """A model compiled many times with other values of the same paths, as `with_values` does.
+
+    `data` makes a scene, `compiled` compiles it.
+    """
+
+    def __init__(self, model: Model, paths: Iterable[str]) -> None:
+        super().__init__(model.scene, paths, model.masses())
+
+    def compiled(self, data: dict[str, Any] | ValueError) -> _core.Model:
+        """The engine's model of `data`; raises the error if it is one. Any thread may ask."""
+        return compile_data(self.scene, data)
 
 
 class Parameters(Mapping[str, Floats]):

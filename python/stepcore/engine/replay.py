@@ -19,7 +19,7 @@ from stepcore.engine.postmortem import PostMortem, run_again
 from stepcore.engine.replay_checks import ATTRIBUTES, checked, unpacked
 
 if TYPE_CHECKING:
-    from stepcore.engine.model_data import ModelData
+    from stepcore.engine.model import Model
 
 KIND = "stepcore replay"
 # Goes up when the layout of the file changes.
@@ -155,7 +155,7 @@ def _check(body: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def attach(error: SimulationError, model: ModelData, qpos: Floats, qvel: Floats) -> None:
+def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> None:
     """Gives an error its `replay`. qpos, qvel: the last finite state of the world that failed."""
     happened = {name: getattr(error, name) for name in ATTRIBUTES}
     happened |= {"text": str(error), "state": digest(qpos, qvel)}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from stepcore.engine.model_data import ModelData
+    from stepcore.engine.model import Model
 
 Floats = NDArray[np.float64]
 
@@ -18,6 +18,37 @@ VECTORS = ("pos", "normal", "force", "torque")
 # kind, index and part of an element, as `Model.element_name` takes them.
 ELEMENT: list[Any] = [("kind", "U16"), ("index", np.int64), ("part", np.int32)]
 ROW_NUMBERS = ("impulse", "velocity", "target", "regulariser", "residual", "lo", "hi")
+
+
+class Keyframe(NamedTuple):
+    """A named state, with defaults for what the scene leaves open.
+
+    time: [s]. qpos: shape (nq,). qvel: shape (nv,). act: shape (na,). ctrl: shape (nu,). mpos,
+    mquat: of mocap bodies, shapes (3 nmocap,) and (4 nmocap,).
+    """
+
+    name: str
+    time: float
+    qpos: Floats
+    qvel: Floats
+    act: Floats
+    ctrl: Floats
+    mpos: Floats
+    mquat: Floats
+
+
+class ContactPair(NamedTuple):
+    """Two geoms that can meet, and what their contacts share.
+
+    geoms: their indices. condim and friction (sliding): 1. solref: as in MJCF. invweight0: sum of
+    both bodies' mean inverse mass at qpos0 [1/kg].
+    """
+
+    geoms: tuple[int, int]
+    condim: int
+    friction: float
+    solref: tuple[float, float]
+    invweight0: float
 
 
 def contact_table(
@@ -40,7 +71,7 @@ def contact_table(
     return table
 
 
-def contacts_of_body(table: NDArray[Any], model: ModelData, body: str | int) -> NDArray[Any]:
+def contacts_of_body(table: NDArray[Any], model: Model, body: str | int) -> NDArray[Any]:
     """The contacts of a table in which a geom of this body takes part."""
     index = model.index("body", body)
     touching = [model.geom_body[table[geom]] == index for geom in ("geom1", "geom2")]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import operator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
 from stepcore.engine.arrays import Floats, numbers
-from stepcore.engine.model_data import ModelData
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
 
 
 class Touches(NamedTuple):
@@ -33,7 +35,7 @@ class Touches(NamedTuple):
 
 
 def touches(
-    model: ModelData,
+    model: Model,
     geom1: int | str,
     geom2: int | str,
     qpos: ArrayLike,
@@ -57,7 +59,7 @@ def touches(
     return Touches(*(array.reshape(leading + array.shape[1:]) for array in found))  # type: ignore[arg-type]
 
 
-def _geom(model: ModelData, field: str, geom: int | str) -> int:
+def _geom(model: Model, field: str, geom: int | str) -> int:
     """The index of a geom given by name or by index."""
     names = model.geom_names
     if isinstance(geom, str):

@@ -16,7 +16,7 @@ from stepcore.scene.layout import Layout
 from stepcore.viewing import surfaces
 
 if TYPE_CHECKING:
-    from stepcore.engine.model_data import ModelData
+    from stepcore.engine.model import Model
     from stepcore.engine.world import World
 
 # MuJoCo's viewers show geoms of these groups; others are most often what collides.
@@ -90,7 +90,7 @@ class Drawing:
     headlight: Headlight = field(default_factory=Headlight)
 
 
-def drawing_of(model: ModelData, world: World) -> Drawing:
+def drawing_of(model: Model, world: World) -> Drawing:
     """Return the drawing of a model.
 
     world: a Sim of the model at any state; its geoms are read where the engine has them.
@@ -125,7 +125,7 @@ def drawing_of(model: ModelData, world: World) -> Drawing:
     return replace(drawing, lights=looks.lights, headlight=looks.headlight)
 
 
-def _what_moves(model: ModelData) -> tuple[list[bool], list[bool]]:
+def _what_moves(model: Model) -> tuple[list[bool], list[bool]]:
     jointed = set(model.jnt_body.tolist())
     moves = [False] * model.nbody
     for body in range(1, model.nbody):
@@ -134,11 +134,11 @@ def _what_moves(model: ModelData) -> tuple[list[bool], list[bool]]:
     return by_name, moves
 
 
-def _in_order(model: ModelData) -> list[Any]:
+def _in_order(model: Model) -> list[Any]:
     return Layout(model.scene).bodies
 
 
-def _plain(model: ModelData, looks: Looks) -> bool:
+def _plain(model: Model, looks: Looks) -> bool:
     """Return whether nothing but the ground has a colour."""
     pairs = [*zip(looks.colours, model.geom_body, strict=True)]
     pairs += [(look, body) for body, _, look in looks.geoms]
@@ -146,7 +146,7 @@ def _plain(model: ModelData, looks: Looks) -> bool:
 
 
 def _colliding(
-    model: ModelData,
+    model: Model,
     world: World,
     looks: Looks | None,
     moving: NDArray[np.bool_],

@@ -15,7 +15,7 @@ from stepcore.scene.elements.equality import ROW_KINDS
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
-    from stepcore.engine.model_data import ModelData
+    from stepcore.engine.model import Model
 
 # Equalities: what they are called, how many rows each has, their type.
 EQUALITIES = (
@@ -28,7 +28,7 @@ EQUALITIES = (
 Listed = tuple[PlanEntry, Removal | None]
 
 
-def entries(model: ModelData, settings: Settings, rows: Counter[str]) -> Iterator[Listed]:
+def entries(model: Model, settings: Settings, rows: Counter[str]) -> Iterator[Listed]:
     """All entries of a plan. rows: how many of each kind the state has."""
     listing = _Listing(model, settings, rows)
     parts = (
@@ -46,7 +46,7 @@ def entries(model: ModelData, settings: Settings, rows: Counter[str]) -> Iterato
 
 
 class _Listing:
-    def __init__(self, model: ModelData, settings: Settings, rows: Counter[str]) -> None:
+    def __init__(self, model: Model, settings: Settings, rows: Counter[str]) -> None:
         self.model, self.scene, self.settings, self.row_count = model, model.scene, settings, rows
         self.features = RemovableFeatures(model)
         self.plan = self.features.plan
