@@ -177,11 +177,16 @@ def _common(dts: Sequence[float], horizon: float) -> float:
     return float(period)
 
 
+def divides(dt: float, period: float) -> bool:
+    """Whether a period is a whole number of steps, as far as rounding tells."""
+    count = period / dt
+    return round(count) >= 1 and abs(count - round(count)) <= 1e-6 * count
+
+
 def _check_divide(dts: Sequence[float], period: float) -> None:
     for dt in dts:
-        count = period / dt
-        if round(count) < 1 or abs(count - round(count)) > 1e-6 * count:
-            near = period / max(1, round(count))
+        if not divides(dt, period):
+            near = period / max(1, round(period / dt))
             raise ValueError(
                 f"dt = {dt:g} s: must divide the control period of {period:g} s "
                 f"(nearest: {near:g} s; control_dt sets the period)"

@@ -19,13 +19,12 @@ from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import HORIZON, scheduled
+from stepcore.experiment.schedule import HORIZON, divides, scheduled
 from stepcore.measure.convergence.result import Convergence
 from stepcore.measure.convergence.runs import (
     CandidateRun,
     Candidates,
     candidates,
-    divides,
     ending,
     row_states,
     run_of,

@@ -21,6 +21,7 @@ from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import divides
 from stepcore.measure.convergence.sweeps import MotionState
 
 # Sweeps in a period of equal work, and their splits into steps × sweeps.
@@ -101,12 +102,6 @@ def candidates(own: Settings, period: float | None, horizon: float) -> Candidate
         more=own.replace(sweeps=4 * own.sweeps) if fixed else None,
         solved=converged_settings(own, warm_start=True),
     )
-
-
-def divides(dt: float, period: float) -> bool:
-    """Whether a period is a whole number of steps."""
-    count = period / dt
-    return round(count) >= 1 and abs(count - round(count)) <= 1e-6 * count
 
 
 @dataclass(frozen=True)
