@@ -105,9 +105,10 @@ class Experiment:
         """The converged motion. Raises ValueError if it fails or runs away.
 
         finest: the shortest time step that is to be judged [s]. effort: what the runs may cost, in
-        steps × (dofs + 2). settings: by default the model's own.
+        steps × (dofs + 2). settings: by default the model's own without sleep, because what sleep
+        changes is an error like another.
         """
-        shipped = settings or self.model.settings
+        shipped = settings or self.model.settings.replace(sleep=False)
         weight = heaviness(self.runner, self.model.settings)
         made = ReferenceRuns(self.runner, shipped, finest, effort, self.workers, weight)
         with self.workers.bar("reference", made.least) as bar:
