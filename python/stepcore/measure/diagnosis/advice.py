@@ -9,8 +9,9 @@ factor.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from stepcore._core import Settings
@@ -29,6 +30,7 @@ from stepcore.measure.diagnosis.changes import (
     rounded,
     text_of,
 )
+from stepcore.measure.diagnosis.growth import bisected
 from stepcore.measure.diagnosis.isolated import ElementLimits
 from stepcore.measure.diagnosis.limits import LONGEST, Limit, StepStability, step_stability
 from stepcore.measure.diagnosis.linear_motion import linear_motion
@@ -41,7 +43,7 @@ from stepcore.report.units import seconds
 # The stability margin that a change leaves: the largest stable dt over the wanted one.
 MARGIN = 1.5
 # The most elements that one piece of advice changes, and the relative resolution of its factor.
-TOGETHER, FINE = 8, 1.01
+TOGETHER, FINE = 8, 0.01
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ class _Search:
         for x in LESS.xs:
             if not stable(x):
                 continue
-            model = softer(_least(stable, x, LESS.before(x)))
+            model = softer(bisected(stable, x, LESS.before(x), FINE))
             if _bounded(self.now, model, self.integrator, self.wanted, self.worst):
                 new = model.settings.penalty_stiffness
                 text = f"use penalty_stiffness={new:g} in place of {old:g} N/m"
@@ -235,16 +237,12 @@ class _Search:
         for x in change.xs:
             if not self._stable(group, change, x):
                 continue
-            refined = self._refined(group, change, x)
-            for found in dict.fromkeys((refined, x)):
-                model, _ = self._made(group, change, found)
+            stable = partial(self._stable, group, change)
+            for least in dict.fromkeys((bisected(stable, x, change.before(x), FINE), x)):
+                model, _ = self._made(group, change, least)
                 if _bounded(self.now, model, self.integrator, self.wanted, self.worst):
-                    return found
+                    return least
         return None
-
-    def _refined(self, group: Sequence[ElementLimits], change: Change, good: float) -> float:
-        """The least change between an x that is enough and the one before it."""
-        return _least(lambda x: self._stable(group, change, x), good, change.before(good))
 
     def _next(self, group: Sequence[ElementLimits], change: Change) -> ElementLimits | None:
         """The element that limits dt once these are changed by as much as helps most."""
@@ -267,14 +265,6 @@ class _Search:
                 possible = change in CHANGES.get(element.kind, ())
                 return self.elements[element] if possible else None
         return None
-
-
-def _least(stable: Callable[[float], bool], good: float, bad: float) -> float:
-    """The value nearest to `bad` that is stable, between one that is and one that is not."""
-    while max(good / bad, bad / good) > FINE:
-        middle = math.sqrt(good * bad)
-        good, bad = (middle, bad) if stable(middle) else (good, middle)
-    return good
 
 
 def _not_enough(change: Change, more: Sequence[ElementLimits]) -> Advice:

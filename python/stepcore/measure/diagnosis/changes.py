@@ -19,7 +19,6 @@ from stepcore.measure.diagnosis.elements import solref_of
 from stepcore.measure.diagnosis.isolated import ElementLimits
 from stepcore.report.units import unit_of
 from stepcore.scene.elements import Actuator, Joint
-from stepcore.scene.elements.actuator import LAW_FIELDS
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.scene.scene import Scene
@@ -201,42 +200,32 @@ def changed(
 
 
 def _scaled(
-    model: Model, layout: Layout, element: ElementLimits, field: str, x: float
+    model: Model, layout: Layout, limits: ElementLimits, name: str, x: float
 ) -> list[NewValue]:
-    """A gain of the element times x."""
-    if element.element.kind.startswith("tendon"):
-        tendon = layout.scene.tendons[element.element.index]
-        old = getattr(tendon, field)
-        if old <= 0:
-            return []
-        new = rounded(old * x, up=x > 1)
-        setattr(tendon, field, new)
-        return [NewValue(element.element, field, (old,), (new,), size=ratio(old, new))]
-    joint = _joint(layout, element)
-    owner: Joint | Actuator | None = joint
-    if element.element.kind == "actuator":
-        owner = layout.scene.actuators[element.element.index]
-        if owner.type == "general":
-            return _general(owner, element, field, x)
-        if field not in LAW_FIELDS[owner.type]:
-            return []
-        if field == "kv" and owner.dampratio:
-            field = "dampratio"
-        old = owner.law_value(field)
-    else:
-        old = getattr(joint, field)
-    if old == 0 and field == "kv" and x > 1 and element.omega > 0 and joint is not None:
-        square = float(model.actuator_gear[element.element.index, 0]) ** 2
-        critical = 2 * _mass(model, layout.joints.index(joint)) * element.omega / square
-        new = rounded(FROM_NOTHING * x * critical, up=True)
-        size = _damped(FROM_NOTHING * x, element)
-    elif old <= 0:
+    """A gain of the element times x; a kv of 0 grows from nothing."""
+    element, joint = limits.element, _joint(layout, limits)
+    if element.kind == "actuator":
+        servo = layout.scene.actuators[element.index]
+        if servo.type == "general":
+            return _general(servo, limits, name, x)
+        if name == "kv" and servo.dampratio:
+            name = "dampratio"
+    field = next((field for field in element.fields(model) if field.name == name), None)
+    if field is None:
         return []
-    else:
+    old = float(field.value)
+    if old > 0:
         new = rounded(old * x, up=x > 1)
         size = ratio(old, new)
-    setattr(owner, field, new)
-    return [NewValue(element.element, field, (old,), (new,), _unit(field, joint), size)]
+    elif old == 0 and name == "kv" and x > 1 and limits.omega > 0 and joint is not None:
+        square = float(model.actuator_gear[element.index, 0]) ** 2
+        critical = 2 * _mass(model, layout.joints.index(joint)) * limits.omega / square
+        new = rounded(FROM_NOTHING * x * critical, up=True)
+        size = _damped(FROM_NOTHING * x, limits)
+    else:
+        return []
+    field.assign(layout, new)
+    return [NewValue(element, name, (old,), (new,), field.unit, size)]
 
 
 def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> list[NewValue]:
@@ -269,9 +258,9 @@ def _added(
     old = getattr(joint, field)
     new = rounded(old + added, up=True)
     setattr(joint, field, new)
-    owner = Element.of(model, "joint", index)
+    owner, unit = Element.of(model, "joint", index), unit_of(field, joint.type in ("hinge", "ball"))
     size = _damped(x, element) if change is DAMPING else math.log1p(x)
-    return [NewValue(owner, field, (old,), (new,), _unit(field, joint), size)]
+    return [NewValue(owner, field, (old,), (new,), unit, size)]
 
 
 def _damped(x: float, element: ElementLimits) -> float:
@@ -360,14 +349,12 @@ def _direct(solref: Vec) -> tuple[float, float]:
     return 1 / first / first / second / second, 2 / first
 
 
-def _joint(layout: Layout, element: ElementLimits) -> Joint | None:
+def _joint(layout: Layout, limits: ElementLimits) -> Joint | None:
     """The joint that an element acts on; None for one that acts on several."""
-    index = element.element.index
-    if element.element.kind in ("actuator", "control"):
+    index = limits.element.index
+    if limits.element.kind.startswith("tendon"):
+        return None
+    if limits.element.kind in ("actuator", "control"):
         actuator = layout.scene.actuators[index]
         return actuator.joint or actuator.jointinparent
     return layout.joints[index]
-
-
-def _unit(field: str, joint: Joint | None) -> str:
-    return unit_of(field, joint is not None and joint.type in ("hinge", "ball"))

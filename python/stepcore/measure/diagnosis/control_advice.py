@@ -35,7 +35,7 @@ from stepcore.scene.layout import Layout
 
 # How far gains are changed, in octaves: down, and up where one gain is changed alone; and the
 # relative resolution of the factor.
-LESS, GREATER, CLOSE = 12, 6, 1.01
+LESS, GREATER, CLOSE = 12, 6, 0.01
 # A control is a servo of its own joint if all it does elsewhere is below this share.
 ELSEWHERE = 0.05
 # Of the ways to change gains: which of the gains on position and velocity, by x.
@@ -132,18 +132,12 @@ class _ControlSearch:
         tried = sorted([*downs, *ups], key=lambda x: abs(math.log(x)))
         for x in tried:
             if self.stable(self._scaled(what, x)):
-                least = self._refined(what, x)
+                none = min(2 * x, 1.0) if x < 1 else max(x / 2, 1.0)
+                least = bisected(lambda y: self.stable(self._scaled(what, y)), x, none, CLOSE)
                 for good in dict.fromkeys((least, x)):
                     if self.bounded(self._scaled(what, good)):
                         return self._gain(what, good)
         return Advice(f"control {what}", (), {}, False, f"{what} of the control")
-
-    def _refined(self, what: str, good: float) -> float:
-        bad = min(2 * good, 1.0) if good < 1 else max(good / 2, 1.0)
-        while max(good / bad, bad / good) > CLOSE:
-            middle = math.sqrt(good * bad)
-            good, bad = (middle, bad) if self.stable(self._scaled(what, middle)) else (good, middle)
-        return good
 
     def _scaled(self, what: str, x: float) -> list[State]:
         """The states with some gains of the limiting controls multiplied by x."""

@@ -143,12 +143,15 @@ def largest_stable(
     return math.inf
 
 
-def bisected(stable: Callable[[float], bool], low: float, high: float, fine: float = FINE) -> float:
-    """The limit between a stable and an unstable step, to a relative `fine`."""
-    while high / low > 1 + fine:
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if stable(middle) else (low, middle)
-    return low
+def bisected(stable: Callable[[float], bool], good: float, bad: float, fine: float = FINE) -> float:
+    """The number nearest to `bad` that is stable, between one that is and one that is not.
+
+    fine: to this relative resolution.
+    """
+    while max(good / bad, bad / good) > 1 + fine:
+        middle = math.sqrt(good * bad)
+        good, bad = (middle, bad) if stable(middle) else (good, middle)
+    return good
 
 
 def eigenvalues(matrix: Any) -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 from stepcore.engine.arrays import Floats
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.measure.diagnosis.control import folded, steps_held
-from stepcore.measure.diagnosis.growth import eigenvalues, step_growth
+from stepcore.measure.diagnosis.growth import bisected, eigenvalues, step_growth
 from stepcore.measure.diagnosis.limits import Limit, StepStability
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.linear_step import State, step_map
@@ -197,7 +197,7 @@ PARTAKES, MOST, HELD = 0.02, 12, 1e-6
 # What is left of the stiffness and damping of a softened element.
 SOFTENED = 0.1
 # By how much the limit is looked at, as a factor, and its relative resolution.
-MOST_RISE, RISE_FINE = 4.0, 1.05
+MOST_RISE, RISE_FINE = 4.0, 0.05
 # One element limits dt if the limit rises by this factor without it; if it does not, equal
 # elements do together, whose gains differ by no more than the second factor.
 ALONE, ALIKE = 1.4, 1.25
@@ -260,13 +260,9 @@ class _Rise:
     def without(self, elements: Sequence[Element]) -> float:
         """The limit with some elements softened, over the limit with them; at most `MOST_RISE`."""
         stable = self._softened(elements)
-        low, high = 1.0, MOST_RISE
-        if stable(high * self.dt):
-            return high
-        while high / low > RISE_FINE:
-            middle = (low * high) ** 0.5
-            low, high = (middle, high) if stable(middle * self.dt) else (low, middle)
-        return low
+        if stable(MOST_RISE * self.dt):
+            return MOST_RISE
+        return bisected(lambda rise: stable(rise * self.dt), 1.0, MOST_RISE, RISE_FINE)
 
     def _softened(self, elements: Sequence[Element]) -> Callable[[float], bool]:
         """The test of a step with some elements softened, whose own rates are found once."""
