@@ -8,7 +8,7 @@ step is then a function of M, J and the damping that the integrator treats impli
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -64,94 +64,59 @@ class LinearMotion:
     feedback: Feedback | None = None
     inputs: Floats | None = None
 
-    def step(
-        self,
-        integrator: str,
-        dt: float,
-        scaled: Element | None = None,
-        by: float = 0.0,
-        of: Any = None,
-        hold: int = 1,
-    ) -> Any:
+    def step(self, integrator: str, dt: float, of: Any = None, hold: int = 1) -> Any:
         """A of a step of dt [s], shape (2 nv, 2 nv), as `linear_step.step_map`.
 
-        scaled: an element whose stiffness and damping are multiplied by 1 + by. of: gives A times
-        this block instead, with less work. hold: so many steps, the controls of the first held.
+        of: gives A times this block instead, with less work. hold: so many steps, the controls of
+        the first held.
         """
         n = len(self.mass)
-        implicit, stiff = np.zeros((n, n)), np.zeros((n, n))
-        for element in self.implicit.get(integrator, ()):
-            implicit += self.elements[element].damping * (1 + by if element == scaled else 1.0)
-        if integrator not in STIFFNESS_IMPLICIT:
-            implicit *= self.pattern
-        for element in self.held if integrator in STIFFNESS_IMPLICIT else ():
-            stiff += self.elements[element].stiffness * (1 + by if element == scaled else 1.0)
-
-        def after(y: Any) -> Any:
-            force = np.zeros_like(y[:n])
-            for element in self.after:
-                gain = 1 + by if element == scaled else 1.0
-                force = force + gain * self.elements[element].change(y)
-            return np.linalg.solve(self.mass, force)
-
-        if self.feedback is not None and self.inputs is not None:
-            feedback, inputs = self.feedback, self.inputs
-            if scaled is not None and scaled.kind == KIND:
-                inputs = inputs.copy()
-                inputs[:, scaled.index] *= 1 + by
-
-            def free(y: Any) -> Any:
-                return self._free(scaled, by, y)
-
-            def smooth(y: Any) -> Any:
-                product = free(y)
-                product[n:] -= after(y)
-                return product
-
-            block = np.eye(2 * n + feedback.order) if of is None else of
-            within = smooth if self.after else None
-            late = (implicit, stiff)
-            return held_step(
-                integrator, dt, hold, free, block, self.mass, late, within, feedback, inputs
+        none = np.zeros((n, n))
+        elements = [self.elements[element] for element in self.implicit.get(integrator, ())]
+        implicit = sum((element.damping for element in elements), none)
+        stiff = none
+        if integrator in STIFFNESS_IMPLICIT:
+            stiff = sum((self.elements[element].stiffness for element in self.held), none)
+        else:
+            implicit = implicit * self.pattern
+        after = self._accelerations(self.after)
+        rows = (lambda y: after @ y) if self.after else None
+        if self.feedback is None or self.inputs is None:
+            block = np.eye(2 * n) if of is None else of
+            rates = self.rates
+            return stepped(
+                integrator, dt, lambda y: rates @ y, block, self.mass, implicit, rows, stiff
             )
-        return stepped(
-            integrator,
-            dt,
-            lambda y: self.rates_times(scaled, by, y),
-            np.eye(2 * n) if of is None else of,
-            self.mass,
-            implicit,
-            after if self.after else None,
-            stiff,
+        free = self.rates.copy()
+        free[n:] -= self._accelerations(e for e in self.elements if e.kind == KIND)
+        smooth = free.copy()
+        smooth[n:] -= after
+        block = np.eye(2 * n + self.feedback.order) if of is None else of
+        return held_step(
+            *(integrator, dt, hold, lambda y: free @ y, block, self.mass, (implicit, stiff)),
+            *((lambda y: smooth @ y) if self.after else None, self.feedback, self.inputs),
         )
 
-    def _free(self, scaled: Element | None, by: float, x: Any) -> Any:
-        """J x without the controls."""
-        other = None if scaled is not None and scaled.kind == KIND else scaled
-        product = self.rates_times(other, by, x)
-        pulls = [m.change(x) for element, m in self.elements.items() if element.kind == KIND]
-        product[len(self.mass) :] -= np.linalg.solve(self.mass, sum(pulls))
-        return product
+    def _accelerations(self, elements: Iterable[Element]) -> Floats:
+        """What some elements add to the accelerations by [dq, dv], shape (nv, 2 nv)."""
+        n = len(self.mass)
+        pull: Any = np.zeros((n, 2 * n))
+        for element in elements:
+            slopes = self.elements[element]
+            pull -= np.hstack([slopes.stiffness, slopes.damping])
+        result: Floats = np.linalg.solve(self.mass, pull)
+        return result
 
-    def rates_times(self, scaled: Element | None, by: float, x: Any) -> Any:
-        """J x, with one element's stiffness and damping multiplied by 1 + by."""
-        product = self.rates @ x
-        if scaled is not None:
-            force = self.elements[scaled].change(x)
-            product[len(self.mass) :] += by * np.linalg.solve(self.mass, force)
-        return product
-
-    def softened(self, elements: Collection[Element], to: float) -> LinearMotion:
-        """The motion with the stiffness and damping of some elements multiplied by `to`."""
+    def scaled(self, elements: Collection[Element], by: float) -> LinearMotion:
+        """The motion with the stiffness and damping of some elements multiplied by a factor."""
         n, rates, parts = len(self.mass), self.rates.copy(), dict(self.elements)
+        rates[n:] += (by - 1) * self._accelerations(elements)
         inputs = None if self.inputs is None else self.inputs.copy()
         for element in elements:
             if inputs is not None and element.kind == KIND:
-                inputs[:, element.index] *= to
-            stiffness, damping = parts[element].stiffness, parts[element].damping
-            pull = np.linalg.solve(self.mass, np.hstack([stiffness, damping]))
-            rates[n:] += (1 - to) * pull
-            parts[element] = ElementSlopes.of(to * stiffness, to * damping)
+                inputs[:, element.index] *= by
+            slopes = parts[element]
+            parts[element] = ElementSlopes.of(by * slopes.stiffness, by * slopes.damping)
         return replace(self, rates=rates, elements=parts, inputs=inputs)
 
 

@@ -30,9 +30,8 @@ def largest_force(model: Model, actuator: int) -> float:
 
 def reaching_speed(model: Model, actuator: int) -> float:
     """The speed of its joint at which an actuator's damping alone reaches its force range."""
-    damping = -float(model.actuator_bias[actuator, 2])
-    damping *= abs(float(model.actuator_gear[actuator, 0]))
-    return largest_force(model, actuator) / damping if damping > 0 else math.inf
+    damping = _damping(model, actuator)
+    return _end(model, actuator) / damping if damping > 0 else math.inf
 
 
 def crossing_dt(model: Model, qpos: Floats, actuator: int) -> float:
@@ -40,13 +39,10 @@ def crossing_dt(model: Model, qpos: Floats, actuator: int) -> float:
 
     inf without damping, and for one that pulls along no single joint.
     """
-    if model.actuator_joint[actuator] < 0:
+    damping = _damping(model, actuator)
+    if model.actuator_joint[actuator] < 0 or not damping > 0:
         return math.inf
-    damping = -float(model.actuator_bias[actuator, 2])
-    damping *= float(model.actuator_gear[actuator, 0]) ** 2
-    if not damping > 0:
-        return math.inf
-    return 2 / (damping * inverse_inertia(model, qpos, driven_dof(model, actuator)))
+    return 2 / (damping * _inverse_inertia(model, qpos, driven_dof(model, actuator)))
 
 
 def swinging_dt(model: Model, qpos: Floats, actuator: int, integrator: str) -> tuple[float, float]:
@@ -57,32 +53,37 @@ def swinging_dt(model: Model, qpos: Floats, actuator: int, integrator: str) -> t
     stiffness, and for one that pulls along no hinge or slide.
     """
     gains = list(joint_gains(model))
-    own = [gain for gain in gains if (gain.kind, gain.index) == ("actuator", actuator)]
-    if not own or not own[0].stiffness > 0:
+    gain = next((g for g in gains if (g.kind, g.index) == ("actuator", actuator)), None)
+    if gain is None or not gain.stiffness > 0:
         return math.inf, math.inf
-    w = inverse_inertia(model, qpos, driven_dof(model, actuator))
-    omega = math.sqrt(own[0].stiffness * w)
-    implicit = explicit = 0.0
-    for gain in gains:
-        if gain.joint != own[0].joint:
-            continue
-        if gain.kind in implicit_kinds(model, integrator):
-            implicit += gain.damping * w
-        else:
-            explicit += gain.damping * w
-    end = largest_force(model, actuator) * abs(float(model.actuator_gear[actuator, 0]))
+    w = _inverse_inertia(model, qpos, driven_dof(model, actuator))
+    omega = math.sqrt(gain.stiffness * w)
+    late = implicit_kinds(model, integrator)
+    beside = [other for other in gains if other.joint == gain.joint]
+    implicit = sum(other.damping * w for other in beside if other.kind in late)
+    explicit = sum(other.damping * w for other in beside if other.kind not in late)
     held = integrator in STIFFNESS_IMPLICIT
     limit = math.inf if held else oscillator_dt(omega, explicit, implicit, integrator)
-    return limit, end * w / omega
-
-
-def inverse_inertia(model: Model, qpos: Floats, dof: int) -> float:
-    """The acceleration of a dof by a unit of force on it, the others free [1/kg or 1/(kg·m²)]."""
-    sim = unwatched(Sim(model))
-    sim.qpos[:] = qpos
-    return float(np.linalg.inv(np.array(sim.mass_matrix()))[dof, dof])
+    return limit, _end(model, actuator) * w / omega
 
 
 def driven_dof(model: Model, actuator: int) -> int:
     """The first dof of an actuator's joint."""
     return joint_dofs(model, int(model.actuator_joint[actuator])).start
+
+
+def _damping(model: Model, actuator: int) -> float:
+    """What an actuator damps its joint within its force range; the first dof of a ball or free."""
+    return -float(model.actuator_bias[actuator, 2] * model.actuator_gear[actuator, 0] ** 2)
+
+
+def _end(model: Model, actuator: int) -> float:
+    """The nearer end of its force range, as its joint feels it."""
+    return largest_force(model, actuator) * abs(float(model.actuator_gear[actuator, 0]))
+
+
+def _inverse_inertia(model: Model, qpos: Floats, dof: int) -> float:
+    """The acceleration of a dof by a unit of force on it, the others free [1/kg or 1/(kg·m²)]."""
+    sim = unwatched(Sim(model))
+    sim.qpos[:] = qpos
+    return float(np.linalg.inv(np.array(sim.mass_matrix()))[dof, dof])

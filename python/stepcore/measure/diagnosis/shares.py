@@ -100,10 +100,9 @@ def _held_shares(
     if growth.stable:
         return None
 
-    def changed(element: Element, by: float, block: Any) -> Any:
-        return motion.step(limit.integrator, step, element, by, block, hold)
-
-    return _shares(motion, made, growth.value, changed)
+    return _shares(
+        motion, made, growth.value, lambda m, of: m.step(limit.integrator, step, of, hold)
+    )
 
 
 def step_shares(
@@ -115,7 +114,7 @@ def step_shares(
     """
     try:
         with np.errstate(all="ignore"):
-            return _shares(motion, matrix, value, lambda *at: motion.step(integrator, dt, *at))
+            return _shares(motion, matrix, value, lambda m, of: m.step(integrator, dt, of))
     except (np.linalg.LinAlgError, ArithmeticError):
         return {}
 
@@ -128,7 +127,7 @@ def growing_shares(motion: LinearMotion) -> Shares:
     try:
         with np.errstate(all="ignore"):
             value = values[values.real.argmax()]
-            return _shares(motion, motion.rates, value, motion.rates_times)
+            return _shares(motion, motion.rates, value, lambda m, of: m.rates @ of)
     except (np.linalg.LinAlgError, ArithmeticError):
         return {}
 
@@ -141,18 +140,19 @@ def _fastest(here: StepStability, state: int) -> Shares:
     values = eigenvalues(motion.rates)
     if values is None:
         return {}
-    return _shares(motion, motion.rates, values[np.abs(values).argmax()], motion.rates_times)
+    value = values[np.abs(values).argmax()]
+    return _shares(motion, motion.rates, value, lambda m, of: m.rates @ of)
 
 
 def _shares(
     motion: LinearMotion,
     matrix: Floats,
     value: complex,
-    changed: Callable[[Element, float, Any], Any],
+    times: Callable[[LinearMotion, Any], Any],
 ) -> Shares:
     """The derivatives of log |value| by each element's gain, as parts of their sum.
 
-    changed: the matrix times a block, with an element's gain multiplied by 1 + the number given.
+    times: the matrix of a motion times a block.
     Several equal eigenvalues count by their mean. Elements that hold the value back have share 0.
     """
     values = eigenvalues(matrix)
@@ -165,7 +165,8 @@ def _shares(
     right, left = right[:, :rank] * sizes[:rank], left[:rank]
     slopes: Shares = {}
     for element in motion.elements:
-        change = changed(element, NUDGE, right) - changed(element, -NUDGE, right)
+        more, less = (motion.scaled((element,), 1 + by) for by in (NUDGE, -NUDGE))
+        change = times(more, right) - times(less, right)
         slopes[element] = max(0.0, float((np.sum(left.T * change) / mean).real))
     whole = sum(slopes.values())
     return {element: slope / whole if whole > 0 else 0.0 for element, slope in slopes.items()}
@@ -266,7 +267,7 @@ class _Rise:
 
     def _softened(self, elements: Sequence[Element]) -> Callable[[float], bool]:
         """The test of a step with some elements softened, whose own rates are found once."""
-        motion = self.motion.softened(elements, SOFTENED)
+        motion = self.motion.scaled(elements, SOFTENED)
         with np.errstate(all="ignore"):
             rates = eigenvalues(motion.rates)
 
