@@ -19,9 +19,8 @@ from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attach import Model
 from stepcore.mjcf.exclusions import Exclusions
 from stepcore.mjcf.include import expand
-from stepcore.mjcf.models import Models, inside, sections
-from stepcore.mjcf.nodes import MJCFError, Node, parse
-from stepcore.mjcf.reader import finish, read_sections
+from stepcore.mjcf.nodes import MJCFError, Node, inside, parse, sections
+from stepcore.mjcf.reader import Models, finish, read_sections
 from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.validation import seen_values
 from stepcore.mjcf.worldbody import AT_ORIGIN
@@ -191,9 +190,7 @@ class _Surfaces:
         nodes = inside(model.root, "asset")
         for node in nodes:
             if node.tag == "texture":
-                file = node.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
-                node.attrs.setdefault("name", file.rpartition(".")[0])
-                self.textures[node.attrs["name"]] = node
+                self.textures[node.asset_name()] = node
         self.textures.pop("", None)
         for node in nodes:
             if node.tag == "material":

@@ -76,8 +76,7 @@ class Assets:
         return len(rgba) > 3 and rgba[3] == 0
 
     def _declare(self, node: Node) -> None:
-        file = node.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
-        name = node.attrs.get("name", file.rpartition(".")[0] or file)
+        name = node.asset_name()
         if not name:
             raise node.error(f"<{node.tag}> needs a name or a file")
         if name in self.nodes[node.tag]:

@@ -32,8 +32,7 @@ from stepcore.mjcf.copies import (
     section_of,
 )
 from stepcore.mjcf.defaults import MAIN, Defaults
-from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.refusals import below
+from stepcore.mjcf.nodes import Node, below, inside
 from stepcore.mjcf.schema import FLAGS, ROOT
 from stepcore.scene.layout import DOFS, QPOS
 
@@ -62,16 +61,15 @@ class Model:
     @cached_property
     def places(self) -> Places:
         """Its bodies and frames."""
-        return _add_places({}, _inside(self.root, "worldbody"), MAIN)
+        return _add_places({}, inside(self.root, "worldbody"), MAIN)
 
     @cached_property
     def assets(self) -> list[Node]:
         """Its assets, under the names that their files give those without one."""
-        assets = [node for node in _inside(self.root, "asset") if node.tag != "model"]
+        assets = [node for node in inside(self.root, "asset") if node.tag != "model"]
         for node in assets:
-            file = node.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
-            if "name" not in node.attrs and file:
-                node.attrs["name"] = node.values["name"] = file.rpartition(".")[0] or file
+            if node.asset_name():
+                node.attrs["name"] = node.values["name"] = node.asset_name()
         return assets
 
     @cached_property
@@ -102,7 +100,7 @@ class Attacher:
         self.referring: Referring | None = None
         # By tag, what comes along with what is attached.
         self.sections: dict[str, Node] = {}
-        for node in _inside(model.root, "asset"):
+        for node in inside(model.root, "asset"):
             if node.tag == "model":
                 name = node.attrs.get("name") or load(node).root.attrs.get("model", "")
                 if name in self.assets:
@@ -112,7 +110,7 @@ class Attacher:
     def run(self) -> None:
         """Replaces every <attach>, in the order of the file."""
         attachments = []
-        pending = _inside(self.model.root, "worldbody")[::-1]
+        pending = inside(self.model.root, "worldbody")[::-1]
         while pending:
             node = pending.pop()
             if node.tag == "attach":
@@ -120,7 +118,7 @@ class Attacher:
             pending += reversed(node.children)
         if any("model" not in node.attrs for node in attachments):
             self.referring = Referring(self.model.root)
-            _add_places(self.places, _inside(self.model.root, "worldbody"), MAIN)
+            _add_places(self.places, inside(self.model.root, "worldbody"), MAIN)
         for node in attachments:
             self._attach(node)
 
@@ -194,11 +192,6 @@ class Attacher:
             self.referring.append(part for part in parts if part[0] in SECTIONS)
 
 
-def _inside(root: Node, tag: str) -> list[Node]:
-    """The elements of all sections of this tag."""
-    return [node for section in root.children if section.tag == tag for node in section.children]
-
-
 def _add_places(places: Places, nodes: list[Node], childclass: str) -> Places:
     """Adds the bodies and frames among these nodes and below them."""
     pending = [(node, childclass) for node in reversed(nodes)]
@@ -215,7 +208,7 @@ def _tree(node: Node, root: Node, places: Places, own: bool) -> tuple[list[Node]
     """The nodes that are attached, and the childclass under which they stand."""
     kind = next((word for word in ("body", "frame") if word in node.attrs), "")
     if not kind:
-        return _inside(root, "worldbody"), MAIN
+        return inside(root, "worldbody"), MAIN
     name = node.attrs[kind]
     if (kind, name) not in places:
         near = nearest(name, [known for tag, known in places if tag == kind])
@@ -360,19 +353,19 @@ def _turns(name: str, word: str) -> bool:
 
 def _split_keys(root: Node, defaults: Defaults) -> list[Node]:
     """The keyframes of a model, whose vectors become `parts` by the element they belong to."""
-    keys = _inside(root, "keyframe")
+    keys = inside(root, "keyframe")
     if not keys:
         return []
     bodies = list(_bodies(root))
     joints: list[tuple[Node, str]] = []
-    for _, inside in bodies:
-        for node, childclass in inside:
+    for _, content in bodies:
+        for node, childclass in content:
             if node.tag == "freejoint":
                 joints.append((node, "free"))
             elif node.tag == "joint":
                 joints.append((node, defaults.of(node, childclass).get("type", "hinge")))
     mocaps = [body for body, _ in bodies if body.values.get("mocap")]
-    actuators = [(node, *sizes(defaults.gains(node))) for node in _inside(root, "actuator")]
+    actuators = [(node, *sizes(defaults.gains(node))) for node in inside(root, "actuator")]
     layout = {
         "qpos": [(node, QPOS[kind]) for node, kind in joints],
         "qvel": [(node, DOFS[kind]) for node, kind in joints],
@@ -418,7 +411,7 @@ def _bodies(root: Node) -> Iterable[tuple[Node, list[tuple[Node, str | None]]]]:
     ]
     while pending:
         body, childclass = pending.pop()
-        inside: list[tuple[Node, str | None]] = []
+        content: list[tuple[Node, str | None]] = []
         waiting = [(child, body.attrs.get("childclass", childclass)) for child in body.children]
         waiting.reverse()
         while waiting:
@@ -427,6 +420,6 @@ def _bodies(root: Node) -> Iterable[tuple[Node, list[tuple[Node, str | None]]]]:
                 inner = node.attrs.get("childclass", inherited)
                 waiting += [(child, inner) for child in reversed(node.children)]
             else:
-                inside.append((node, inherited))
-        yield body, inside
-        pending += reversed([part for part in inside if part[0].tag == "body"])
+                content.append((node, inherited))
+        yield body, content
+        pending += reversed([part for part in content if part[0].tag == "body"])

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 from stepcore.checks import cut
 from stepcore.mjcf.copies import references
 from stepcore.mjcf.masses import Weight, weights
-from stepcore.mjcf.models import inside, sections
-from stepcore.mjcf.refusals import below
+from stepcore.mjcf.nodes import below, inside, sections
 from stepcore.scene import frames
-from stepcore.scene.elements import Body, Geom, Site
+from stepcore.scene.elements import Body, Geom, Joint, Site
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 
@@ -113,10 +112,15 @@ def align(world: WorldReader) -> None:
     """
     scene = world.scene
     parents = {id(body.parent) for body in scene.bodies}
-    bodies = [j.body for j in scene.joints if id(j) in world.aligned and id(j.body) not in parents]
+    bodies = [
+        joint.body
+        for joint in scene.joints
+        if joint.type == "free" and id(joint.body) not in parents and _is_aligned(world, joint)
+    ]
     known = weights(scene, bodies) if bodies else {}
     placed: dict[int, list[Geom | Site]] = {id(body): [] for body in bodies}
-    for element in (*scene.geoms, *scene.sites):
+    elements: list[Geom | Site] = [*scene.geoms, *scene.sites]
+    for element in elements:
         placed.setdefault(id(element.body), []).append(element)
     shapes: dict[int, list[Shape]] = {}
     for shape in world.shapes:
@@ -135,6 +139,14 @@ def align(world: WorldReader) -> None:
             body.ipos, body.inertia = frames.ORIGIN, (*moments, 0.0, 0.0, 0.0)
             body.iquat = frames.IDENTITY
         body.pos, body.quat = frames.composed((body.pos, body.quat), *pose)
+
+
+def _is_aligned(world: WorldReader, joint: Joint) -> bool:
+    """Whether the file asks for it: at the joint, or for all free joints of its model."""
+    node = world.nodes[id(joint)]
+    asked = node.values.get("align", "auto")
+    alignfree = (node.compiler or world.main).values.get("alignfree")
+    return asked is True or (asked == "auto" and bool(alignfree))
 
 
 def _written_axes(world: WorldReader, body: Body, shapes: list[Shape]) -> Vec | None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.refusals import below
+from stepcore.mjcf.nodes import Node, below
 
 # The kind of element that an attribute names.
 REFERENCES = {

@@ -124,16 +124,16 @@ class Exclusions:
                     section = node.path.partition("/")[0]
                     gone.setdefault(section, {}).setdefault(node.attrs["name"], kind)
         removed = False
-        for section in root.children:
+        for part in root.children:
             kept = []
-            for node in section.children:
-                kind = "" if section.tag == "default" else _kind_referred_to(node, gone)
+            for node in part.children:
+                kind = "" if part.tag == "default" else _kind_referred_to(node, gone)
                 if kind:
                     self.nodes[kind].append(node)
                     removed = True
                 else:
                     kept.append(node)
-            section.children = kept
+            part.children = kept
         return removed
 
     def notes(self) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 from xml.parsers import expat
@@ -133,11 +134,35 @@ class Node:
             self.file, self.line, f"{what} is not built yet{does and f': {does}'}", kind
         )
 
+    def asset_name(self) -> str:
+        """The name of an asset: its own, or that of its file without folder and ending."""
+        file = self.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
+        return self.attrs.get("name", file.rpartition(".")[0] or file)
+
     def listed(self, why: str) -> str:
         """Returns the line about this element in `Scene.ignored`."""
         name = self.attrs.get("name", "")
         label = f'<{self.tag}> "{name}"' if name else f"<{self.tag}>"
         return f"{self.file}:{self.line}: {label} ({why})"
+
+
+def below(node: Node) -> Iterator[Node]:
+    """A node and all that it holds."""
+    pending = [node]
+    while pending:
+        node = pending.pop()
+        yield node
+        pending += node.children
+
+
+def sections(root: Node, tag: str) -> list[Node]:
+    """The sections of this tag."""
+    return [node for node in root.children if node.tag == tag]
+
+
+def inside(root: Node, tag: str) -> list[Node]:
+    """The elements of all sections of this tag."""
+    return [node for section in sections(root, tag) for node in section.children]
 
 
 def parse(data: str | bytes, file: str) -> Node:

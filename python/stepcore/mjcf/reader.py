@@ -29,15 +29,18 @@ from stepcore.mjcf import (
     tendons,
 )
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.attach import Model
+from stepcore.mjcf.attach import Attacher, Model
 from stepcore.mjcf.body_frames import align, fuse
-from stepcore.mjcf.copies import REFERENCES
+from stepcore.mjcf.compiler import Compiler
+from stepcore.mjcf.copies import REFERENCES, Copies
+from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.exclusions import Exclusions
-from stepcore.mjcf.include import expand, read_main
+from stepcore.mjcf.include import expand, read_main, read_named
 from stepcore.mjcf.masses import place_weightless, settle_masses
-from stepcore.mjcf.models import Models, inside, sections
-from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
+from stepcore.mjcf.nodes import MJCFError, Node, Source, inside, parse, sections
 from stepcore.mjcf.refusals import Refusals
+from stepcore.mjcf.replicate import expand_replicates
+from stepcore.mjcf.validation import validate
 from stepcore.mjcf.visual_geoms import discard_visual, leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import collector
@@ -57,6 +60,57 @@ SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
     "actuator": actuators.read,
     "sensor": sensors.read,
 }
+
+
+# The most models that attach each other in turn.
+MOST_NESTED = 50
+
+
+class Models:
+    """Checks models and replaces their <attach> and <replicate>, those that are attached first."""
+
+    def __init__(self, scene: Contents, refusals: Refusals, exclusions: Exclusions) -> None:
+        self.scene = scene
+        self.refusals = refusals
+        self.exclusions = exclusions
+        # The files of the models that are open, the outermost first, and the finished ones.
+        self.open: list[str] = []
+        self.made: dict[str, Model] = {}
+        self.copies = Copies()
+
+    def prepared(self, root: Node, directory: str | None) -> Model:
+        """The model of a root whose includes are expanded; directory: of its main file."""
+        self.scene.ignored += validate(root, self.refusals, self.exclusions)
+        compiler = Compiler(sections(root, "compiler"), directory, root.file)
+        model = Model(root, compiler, Defaults(sections(root, "default")))
+        attacher = Attacher(model, lambda node: self._load(node, compiler), self.copies)
+        attacher.run()
+        self.scene.notes += attacher.notes
+        expand_replicates(root, compiler, self.copies)
+        return model
+
+    def _load(self, node: Node, compiler: Compiler) -> Model:
+        """The model that an <asset><model> names."""
+        name = node.values["file"]
+        if not name or "\0" in name:
+            raise node.error('<model> needs a file="…"')
+        if compiler.directory is None and not os.path.isabs(name):
+            raise node.error(f'<model file="{name}"> in a text needs loads(text, base=folder)')
+        path = Path(compiler.path(node, name))
+        here = os.path.realpath(path)
+        if here in (*self.open, os.path.realpath(node.file)):
+            raise node.error(f'<model file="{name}">: the file attaches itself')
+        if here in self.made:
+            return self.made[here]
+        if len(self.open) >= MOST_NESTED:
+            raise node.error(f"attached models are nested deeper than {MOST_NESTED}")
+        root = read_named(node, str(path))
+        self.scene.notes += expand(root, path.parent, path)
+        self.open.append(here)
+        model = self.prepared(root, os.path.abspath(path.parent))
+        self.open.pop()
+        self.made[here] = model
+        return model
 
 
 @collector.held()
@@ -142,19 +196,10 @@ def read_sections(
     root, compiler, defaults = model.root, model.compiler, model.defaults
     assets = kind(sections(root, "asset"), compiler, defaults)
     world = WorldReader(scene, root, compiler, defaults, assets, refusals)
-    world.paired = {
-        pair.attrs.get(end, "")
-        for pair in inside(root, "contact")
-        for end in ("geom1", "geom2")
-        if pair.tag == "pair"
-    }
     scene.mass_rules = compiler.mass_rules()
     scene.lengthrange = compiler.lengthrange()
     for node in sections(root, "option"):
         refusals.at(node, lambda node: option.read(scene, node))
-        world.disabled_groups = frozenset(
-            node.values.get("actuatorgroupdisable", world.disabled_groups)
-        )
     option.settle_sleep(scene, sections(root, "option"))
     for node in sections(root, "worldbody"):
         world.read(node)

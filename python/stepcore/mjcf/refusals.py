@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import TypeVar
 
 from stepcore.checks import cut
-from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.nodes import MJCFError, Node, below
 
 T = TypeVar("T")
 # The most lines of a message, their length, and the lines of the file that one of them lists.
@@ -65,15 +65,6 @@ class Refusals:
         if not others:
             raise first
         raise first.with_others(tuple(others), _message(self.errors))
-
-
-def below(node: Node) -> Iterable[Node]:
-    """A node and all that it holds."""
-    pending = [node]
-    while pending:
-        one = pending.pop()
-        yield one
-        pending += one.children
 
 
 def _message(errors: list[MJCFError]) -> str:

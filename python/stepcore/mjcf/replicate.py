@@ -10,8 +10,7 @@ from collections.abc import Iterator
 
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.copies import Copies, Referring, copied, names_in, rename
-from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.refusals import below
+from stepcore.mjcf.nodes import Node, below, sections
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.frames import Vec
@@ -24,20 +23,19 @@ def expand_replicates(root: Node, compiler: Compiler, copies: Copies) -> None:
         return
     referring = Referring(root)
     for parent in parents:
-        inside: list[Node] = []
+        children: list[Node] = []
         for node in parent.children:
             if node.tag == "replicate":
-                inside += _replicas(node, node.compiler or compiler, referring, copies)
+                children += _replicas(node, node.compiler or compiler, referring, copies)
             else:
-                inside.append(node)
-        parent.children = inside
+                children.append(node)
+        parent.children = children
     referring.put_back()
 
 
 def _parents(root: Node) -> list[Node]:
     """The elements that hold a replicate, the innermost first."""
-    trees = [node for node in root.children if node.tag == "worldbody"]
-    every = [node for tree in trees for node in below(tree)]
+    every = [node for tree in sections(root, "worldbody") for node in below(tree)]
     depth: dict[int, int] = {}
     for node in every:
         for child in node.children:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from stepcore.mjcf.copies import references
 from stepcore.mjcf.masses import weights
-from stepcore.mjcf.refusals import below
+from stepcore.mjcf.nodes import below
 from stepcore.mjcf.worldbody import Shape, WorldReader
 
 

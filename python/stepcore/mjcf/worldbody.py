@@ -11,7 +11,7 @@ from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attributes import given
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.nodes import Node, inside, sections
 from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
@@ -71,10 +71,20 @@ class Shape:
 
 
 class WorldReader:
-    """Reads the kinematic tree into a scene.
+    """Reads the kinematic tree into a scene, and keeps what later sections and passes ask of it.
 
-    nodes: the node of an element, by the element's ``id``. names: names that later sections can
-    refer to, by kind.
+    An element is known by its ``id``, as is a node.
+
+    nodes: of an element, its node; elements: of a node, its element.
+    names: the names that later sections can refer to, by kind.
+    references: (node, kind, name) of materials and meshes that are named.
+    shapes: the geoms with what decides whether they are needed.
+    written: of a body in frames, the pose that the file writes for it.
+    ranges: of a joint or tendon, the range that servos can inherit, whether it is limited or not.
+    mesh_sites: the names of sites whose volume is that of a mesh.
+    open_keys: keyframes of attached models, with the joints whose positions they hold.
+    only_drawn: geoms that only draw, where they are kept to be drawn (`Assets.drawn`).
+    settled: whether one set of rules makes the masses of all bodies (`masses.settle_masses`).
     """
 
     def __init__(
@@ -92,30 +102,22 @@ class WorldReader:
         self.defaults = defaults
         self.assets = assets
         self.refusals = refusals
-        # Geoms of explicit pairs collide whatever their masks say.
-        self.paired: set[str] = set()
         self.nodes: dict[int, Node] = {}
         self.elements: dict[int, Element] = {}
         self.names: dict[str, set[str]] = {"body": {"world"}, "geom": set(), "camera": set()}
         self.references: list[tuple[Node, str, str]] = []
         self.shapes: list[Shape] = []
-        # Sites whose volume is that of a mesh.
-        self.mesh_sites: set[str] = set()
-        # Geoms that only draw, where they are kept to be drawn (`Assets.drawn`).
-        self.only_drawn: set[int] = set()
-        self.with_inertial: set[int] = set()
-        # The poses that bodies in frames are written with.
         self.written: dict[int, tuple[Vec, Vec]] = {}
-        # Free joints whose bodies are to be aligned with their inertia.
-        self.aligned: set[int] = set()
-        # Keyframes of attached models, and the joints (their ``id``) of which each tells.
-        self.open_keys: list[tuple[Key, set[int]]] = []
-        # Groups of actuators that are left out.
-        self.disabled_groups: frozenset[int] = frozenset()
-        # Every body has a mass of its own by now (`settle.py`).
-        self.settled = False
-        # Ranges of joints and tendons, limited or not, which servos can inherit.
         self.ranges: dict[int, tuple[float, ...]] = {}
+        self.mesh_sites: set[str] = set()
+        self.open_keys: list[tuple[Key, set[int]]] = []
+        self.only_drawn: set[int] = set()
+        self.settled = False
+        # Geoms of explicit pairs collide whatever their masks say.
+        pairs = [node for node in inside(root, "contact") if node.tag == "pair"]
+        self.paired = {pair.attrs.get(end, "") for pair in pairs for end in ("geom1", "geom2")}
+        options = {k: v for section in sections(root, "option") for k, v in section.values.items()}
+        self.disabled_groups = frozenset(options.get("actuatorgroupdisable", ()))
 
     def read(self, world: Node) -> None:
         """Reads a worldbody section in document order, without recursion."""
@@ -153,17 +155,10 @@ class WorldReader:
         elif node.tag == "camera":
             self.names["camera"].add(name)
         elif node.tag == "freejoint":
-            self._align(node, self.scene.add_joint(place.body, "free", name=name))
+            self.keep(node, self.scene.add_joint(place.body, "free", name=name))
         elif node.tag == "joint":
             self._joint(node, place)
         return None
-
-    def _align(self, node: Node, joint: Joint) -> None:
-        """Keeps a free joint, and whether its body is to be aligned with its inertia."""
-        asked = node.values.get("align", "auto")
-        if asked is True or (asked == "auto" and self.compiler.values.get("alignfree")):
-            self.aligned.add(id(joint))
-        self.keep(node, joint)
 
     def keep(self, node: Node, element: Element) -> None:
         """Records the node of an element, for error messages, and for keyframes."""
@@ -204,9 +199,8 @@ class WorldReader:
             raise node.error(f"<inertial> has both fullinertia and {orientations[0]}")
         if "fullinertia" not in values and "diaginertia" not in values and values["mass"] > 0:
             raise node.error("<inertial> needs diaginertia or fullinertia")
-        if id(place.body) in self.with_inertial:
+        if place.body.mass is not None:
             raise node.error("a second <inertial> in the same <body>")
-        self.with_inertial.add(id(place.body))
         place.body.ipos, turn = self._pose(node, values, place)
         inertia, axes = values.get("fullinertia"), None
         if inertia is None:
@@ -243,8 +237,6 @@ class WorldReader:
             springref=convert(values.get("springref", 0.0)) if scalar else 0.0,
             **given(Joint, values, *_OF_JOINT),
         )
-        if kind == "free":
-            self._align(node, joint)
         self.keep(node, joint)
         if angles:
             # MuJoCo converts the range of a limited joint only.
