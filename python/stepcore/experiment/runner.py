@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -129,17 +129,23 @@ class Runner:
             )
 
     def follow(
-        self, sim: Any, start: int, probes: Sequence[Probe] = (), clock: Clock | None = None
+        self,
+        sim: Any,
+        start: int,
+        probes: Sequence[Probe] = (),
+        clock: Clock | None = None,
+        steps: int | None = None,
     ) -> None:
         """Steps a Sim through the motion from one start: the loop over control periods.
 
-        clock: times the steps. Where there are no controls, all are then made in one call.
+        clock: times the steps. Where there are no controls, all are then made in one call. steps:
+        see `Schedule.blocks`.
 
         `stepcore.experiment.batched_runs.BatchRun.follow` is the same loop for the worlds of a
         batch.
         """
         schedule = self.schedule
-        blocks = schedule.blocks(sim.settings.dt)
+        blocks: Iterable[tuple[int, int]] = schedule.blocks(sim.settings.dt, steps)
         function = None if schedule.control is None else fresh(schedule.control)
         self.place(sim, start)
         for probe in probes:

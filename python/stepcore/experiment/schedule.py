@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -81,10 +81,23 @@ class Schedule:
         """Steps in one period."""
         return round(self.period / dt)
 
-    def blocks(self, dt: float) -> Iterable[tuple[int, int]]:
-        """Each control period and how many steps of dt [s] begin in it."""
-        steps = self.steps(dt)
-        return ((period, steps) for period in range(self.periods))
+    def blocks(self, dt: float, count: int | None = None) -> Iterator[tuple[int, int]]:
+        """Each control period and how many steps of dt [s] begin in it.
+
+        count: steps in all, of a dt that need not divide the period; the last controls are held.
+        """
+        if count is None:
+            yield from ((period, self.steps(dt)) for period in range(self.periods))
+            return
+        if self.control is None and (self.ctrl is None or not self.ctrl.size):
+            yield 0, count
+            return
+        steps, period, done = self.period / dt, 0, 0
+        while done < count:
+            end = min(math.ceil((period + 1) * steps - 1e-9), count)
+            if end > done:
+                yield min(period, self.periods - 1), end - done
+            done, period = end, period + 1
 
     def part(self, first: int, last: int | None = None) -> Schedule:
         """The schedule with some of its starts."""

@@ -13,10 +13,8 @@ The budget is in steps, so that the answer is the same on every machine.
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -51,43 +49,6 @@ PART = 0.1
 
 class _Ended(Exception):
     """A run need not go on."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Steps(Schedule):
-    """A schedule that ends after `count` steps, whose period no step needs to divide.
-
-    The controls of a period begin with the first step in it; the last row is held.
-    """
-
-    count: int = 0
-
-    def blocks(self, dt: float) -> Iterator[tuple[int, int]]:
-        steps, period, done = self.period / dt, 0, 0
-        while done < self.count:
-            end = min(math.ceil((period + 1) * steps - 1e-9), self.count)
-            if self.constant:
-                end = self.count
-            if end > done:
-                yield period, end - done
-            done, period = end, period + 1
-
-    @property
-    def constant(self) -> bool:
-        """Whether there are no controls."""
-        return self.control is None and (self.ctrl is None or not self.ctrl.size)
-
-
-def _cut(schedule: Schedule, count: int, dt: float, start: Start | None = None) -> Schedule:
-    """The schedule of a run of `count` steps of dt [s], from another start if one is given."""
-    fields = {f.name: getattr(schedule, f.name) for f in dataclasses.fields(Schedule)}
-    periods, ctrl = math.ceil(count * dt / schedule.period) + 1, schedule.ctrl
-    if ctrl is not None and periods > ctrl.shape[1]:
-        fields["ctrl"] = ctrl[:, np.minimum(np.arange(periods), ctrl.shape[1] - 1)]
-    if start is not None:
-        fields["starts"] = (start,)
-    # Samples are the probe's.
-    return _Steps(**fields | {"every": periods + 1}, count=count)
 
 
 @dataclass(frozen=True)
@@ -143,14 +104,15 @@ class MotionRuns:
         """
         count = round((self.horizon if horizon is None else horizon) / dt)
         count = min(max(count, FEWEST), self.most)
-        start = self.start
+        schedule = self.schedule
         if kick is not None:
-            start = dataclasses.replace(start, qvel=start.qvel + kick)
-        runner = Runner(self.model, _cut(self.schedule, count, dt, start))
+            kicked = replace(self.start, qvel=self.start.qvel + kick)
+            schedule = replace(schedule, starts=(kicked,))
+        runner = Runner(self.model, schedule)
         sim = runner.sim(self.model.settings.replace(integrator=integrator, dt=dt, ledger=False))
         watch, finite = _Watch(sim, count, beyond), True
         try:
-            runner.follow(sim, 0, [watch])
+            runner.follow(sim, 0, [watch], steps=count)
         except _Ended:
             pass
         except ControlError:
@@ -306,11 +268,11 @@ def largest_speeds(
     period, ctrl = count * dt, state.ctrl[None, None, :]
     if control is not None:
         period = steps_held(state, dt)[0] * dt
-    schedule = Schedule(period, 1, 2, (start,), None if control else ctrl, control)
-    runner, fastest = Runner(model, _cut(schedule, count, dt)), _Fastest(model.nv)
+    schedule = Schedule(period, 1, 1, (start,), None if control else ctrl, control)
+    runner, fastest = Runner(model, schedule), _Fastest(model.nv)
     sim = runner.sim(model.settings.replace(integrator=integrator, dt=dt))
     try:
-        runner.follow(sim, 0, [fastest])
+        runner.follow(sim, 0, [fastest], steps=count)
     except (SimulationError, ValueError):
         return None
     return fastest.speeds
