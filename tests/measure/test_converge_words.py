@@ -82,4 +82,4 @@ def test_a_chain_that_gains_energy_is_diverging_although_it_is_still_in_its_plac
     scene = heavy_end(8).with_settings(law="solref", integrator="euler", dt=1 / 60, sweeps=4)
     found = sc.converge(scene, horizon=0.8, starts=1, states=2, progress=False)
     assert found.verdict == "diverging"
-    assert "of energy that nothing gives it" in found.own.failure
+    assert "of energy that nothing gives it" in found.shipped.failure

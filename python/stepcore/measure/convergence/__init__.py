@@ -50,7 +50,7 @@ __all__ = [
 
 # What the reference may cost, in steps × (dofs + 2).
 BUDGET = 4e6
-# The most sweeps that are measured at the own time step, and at the others.
+# The most sweeps that are measured at the shipped time step, and at the others.
 MOST, FEWER = 4096, 256
 # The default number of starts.
 STARTS = 3
@@ -106,12 +106,12 @@ def converge(
     )
     model, motion, workers = setup
     states = checks.count("states", states)
-    own = model.settings
-    if motion.control_dt is not None and not divides(own.dt, motion.control_dt):
-        limit = f"must be a whole number of steps of {own.dt:g} s"
+    shipped = model.settings
+    if motion.control_dt is not None and not divides(shipped.dt, motion.control_dt):
+        limit = f"must be a whole number of steps of {shipped.dt:g} s"
         raise ValueError(f"control_dt = {motion.control_dt:g}: {limit}")
     starts = motion.starts or STARTS
-    some = candidates(own, motion.period(own.dt), motion.horizon or HORIZON)
+    some = candidates(shipped, motion.period(shipped.dt), motion.horizon or HORIZON)
     schedule = scheduled(motion, model, some.period, starts)
     experiment = Experiment(model, schedule, workers)
     runner = experiment.runner
@@ -120,11 +120,11 @@ def converge(
     made = _runs(runner, some.all, workers)
     runs = {s: run_of(experiment, s, those, reference) for s, those in made.items()}
     end = None
-    if not (runs[own].failure or runs[some.solved].failure):
-        end = ending(experiment, made[own], made[some.solved], reference.scored)
+    if not (runs[shipped].failure or runs[some.solved].failure):
+        end = ending(experiment, made[shipped], made[some.solved], reference.scored)
     return Convergence(
         name=setup.name,
-        settings=own,
+        settings=shipped,
         motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=starts),
         horizon=schedule.horizon,
         starts=starts,
@@ -136,7 +136,7 @@ def converge(
         ending=end,
         notes=[*model.scene.notes, *schedule.notes],
         # The residual is this measurement's own answer.
-        findings=[finding for finding in monitored(runner, own) if finding.kind != "residual"],
+        findings=[finding for finding in monitored(runner, shipped) if finding.kind != "residual"],
         ran=motion_in_words(model, motion, schedule),
     )
 
@@ -152,12 +152,12 @@ def _runs(runner: Runner, some: Sequence[Settings], workers: Workers) -> dict[Se
 def _histories(
     runner: Runner, some: Candidates, states: int, workers: Workers
 ) -> list[ResidualHistory]:
-    """Sweeps at states of the own motion, under each time step."""
+    """Sweeps at states of the shipped motion, under each time step."""
     quiet = dataclasses.replace(workers, progress=False)
-    by_start = quiet.each(partial(row_states, runner, some.own), runner.starts, "")
+    by_start = quiet.each(partial(row_states, runner, some.shipped), runner.starts, "")
     chosen = _chosen([state for states_of in by_start for state in states_of], states)
     jobs = [
-        partial(residual_history, runner.model, s, MOST if s == some.own else FEWER, state)
+        partial(residual_history, runner.model, s, MOST if s == some.shipped else FEWER, state)
         for s in some.dts
         for state in chosen
     ]

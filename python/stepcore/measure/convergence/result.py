@@ -89,8 +89,8 @@ class Convergence(Result):
     # --- the questions ---------------------------------------------------------------------------
 
     @property
-    def own(self) -> CandidateRun:
-        """The run under the scene's own settings."""
+    def shipped(self) -> CandidateRun:
+        """The run under the scene's settings."""
         return self.runs[self.settings]
 
     @property
@@ -108,7 +108,7 @@ class Convergence(Result):
         apart, notable = self.ending.solver, NOTABLE * self.size
         # Unconverged forces matter if they move bodies further than the time step does.
         matters = apart > max(self.solved.error, notable)
-        able = apart < GROWTH * self.own.residual * self.horizon
+        able = apart < GROWTH * self.shipped.residual * self.horizon
         return "under-solved" if matters and able else "solved"
 
     @property
@@ -134,7 +134,7 @@ class Convergence(Result):
 
     @property
     def slowest(self) -> ResidualHistory | None:
-        """The state at which sweeps converge slowest, at the settings' own time step."""
+        """The state at which sweeps converge slowest, at the shipped time step."""
         known = [h for h in self.at(self.settings.dt) if h.contraction is not None]
         return max(known, key=lambda h: h.contraction or 0.0, default=None)
 
@@ -168,7 +168,7 @@ class Convergence(Result):
     def rows(self) -> list[RowForce]:
         """Elements that have rows, the one furthest from its converged force first.
 
-        Each is shown after the settings' own sweeps, at the state where it lacks most.
+        Each is shown after the shipped sweeps, at the state where it lacks most.
         """
         worst: dict[str, RowForce] = {}
         count: dict[str, int] = {}
@@ -253,7 +253,7 @@ class Convergence(Result):
 
     @property
     def work(self) -> Table:
-        """Equal row updates as steps × sweeps, under pgs; and four times the settings' own work.
+        """Equal row updates as steps × sweeps, under pgs; and four times the shipped work.
 
         error: RMS position error [m]; overlap, joint: the deepest and the widest gap [m].
         """
@@ -363,12 +363,12 @@ class Convergence(Result):
         return f"{ending.body} ends {apart}."
 
     def _diverging(self) -> str:
-        if not self.own.failure:
+        if not self.shipped.failure:
             return (
                 f"Diverging: with converged forces the motion fails ({self.solved.failure}); it "
                 "runs only because sweeps are too few."
             )
-        why = f"Diverging: {self.own.failure}."
+        why = f"Diverging: {self.shipped.failure}."
         if not self.solved.failure:
             return f"{why} With converged forces at the same time step it runs: use more sweeps."
         steps = [s.dt for s in self.candidates.dts if not self.runs[s].failure]
@@ -438,13 +438,13 @@ class Convergence(Result):
     def _four_times(self) -> str:
         """What four times the work gains."""
         more, quarter = self.candidates.more, self.candidates.quarter
-        if more is None or quarter is None or self.own.failure:
+        if more is None or quarter is None or self.shipped.failure:
             return ""
         sweeps, steps = self.runs[more], self.runs[quarter]
         if sweeps.failure or steps.failure:
             return ""
         return (
-            f"The shipped settings have an error of {metres(self.own.error)}; four times the "
+            f"The shipped settings have an error of {metres(self.shipped.error)}; four times the "
             f"sweeps give {metres(sweeps.error)}, a quarter of the time step {metres(steps.error)}."
         )
 
@@ -452,7 +452,7 @@ class Convergence(Result):
         """Notes on a reference that is too poor."""
         said = list(self.reference.notes)
         residual = max(run.residual for run in self.reference.runs)
-        if self.verdict != "no rows" and residual > 1e-3 * max(self.own.residual, 1e-9):
+        if self.verdict != "no rows" and residual > 1e-3 * max(self.shipped.residual, 1e-9):
             said.append(
                 f"the reference's own residual is {residual:.2g} m/s: its sweeps do not converge "
                 "within their limit"

@@ -27,7 +27,7 @@ from stepcore.measure.convergence.sweeps import MotionState
 # Sweeps in a period of equal work, and their splits into steps × sweeps.
 WORK = 64
 SPLITS = ((64, 1), (16, 4), (4, 16), (1, 64))
-# Time steps that are tried at the settings' own sweeps, relative to the settings' own.
+# Time steps that are tried at the shipped sweeps, relative to the shipped one.
 FACTORS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8)
 # A motion has at least this many periods.
 PERIODS = 4
@@ -47,15 +47,15 @@ class Split(NamedTuple):
 class Candidates:
     """All settings that are run.
 
-    own: the scene's settings.
+    shipped: the scene's settings.
     period: the control period [s].
     dts: the settings at each time step.
     splits: the splits of equal work.
     more: four times the sweeps; None if the settings have no number of sweeps.
-    solved: the own settings with converged forces.
+    solved: the shipped settings with converged forces.
     """
 
-    own: Settings
+    shipped: Settings
     period: float
     dts: list[Settings]
     splits: list[Split]
@@ -70,37 +70,37 @@ class Candidates:
 
     @property
     def quarter(self) -> Settings | None:
-        """The own settings at a quarter of their time step, if that is tried."""
-        return next((s for s in self.dts if math.isclose(s.dt, self.own.dt / 4)), None)
+        """The shipped settings at a quarter of their time step, if that is tried."""
+        return next((s for s in self.dts if math.isclose(s.dt, self.shipped.dt / 4)), None)
 
 
-def candidates(own: Settings, period: float | None, horizon: float) -> Candidates:
-    """The settings to compare with `own`.
+def candidates(shipped: Settings, period: float | None, horizon: float) -> Candidates:
+    """The settings to compare with `shipped`.
 
-    period: the control period [s], None if the motion leaves it open. One of the splits has the own
-    time step, with the nearest of 1, 4, 16 and 64 sweeps.
+    period: the control period [s], None if the motion leaves it open. One of the splits has the
+    shipped time step, with the nearest of 1, 4, 16 and 64 sweeps.
     """
     sweeps = USUAL
-    if own.solver == "pgs" and own.sweeps != "auto":
-        sweeps = max(1, int(own.sweeps))
-    frame = own.dt * WORK / min((1, 4, 16, 64), key=lambda n: abs(math.log(n / sweeps)))
+    if shipped.solver == "pgs" and shipped.sweeps != "auto":
+        sweeps = max(1, int(shipped.sweeps))
+    frame = shipped.dt * WORK / min((1, 4, 16, 64), key=lambda n: abs(math.log(n / sweeps)))
     if period is None:
-        period = max(frame, 4 * own.dt)
-        while period > horizon / PERIODS * (1 + 1e-9) and period > own.dt:
+        period = max(frame, 4 * shipped.dt)
+        while period > horizon / PERIODS * (1 + 1e-9) and period > shipped.dt:
             period /= 2
         frame = min(frame, period)
     else:
         frame = period / max(1, round(period / frame))
-    dts = [own if f == 1 else own.replace(dt=own.dt * f) for f in FACTORS]
-    plain = own.replace(solver="pgs", tolerance=0.0, sweeps=1)
-    fixed = own.solver == "pgs" and own.sweeps != "auto" and own.sweeps > 0
+    dts = [shipped if f == 1 else shipped.replace(dt=shipped.dt * f) for f in FACTORS]
+    plain = shipped.replace(solver="pgs", tolerance=0.0, sweeps=1)
+    fixed = shipped.solver == "pgs" and shipped.sweeps != "auto" and shipped.sweeps > 0
     return Candidates(
-        own=own,
+        shipped=shipped,
         period=period,
         dts=[s for s in dts if s.dt <= period * (1 + 1e-9) and divides(s.dt, period)],
         splits=[Split(n, k, plain.replace(dt=frame / n, sweeps=k)) for n, k in SPLITS],
-        more=own.replace(sweeps=4 * own.sweeps) if fixed else None,
-        solved=converged_settings(own, warm_start=True),
+        more=shipped.replace(sweeps=4 * shipped.sweeps) if fixed else None,
+        solved=converged_settings(shipped, warm_start=True),
     )
 
 
@@ -127,7 +127,7 @@ class CandidateRun:
 
 @dataclass(frozen=True)
 class Ending:
-    """Where the motion ends under the own sweeps, beside where it ends with converged forces.
+    """Where the motion ends under the shipped sweeps, beside where it ends with converged forces.
 
     start, body: where the two are furthest apart.
     apart: the distance there [m].
@@ -162,15 +162,15 @@ def run_of(
 
 
 def ending(
-    experiment: Experiment, own: Sequence[Run], solved: Sequence[Run], scored: np.ndarray
+    experiment: Experiment, shipped: Sequence[Run], solved: Sequence[Run], scored: np.ndarray
 ) -> Ending:
     """Where the motion ends, in the start in which converged forces make the largest difference."""
     times, moving = experiment.schedule.times, experiment.runner.bodies.moving
-    over = errors(own, solved, scored).position
+    over = errors(shipped, solved, scored).position
     last = max(1, len(times) // 10)
     span = float(times[-1] - times[-1 - last]) if len(times) > last else math.nan
     endings: list[Ending] = []
-    for start, runs in enumerate(zip(own, solved, strict=True)):
+    for start, runs in enumerate(zip(shipped, solved, strict=True)):
         gap = np.linalg.norm(runs[0].com[-1] - runs[1].com[-1], axis=-1)
         at = int(gap.argmax())
         speed = solved_speed = math.nan

@@ -58,7 +58,7 @@ class MotionState:
 
 @dataclass(frozen=True)
 class RowForce:
-    """The rows of one element (a contact, a limit …) after the settings' own sweeps.
+    """The rows of one element (a contact, a limit …) after the shipped sweeps.
 
     missing: the missing impulse of its worst row, as a speed [m/s]; weighted as residuals are.
     residual: the residual of its worst row [m/s].
@@ -100,7 +100,7 @@ class ResidualHistory:
         before.
     contraction: the measured share of the distance to the solution that a sweep leaves in the end;
         None with a single row, or if it cannot be measured.
-    forces: the force of each element after the settings' own sweeps.
+    forces: the force of each element after the shipped sweeps.
     """
 
     start: int
@@ -121,17 +121,20 @@ def residual_history(
     model: Model, settings: Settings, most: int, state: MotionState
 ) -> ResidualHistory:
     """Measures one state, up to `most` sweeps."""
-    own = _at(model, settings, state)
-    own.forward()
+    shipped = _at(model, settings, state)
+    shipped.forward()
     counts = tuple(n for n in SWEEPS if n <= most)
-    history = ResidualHistory(state.start, state.time, settings.dt, len(own.rows), counts)
-    if not len(own.rows):
+    history = ResidualHistory(state.start, state.time, settings.dt, len(shipped.rows), counts)
+    if not len(shipped.rows):
         return history
     plain = settings.replace(
         solver="pgs", sweeps=1, tolerance=0.0, warm_start=False, precision="f64"
     )
-    speed = _speed(own)
-    solution = _at(model, solved(settings, speed, len(own.rows)), state)
+    speed = _speed(shipped)
+    tolerance = 0.0 if settings.law == "solref" else ROUNDING * speed
+    most_sweeps = int(max(1000, MOST_UPDATES / len(shipped.rows)))
+    exact = converged_settings(settings, sweeps=most_sweeps, tolerance=tolerance)
+    solution = _at(model, exact, state)
     solution.forward()
     target, mass = np.array(solution.qacc), solution.mass_matrix()
 
@@ -157,17 +160,17 @@ def residual_history(
         history,
         cold=tuple(swept(n).residual for n in counts),
         warm=tuple(swept(n, warm_start=True).residual for n in counts),
-        contraction=contraction(read, left, rounding) if len(own.rows) > 1 else None,
+        contraction=contraction(read, left, rounding) if len(shipped.rows) > 1 else None,
         theory=theory(solution),
-        forces=row_forces(own, solution),
+        forces=row_forces(shipped, solution),
     )
 
 
-def row_forces(own: Sim, solution: Sim) -> tuple[RowForce, ...]:
+def row_forces(shipped: Sim, solution: Sim) -> tuple[RowForce, ...]:
     """The difference between two solves of the same state, by element."""
-    rows, others = own.rows, solution.rows
-    coupling, about = own._core.coupling()
-    residual, weight = speeds(own), np.sqrt(np.diagonal(coupling) / about[:, 1])
+    rows, others = shipped.rows, solution.rows
+    coupling, about = shipped._core.coupling()
+    residual, weight = speeds(shipped), np.sqrt(np.diagonal(coupling) / about[:, 1])
     missing = np.abs(rows["impulse"] - others["impulse"]) / about[:, 4] * weight
     forces = []
     elements = zip(rows["kind"].tolist(), rows["index"].tolist(), strict=True)
@@ -213,19 +216,6 @@ def contraction(
     return float(np.exp(n @ e / (n @ n)))
 
 
-def solved(settings: Settings, speed: float, rows: int, **changes: Any) -> Settings:
-    """The same settings with the rows solved to rounding.
-
-    speed: the scale of the velocities along the rows [m/s]; rows: how many act at once.
-    """
-    convex = settings.law == "solref"
-    chosen = {
-        "sweeps": int(max(1000, MOST_UPDATES / max(rows, 1))),
-        "tolerance": 0.0 if convex else ROUNDING * speed,
-    }
-    return converged_settings(settings, **chosen | changes)
-
-
 def _speed(sim: Sim) -> float:
     """The largest speed along the rows, or what gravity gives in a step if that is more [m/s]."""
     rows = sim.rows
@@ -245,16 +235,16 @@ def speeds(sim: Sim) -> Floats:
     rows = sim.rows
     if not len(rows):
         return np.zeros(0)
-    coupling, own = sim._core.coupling()
+    coupling, about = sim._core.coupling()
     a = np.diagonal(coupling)
     # Torsion and rolling in a cone are solved in the measure of sliding.
-    unit = own[:, 4]
+    unit = about[:, 4]
     denominator = a + rows["regulariser"] * unit**2
-    for block in np.unique(rows["block"][own[:, 3] > 0]):
+    for block in np.unique(rows["block"][about[:, 3] > 0]):
         at = rows["block"] == block
         denominator[at] = denominator[at].max()
     safe = np.where(denominator > 0, denominator, 1.0)
-    return rows["residual"] * unit / safe * np.sqrt(a / own[:, 1])
+    return rows["residual"] * unit / safe * np.sqrt(a / about[:, 1])
 
 
 def theory(solved: Sim) -> SweepTheory:
@@ -264,13 +254,13 @@ def theory(solved: Sim) -> SweepTheory:
         return SweepTheory(why="there are no rows")
     if len(rows) > MOST_ROWS:
         return SweepTheory(why=f"{len(rows)} rows are too many for a matrix (most: {MOST_ROWS})")
-    coupling, own = solved._core.coupling()
-    parts, why = _parts(rows, own)
+    coupling, about = solved._core.coupling()
+    parts, why = _parts(rows, about)
     formula, closed = closed_form(solved)
     if why:
         return SweepTheory(None, why, formula, closed)
-    regulariser = rows["regulariser"] * own[:, 4] ** 2
-    radius = spectral_radius(coupling, regulariser, 1 / own[:, 0], parts)
+    regulariser = rows["regulariser"] * about[:, 4] ** 2
+    radius = spectral_radius(coupling, regulariser, 1 / about[:, 0], parts)
     return SweepTheory(radius, "", formula, closed)
 
 
@@ -299,14 +289,14 @@ def spectral_radius(
     return float(max(map(abs, values), default=0.0))
 
 
-def _parts(rows: NDArray[np.void], own: Floats) -> tuple[list[list[int]], str]:
+def _parts(rows: NDArray[np.void], about: Floats) -> tuple[list[list[int]], str]:
     """The active rows, grouped as they are solved; or why there is no linear map."""
-    impulse, lo, hi = rows["impulse"] / own[:, 4], rows["lo"], rows["hi"]
+    impulse, lo, hi = rows["impulse"] / about[:, 4], rows["lo"], rows["hi"]
     near = INSIDE * float(np.abs(impulse).max(initial=0.0))
     parts: list[list[int]] = []
     for block in dict.fromkeys(rows["block"].tolist()):
         at = np.flatnonzero(rows["block"] == block).tolist()
-        kind, mu = own[at[0], 3], own[at[0], 2]
+        kind, mu = about[at[0], 3], about[at[0], 2]
         if kind == 0:
             parts += [[i] for i in at if lo[i] + near < impulse[i] < hi[i] - near]
             continue
