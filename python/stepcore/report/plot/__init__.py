@@ -1,4 +1,4 @@
-"""Plots: a module for each kind of result, with `draw(result)`, which returns a matplotlib Figure.
+"""Plots: a function for each kind of result, which returns a matplotlib Figure.
 
 matplotlib is imported only where something is drawn.
 """
@@ -12,11 +12,19 @@ from typing import Any
 from stepcore import escapes, files
 from stepcore.report.outputs import remark
 
+# The module of each kind's function.
+MODULES = {
+    **dict.fromkeys(("ablation", "check", "diagnosis", "plan"), "bars"),
+    **dict.fromkeys(("convergence", "postmortem", "predictability", "trajectory"), "curves"),
+    **{kind: kind for kind in ("stability", "trade")},
+}
+
 
 def plot(kind: str, result: Any, path: str | os.PathLike[str] | None) -> Any:
-    """The Figure that `draw` of the module `kind` makes; written to `path` if given."""
+    """The Figure of a result of this kind; written to `path` if given."""
     target = None if path is None else files.path("path", path)
-    figure = importlib.import_module(f"stepcore.report.plot.{kind}").draw(result)
+    module = importlib.import_module(f"stepcore.report.plot.{MODULES[kind]}")
+    figure = getattr(module, kind)(result)
     _make_printable(figure)
     if target is not None:
         figure.savefig(target, **remark(target))

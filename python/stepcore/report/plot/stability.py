@@ -20,7 +20,7 @@ COLUMNS = 3
 DASHES = (0, (4, 2))
 
 
-def draw(result: StabilityMap) -> Any:
+def stability(result: StabilityMap) -> Any:
     """A panel for each setting, the value across and dt up, both on log axes."""
     count = len(result.panels)
     columns = count if count <= COLUMNS else 2 if count == 4 else COLUMNS

@@ -34,7 +34,7 @@ EDGE = 0.2
 ABOVE = 1.5
 
 
-def draw(trade: Trade) -> Any:
+def trade(trade: Trade) -> Any:
     """A point for each setting; lines join those that no other beats, of each engine.
 
     Colours are integrators, markers solvers, hollow ones single precision, stars MuJoCo; rings mark

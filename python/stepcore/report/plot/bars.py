@@ -1,0 +1,190 @@
+"""Plots of bars: what limits a time step, what a step costs, what a feature saves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from stepcore.report.plot.style import (
+    BLUE,
+    COLOURS,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    bar,
+    frame,
+    legend,
+    line,
+    log_ticks,
+    name_places,
+    new_figure,
+    patches,
+    say,
+)
+from stepcore.report.units import metres, seconds
+
+if TYPE_CHECKING:
+    from stepcore.engine.plan.result import Plan
+    from stepcore.measure.ablation.result import Ablation, FeatureEffect
+    from stepcore.measure.check import Check
+    from stepcore.measure.diagnosis.result import Diagnosis
+
+
+# The elements drawn, stiffest first, and how many letters of a name.
+ELEMENTS, ELEMENT_LETTERS = 10, 28
+# Height of a group of bars, over the distance between two groups.
+GROUP = 0.8
+
+Groups = list[tuple[str, dict[str, float]]]
+
+
+def diagnosis(result: Diagnosis) -> Any:
+    """A group of bars for each element on its own, the last group for all of them together.
+
+    A bar with an arrow at the right edge has no limit; the vertical line is the wanted dt.
+    """
+    names = list(result.limits)
+    groups: Groups = [(row.name, row.limits) for row in result.rows[:ELEMENTS]]
+    groups.append(("all together", {name: limit.dt for name, limit in result.limits.items()}))
+    figure = new_figure(8.0, 1.9 + 0.62 * len(groups))
+    axes = figure.add_subplot()
+    low, high = _range(result.wanted, groups)
+    height = GROUP / len(names)
+    for group, (_, limits) in enumerate(groups):
+        for k, name in enumerate(names):
+            place = group - GROUP / 2 + (k + 0.5) * height
+            _bar(axes, place, limits[name], (low, high), 0.85 * height, COLOURS.get(name, GREY))
+    axes.axvline(result.wanted, color="black", lw=1.3, zorder=4)
+    name_places(axes, [name for name, _ in groups], range(len(groups)), ELEMENT_LETTERS)
+    axes.set_ylim(len(groups) - 0.4, -0.6)
+    axes.axhline(len(groups) - 1.5, color="#BBBBBB", lw=0.8)
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    log_ticks(axes.xaxis, seconds)
+    axes.set_xlabel("largest stable dt")
+    drawn = (
+        ""
+        if len(result.rows) <= ELEMENTS
+        else f" ({ELEMENTS} stiffest of {len(result.rows)} elements)"
+    )
+    frame(axes, f"{result.name}: what limits the time step{drawn}")
+    axes.grid(False, axis="y")
+    entries = patches({name: COLOURS.get(name, GREY) for name in names})
+    entries.append(line(f"dt {seconds(result.wanted)}", color="black", lw=1.3))
+    entries.append(line("no limit", marker=">", ls="none", ms=5, color=GREY))
+    legend(figure, entries, columns=4)
+    return figure
+
+
+def _range(wanted: float, groups: Groups) -> tuple[float, float]:
+    """Whole decades around all finite limits and the wanted dt."""
+    values = [x for _, limits in groups for x in limits.values() if math.isfinite(x) and x > 0]
+    values.append(wanted)
+    low = 10.0 ** math.floor(math.log10(0.7 * min(values)))
+    high = 10.0 ** math.ceil(math.log10(1.5 * max(values)))
+    return max(low, high / 1e9), high
+
+
+def _bar(
+    axes: Any, place: float, dt: float, limits: tuple[float, float], height: float, colour: str
+) -> None:
+    low, high = limits
+    if dt <= low:
+        axes.plot(low, place, "x", ms=5, mew=1.6, color=colour, clip_on=False, zorder=5)
+        return
+    axes.barh(place, min(dt, high) - low, left=low, height=height, color=colour, zorder=3)
+    if math.isinf(dt):
+        axes.plot(high, place, ">", ms=4.5, color=colour, clip_on=False, zorder=5)
+
+
+def check(check: Check) -> Any:
+    """The diagnosis' plot."""
+    if check.diagnosis is not None:
+        return diagnosis(check.diagnosis)
+    figure = new_figure(8.0, 2.0)
+    axes = figure.add_subplot()
+    frame(axes, check.title)
+    say(axes, "the time step was not diagnosed")
+    return figure
+
+
+STAGES = {"place": BLUE, "detect": ORANGE, "solve": RED, "commit": GREEN}
+ENTRY_LETTERS = 48
+
+
+def plan(plan: Plan) -> Any:
+    """Bars of the operations of each entry, or of its time where that was measured, by stage."""
+    timed = plan.micros is not None
+    bars = []
+    for entry in plan.used:
+        value = entry.micros if timed else entry.flops
+        if entry.stage in STAGES and value is not None:
+            bars.append((entry, float(value)))
+    figure = new_figure(8.0, 1.6 + 0.3 * max(1, len(bars)))
+    axes = figure.add_subplot()
+    places = range(len(bars))[::-1]
+    for place, (entry, value) in zip(places, bars, strict=True):
+        bar(axes, place, value, STAGES[entry.stage], f"{value:.2f}" if timed else f"{value:.0f}")
+    name_places(axes, [entry.name for entry, _ in bars], places, ENTRY_LETTERS)
+    axes.set_xlim(right=1.12 * max([1e-3, *(value for _, value in bars)]))
+    axes.set_xlabel("time per step [µs]" if timed else "floating-point operations per step")
+    frame(axes, f"{plan.name}: what a step does")
+    used = {entry.stage for entry, _ in bars}
+    legend(figure, patches({name: STAGES[name] for name in STAGES if name in used}), columns=4)
+    return figure
+
+
+# The features drawn, those that save most first, and how many letters of a name.
+FEATURES, FEATURE_LETTERS = 24, 46
+# An error this much smaller than the tolerance has no bar, only its number.
+SMALL = 1e-3
+
+
+def ablation(result: Ablation) -> Any:
+    """Left, the share of the work that removing a feature saves; right, the error that it adds."""
+    rows = [row for row in result.sorted() if not row.outcome.failure][:FEATURES]
+    rows = [result.best, *rows]
+    figure = new_figure(9.0, 2.0 + 0.27 * (len(rows) + 1))
+    work, error = figure.subplots(1, 2, sharey=True)
+    places = list(range(len(rows)))[::-1]
+    low = _floor([row.outcome.worst for row in rows], result.tolerance)
+    for place, row in zip(places, rows, strict=True):
+        share, added, colour = 100 * result.saved(row), row.outcome.worst, _colour(result, row)
+        bar(work, place, share, colour, f"{share:.1f}" if abs(share) < 10 else f"{share:.0f}")
+        bar(error, place, added, colour, metres(added), left=low)
+    error.set_xscale("log")
+    error.set_xlim(low, 40 * max(*(row.outcome.worst for row in rows), result.tolerance))
+    log_ticks(error.xaxis)
+    error.axvline(result.tolerance, color=GREY, ls="--", lw=1)
+    names = [f"all {len(result.removed)} that are not needed"]
+    names += [row.removal.label for row in rows[1:]]
+    name_places(work, names, places, FEATURE_LETTERS)
+    work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
+    kind = "operations" if result.by_flops else "row updates"
+    work.set_xlabel(f"work saved [% of {kind}]")
+    error.set_xlabel(f"RMS position error added [m]; dashed: {metres(result.tolerance)}")
+    error.tick_params(axis="y", length=0)
+    frame(work, f"{result.name}: without …")
+    frame(error)
+    figure.get_layout_engine().set(wspace=0.06)
+    colours = {
+        f"not needed within {metres(result.tolerance)}": GREEN,
+        "kept": RED,
+        "the smallest model": "black",
+    }
+    legend(figure, patches(colours), columns=3)
+    return figure
+
+
+def _colour(result: Ablation, row: FeatureEffect) -> str:
+    if row is result.best:
+        return "black"
+    return GREEN if row.removal in result.removed else RED
+
+
+def _floor(errors: Sequence[float], tolerance: float) -> float:
+    """Where the axis of errors begins: a decade below the smallest that matters."""
+    least = min([error for error in errors if error > 0], default=tolerance)
+    return float(10.0 ** math.floor(math.log10(max(least, SMALL * tolerance)) - 1))

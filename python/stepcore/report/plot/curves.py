@@ -1,0 +1,305 @@
+"""Plots of curves over time, sweeps or steps: runs, failures, predictability, convergence."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stepcore.report.plot.style import (
+    BLUE,
+    COLOURS,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    SMALL,
+    TEXT,
+    frame,
+    legend,
+    log_ticks,
+    new_figure,
+    say,
+)
+from stepcore.report.units import joules, metres, seconds
+
+if TYPE_CHECKING:
+    from stepcore.engine.postmortem import PostMortem
+    from stepcore.engine.trajectory import Trajectory
+    from stepcore.measure.convergence.result import Convergence
+    from stepcore.measure.predictability import Predictability
+
+
+# In the order in which lines of one quantity are drawn.
+LINES = tuple(COLOURS.values())
+# More lines than this cannot be told apart by colour, and have no legend.
+NAMED = len(LINES)
+# Panels are at least this high [inches], and a figure of few panels not lower than usual.
+PANEL = 2.2
+UNITS = {"overlap": "deepest overlap [m]", "residual": "residual [m/s]"}
+
+
+def trajectory(run: Trajectory) -> Any:
+    """Energy and deepest overlap over time, or else all that was recorded, one panel each.
+
+    Raises ValueError for a run that recorded nothing.
+    """
+    wanted: list[str] = [name for name in ("energy", "overlap") if name in run.data]
+    names = wanted or list(run.data)
+    if not names:
+        raise ValueError("the run recorded nothing that can be drawn")
+    figure = new_figure(height=max(4.0, PANEL * len(names)))
+    panels = figure.subplots(len(names), sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(panels, names, strict=True):
+        if name == "energy":
+            _energy(axes, run)
+        else:
+            _lines(axes, run.time, name, np.asarray(run.data[name], float))
+        frame(axes)
+    panels[-1].set_xlabel("time [s]")
+    panels[-1].set_xlim(float(run.time[0]), float(run.time[-1]) or None)
+    return figure
+
+
+def _energy(axes: Any, run: Trajectory) -> None:
+    kinetic, potential = np.asarray(run.data["energy"], float).T
+    axes.plot(run.time, kinetic, color=BLUE, lw=1.2, label="kinetic")
+    axes.plot(run.time, potential, color=ORANGE, lw=1.2, label="potential")
+    axes.plot(run.time, kinetic + potential, color="black", lw=1.6, label="total")
+    axes.set_ylabel("energy [J]")
+    _legend(axes)
+
+
+def _lines(axes: Any, time: np.ndarray, name: str, values: np.ndarray) -> None:
+    columns = values.reshape(len(time), -1)
+    count = columns.shape[1]
+    for k in range(count):
+        index = ", ".join(map(str, np.unravel_index(k, values.shape[1:])))
+        label = f"[{index}]" if 1 < count <= NAMED else None
+        axes.plot(time, columns[:, k], color=LINES[k % NAMED], lw=1.2, label=label)
+    axes.set_ylabel(UNITS.get(name, name))
+    if name == "overlap":
+        axes.set_ylim(bottom=0)
+    if 1 < count <= NAMED:
+        _legend(axes)
+
+
+def _legend(axes: Any) -> None:
+    """At the right of the panel, where it covers nothing."""
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=TEXT, frameon=False)
+
+
+# Elements that are drawn, and the steps before the failure.
+DRAWN, STEPS = 5, 128
+# Energy injected beyond this part of the whole is cut off: in the last steps inertial forces and
+# rows inject and take out many times what there is.
+CUT = 1.5
+# Energies over fewer decades are written out: 5 J, and not 10 to the power of 0.7.
+FEW_DECADES = 2.0
+
+
+def postmortem(result: PostMortem) -> Any:
+    """Above, the energy after each step; below, the part of it that each element injected.
+
+    Without recorded steps there is only each element's part of the growth.
+    """
+    if not len(result.time):
+        return _shares_alone(result)
+    figure = new_figure(8.0, 6.2)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1.3))
+    count = min(len(result.time), STEPS)
+    last = int(result.replay.happened["step"])
+    steps = np.arange(last - count, last + 1)
+    energy = result.energy[-count - 1 :]
+    # Exponents, because a log axis overflows where energies do.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        powers = np.log10(np.where(np.isfinite(energy) & (energy > 0), energy, np.nan))
+    above.plot(steps, powers, color="black", lw=1.4)
+    if np.nanmax(powers, initial=-np.inf) - np.nanmin(powers, initial=np.inf) < FEW_DECADES:
+        above.yaxis.set_major_formatter(lambda power, _: joules(10.0**power))
+    else:
+        above.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
+        above.yaxis.get_major_locator().set_params(integer=True, nbins=7)
+    above.set_ylabel("kinetic and spring\nenergy [J]")
+    frame(above, _heading(result))
+    size = np.maximum(energy[1:], energy[:-1])
+    for name, colour in zip(result.leading(DRAWN), COLOURS.values(), strict=False):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = np.where(size > 0, result.work[name][-count:] / size, np.nan)
+        label = _label(result, name)
+        below.step(steps[1:], part, where="mid", color=colour, lw=1.6, label=label)
+    low, high = below.get_ylim()
+    below.set_ylim(max(low, -CUT), min(high, CUT))
+    below.axhline(0.0, color=GREY, lw=0.8)
+    below.set_ylabel("energy injected per step,\npart of that energy")
+    below.set_xlabel("step")
+    below.xaxis.get_major_locator().set_params(integer=True)
+    frame(below)
+    legend(figure, columns=2)
+    return figure
+
+
+def _heading(result: PostMortem) -> str:
+    happened = result.replay.happened
+    what = "more energy than is possible" if happened["gained"] else "not finite after this step"
+    of = f"{result.replay.name}: " if result.replay.name else ""
+    return f"{of}step {happened['step']}, {happened['time']:.6g} s: {what}"
+
+
+def _label(result: PostMortem, name: str) -> str:
+    share = result.shares.get(name)
+    plain = name.replace("`", "")
+    return plain if share is None else f"{plain} ({100 * share:.0f} % of the growth)"
+
+
+def _shares_alone(result: PostMortem) -> Any:
+    figure = new_figure(8.0, 3.0)
+    axes = figure.add_subplot()
+    names = list(result.shares)[:DRAWN][::-1]
+    shares = [100 * result.shares[name] for name in names]
+    axes.barh([name.replace("`", "") for name in names], shares, color=BLUE, height=0.6)
+    axes.set_xlabel("share of the energy injected over the last steps [%]")
+    frame(axes, _heading(result))
+    return figure
+
+
+def predictability(result: Predictability) -> Any:
+    """Growth on a log axis, a line for each start, with a dot where a start is lost."""
+    figure = new_figure()
+    axes = figure.add_subplot()
+    times = np.concatenate([[0.0], result.growth.times])
+    for start, factor in enumerate(result.growth.factor):
+        values = np.concatenate([[1.0], np.maximum(factor, 1e-3)])
+        colour, label = (BLUE, "start 0, the keyframe") if start == 0 else (GREY, None)
+        style: dict[str, Any] = {"lw": 0.9, "alpha": 0.7} if start else {"lw": 1.8, "zorder": 4}
+        axes.plot(
+            times, values, color=colour, label="other starts" if start == 1 else label, **style
+        )
+        end = float(result.growth.ends[start])
+        if math.isfinite(end):
+            axes.plot(end, result.limit, "o", ms=5, color=colour, zorder=5)
+    axes.axhline(result.limit, color=RED, lw=1.2, ls="--", zorder=2)
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, max(high, 3 * result.limit))
+    log_ticks(axes.yaxis)
+    axes.set_xlim(0, result.horizon)
+    text = f"above {result.limit:g}: not predictable"
+    place = {"transform": axes.get_yaxis_transform(), "fontsize": TEXT}
+    axes.text(0.01, result.limit * 1.15, text, **place)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("growth of a perturbation")
+    until = "all of it" if math.isinf(result.time) else f"{seconds(result.time)} of it"
+    frame(axes, f"{result.name}: {seconds(result.horizon)}, {until} predictable")
+    if len(result.growth.factor) > 1:
+        legend(figure)
+    return figure
+
+
+# Residuals below this share of the largest are rounding.
+LEAST = 1e-13
+
+
+def convergence(result: Convergence) -> Any:
+    """Left, the residual by sweeps; right, the error at equal row updates, as steps and sweeps.
+
+    Lines are the median of the states, from zero impulses and from those of the step before, shaded
+    up to the worst state; dashed is theory.
+    """
+    figure = new_figure(10.0, 4.4)
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    _sweeps(left, result)
+    _work(right, result)
+    return figure
+
+
+def _sweeps(axes: Any, result: Convergence) -> None:
+    table = result.sweeps
+    frame(axes, f"{result.name}: {result.verdict}")
+    axes.set_xlabel("sweeps")
+    axes.set_ylabel("residual [m/s]")
+    if not len(table):
+        say(axes, "no contact, limit or other row")
+        return
+    sweeps = np.array(table["sweeps"], float)
+    top = max(max(table["cold worst"]), max(table["warm worst"]), 1e-300)
+    for kind, colour, width in (("cold", BLUE, 3.0), ("warm", RED, 1.4)):
+        middle, worst = (np.maximum(table[name], LEAST * top) for name in (kind, f"{kind} worst"))
+        axes.plot(sweeps, middle, color=colour, lw=width, marker="o", ms=3.5, label=f"{kind} start")
+        axes.fill_between(sweeps, middle, worst, color=colour, alpha=0.18, lw=0)
+    _theory(axes, result, sweeps, top)
+    own = result.settings
+    if own.solver == "pgs" and own.sweeps != "auto" and own.sweeps > 0:
+        axes.axvline(own.sweeps, color=GREY, lw=1, ls=":", label=f"as shipped, {own.sweeps}")
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.set_ylim(0.5 * LEAST * top if _reaches(table, top) else None, 3 * top)
+    done = [n for n in table if max(n["cold worst"], n["warm worst"]) <= LEAST * top]
+    axes.set_xlim(0.8, 1.25 * (max(4 * done[0]["sweeps"], 8) if done else sweeps[-1]))
+    # Below, where nothing is drawn.
+    axes.legend(
+        fontsize=SMALL, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2
+    )
+
+
+def _reaches(table: Any, top: float) -> bool:
+    """Whether some residual is at rounding."""
+    return min(min(table["cold"]), min(table["warm"])) <= LEAST * top
+
+
+def _theory(axes: Any, result: Convergence, sweeps: Any, top: float) -> None:
+    """The slope that theory gives, through the slowest state's middle."""
+    theory, slowest = result.theory, result.slowest
+    rate = theory.radius
+    if slowest is None or rate is None or not 0 < rate < 1:
+        return
+    # Anchored where the measured curve is on its slope and not yet rounding.
+    cold = np.array(slowest.cold)
+    at = [k for k, value in enumerate(cold) if value > 1e-7 * cold.max()]
+    if not at:
+        return
+    k = at[-1]
+    grid = np.geomspace(sweeps[0], sweeps[-1], 400)
+    line = 1.8 * cold[k] * rate ** (grid - sweeps[k])
+    seen = (line > LEAST * top) & (line < 3 * top)
+    text = f"theory, {_share(rate)} per sweep"
+    axes.plot(grid[seen], line[seen], color="black", lw=1.2, ls="--", label=text)
+
+
+def _share(rate: float) -> str:
+    digits = 3 if rate < 0.99 else 2 + math.ceil(-math.log10(1 - rate))
+    return f"{rate:.{digits}f}"
+
+
+def _work(axes: Any, result: Convergence) -> None:
+    frame(axes, "equal row updates, steps × sweeps")
+    axes.set_xlabel("RMS position error [m]")
+    splits = result.candidates.splits
+    runs = [result.runs[split.settings] for split in splits]
+    errors = [run.error for run in runs]
+    known = [error for error in errors if math.isfinite(error) and error > 0]
+    if not known:
+        say(axes, "all of these runs fail")
+        return
+    solved = result.solved.error
+    low = 0.3 * min([*known, *([solved] if solved > 0 else [])])
+    high = 12 * max(known)
+    for k, (run, error) in enumerate(zip(runs, errors, strict=True)):
+        if run.failure:
+            axes.text(low * 1.3, k, "fails", va="center", color=GREY)
+            continue
+        axes.barh(k, max(error, low) - low, left=low, height=0.62, color=GREEN)
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
+        axes.text(max(error, low) * 1.15, k, metres(error), va="center", fontsize=TEXT, bbox=box)
+    labels = [f"{s.steps} × {s.sweeps}\ndt {seconds(s.settings.dt)}" for s in splits]
+    axes.set_yticks(range(len(splits)), labels, fontsize=TEXT)
+    axes.set_ylim(len(splits) - 0.4, -0.6)
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    log_ticks(axes.xaxis)
+    if math.isfinite(solved) and solved > 0:
+        text = f"dt {seconds(result.settings.dt)}, converged"
+        axes.axvline(solved, color="black", lw=1.2, ls="--", label=text)
+        axes.legend(fontsize=SMALL, frameon=False, loc="upper right", bbox_to_anchor=(1.0, -0.14))
