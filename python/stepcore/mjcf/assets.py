@@ -236,9 +236,12 @@ class Assets:
         if not files:
             return
         size = sum(self.sizes.values())
-        count = f"{len(self.sizes)} of {len(files)} files of meshes and height fields are read"
-        only = "; the others only draw" if len(self.sizes) < len(files) else ""
-        scene.notes.append(f"{files[0].file}:{files[0].line}: {count} ({size / 1e6:.3g} MB){only}")
+        if len(self.sizes) < len(files):
+            count = f"{len(self.sizes)} of {len(files)} files of meshes and height fields are read"
+            scene.notes.append(
+                f"{files[0].file}:{files[0].line}: {count} ({size / 1e6:.3g} MB); the others only "
+                "draw"
+            )
         source = scene._source
         if source is not None:
             unread = tuple(name for name in source.unread if name not in self.named)

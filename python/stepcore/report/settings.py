@@ -34,7 +34,7 @@ def differences(settings: Settings, shipped: Settings) -> list[str]:
     if settings.tolerance != shipped.tolerance:
         words.append(f"tolerance {settings.tolerance:g}")
     if settings.warm_start != shipped.warm_start:
-        words.append("warm" if settings.warm_start else "cold")
+        words.append("warm start" if settings.warm_start else "no warm start")
     if settings.acceleration != shipped.acceleration:
         words.append("plain" if settings.acceleration == "none" else "accelerated")
     if settings.cone != shipped.cone:

@@ -10,21 +10,19 @@ two runs of a pair still resemble each other). An interval that contains 0 is no
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore._core import Settings
-from stepcore.experiment.recorder import Means
+from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.reference import Reference, ReferenceRuns
-from stepcore.experiment.run import Run
-from stepcore.experiment.runner import Runner
+from stepcore.experiment.runner import means
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
 
 LEAST = 32
-# Best rows that are measured: all, or about so many along the front, as far as half the
+# Best rows that are measured: all, or about this many along the front, as far as half the
 # reference's budget goes.
 MOST = 10
 # Names of `Statistics`, and of `Run`, with their units.
@@ -75,33 +73,26 @@ class Statistics:
 class AfterPrediction:
     """Measures settings after the motion cannot be predicted; many: at least 32 starts."""
 
-    def __init__(self, runs: ReferenceRuns, reference: Reference, many: Schedule) -> None:
-        self.workers, self.since = runs.workers, reference.growth.overall
-        self.runs, self.spent = runs, 0.0
-        self.runner = Runner(runs.runner.model, many)
+    def __init__(self, made: ReferenceRuns, reference: Reference, many: Schedule) -> None:
+        self.made, self.spent, self.since = made, 0.0, reference.growth.overall
+        self.experiment = Experiment(made.runner.model, many, made.workers)
         self.window = many.times > self.since
-        self.settings = self._truth(reference)
+        # The finest step of the reference that takes half the budget at most, and is needed.
+        dts = [reference.level.dt, *(level.dt for level in reference.levels[::-1])]
+        name, useful = reference.level.integrator, [max(dt, made.finest / 2) for dt in dts]
+        cheap = [dt for dt in useful if 2 * self.cost(name, dt) <= made.budget]
+        self.settings = made.settings(name, cheap[0] if cheap else useful[-1])
         self.truth: np.ndarray | None = None
 
-    def _truth(self, reference: Reference) -> Settings:
-        """Converged settings: the finest step that takes half the budget at most.
-
-        None is finer than the reference's last or than needed, nor coarser than its first.
-        """
-        dts = [reference.level.dt, *(level.dt for level in reference.levels[::-1])]
-        name = reference.level.integrator
-        useful = [max(dt, self.runs.finest / 2) for dt in dts]
-        cheap = [dt for dt in useful if 2 * self.cost(name, dt) <= self.runs.budget]
-        return self.runs.settings(name, cheap[0] if cheap else useful[-1])
-
     def cost(self, integrator: str, dt: float) -> float:
-        """Of a setting's runs, in the unit of the reference's budget."""
-        return self.runs.cost(integrator, dt) * len(self.runner.schedule.starts) / self.runs.starts
+        """The cost of a setting's runs, in the unit of the reference's budget."""
+        starts = len(self.experiment.schedule.starts)
+        return self.made.cost(integrator, dt) * starts / self.made.starts
 
     def affords(self, settings: Settings) -> bool:
         """Whether the budget has room for a setting's runs; if so, they count as made."""
         more = self.cost(settings.integrator, settings.dt)
-        if self.spent + more > self.runs.budget / 2:
+        if self.spent + more > self.made.budget / 2:
             return False
         self.spent += more
         return True
@@ -110,27 +101,19 @@ class AfterPrediction:
         """The differences of one setting; None where a run under it or the reference fails."""
         if self.truth is None:
             self.truth = self._means(self.settings, bar)
-        means = self._means(settings, bar)
-        if means is None or self.truth is None:
+        own = self._means(settings, bar)
+        if own is None or self.truth is None:
             return None
-        apart = [difference(mine, true) for mine, true in zip(means.T, self.truth.T, strict=True)]
-        return Statistics(len(means), self.since, *apart)
+        apart = [difference(mine, true) for mine, true in zip(own.T, self.truth.T, strict=True)]
+        return Statistics(len(own), self.since, *apart)
 
     def _means(self, settings: Settings, bar: Progress) -> np.ndarray | None:
         """Means over the window of every start, (starts, 3)."""
-        job = partial(means_of, self.runner, settings)
-        paths = self.workers.each(job, range(len(self.runner.schedule.starts)), bar)
-        if any(path.failure for path in paths):
+        runs = self.experiment.run(settings, probes=means, bar=bar)
+        if any(run.failure for run in runs):
             return None
-        return np.array([self._mean(path) for path in paths])
-
-    def _mean(self, path: Run) -> list[float]:
-        return [float(np.mean(getattr(path, name)[self.window])) for name in QUANTITIES]
-
-
-def means_of(runner: Runner, settings: Settings, start: int) -> Run:
-    """A run of which only what means are taken of is recorded."""
-    return runner.run(settings, start, [Means(runner.bodies)])
+        each = [[np.mean(getattr(run, name)[self.window]) for name in QUANTITIES] for run in runs]
+        return np.array(each, float)
 
 
 def difference(mine: ArrayLike, true: ArrayLike) -> Difference:
