@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -39,12 +40,10 @@ def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Findin
         (frame.qpos, f"Keyframe `{frame.name or index}`", True)
         for index, frame in enumerate(model.keys)
     ]
-    sim = Sim(model) if model.ntendon else None
-    for qpos, where, keyed in states:
-        if model.scene.features.limit:
-            yield from _joints_outside(model, qpos, where, keyed)
-            if sim is not None:
-                yield from _tendons_outside(model, sim, qpos, where, keyed)
+    if model.scene.features.limit:
+        sim = Sim(model)
+        for qpos, where, keyed in states:
+            yield from _outside(model, sim, qpos, where, keyed)
     for index, frame in enumerate(model.keys):
         yield from _clamped(model, frame.ctrl, f"Keyframe `{frame.name or index}`")
     yield from _one_sided(model)
@@ -67,66 +66,63 @@ def _inverted(model: Model) -> Iterator[Finding]:
             yield Finding("inverted range", "error", problem, cure, value=float(low))
 
 
-def _joints_outside(model: Model, qpos: np.ndarray, where: str, keyed: bool) -> Iterator[Finding]:
-    """Joints that a state puts outside of their limits."""
-    outside = []
-    for k, kind in enumerate(model.jnt_type):
-        low, high = (float(bound) for bound in model.jnt_range[k])
-        if kind not in ("hinge", "slide") or not np.isfinite([low, high]).all():
-            continue
-        value = float(qpos[model.jnt_qposadr[k]])
-        over = max(low - value, value - high)
-        if over > OUTSIDE * (high - low):
-            outside.append((over / (high - low), k, value, low, high))
-    if not outside:
-        return
-    outside.sort(reverse=True)
-    _, k, value, low, high = outside[0]
-    joints = named(model, "joint", [entry[1] for entry in outside])
-    bounds = f"{length_of(model, k, low)} to {length_of(model, k, high)}"
-    cure = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
-    problem = (
-        f"{where} has {listed(joints, 'joints')} at {length_of(model, k, value)}, outside of its "
-        f"range of {bounds}, whose limit throws it back"
-    )
-    cure = f"{cure} (the nearest is {low if value < low else high:.4g}), or widen the range"
-    severity = "error" if keyed else "warning"
-    unit = "rad" if is_angular(model, k) else "m"
-    yield Finding("outside a limit", severity, problem, cure, joints, value, unit)
-
-
-def _tendons_outside(
+def _outside(
     model: Model, sim: Sim, qpos: np.ndarray, where: str, keyed: bool
 ) -> Iterator[Finding]:
-    """Tendons whose length a state puts outside of their range."""
-    sim.qpos = qpos
-    sim.forward()
-    outside = []
-    ranges = model.tendon_range.tolist()
-    for i, (length, (low, high)) in enumerate(zip(sim.ten_length, ranges, strict=True)):
-        over = max(low - length, length - high)
-        # Without a limit the range is infinite, and nothing is outside of it.
-        if over > OUTSIDE * (high - low):
-            outside.append((float(over / (high - low)), i, float(length)))
-    if not outside:
-        return
-    outside.sort(key=lambda entry: -entry[0])
-    _, i, length = outside[0]
-    tendons = named(model, "tendon", [entry[1] for entry in outside])
-    problem = (
-        f"{where} has {listed(tendons, 'tendons')} at a length of {_tendon(model, i, length)}, "
-        f"outside of its range of {_tendon(model, i, *ranges[i])}, whose limit throws it back"
-    )
-    cure = "correct the pose, or widen the range"
-    severity = "error" if keyed else "warning"
-    unit = "" if model.scene.tendons[i].path.fixed else "m"
-    yield Finding("outside a limit", severity, problem, cure, tendons, length, unit)
+    """Joints and tendons that a state puts outside of their limits."""
+    lengths = []
+    if model.ntendon:
+        sim.qpos = qpos
+        sim.forward()
+        lengths = [(i, float(length)) for i, length in enumerate(sim.ten_length)]
+    angles = [
+        (k, float(qpos[model.jnt_qposadr[k]]))
+        for k, kind in enumerate(model.jnt_type)
+        if kind in ("hinge", "slide")
+    ]
+    for kind, values, ranges in (
+        ("joint", angles, model.jnt_range.tolist()),
+        ("tendon", lengths, model.tendon_range.tolist()),
+    ):
+        outside = []
+        for k, value in values:
+            low, high = ranges[k]
+            over = max(low - value, value - high)
+            # Without a limit the range is infinite, and nothing is outside of it.
+            if math.isfinite(high - low) and over > OUTSIDE * (high - low):
+                outside.append((over / (high - low), k, value))
+        if not outside:
+            continue
+        outside.sort(reverse=True)
+        _, k, value = outside[0]
+        elements, (low, high) = named(model, kind, [entry[1] for entry in outside]), ranges[k]
+        if kind == "joint":
+            say, at, unit = (
+                partial(length_of, model, k),
+                "at",
+                "rad" if is_angular(model, k) else "m",
+            )
+            cure = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
+            cure += f" (the nearest is {low if value < low else high:.4g})"
+        else:
+            say, at, unit = partial(_tendon, model, k), "at a length of", _unit(model, k)
+            cure = "correct the pose"
+        problem = (
+            f"{where} has {listed(elements, f'{kind}s')} {at} {say(value)}, outside of its range "
+            f"of {say(low)} to {say(high)}, whose limit throws it back"
+        )
+        cure += ", or widen the range"
+        severity = "error" if keyed else "warning"
+        yield Finding("outside a limit", severity, problem, cure, elements, value, unit)
 
 
-def _tendon(model: Model, tendon: int, *lengths: float) -> str:
-    """In metres; a fixed tendon's length is a sum of joints, and has no unit of its own."""
-    fixed = model.scene.tendons[tendon].path.fixed
-    return " to ".join(f"{length:.4g}" if fixed else metres(length) for length in lengths)
+def _unit(model: Model, tendon: int) -> str:
+    """That of its length; a fixed tendon's length is a sum of joints, and has none of its own."""
+    return "" if model.scene.tendons[tendon].path.fixed else "m"
+
+
+def _tendon(model: Model, tendon: int, length: float) -> str:
+    return metres(length) if _unit(model, tendon) else f"{length:.4g}"
 
 
 def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
@@ -235,14 +231,15 @@ def _pressed(model: Model) -> Iterator[Finding]:
     if wrong:
         i, rest = wrong[0]
         tendons = named(model, "tendon", [index for index, _ in wrong])
+        say, (low, high) = partial(_tendon, model, i), ranges[i]
         problem = (
-            f"the spring of {listed(tendons, 'tendons')} is at rest at a length of "
-            f"{_tendon(model, i, rest)}, outside of the tendon's range of "
-            f"{_tendon(model, i, *ranges[i])}, so it always presses on the limit"
+            f"the spring of {listed(tendons, 'tendons')} is at rest at a length of {say(rest)}, "
+            f"outside of the tendon's range of {say(low)} to {say(high)}, so it always presses on "
+            "the limit"
         )
         cure = "correct its springlength, or widen the range"
-        unit = "" if model.scene.tendons[i].path.fixed else "m"
-        yield Finding("spring beyond a limit", "warning", problem, cure, tendons, rest, unit)
+        kind, unit = "spring beyond a limit", _unit(model, i)
+        yield Finding(kind, "warning", problem, cure, tendons, rest, unit)
 
 
 def _unused(model: Model) -> Iterator[Finding]:
