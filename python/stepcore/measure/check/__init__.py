@@ -40,11 +40,11 @@ __all__ = ["Check", "check"]
 
 # Control periods of the run where nothing sets them.
 PERIODS = 100
-# The most steps of the run where nobody says how long it is: some seconds of computing.
+# The most steps of a run whose horizon is not given: some seconds of computing.
 LONGEST = 200_000
 # What a length in "0.1%" is a share of has no meaning here.
 NO_SIZE = 1.0
-# A failure is told in this many sentences: when it was and what began it. The diagnosis cures it.
+# The first sentences of a failure say when it was and what began it; the diagnosis cures it.
 SENTENCES = 2
 # So many commands are named; `diagnose` where the stability margin is below MARGIN.
 COMMANDS, MARGIN = 3, 2.0
@@ -167,8 +167,8 @@ class Check(Result):
 
     def details(self) -> dict[str, Any]:
         """The commands, and the diagnosis as data."""
-        found = None if self.diagnosis is None else self.diagnosis.to_dict()
-        return {"next": [command for command, _ in self.commands], "diagnosis": found}
+        diagnosis = None if self.diagnosis is None else self.diagnosis.to_dict()
+        return {"next": [command for command, _ in self.commands], "diagnosis": diagnosis}
 
     def __repr__(self) -> str:
         return f"<Check of {self.name}: {counted(len(self.findings), 'finding')}>"
@@ -232,7 +232,7 @@ def check(
     failure, seen = _monitored(compiled, schedule, wanted)
     driven = motion.ctrl is not None or motion.control is not None
     if not driven and not compiled.keys:
-        # Nobody wishes for a control of 0.
+        # A control of 0 that nothing asked for may be outside of its range.
         seen = [finding for finding in seen if finding.kind != "clamped control"]
     start, held = home(compiled, motion.key)
     read = list(_read(compiled, start, held, _key(compiled, motion.key)))

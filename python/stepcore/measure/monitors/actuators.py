@@ -188,8 +188,9 @@ class ActuatorMonitor:
         force = next(iter(ends)) if len(ends) == 1 else force
         shares = list(dict.fromkeys(percent(saturated.share) for saturated in reversed(full)))
         share = f"{shares[0].removesuffix(' %')} to {shares[-1]}" if shares[1:] else shares[0]
-        one = "is at the end of its forcerange"
-        ranges = one if len(full) == 1 else "are at the ends of their forceranges"
+        ranges = "are at the ends of their forceranges"
+        if len(full) == 1:
+            ranges = "is at the end of its forcerange"
         problem = (
             f"{_all(actuators)} {ranges} ({force}) for {share} of the run, where kv has no effect"
         )

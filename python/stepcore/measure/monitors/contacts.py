@@ -310,8 +310,8 @@ class ContactMonitor:
             f"{listed(contacts, 'contacts')} creeps at {speed(worst.speed)} although its friction "
             f"holds ({percent(worst.share)} of what it could be)"
         )
-        found = ("creep", "warning", problem, cure, contacts, worst.speed, "m/s")
-        yield Finding(*found, commands, changes)
+        value, unit = worst.speed, "m/s"
+        yield Finding("creep", "warning", problem, cure, contacts, value, unit, commands, changes)
 
     def _depths(self, resting: list[Contact], asked: float | None) -> Iterator[Finding]:
         """How deep contacts rest, and the solref that makes it less."""

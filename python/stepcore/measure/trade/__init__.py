@@ -95,8 +95,8 @@ def trade(
         machine.
     mujoco: whether to run MuJoCo on the scene too (needs the package mujoco); see `Trade.mujoco`.
     effort: the most that the reference may cost, in steps × (dofs + 2); a step that takes more
-        operations than 1500 × (dofs + 2), as with many contacts, counts as so many times more. Time
-        steps that the reference cannot judge are not searched, and a note says which.
+        operations than 1500 × (dofs + 2), as with many contacts, counts in proportion. Time steps
+        that the reference cannot judge are not searched, and a note says which.
     threads: the number of runs at the same time (default: one per core).
     executor: any concurrent.futures executor, used in place of threads. Costs are timed afterwards,
         on one thread.
@@ -144,7 +144,7 @@ def trade(
     experiment = Experiment(model, scheduled(motion, model, period), workers)
     runner, schedule = experiment.runner, experiment.schedule
     runner.check_repeatable()
-    # What sleep changes is an error like another: nobody sleeps in the reference.
+    # What sleep changes is an error like another: no body sleeps in the reference.
     awake = shipped.replace(sleep=False)
     cache = RunCache(experiment, experiment.reference(min(steps), effort, awake))
     made = experiment.reference_runs

@@ -47,7 +47,7 @@ class Steps:
     shipped: float
 
     def dt(self, pieces: int) -> float:
-        """The time step [s] of which so many are in a period; the shipped one to the bit."""
+        """The time step [s] for this many pieces of a period; the shipped one to the bit."""
         return self.shipped if pieces == self.own else self.period / pieces
 
     @property
@@ -242,7 +242,7 @@ def _moves(s: Settings, kind: Kind) -> Iterator[Settings]:
 
 
 def _near(ladder: Sequence[Any], value: Any, reach: int) -> list[Any]:
-    """The entries of a ladder next to a value, so many on either side."""
+    """The entries of a ladder next to a value; reach: how many on either side."""
     rungs = sorted({*ladder, value})
     at = rungs.index(value)
     return rungs[max(0, at - reach) : at + reach + 1]

@@ -30,7 +30,7 @@ from stepcore.report.units import counted, length, metres, seconds
 if TYPE_CHECKING:
     from stepcore.viewing.live import View
 
-# What `Trade.best` looks for where nobody says it [m].
+# The error that `Trade.best` keeps to by default [m].
 ERROR = 1e-3
 # A cheaper row that misses the error on at most this share of the starts is worth naming.
 FEW = 0.1

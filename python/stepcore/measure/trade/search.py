@@ -75,7 +75,7 @@ class Bracket:
         )
 
     def at_least(self, pieces: int) -> float:
-        """What so many steps cost at least, in proportion to fewer that were run; 0 if none was."""
+        """A lower bound of the price of this many steps; 0 where no fewer were run."""
         fewer = [n for n in self.known if n < pieces and self.known[n].price < math.inf]
         n = max(fewer, default=0)
         return self.known[n].price * pieces / n * CHEAPER if n else 0.0
