@@ -24,7 +24,6 @@ from extreme_cases.step_laws import step_is_balanced
 from stepcore._core import SimulationError
 from stepcore.engine.linear_maps import step_matrix
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.joint_gains import joint_dofs, joint_gains
 from stepcore.loading import find_scene
 from stepcore.scene.scene import Scene
 
@@ -134,13 +133,11 @@ def free_flight(
 def growth(sim: Sim) -> float:
     """Spectral radius of one step of the joints' springs and dampers alone, at the start."""
     sim.forward()
-    k, d = np.zeros(sim.model.nv), np.zeros(sim.model.nv)
-    for gain in joint_gains(sim.model):
-        at = joint_dofs(sim.model, gain.joint)
-        k[at] += gain.stiffness
-        d[at] += gain.damping
-    damping = np.diag(d)
-    step = step_matrix("euler", sim.settings.dt, sim.mass_matrix(), np.diag(k), damping, damping)
+    slopes = sim.element_slopes().items()
+    joints = [s for e, s in slopes if e.kind in ("spring", "damper", "actuator")]
+    none = np.zeros((sim.model.nv, sim.model.nv))
+    k, d = sum((s.stiffness for s in joints), none), sum((s.damping for s in joints), none)
+    step = step_matrix("euler", sim.settings.dt, sim.mass_matrix(), k, d, d)
     return float(np.max(np.abs(np.linalg.eigvals(step))))
 
 

@@ -38,6 +38,18 @@ STIFFNESS_IMPLICIT = ("discrete",)
 Product = Callable[[Any], Any]
 
 
+def implicit_kinds(integrator: str, eulerdamp: bool) -> tuple[str, ...]:
+    """The kinds of elements whose damping an integrator treats implicitly.
+
+    eulerdamp: whether `euler` does so at all (MJCF's flag).
+    """
+    if integrator == "euler":
+        return ("damper",) if eulerdamp else ()
+    if integrator not in DAMPING_IMPLICIT:
+        return ()
+    return ("damper", "tendon damper", "fluid", "actuator")
+
+
 def amplification(integrator: str, z: Any) -> Any:
     """The factor by which one step multiplies a mode of rate s, with z = dt·s (a number or array).
 

@@ -27,15 +27,19 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.element import INERTIAL, ROWS, Element
-from stepcore.engine.linear_maps import INTEGRATORS, STIFFNESS_IMPLICIT, amplification
+from stepcore.engine.linear_maps import (
+    INTEGRATORS,
+    STIFFNESS_IMPLICIT,
+    amplification,
+    implicit_kinds,
+)
 from stepcore.engine.model import Model
-from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
 from stepcore.measure.diagnosis.control import KIND, control_dt
 from stepcore.measure.diagnosis.elements import may_limit_dt, softened_from, solref_of
 from stepcore.measure.diagnosis.growth import DAMPED, eigenvalues, largest_stable, neutral_growth
 from stepcore.measure.diagnosis.limits import LONGEST, SHORTEST
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
-from stepcore.scene.layout import Layout
+from stepcore.scene.layout import DOFS, Layout
 
 # Rates [1/s] beyond this are taken as this, and those below its inverse as none, so that no square
 # leaves the range of numbers: limits there are far from any step that could be asked for.
@@ -296,9 +300,49 @@ def closed_form_bound(model: Model, integrator: str | None = None) -> float:
     return safe
 
 
+@dataclass(frozen=True)
+class JointGain:
+    """What one element gives each dof of its joint.
+
+    kind: "spring", "damper" or "actuator"; index: of its joint or actuator. stiffness:
+    [N·m/rad or N/m]; damping: [N·m·s/rad or N·s/m].
+    """
+
+    kind: str
+    index: int
+    joint: int
+    stiffness: float
+    damping: float
+
+
+def joint_gains(model: Model) -> Iterator[JointGain]:
+    """The gains of every spring and damper, then of every actuator, zeros among them.
+
+    Polynomial springs and dampers count with their first coefficient, a servo with its feedback.
+    """
+    features = model.scene.features
+    for j, joint in enumerate(Layout(model.scene).joints):
+        record = joint.record()
+        yield JointGain("spring", j, j, features.spring * float(record["stiffness"][0]), 0.0)
+        yield JointGain("damper", j, j, 0.0, features.damper * float(record["damping"][0]))
+    for i in range(model.nu if features.actuation else 0):
+        square = float(model.actuator_gear[i, 0]) ** 2
+        _, length, velocity = model.actuator_bias[i].tolist()
+        joint_index = int(model.actuator_joint[i])
+        if joint_index < 0 or model.jnt_type[joint_index] not in ("hinge", "slide"):
+            continue
+        yield JointGain("actuator", i, joint_index, -square * length, -square * velocity)
+
+
+def joint_dofs(model: Model, joint: int) -> slice:
+    """The dofs of a joint."""
+    start = int(model.jnt_dofadr[joint])
+    return slice(start, start + DOFS[model.jnt_type[joint]])
+
+
 def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
     """Springs, dampers and servos; what is treated implicitly helps the others of its joint."""
-    hidden = implicit_kinds(model, integrator)
+    hidden = implicit_kinds(integrator, model.scene.features.eulerdamp)
     gains = list(joint_gains(model))
     implicit_stiffness = integrator in STIFFNESS_IMPLICIT
     dampers = {gain.joint: gain.damping for gain in gains if gain.kind == "damper"}
@@ -322,7 +366,7 @@ def _tendons(model: Model, integrator: str) -> Iterator[_Oscillator]:
     if integrator in STIFFNESS_IMPLICIT:
         return
     features = model.scene.features
-    late = "tendon damper" in implicit_kinds(model, integrator)
+    late = "tendon damper" in implicit_kinds(integrator, model.scene.features.eulerdamp)
     layout = Layout(model.scene)
     for weight, tendon in zip(model.tendon_invweight0.tolist(), model.scene.tendons, strict=True):
         square = features.spring * max(tendon.stiffness, 0.0) * weight

@@ -17,9 +17,13 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.element import INERTIAL, ROWS, Element, ElementSlopes
-from stepcore.engine.linear_maps import DAMPING_IMPLICIT, STIFFNESS_IMPLICIT, stepped
+from stepcore.engine.linear_maps import (
+    DAMPING_IMPLICIT,
+    STIFFNESS_IMPLICIT,
+    implicit_kinds,
+    stepped,
+)
 from stepcore.engine.model import Model
-from stepcore.experiment.joint_gains import implicit_kinds
 from stepcore.measure.diagnosis.control import (
     KIND,
     control_inputs,
@@ -178,7 +182,7 @@ def _implicit(model: Model, elements: dict[Element, Any]) -> dict[str, frozenset
     spins = {e for e in elements if e.kind == "spin" and id(layout.bodies[e.index]) in lone}
     implicit = {}
     for integrator in DAMPING_IMPLICIT:
-        kinds = implicit_kinds(model, integrator)
+        kinds = implicit_kinds(integrator, model.scene.features.eulerdamp)
         implicit[integrator] = frozenset(e for e in elements if e.kind in kinds)
     # Centrifugal and Coriolis forces are what the other elements leave.
     turning = {e for e in elements if e.kind == "spin"} | {INERTIAL}

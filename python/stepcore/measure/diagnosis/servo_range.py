@@ -16,11 +16,10 @@ import math
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT
+from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT, implicit_kinds
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
-from stepcore.measure.diagnosis.isolated import oscillator_dt
+from stepcore.measure.diagnosis.isolated import joint_dofs, joint_gains, oscillator_dt
 
 
 def largest_force(model: Model, actuator: int) -> float:
@@ -58,7 +57,7 @@ def swinging_dt(model: Model, qpos: Floats, actuator: int, integrator: str) -> t
         return math.inf, math.inf
     w = _inverse_inertia(model, qpos, driven_dof(model, actuator))
     omega = math.sqrt(gain.stiffness * w)
-    late = implicit_kinds(model, integrator)
+    late = implicit_kinds(integrator, model.scene.features.eulerdamp)
     beside = [other for other in gains if other.joint == gain.joint]
     implicit = sum(other.damping * w for other in beside if other.kind in late)
     explicit = sum(other.damping * w for other in beside if other.kind not in late)

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.engine.linear_maps import INTEGRATORS, step_matrix
+from stepcore.engine.linear_maps import INTEGRATORS, implicit_kinds, step_matrix
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
 from stepcore.lesson import scenes
 from stepcore.lesson.scenes import RADIUS, G
 from stepcore.measure.stability.result import Tolerance
@@ -23,6 +22,8 @@ from stepcore.measure.stability.runs import Form
 
 # A larger radius counts as growth: rounding moves a double eigenvalue by its square root.
 GROWING = 1.0 + 1e-6
+# The kinds of elements in the linear system of a scene.
+LINEAR = ("spring", "damper", "actuator")
 # A boundary in dt [s] for each value of the grid.
 Boundary = Callable[[Sequence[float]], list[float]]
 
@@ -92,24 +93,22 @@ def largest_stable_dt(
 
 
 def limit_of_springs(model: Model, key: str | int | None, integrator: str) -> float | None:
-    """The limit of a scene's joint springs, dampers and servos in its start pose [s].
+    """The limit of a scene's joint springs, dampers and servos at its start [s].
 
     None where the scene has none of them. Contacts, limits, gravity and Coriolis terms are left
-    out; the spring of a ball or free joint and polynomial coefficients are taken at rest.
+    out.
     """
-    stiffness, damping, implicit = np.zeros(model.nv), np.zeros(model.nv), np.zeros(model.nv)
-    hidden = implicit_kinds(model, integrator)
-    for gain in joint_gains(model):
-        at = joint_dofs(model, gain.joint)
-        stiffness[at] += gain.stiffness
-        damping[at] += gain.damping
-        implicit[at] += gain.damping * (gain.kind in hidden)
-    if not (stiffness.any() or damping.any()):
-        return None
     sim = unwatched(Sim(model))
     sim.reset(key=key)
-    parts = (np.diag(stiffness), np.diag(damping), np.diag(implicit))
-    return largest_stable_dt(integrator, sim.mass_matrix(), *parts)
+    slopes = {e: s for e, s in sim.element_slopes().items() if e.kind in LINEAR}
+    implicit = implicit_kinds(integrator, model.scene.features.eulerdamp)
+    none = np.zeros((model.nv, model.nv))
+    stiffness = sum((s.stiffness for s in slopes.values()), none)
+    damping = sum((s.damping for s in slopes.values()), none)
+    late = sum((s.damping for e, s in slopes.items() if e.kind in implicit), none)
+    if not (stiffness.any() or damping.any()):
+        return None
+    return largest_stable_dt(integrator, sim.mass_matrix(), stiffness, damping, late)
 
 
 GROWS = "motion grows beyond"

@@ -17,7 +17,7 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.experiment.joint_gains import joint_gains
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.other_models import STAGED
 
 SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
@@ -113,7 +113,9 @@ class Kind:
         """That of a model; rows: see above."""
         geoms = (g for g in model.scene.geoms if g.contype or g.conaffinity)
         friction = any(geom.condim > 1 for geom in geoms)
-        springs = any(gain.stiffness > 0 for gain in joint_gains(model))
+        slopes = unwatched(Sim(model)).element_slopes()
+        pulls = [s.stiffness for e, s in slopes.items() if e.kind in ("spring", "actuator")]
+        springs = any(np.any(np.diag(stiffness) > 0) for stiffness in pulls)
         tendons = any(np.any(tendon.stiffness) for tendon in model.scene.tendons)
         return cls(model.settings, rows, friction, springs or tendons)
 
