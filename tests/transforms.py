@@ -14,7 +14,6 @@ import numpy as np
 
 import stepcore as sc
 from stepcore.scene.elements import fields_of
-from stepcore.scene.orienting import parts
 
 NQ = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 NV = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
@@ -354,7 +353,7 @@ def _mirrored_part(actuator):
     """The sign of a part of an orientation; 1 for other controls."""
     if (actuator.feeds or actuator).type != "orientation":
         return 1.0
-    part = actuator.input if actuator.feeds else parts(actuator)[0]
+    part = actuator.input if actuator.feeds else actuator.inputs[0]
     return dict(zip("wxyz", TURNED, strict=True))[part]
 
 

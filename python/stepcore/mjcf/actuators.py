@@ -5,14 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from stepcore.mjcf.attributes import given
-from stepcore.mjcf.controllers import INPUTS, first_of
-from stepcore.mjcf.gains import ActuatorGains, saturated
+from stepcore.mjcf.gains import CONTROLLERS, ActuatorGains, saturated
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
-from stepcore.scene.actuation import law, states
-from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, MUSCLE, Actuator
-from stepcore.scene.orienting import parts
+from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, Actuator
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
 # The second site of a transmission between two sites.
@@ -34,7 +31,7 @@ def read(world: WorldReader, node: Node) -> None:
     fields: dict[str, Any] = {
         **target,
         **given(Actuator, {name: values[name] for name in COPIED if name in values}),
-        **_words(gains),
+        **gains.fields,
     }
     added = world.scene.add_actuator(
         type=gains.tag,
@@ -42,22 +39,21 @@ def read(world: WorldReader, node: Node) -> None:
         ctrlrange=ctrlrange,
         forcerange=world.limits(node, values, "forcelimited", "forcerange"),
         actrange=actrange,
-        actearly=values.get("actearly", False) and gains.tag not in INPUTS,
+        actearly=values.get("actearly", False) and gains.tag not in CONTROLLERS,
         enabled=values.get("group", 0) not in world.disabled_groups,
         **fields,
     )
-    dim, count = values.get("actdim", -1), states(law(added))
+    dim, count = values.get("actdim", -1), added.law.states
     if dim not in (-1, count):
         raise bad(node, "actdim", dim, f"-1 or {count}, how many activations it has")
     world.keep(node, added)
-    for word in parts(added)[1:]:
+    for word in added.inputs[1:]:
         _add_input(world, node, added, word)
 
 
 def sizes(gains: ActuatorGains) -> tuple[int, int]:
     """How many controls and how many activations an actuator with these gains has."""
-    alone = Actuator(type=gains.tag, **_words(gains))
-    return len(parts(alone)) or 1, states(law(alone))
+    return len(gains.inputs) or 1, gains.law.states
 
 
 def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> None:
@@ -111,77 +107,22 @@ def _refuse(node: Node, values: dict[str, Any], gains: ActuatorGains) -> None:
         raise bad(node, "nsample", values.get("nsample", 0), "> 0 with a delay")
     if gains.tag == "orientation" and "joint" not in values:
         raise node.unbuilt("an <orientation> that turns a site", "site")
-    several = gains.tag in (*INPUTS, "orientation")
+    several = gains.tag in (*CONTROLLERS, "orientation")
     if not several and node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
 
 
 def _refuse_gains(node: Node, gains: ActuatorGains) -> None:
+    own = gains.values
     for name, built in (("dyntype", DYNAMICS), ("gaintype", GAINS), ("biastype", BIASES)):
-        if getattr(gains, name) not in built:
-            raise node.unbuilt(f'<general> {name}="{getattr(gains, name)}"')
-    if gains.tag in INPUTS and gains.input in ("none", ""):
-        raise node.unbuilt(f'a <{gains.tag}> of no input (input="{gains.input}")', "input")
-    asks = any(gains.biasprm) or any(gains.more.get(word, 0) for word in ("ki", "slewmax"))
-    if gains.tag == "dcmotor" and gains.input == "voltage" and asks:
-        given = node.values.get("controller", gains.biasprm)
+        if gains.tag == "general" and own[name] not in built:
+            raise node.unbuilt(f'<general> {name}="{own[name]}"')
+    if gains.tag in CONTROLLERS and own["input"] in ("none", ""):
+        raise node.unbuilt(f'a <{gains.tag}> of no input (input="{own["input"]}")', "input")
+    voltage = gains.tag == "dcmotor" and own["input"] == "voltage"
+    if voltage and (own["kp"] or own["kv"] or own["ki"] or own["slewmax"]):
+        given = node.values.get("controller", (0.0, 0.0 - own["kp"], 0.0 - own["kv"]))
         raise bad(node, "controller", given, "0 without one of the inputs pos, vel and ff")
-
-
-def _words(gains: ActuatorGains) -> dict[str, Any]:
-    """The law as fields of `Actuator`."""
-    gain, damping = gains.gainprm[0], gains.biasprm[2]
-    filtered = gains.dyntype != "none"
-    if gains.tag in ("position", "intvelocity"):
-        words: dict[str, Any] = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
-        if gains.tag == "position" and filtered:
-            words["timeconst"] = gains.dynprm[0]
-        return {"kp": gain, **words}
-    if gains.tag == "orientation":
-        words = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
-        return {"kp": gain, "input": gains.input, **words}
-    if gains.tag == "pid":
-        words = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
-        return {"kp": gain, "input": gains.input, **words, **gains.more}
-    if gains.tag == "dcmotor":
-        return _motor_words(gains)
-    if gains.tag == "velocity":
-        return {"kv": gain}
-    if gains.tag == "adhesion":
-        return {"gain": gain}
-    if gains.tag == "damper":
-        return {"kv": 0.0 - gains.gainprm[2]}
-    if gains.tag == "cylinder":
-        return {"area": gain, "bias": gains.biasprm[:3], "timeconst": gains.dynprm[0]}
-    if gains.tag == "muscle":
-        numbers = (gains.gainprm[:2], *gains.gainprm[2:9])
-        rise, fall, smooth = gains.dynprm[:3]
-        muscle = dict(zip(MUSCLE, numbers, strict=True))
-        return {**muscle, "timeconst": (rise, fall), "tausmooth": smooth}
-    return _general(gains) if gains.tag == "general" else {}
-
-
-def _motor_words(gains: ActuatorGains) -> dict[str, Any]:
-    constant, resistance = gains.motor
-    more = dict(gains.more)
-    more["inductance"] = more.pop("timeconst", 0.0) * resistance
-    words = {"motorconst": constant, "resistance": resistance, "input": gains.input}
-    if gains.input != "voltage":
-        words |= {"kp": 0.0 - gains.biasprm[1], "kv": 0.0 - gains.biasprm[2]}
-    return words | more
-
-
-def _general(gains: ActuatorGains) -> dict[str, Any]:
-    affine = gains.biastype == "affine"
-    words: dict[str, Any] = {"gainprm": gains.gainprm[0]}
-    words["biasprm"] = gains.biasprm[:3] if affine else None
-    if gains.gaintype != "fixed":
-        words |= {"gaintype": gains.gaintype, "gainprm": gains.gainprm[:10]}
-    if gains.biastype == "muscle":
-        words |= {"biastype": "muscle", "biasprm": gains.biasprm[:10]}
-    if gains.dyntype != "none":
-        words |= {"dyntype": gains.dyntype, "dynprm": gains.dynprm[:3]}
-    return words
 
 
 Bounds = tuple[float, ...] | None
@@ -196,7 +137,8 @@ def _ctrlrange(
         values = values | {"ctrllimited": True}
     if gains.tag != "pid":
         return world.limits(node, values, "ctrllimited", "ctrlrange")
-    if first_of(gains) == "pos":
+    first = gains.inputs[0]
+    if first == "pos":
         name = next(
             (
                 name
@@ -207,7 +149,7 @@ def _ctrlrange(
             "posrange",
         )
         return world.limits(node, values, "ctrllimited", name)
-    bounds: Bounds = values.get(f"{first_of(gains)}range")
+    bounds: Bounds = values.get(f"{first}range")
     return bounds if bounds and bounds[0] < bounds[1] else None
 
 
@@ -223,24 +165,26 @@ def _ranges(
         # MuJoCo limits it whatever actlimited says.
         values = {name: value for name, value in values.items() if name != "actlimited"}
     actrange = _actrange(world, node, values, gains)
-    integrates = gains.dyntype == "integrator"
+    integrates = gains.activates == "integrator"
     if gains.inheritrange <= 0 or not gains.is_position:
         return _ctrlrange(world, node, values, gains), actrange
-    found = _inherited(world, node, values, gains, target)
+    handed_down = _inherited(world, node, values, gains, target)
     switch = "actlimited" if integrates else "ctrllimited"
     if values.get(switch, "auto") == "auto" and not world.compiler.autolimits:
         what = f'inheritrange without {switch}="true", and autolimits is "false"'
         raise node.error(f"<{node.tag}> {what}")
     if integrates:
         limited = values.get("actlimited", "auto") is not False
-        return world.limits(node, values, "ctrllimited", "ctrlrange"), found if limited else None
-    return None if values.get("ctrllimited", "auto") is False else found, actrange
+        return world.limits(
+            node, values, "ctrllimited", "ctrlrange"
+        ), handed_down if limited else None
+    return None if values.get("ctrllimited", "auto") is False else handed_down, actrange
 
 
 def _actrange(
     world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
 ) -> Bounds:
-    stateless = gains.dyntype == "none"
+    stateless = gains.activates == "none"
     if stateless:
         for name in STATEFUL:
             if values.get(name, False) not in (False, "auto"):

@@ -2,214 +2,456 @@
 
 MuJoCo's rule: `<general>` inherits from its class. A shortcut (`<position>`, `<velocity>`, …)
 inherits from the innermost class whose actuator was last written as the same shortcut or as
-`<general>`; without one it has defaults of its own. A class stores its law as `<general>` would.
+`<general>`; without one it has defaults of its own. Controllers (`<pid>`, `<dcmotor>`) and
+`<orientation>` inherit from their own kind alone.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from stepcore.mjcf import canonical, controllers
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
-from stepcore.scene.elements.actuator import CHARTS, MUSCLE
+from stepcore.scene.elements.actuator_laws import (
+    CHARTS,
+    CONTROL,
+    GENERAL,
+    INPUTS,
+    LAWS,
+    MUSCLE,
+    Law,
+    damping,
+    inputs,
+)
 from stepcore.scene.frames import ORIGIN, Vec
 
-BUILT = (
-    *(
-        "motor",
-        "position",
-        "velocity",
-        "intvelocity",
-        "damper",
-        "cylinder",
-        "muscle",
-        "adhesion",
-        "pid",
-        "dcmotor",
-        "orientation",
-        "general",
-    ),
-)
+# What controllers and orientations start from.
+START: dict[str, dict[str, Any]] = {
+    "pid": {"kp": 1.0, "kv": 0.0, "input": "pos vel"},
+    "dcmotor": {
+        **{"motorconst": 0.0, "resistance": 0.0, "input": "voltage", "kp": 0.0, "kv": 0.0},
+        **dict.fromkeys((*CONTROL, "vmax", "current_rate", "timeconst"), 0.0),
+        **{"cogging": ORIGIN, "lugre": (0.0,) * 5, "thermal": None},
+    },
+    "orientation": {"kp": 1.0, "kv": 0.0, "input": "expmap"},
+}
+CONTROLLERS = {"pid": INPUTS[:3], "dcmotor": INPUTS}
+Values = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class ActuatorGains:
     """The force law of an actuator or a default class.
 
-    tag: the element that gave it. inheritrange: the scale of an inherited range, or 0.
-    input, motor, torque: of a controller, what its control is; of a motor its constant and
-        resistance, and the bound of its torque, 0 without one, None where nothing is said.
-    more: of a controller, its other numbers by name.
+    tag: the element that gave it. values: the fields of its law; of a `<general>` as MJCF has them,
+        of a `<dcmotor>` with the time constant of its current in place of the inductance.
+    inheritrange: the scale of an inherited range, or 0.
+    torque: the bound of a motor's torque; 0: none is given, None: nothing is said of it.
     damping: the first coefficient of the damping that the actuator itself has.
     """
 
     tag: str = "general"
-    gainprm: Vec = (1.0,)
-    biasprm: Vec = ORIGIN
-    dyntype: str = "none"
-    gaintype: str = "fixed"
-    biastype: str = "none"
+    values: Values = field(default_factory=lambda: dict(zip(GENERAL, Law(), strict=False)))
     inheritrange: float = 0.0
-    dynprm: Vec = (1.0, 0.0, 0.0)
-    input: str = ""
-    motor: Vec = (0.0, 0.0)
     torque: float | None = None
-    more: dict[str, Any] = field(default_factory=dict)
     damping: float = 0.0
+
+    @property
+    def law(self) -> Law:
+        row = LAWS[self.tag]
+        return row.to_law(row.fields | (self.values if self.tag == "general" else self.fields))
 
     @property
     def is_position(self) -> bool:
         """Whether it controls a length; only then can it inherit its joint's range."""
-        if self.input.split()[:1] not in ([], ["pos"]):
-            return False
-        fixed = self.gaintype == "fixed" and self.biastype == "affine"
-        return fixed and self.gainprm[0] == -self.biasprm[1]
+        if "input" in self.values:
+            return self.tag == "pid" and self.inputs[:1] == ["pos"]
+        return self.law.holds_length
+
+    @property
+    def inputs(self) -> list[str]:
+        """What its controls are."""
+        return inputs(self.tag, self.values.get("input"))
+
+    @property
+    def activates(self) -> str:
+        """The type of its activation, "none" without one."""
+        return "none" if self.tag in START else self.law.dyntype
+
+    @property
+    def fields(self) -> Values:
+        """The law as fields of `Actuator`."""
+        values = dict(self.values)
+        if self.tag == "dcmotor":
+            values["inductance"] = values.pop("timeconst") * values["resistance"]
+            if values["input"] == "voltage":
+                del values["kp"], values["kv"]
+        return _general_fields(values) if self.tag == "general" else values
 
 
 Chain = tuple[ActuatorGains, ...]
 
 
+def _general_fields(values: Values) -> Values:
+    affine = values["biastype"] == "affine"
+    fields: Values = {
+        "gainprm": values["gainprm"][0],
+        "biasprm": values["biasprm"][:3] if affine else None,
+    }
+    if values["gaintype"] != "fixed":
+        fields |= {"gaintype": values["gaintype"], "gainprm": values["gainprm"][:10]}
+    if values["biastype"] == "muscle":
+        fields |= {"biastype": "muscle", "biasprm": values["biasprm"][:10]}
+    if values["dyntype"] != "none":
+        fields |= {"dyntype": values["dyntype"], "dynprm": values["dynprm"][:3]}
+    return fields
+
+
 def inherited(chain: Chain, node: Node) -> ActuatorGains:
     """The law of an actuator or a default; chain: those of its classes, outermost first."""
-    damping = (*node.values.get("damping", ()), chain[-1].damping)[0]
-    return replace(_law(chain, node, damping), damping=damping)
-
-
-def _law(chain: Chain, node: Node, damping: float) -> ActuatorGains:
-    if node.tag not in BUILT:
-        return ActuatorGains(node.tag)
-    # Only a <general> of the same class uses it.
-    kept = chain[-1].inheritrange
-    if node.tag == "motor":
-        return ActuatorGains("motor", inheritrange=kept)
-    if node.tag == "general":
-        return _general(chain[-1], node)
-    if start := controllers.START.get(node.tag):
-        own = next((g for g in reversed(chain) if g.tag == node.tag), None)
-        own = replace(own or ActuatorGains(node.tag, **start), damping=damping)
-        scale = _inheritrange(own, node) if node.tag == "pid" else 0.0
-        return replace(own, inheritrange=scale, **controllers.law(node.tag, own, node))
-    base = next((g for g in reversed(chain) if g.tag in (node.tag, "general")), ActuatorGains())
-    if node.tag in ("position", "intvelocity"):
-        return _position(base, node)
-    if node.tag == "orientation":
-        return _orientation(next((g for g in reversed(chain) if g.tag == node.tag), None), node)
-    return replace(_SHORTCUTS[node.tag](base, node), inheritrange=kept)
+    last, tag = chain[-1], node.tag
+    drag = (*node.values.get("damping", ()), last.damping)[0]
+    if tag == "general":
+        return replace(_general(last, node), damping=drag)
+    if tag in START:
+        own = next((gains for gains in reversed(chain) if gains.tag == tag), None)
+        base = replace(own or ActuatorGains(tag, START[tag]), damping=drag)
+        scale = _inheritrange(base, node) if tag == "pid" else 0.0
+        return replace(_SHORTCUTS[tag](base, node), inheritrange=scale, damping=drag)
+    if tag not in _SHORTCUTS:
+        # A <motor>, which has no law of its own, or what is not built. Of a class only a <general>
+        # uses the range.
+        scale = last.inheritrange if tag in LAWS else 0.0
+        return ActuatorGains(tag, {}, scale, damping=drag)
+    handed = next((g for g in reversed(chain) if g.tag in (tag, "general")), ActuatorGains())
+    if handed.tag == "general" and (from_law := LAWS[tag].from_law):
+        handed = replace(handed, tag=tag, values=from_law(handed.law))
+    made = _SHORTCUTS[tag](handed, node)
+    position = tag in ("position", "intvelocity")
+    scale = _inheritrange(handed, node) if position else last.inheritrange
+    return replace(made, inheritrange=scale, damping=drag)
 
 
 def _velocity(base: ActuatorGains, node: Node) -> ActuatorGains:
-    kv = node.values.get("kv", base.gainprm[0])
-    return ActuatorGains("velocity", (kv,), (0.0, 0.0, -kv), biastype="affine")
+    return ActuatorGains("velocity", base.values | _given(node, "kv"))
+
+
+def _given(node: Node, *names: str) -> Values:
+    return {name: node.values[name] for name in names if name in node.values}
+
+
+def _not_negative(node: Node, values: Values, *names: str) -> None:
+    for name in names:
+        if values.get(name, 0.0) < 0:
+            raise bad(node, name, values[name], ">= 0")
 
 
 def _damper(base: ActuatorGains, node: Node) -> ActuatorGains:
-    known = base.tag == "damper"
-    kv = node.values.get("kv", 0.0 - base.gainprm[2] if known else 0.0)
-    if kv < 0:
-        raise bad(node, "kv", kv, ">= 0")
-    return ActuatorGains("damper", (0.0, 0.0, 0.0 - kv), gaintype="affine")
+    values = base.values | _given(node, "kv")
+    _not_negative(node, values, "kv")
+    return ActuatorGains("damper", values)
 
 
 def _cylinder(base: ActuatorGains, node: Node) -> ActuatorGains:
-    values = node.values
-    area = values.get("area", base.gainprm[0])
-    if values.get("diameter", -1.0) >= 0:
+    values = base.values | _given(node, "area", "bias", "timeconst")
+    diameter = node.values.get("diameter", -1.0)
+    if diameter >= 0:
         # A product, which is infinite where a power raises: the element then names the value.
-        area = math.pi / 4 * values["diameter"] * values["diameter"]
-    bias = values.get("bias", base.biasprm[:3])
-    times = (values.get("timeconst", base.dynprm[0]), 0.0, 0.0)
-    return ActuatorGains("cylinder", (area,), bias, "filter", "fixed", "affine", 0.0, times)
+        values["area"] = math.pi / 4 * diameter * diameter
+    return ActuatorGains("cylinder", values)
 
 
 def _adhesion(base: ActuatorGains, node: Node) -> ActuatorGains:
-    gain = node.values.get("gain", base.gainprm[0])
-    if gain < 0:
-        raise bad(node, "gain", gain, ">= 0")
-    return ActuatorGains("adhesion", (gain,))
+    values = base.values | _given(node, "gain")
+    _not_negative(node, values, "gain")
+    return ActuatorGains("adhesion", values)
 
 
 def _muscle(base: ActuatorGains, node: Node) -> ActuatorGains:
-    """MuJoCo takes what is as in `<general>` for what was not given."""
-    values = node.values
-    base = base if base.tag == "muscle" else ActuatorGains()
-    old = (*base.gainprm, *(0.0,) * 9)[:9]
-    fresh = (1.0,) + (0.0,) * 8
-    defaults = (*MUSCLE["range"], *list(MUSCLE.values())[1:])
-    numbers = [
-        default if kept == unset else kept
-        for kept, unset, default in zip(old, fresh, defaults, strict=True)
-    ]
-    given = [*values.get("range", (-1.0, -1.0)), *(values.get(word, -1.0) for word in MUSCLE)]
-    del given[2]
-    numbers = [_unless_negative(new, old) for new, old in zip(given, numbers, strict=True)]
-    rise, fall, smooth = base.dynprm[:3]
+    """A muscle keeps a number in place of a negative one.
+
+    MuJoCo takes the numbers that `<general>` starts from for numbers that were not given.
+    """
+    values, old = node.values, base.values
+    low, high = old.get("range", MUSCLE["range"])
+    bounds = (
+        MUSCLE["range"][0] if low == 1.0 else low,
+        MUSCLE["range"][1] if high == 0.0 else high,
+    )
+    rise, fall = old.get("timeconst", LAWS["muscle"].fields["timeconst"])
     times = (0.01 if rise == 1 else rise, 0.04 if fall == 0 else fall)
-    new = values.get("timeconst", times)
-    times = (_unless_negative(new[0], times[0]), _unless_negative(new[1], times[1]))
-    dynamics = (*times, values.get("tausmooth", smooth))
-    if dynamics[2] < 0:
-        raise bad(node, "tausmooth", dynamics[2], ">= 0")
-    own = tuple(numbers)
-    return ActuatorGains("muscle", own, own, "muscle", "muscle", "muscle", 0.0, dynamics)
+    made: Values = {
+        "range": _unless_negative(values.get("range", bounds), bounds),
+        "timeconst": _unless_negative(values.get("timeconst", times), times),
+        "tausmooth": values.get("tausmooth", old.get("tausmooth", 0.0)),
+    }
+    for name, default in list(MUSCLE.items())[1:]:
+        kept = old.get(name, default) or default
+        made[name] = values[name] if values.get(name, -1.0) >= 0 else kept
+    _not_negative(node, made, "tausmooth")
+    return ActuatorGains("muscle", made)
 
 
-def _unless_negative(new: float, old: float) -> float:
-    """A muscle keeps a number in place of a negative one."""
-    return old if new < 0 else new
+def _unless_negative(new: Vec, old: Vec) -> Vec:
+    return tuple(b if a < 0 else a for a, b in zip(new, old, strict=True))
 
 
-_SHORTCUTS = {"velocity": _velocity, "damper": _damper, "cylinder": _cylinder, "muscle": _muscle}
-_SHORTCUTS["adhesion"] = _adhesion
+def _servo(base: ActuatorGains, node: Node) -> ActuatorGains:
+    _not_negative(node, node.values, "kv", "dampratio", "timeconst")
+    values = _damped(base.values, node) | _given(node, "kp")
+    if node.values.get("timeconst", 0.0) > 0:
+        values["timeconst"] = node.values["timeconst"]
+    elif "timeconst" in node.values:
+        values.pop("timeconst", None)
+    return ActuatorGains(node.tag, values)
+
+
+def _damped(values: Values, node: Node) -> Values:
+    """The fields with the damping that the element gives, as kv or as a ratio."""
+    if "kv" in node.values and "dampratio" in node.values:
+        raise node.error(f"<{node.tag}> has both kv and dampratio")
+    if "kv" not in node.values and "dampratio" not in node.values:
+        return dict(values)
+    kept = {name: value for name, value in values.items() if name not in ("kv", "dampratio")}
+    return kept | damping(node.values.get("dampratio", 0.0 - node.values.get("kv", 0.0)))
+
+
+def _orientation(base: ActuatorGains, node: Node) -> ActuatorGains:
+    chart = node.values.get("input", "") or base.values["input"]
+    if chart not in CHARTS:
+        raise bad(node, "input", chart, " or ".join(CHARTS))
+    return ActuatorGains("orientation", _servo(base, node).values | {"input": chart})
+
+
+def _input(node: Node, handed_down: str) -> str:
+    given: str = node.values.get("input", "") or handed_down
+    known, words = CONTROLLERS[node.tag], given.split()
+    if node.tag == "dcmotor" and words == ["none"]:
+        return "none"
+    if words != [word for word in known if word in words]:
+        raise bad(node, "input", given, f"some of {', '.join(known)}, in this order")
+    return " ".join(words)
+
+
+def _pid(base: ActuatorGains, node: Node) -> ActuatorGains:
+    given = _input(node, base.values["input"])
+    _not_negative(node, node.values, "kv", "dampratio")
+    values = _damped(base.values, node) | {"input": given} | _given(node, "kp", *CONTROL)
+    _not_negative(node, values, "slewmax")
+    if values.get("ki") or values.get("slewmax"):
+        values |= {name: values.get(name, 0.0) for name in CONTROL}
+    else:
+        # A controller without an activation hands none of these down.
+        values = {name: value for name, value in values.items() if name not in CONTROL}
+    return ActuatorGains("pid", values)
+
+
+def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
+    """MuJoCo's rules for what a datasheet leaves out: a constant by torque and one by voltage."""
+    values, old = node.values, base.values
+    made: Values = {"input": _input(node, old["input"])}
+    kept, resistance = old["motorconst"], old["resistance"]
+    given = values.get("motorconst", (kept,))
+    by_torque, by_voltage = (*given, 0.0)[:2]
+    voltage, stall, free = (*values.get("nominal", ()), 0.0, 0.0, 0.0)[:3]
+    if min(by_torque, by_voltage) < 0:
+        raise bad(node, "motorconst", given, ">= 0")
+    if "nominal" in values and free != 0:
+        known: float = values.get("resistance", resistance)
+        by_nominal = _without_load(voltage, stall, free, known, base.damping)
+        by_torque, by_voltage = by_torque or by_nominal, by_voltage or by_nominal
+    both = by_torque > 0 and by_voltage > 0
+    constant = math.sqrt(by_torque * by_voltage) if both else max(by_torque, by_voltage)
+    if "resistance" in values:
+        resistance = values["resistance"]
+    elif resistance == 0 and stall > 0:
+        resistance = constant * voltage / stall
+    if constant <= 0:
+        raise node.error(
+            "<dcmotor> needs a motorconst or a nominal point: its constant must be > 0"
+        )
+    if resistance <= 0:
+        raise node.error("<dcmotor> needs a resistance or a nominal point: it must be > 0")
+    made |= {"motorconst": constant, "resistance": resistance}
+    names = ("kp", "ki", "kv", "slewmax", "imax", "vmax")
+    controller = _filled(values.get("controller", ()), tuple(old[name] for name in names))
+    made |= dict(zip(names, controller, strict=False))
+    if made["ki"] < 0:
+        raise bad(node, "controller", values["controller"], "ki >= 0")
+    rate = _filled(values.get("saturation", ()), (0.0, 0.0, old["current_rate"]))[2]
+    made |= {name: max(made[name], 0.0) for name in ("slewmax", "imax", "vmax")}
+    made |= {"current_rate": max(rate, 0.0), "timeconst": _electrical(node, old, resistance)}
+    made |= {name: _filled(values.get(name, ()), old[name]) for name in ("cogging", "lugre")}
+    made["thermal"] = _thermal(node, old["thermal"])
+    torque = base.torque
+    if "saturation" in values:
+        most, current = (*values["saturation"], 0.0)[:2]
+        torque = most if most > 0 else max(constant * current, 0.0)
+    return ActuatorGains("dcmotor", made, torque=torque)
+
+
+def _without_load(
+    voltage: float, stall: float, free: float, resistance: float, drag: float
+) -> float:
+    """The constant K of a motor that its own damping B lets turn at ω without a load.
+
+    K (V - K ω)/R = B ω; without a resistance, K/R = stall/V. Where no K > 0 does it, MuJoCo takes
+    the one without damping.
+    """
+    whole = voltage / free
+    if drag <= 0:
+        return whole
+    if resistance > 0:
+        square = voltage * voltage - 4.0 * resistance * drag * free * free
+        return (voltage + math.sqrt(square)) / (2.0 * free) if square >= 0 else whole
+    if stall <= drag * free:
+        return whole
+    return whole * (1.0 - drag * free / stall)
+
+
+def _filled(given: Vec, kept: Vec) -> Vec:
+    return (*given, *kept[len(given) :])
+
+
+def _electrical(node: Node, old: Values, resistance: float) -> float:
+    """The time constant of the current [s], 0 without one; an inductance goes before it."""
+    if "inductance" not in node.values:
+        kept: float = old["timeconst"]
+        return kept
+    given = node.values["inductance"]
+    inductance, seconds = _filled(given, (0.0, old["timeconst"]))
+    if min(inductance, seconds) < 0:
+        raise bad(node, "inductance", given, ">= 0")
+    return inductance / resistance if inductance > 0 else seconds
+
+
+def _thermal(node: Node, had: Vec | None) -> Vec | None:
+    """Two of resistance, capacity and time constant give the third."""
+    if "thermal" not in node.values:
+        return had
+    kept = (*had[:2], 0.0, *had[2:]) if had else (0.0,) * 6
+    path, capacity, seconds, *rest = _filled(node.values["thermal"], kept)
+    if not (path or capacity or seconds):
+        return None
+    if path > 0 and seconds > 0:
+        capacity = seconds / path
+    elif capacity > 0 and seconds > 0:
+        path = seconds / capacity
+    if path <= 0 or capacity <= 0:
+        limit = "two of resistance, capacity and time constant > 0"
+        raise bad(node, "thermal", node.values["thermal"], limit)
+    return (path, capacity, *rest)
+
+
+_SHORTCUTS: dict[str, Callable[[ActuatorGains, Node], ActuatorGains]] = {
+    "position": _servo,
+    "intvelocity": _servo,
+    "velocity": _velocity,
+    "damper": _damper,
+    "cylinder": _cylinder,
+    "adhesion": _adhesion,
+    "muscle": _muscle,
+    "pid": _pid,
+    "dcmotor": _dcmotor,
+    "orientation": _orientation,
+}
 
 
 def _general(base: ActuatorGains, node: Node) -> ActuatorGains:
-    if base.tag not in BUILT or base.tag in controllers.START:
+    if base.tag not in LAWS or base.tag in CONTROLLERS:
         raise node.unbuilt(f"<general> in a class whose default is <{base.tag}>")
-    values = node.values
-    given: dict[str, Any] = {
-        name: (*values[name], *getattr(base, name)[len(values[name]) :])
+    values = base.values if base.tag == "general" else base.law.general()
+    given: Values = {
+        name: (*node.values[name], *values[name][len(node.values[name]) :])
         for name in ("gainprm", "biasprm", "dynprm")
-        if values.get(name)
+        if node.values.get(name)
     }
-    given |= {n: values[n] for n in ("dyntype", "gaintype", "biastype") if n in values}
-    made = replace(base, tag="general", inheritrange=_inheritrange(base, node), **given)
-    return replace(made, **canonical.fields(made, node))
+    given |= _given(node, "dyntype", "gaintype", "biastype")
+    made = ActuatorGains("general", values | given, _inheritrange(base, node))
+    if made.values["gaintype"] in _CANONICAL:
+        return _canonical(made, node)
+    return replace(made, torque=base.torque)
 
 
-def _position(base: ActuatorGains, node: Node) -> ActuatorGains:
-    values = node.values
-    for name in ("kv", "dampratio", "timeconst"):
-        if values.get(name, 0.0) < 0:
-            raise bad(node, name, values[name], ">= 0")
-    if "kv" in values and "dampratio" in values:
-        raise node.error(f"<{node.tag}> has both kv and dampratio")
-    kp = values.get("kp", base.gainprm[0])
-    # Above 0 the last one is a damping ratio.
-    damping = base.biasprm[2]
-    if "kv" in values or "dampratio" in values:
-        damping = values.get("dampratio", -values.get("kv", 0.0))
-    kind, times = (
-        (base.dyntype, base.dynprm) if base.tag == "position" else ("none", (1.0, 0.0, 0.0))
-    )
-    if "timeconst" in values:
-        kind = "filterexact" if values["timeconst"] > 0 else "none"
-        times = (values["timeconst"], 0.0, 0.0)
-    if node.tag == "intvelocity":
-        kind, times = "integrator", (1.0, 0.0, 0.0)
-    bias, scale = (0.0, -kp, damping), _inheritrange(base, node)
-    return ActuatorGains(node.tag, (kp,), bias, kind, "fixed", "affine", scale, times)
+# MuJoCo's canonical notation writes controllers and orientations as `<general>`, their numbers by
+# place (MuJoCo documentation, XML reference, "actuator/general").
 
 
-def _orientation(own: ActuatorGains | None, node: Node) -> ActuatorGains:
-    base = own or ActuatorGains(biasprm=(0.0, -1.0, 0.0), input="expmap")
-    chart = node.values.get("input", "") or base.input
+def _canonical(gains: ActuatorGains, node: Node) -> ActuatorGains:
+    values, kind = gains.values, gains.values["gaintype"]
+    bias, dynamics, read = _CANONICAL[kind]
+    if values["biastype"] != bias or values["dyntype"] not in dynamics:
+        types = f'biastype="{values["biastype"]}" and dyntype="{values["dyntype"]}"'
+        raise node.unbuilt(f'<general> gaintype="{kind}" with {types}')
+    early = node.values.get("actearly", kind == "dcmotor")
+    if early != (kind == "dcmotor") or node.values.get("actrange"):
+        name = "actrange" if node.values.get("actrange") else "actearly"
+        raise node.unbuilt(f'<general> gaintype="{kind}" with {name}', name)
+    tag = "orientation" if kind == "so3" else kind
+    return replace(gains, tag=tag, values=read(values, node))
+
+
+def _ten(prm: Vec) -> Vec:
+    return (*prm, *(0.0,) * 10)[:10]
+
+
+def _canonical_pid(values: Values, node: Node) -> Values:
+    gain, bias = values["gainprm"], values["biasprm"]
+    constant, stiffness, drag = _ten(bias)[:3]
+    if constant != 0:
+        raise bad(node, "biasprm", bias, "0 first, for a pid")
+    made: Values = {"kp": 0.0 - stiffness, "input": node.values.get("input", "") or "pos vel"}
+    if values["dyntype"] == "none":
+        if gain[0] != 0:
+            limit = '0 (the gain of the integral) without dyntype="pid"'
+            raise bad(node, "gainprm", gain, limit)
+    else:
+        made |= dict(zip(CONTROL, (gain[0], *_ten(values["dynprm"])[:2]), strict=True))
+        if min(made[name] for name in CONTROL) < 0:
+            raise bad(node, "dynprm", values["dynprm"], "gains and limits >= 0")
+    return made | damping(drag)
+
+
+def _canonical_motor(values: Values, node: Node) -> Values:
+    gain, bias, dynamics = (_ten(values[name]) for name in ("gainprm", "biasprm", "dynprm"))
+    resistance, constant, more_by_degree, reference, kp, ki, kd, vmax = gain[:8]
+    if values["dyntype"] == "none":
+        dynamics = (0.0,) * 10
+    timeconst, rate, path, capacity, ambient, stiffness, drag, slewmax, imax = dynamics[:9]
+    if resistance <= 0 or constant <= 0:
+        limit = "a resistance and a constant > 0 for a dcmotor"
+        raise bad(node, "gainprm", values["gainprm"], limit)
+    heats = path > 0 and capacity > 0
+    return {
+        **{"motorconst": constant, "resistance": resistance, "kp": kp, "kv": kd, "ki": ki},
+        **{"slewmax": max(slewmax, 0.0), "imax": max(imax, 0.0), "vmax": max(vmax, 0.0)},
+        **{"current_rate": max(rate, 0.0), "timeconst": max(timeconst, 0.0)},
+        "input": node.values.get("input", "") or "voltage",
+        "cogging": bias[:3],
+        "lugre": (stiffness, drag, *bias[3:6]),
+        "thermal": (path, capacity, more_by_degree, reference, ambient) if heats else None,
+    }
+
+
+def _canonical_orientation(values: Values, node: Node) -> Values:
+    chart = node.values.get("input", "") or "expmap"
     if chart not in CHARTS:
         raise bad(node, "input", chart, " or ".join(CHARTS))
-    made = _position(replace(base, tag="orientation", inheritrange=0.0), node)
-    return replace(made, inheritrange=0.0, input=chart)
+    kp, bias = values["gainprm"][0], _ten(values["biasprm"])[:3]
+    if bias[:2] != (0.0, 0.0 - kp):
+        raise bad(node, "biasprm", values["biasprm"], "0 -kp -kv for an orientation")
+    return {"kp": kp, "input": chart} | damping(bias[2])
+
+
+# By gain type: the other two types that go with it, and what reads its numbers.
+_CANONICAL: dict[str, tuple[str, tuple[str, ...], Callable[[Values, Node], Values]]] = {
+    "pid": ("affine", ("none", "pid"), _canonical_pid),
+    "dcmotor": ("dcmotor", ("none", "dcmotor"), _canonical_motor),
+    "so3": ("so3", ("none",), _canonical_orientation),
+}
 
 
 def _inheritrange(base: ActuatorGains, node: Node) -> float:
@@ -223,7 +465,7 @@ def _inheritrange(base: ActuatorGains, node: Node) -> float:
     return 0.0
 
 
-def saturated(values: dict[str, Any], made: ActuatorGains, node: Node) -> dict[str, Any]:
+def saturated(values: Values, made: ActuatorGains, node: Node) -> Values:
     """The values of a motor or its class, the bounds being those of its saturation."""
     if made.torque is None or "saturation" not in node.values:
         return values
@@ -231,7 +473,7 @@ def saturated(values: dict[str, Any], made: ActuatorGains, node: Node) -> dict[s
     return rest | ({"forcerange": (-made.torque, made.torque)} if made.torque > 0 else {})
 
 
-def without_range(values: dict[str, Any], node: Node) -> dict[str, Any]:
+def without_range(values: Values, node: Node) -> Values:
     """The values of a class, without ctrlrange if `node` inherits the joint's range."""
     takes_over = node.values.get("inheritrange", 0.0) > 0
     return {name: v for name, v in values.items() if name != "ctrlrange" or not takes_over}

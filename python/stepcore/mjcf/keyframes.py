@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
-from stepcore.scene import actuation
 from stepcore.scene.elements import Actuator
 from stepcore.scene.layout import DOFS, QPOS, Layout
 
@@ -26,7 +25,7 @@ def default_state(layout: Layout) -> dict[str, list[float]]:
     return {
         "qpos": layout.qpos0(),
         "qvel": [0.0] * layout.nv,
-        "act": [0.0] * actuation.na(layout.scene),
+        "act": [0.0] * layout.na,
         "ctrl": [0.0] * len(layout.scene.actuators),
         "mpos": [x for body in mocaps for x in body.pos],
         "mquat": [x for body in mocaps for x in body.quat],
@@ -88,7 +87,7 @@ def _assembled(
     for element in world.scene.actuators if sizes is None else layout.joints:
         starts.setdefault(id(element), at)
         if isinstance(element, Actuator):
-            at += actuation.states(actuation.law(element)) if name == "act" else 1
+            at += element.law.states if name == "act" else 1
         elif sizes is not None:
             at += sizes[element.type]
     numbers = list(default)

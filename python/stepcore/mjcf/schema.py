@@ -26,7 +26,7 @@ from stepcore.scene.elements import (
     Site,
     Tendon,
 )
-from stepcore.scene.elements.actuator import LAW_FIELDS
+from stepcore.scene.elements.actuator_laws import LAW_FIELDS
 from stepcore.scene.elements.equality import FIELDS as EQUALITY_FIELDS
 from stepcore.scene.elements.field_types import AUTO, BOOL
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from stepcore import checks
-from stepcore.scene import actuation, orienting
 from stepcore.scene.elements import Body, Element, Geom, Site, Tendon
+from stepcore.scene.elements.actuator import check_inputs
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import IDENTITY, ORIGIN
 from stepcore.scene.layout import DOFS, SIZES, Layout
@@ -55,17 +55,9 @@ def check(layout: Layout) -> None:
                 geom, "a plane must be on the world or on a body that cannot move"
             )
     _check_tendons(layout)
-    inside = {
-        id(element) for element in (*layout.joints, *layout.sites, *scene.tendons, *layout.bodies)
-    } | {id(actuator) for actuator in scene.actuators}
     for actuator in scene.actuators:
-        for field in actuation.TARGET:
-            element = getattr(actuator, field)
-            if isinstance(element, Element) and id(element) not in inside:
-                text = f"refers to {element}, which is not in this scene"
-                raise checks.ElementError(actuator, text)
-        actuation.check(actuator)
-    orienting.check_inputs(scene.actuators)
+        actuator.check(layout)
+    check_inputs(scene.actuators)
     for equality in scene.equalities:
         equality.check(layout)
     _check_pairs(layout)
@@ -76,7 +68,7 @@ def check(layout: Layout) -> None:
             raise checks.refuse(
                 site, "size", site.size, f"{SIZE_WORDS[site.type]} for a {site.type}"
             )
-    sizes = {"qpos": layout.nq, "qvel": layout.nv, "act": actuation.na(scene)}
+    sizes = {"qpos": layout.nq, "qvel": layout.nv, "act": layout.na}
     sizes["ctrl"] = len(scene.actuators)
     mocaps = sum(body.mocap for body in scene.bodies)
     sizes |= {"mpos": 3 * mocaps, "mquat": 4 * mocaps}

@@ -80,6 +80,11 @@ class Layout:
     def nv(self) -> int:
         return sum(DOFS[joint.type] for joint in self.joints)
 
+    @property
+    def na(self) -> int:
+        """The number of activations."""
+        return sum(actuator.law.states for actuator in self.scene.actuators)
+
     def place(self, element: Element) -> int | None:
         """Where an element stands among those of its kind; None if it is not in the scene."""
         kind = type(element).__name__.lower()

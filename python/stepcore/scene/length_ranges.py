@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stepcore import _core, checks
-from stepcore.scene import actuation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,8 +57,7 @@ def asked(scene: Contents) -> list[int]:
 
 
 def _asks(actuator: Actuator, rules: LengthRange) -> bool:
-    own = actuation.law(actuator)
-    if own.muscle_gain is None and own.muscle_bias is None:
+    if not actuator.law.is_muscle:
         return False
     if rules.mode != "none":
         return actuator.lengthrange is None or not rules.useexisting

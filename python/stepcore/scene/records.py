@@ -6,9 +6,9 @@ import copy
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from stepcore.scene import actuation, length_ranges
+from stepcore.scene import length_ranges
 from stepcore.scene.consistency import check
-from stepcore.scene.elements import Actuator, Body, Element
+from stepcore.scene.elements import Body, Element
 from stepcore.scene.frames import ORIGIN
 from stepcore.scene.layout import SIZES, Layout
 from stepcore.scene.value_paths import WHOLE, assign, find
@@ -65,8 +65,6 @@ def _varied(layout: Layout) -> dict[str, Sequence[Element]]:
 
 
 def _record(layout: Layout, element: Any) -> dict[str, Any]:
-    if isinstance(element, Actuator):
-        return actuation.plain(element, layout)
     record: dict[str, Any] = element.plain(layout)
     if record.get("qpos"):
         # Of a keyframe.

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 from stepcore import checks
 from stepcore.mjcf.write.names import Names
 from stepcore.mjcf.write.tags import Tag, changed
-from stepcore.scene.actuation import LAW, TARGET, law
-from stepcore.scene.controlling import described
 from stepcore.scene.elements import Actuator, Element
-from stepcore.scene.orienting import FED, parts
+from stepcore.scene.elements.actuator import TARGET_FIELDS
+from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS, FED
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
@@ -23,7 +22,7 @@ GENERAL = {"actearly": (), "actrange": ("intvelocity",)}
 
 def referred(scene: Contents) -> list[Element]:
     """What actuators name."""
-    ends = [field for field in TARGET if field != "feeds"]
+    ends = [field for field in TARGET_FIELDS if field != "feeds"]
     fields = [getattr(actuator, field) for actuator in scene.actuators for field in ends]
     return [element for element in fields if isinstance(element, Element)]
 
@@ -33,7 +32,7 @@ def tags(scene: Contents, names: Names) -> list[Tag]:
     found = []
     for at, actuator in enumerate(scene.actuators):
         if actuator.type != "input":
-            behind = scene.actuators[at + 1 : at + len(parts(actuator))]
+            behind = scene.actuators[at + 1 : at + len(actuator.inputs)]
             found.append(_actuator(actuator, behind, names))
     return found
 
@@ -42,7 +41,7 @@ def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
     """behind: what stands behind it in the scene, as many as it has more inputs."""
     given = changed(actuator, "name", "type", "enabled")
     first: dict[str, Any] = {"name": actuator.name} if actuator.name else {}
-    for field in TARGET:
+    for field in TARGET_FIELDS:
         element = given.pop(field, None)
         if element is not None:
             first[field] = names.of(element) if isinstance(element, Element) else element
@@ -53,13 +52,13 @@ def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
         kind = "general"
     low, high = actuator.forcerange or (-1.0, 1.0)
     if kind == "dcmotor" and low != -high:
-        if described(actuator) is not None:
+        if actuator.law.controller is not None:
             limit = "alike both ways, to be written as MJCF"
             raise checks.refuse(actuator, "forcerange", actuator.forcerange, limit)
         kind = "general"
     if kind != actuator.type:
-        given = {field: value for field, value in given.items() if field not in LAW}
-        return Tag(kind, **first, **_as_general(actuator), **given)
+        given = {field: value for field, value in given.items() if field not in ALL_LAW_FIELDS}
+        return Tag(kind, **first, **actuator.law.general(), **given)
     if kind in FED:
         first |= _of_inputs(actuator, behind, given)
     if kind == "dcmotor":
@@ -71,7 +70,7 @@ def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
 
 def _of_inputs(actuator: Actuator, behind: list[Actuator], given: dict[str, Any]) -> dict[str, Any]:
     """The bounds of a controller's controls, each of which is an actuator here."""
-    words = parts(actuator)
+    words = actuator.inputs
     for word, other in zip(words[1:], behind, strict=False):
         name = f"{actuator.name}/{word}" if actuator.name else ""
         late = ("delay", "nsample", "interp")
@@ -97,25 +96,4 @@ def _motor(given: dict[str, Any]) -> dict[str, Any]:
         words["thermal"] = (*thermal[:2], 0.0, *thermal[2:])
     if bounds or rate:
         words["saturation"] = (bounds[1] if bounds else 0.0, 0.0, rate)
-    return words
-
-
-def _as_general(actuator: Actuator) -> dict[str, Any]:
-    """The law of a shortcut in the words of `<general>`."""
-    own = law(actuator)
-    dyntype, dynprm = own.dynamics
-    words: dict[str, Any] = {"dyntype": dyntype, "dynprm": dynprm}
-    for term, muscle, affine in (
-        ("gain", own.muscle_gain, own.gain),
-        ("bias", own.muscle_bias, own.bias),
-    ):
-        if muscle is None:
-            words |= {f"{term}type": "affine", f"{term}prm": affine}
-        else:
-            numbers = (*muscle["range"], *list(muscle.values())[1:])
-            words |= {f"{term}type": "muscle", f"{term}prm": numbers}
-    if not any(own.gain[1:]) and own.muscle_gain is None:
-        words |= {"gaintype": "fixed", "gainprm": (own.gain[0],)}
-    if own.dampratio:
-        words["biasprm"] = (*own.bias[:2], own.dampratio)
     return words

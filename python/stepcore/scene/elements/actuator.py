@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from stepcore import checks
-from stepcore.scene.element import Element, FieldType
+from stepcore.scene.element import Element, FieldType, Places, place_of
+from stepcore.scene.elements.actuator_laws import (
+    ALL_LAW_FIELDS,
+    CHARTS,
+    CONTROL,
+    FED,
+    INPUTS,
+    LAW_FIELDS,
+    LAWS,
+    Law,
+    inputs,
+)
 from stepcore.scene.elements.body import Body
 from stepcore.scene.elements.field_types import (
     GEAR,
@@ -35,60 +47,18 @@ from stepcore.scene.elements.site import Site
 from stepcore.scene.elements.tendon import Tendon
 from stepcore.scene.frames import ORIGIN, Vec
 
-_SERVOS = ("position", "velocity", "intvelocity")
-ACTUATOR_TYPES = (
-    *("motor", *_SERVOS, "pid", "dcmotor", "damper", "cylinder", "muscle", "adhesion"),
-    *("orientation", "general", "input"),
-)
-INPUTS = ("pos", "vel", "ff", "voltage")
-# The parts of an orientation, by how it is written.
-CHARTS = {"expmap": ("x", "y", "z"), "quat": ("w", "x", "y", "z")}
+ACTUATOR_TYPES = tuple(LAWS)
 DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle")
 GAINS = ("fixed", "affine", "muscle")
 BIASES = ("none", "affine", "muscle")
 # What a control is between two samples of its past.
 INTERPS = ("zoh", "linear", "cubic")
 MOST_SAMPLES = 10**6
-# A muscle's numbers in the order of gainprm, with their defaults.
-MUSCLE: dict[str, Any] = {
-    "range": (0.75, 1.05),
-    "force": -1.0,
-    "scale": 200.0,
-    "lmin": 0.5,
-    "lmax": 1.6,
-    "vmax": 1.5,
-    "fpmax": 1.3,
-    "fvmax": 1.2,
-}
-_SERVO = {"kp": 1.0, "kv": 0.0, "dampratio": 0.0}
-_CONTROL = dict.fromkeys(("ki", "imax", "slewmax"), 0.0)
-_MOTOR = {
-    **{"motorconst": 0.0, "resistance": 1.0, "inductance": 0.0, "vmax": 0.0, "current_rate": 0.0},
-    **{"thermal": None, "cogging": ORIGIN, "lugre": None},
-}
-# By type: the fields of its law, each with the value that None stands for. A field of another type
-# is refused.
-LAW_FIELDS: dict[str, dict[str, Any]] = {
-    "motor": {},
-    "position": _SERVO | {"timeconst": 0.0},
-    "velocity": {"kv": 1.0},
-    "intvelocity": _SERVO,
-    "pid": _SERVO | {"input": None} | _CONTROL,
-    "dcmotor": {"kp": 0.0, "kv": 0.0, "input": "voltage"} | _CONTROL | _MOTOR,
-    "input": {"input": None},
-    "orientation": _SERVO | {"input": "expmap"},
-    "damper": {"kv": 1.0},
-    "cylinder": {"timeconst": 1.0, "area": 1.0, "bias": ORIGIN},
-    "adhesion": {"gain": 1.0},
-    "muscle": MUSCLE | {"timeconst": (0.01, 0.04), "tausmooth": 0.0},
-    "general": {
-        **{"gaintype": "fixed", "gainprm": 1.0, "biastype": "affine", "biasprm": ORIGIN},
-        **{"dyntype": "none", "dynprm": (1.0, 0.0, 0.0)},
-    },
-}
-# What an actuator can pull at: exactly one of these, and what else goes with it.
+# What an actuator can pull at: exactly one of these.
 TARGETS = ("joint", "jointinparent", "tendon", "site", "cranksite", "body")
+# What else goes with it.
 SECOND = {"refsite": "site", "slidersite": "cranksite"}
+TARGET_FIELDS = (*TARGETS, *SECOND, "cranklength", "feeds")
 
 
 def _one_or(count: int) -> checks.Check:
@@ -287,11 +257,232 @@ class Actuator(Element):
         """The field that says what it pulls at, and that element; ("joint", None) without one."""
         if self.feeds is not None:
             return self.feeds.target
-        found = [field for field in TARGETS if getattr(self, field) is not None]
-        field = found[0] if found else "joint"
+        field = next((f for f in TARGETS if getattr(self, f) is not None), "joint")
         return field, getattr(self, field)
 
     def law_value(self, field: str) -> Any:
         """The value of a field of the law; where it is None, the default of the actuator's type."""
         value = getattr(self, field)
         return LAW_FIELDS[self.type].get(field) if value is None else value
+
+    @property
+    def law(self) -> Law:
+        """The law of its force, with defaults for fields that are None."""
+        if self.type == "input" and self.feeds is not None and self.axis is not None:
+            return self.feeds.law
+        return LAWS[self.type].to_law({f: self.law_value(f) for f in LAW_FIELDS[self.type]})
+
+    @property
+    def inputs(self) -> list[str]:
+        """What the controls are, its own first; the others are those of actuators that feed it."""
+        return inputs(self.type, self.input)
+
+    @property
+    def axis(self) -> int | None:
+        """The axis about which it turns a ball joint to an orientation; None: it does not."""
+        owner = self.feeds or self
+        if owner.type != "orientation":
+            return None
+        words = owner.inputs
+        at = words.index(self.input or "") if self.feeds and self.input in words else 0
+        return at if at < 3 else None
+
+    def plain(self, places: Places) -> dict[str, Any]:
+        """The actuator as the engine reads it: its law, what it pulls at, what its control is."""
+        law, owner, axis = self.law, self.feeds or self, self.axis
+        gear = list(owner.gear)
+        if axis is not None:
+            gear = [float(k == axis) for k in range(3)] + list(ORIGIN)
+        # Where the range of a muscle is left out, `length_ranges.fill` puts what it found.
+        lengthrange = self.lengthrange or (0.0, 1.0 if law.is_muscle else 0.0)
+        bounds = owner if axis is not None else self
+        return self.record("type", *ALL_LAW_FIELDS, *TARGET_FIELDS) | {
+            "target": self._plain_target(places),
+            "feeds": None if self.feeds is None else place_of(places, self.feeds),
+            "gain": list(law.gain),
+            "bias": list(law.bias),
+            "dampratio": law.dampratio,
+            "controller": law.controller,
+            "input": (self.input or "pos") if self.feeds else self.inputs[0],
+            "gear": gear,
+            "orientation": None if axis is None else {"axis": axis, "quat": owner.input == "quat"},
+            "forcerange": bounds.forcerange and list(bounds.forcerange),
+            "dynamics": law.dyntype,
+            "dynprm": list(law.dynprm),
+            "muscle_gain": _plain_muscle(law.muscle_gain),
+            "muscle_bias": _plain_muscle(law.muscle_bias),
+            "lengthrange": list(lengthrange),
+        }
+
+    def _plain_target(self, places: Places) -> dict[str, Any]:
+        field, element = self.target
+        target: dict[str, Any] = {field: -1 if element is None else place_of(places, element)}
+        owner = self.feeds or self
+        if field == "site":
+            target["refsite"] = owner.refsite and place_of(places, owner.refsite)
+        if field == "cranksite" and owner.slidersite is not None:
+            target["slidersite"] = place_of(places, owner.slidersite)
+            target["cranklength"] = owner.cranklength
+        return target
+
+    def check(self, places: Places) -> None:
+        """Refuses fields that the type does not have, or that contradict each other."""
+        for field in TARGET_FIELDS:
+            end = getattr(self, field)
+            if isinstance(end, Element) and places.place(end) is None:
+                raise checks.ElementError(self, f"refers to {end}, which is not in this scene")
+        known = LAW_FIELDS[self.type]
+        for field in ALL_LAW_FIELDS:
+            if getattr(self, field) is not None and field not in known:
+                has = ", ".join(known) or "none of these"
+                raise self._bad(field, f"None for type {self.type!r}, which has {has}")
+        self._check_target()
+        if self.delay > 0 and self.nsample == 0:
+            raise self._bad("nsample", ">= 1 with a delay")
+        two = isinstance(self.timeconst, tuple)
+        if self.timeconst is not None and two != (self.type == "muscle"):
+            raise self._bad("timeconst", "two numbers for a muscle, one for others")
+        if self.type in ("pid", "dcmotor"):
+            self._check_controller()
+        if self.type == "orientation":
+            self._check_orientation()
+        if self.type == "input":
+            self._check_input()
+        if self.type in ("position", "intvelocity", "damper", "pid", "orientation"):
+            for field in ("kv", "dampratio", "timeconst"):
+                if (getattr(self, field) or 0.0) < 0:
+                    raise self._bad(field, ">= 0")
+            if self.kv and self.dampratio:
+                raise checks.ElementError(self, "kv and dampratio are both given")
+        if self.type in ("damper", "adhesion") and self.ctrlrange and self.ctrlrange[0] < 0:
+            raise self._bad("ctrlrange", f">= 0 for type {self.type!r}")
+        law = self.law
+        if law.dyntype == "none" and self.actrange is not None:
+            raise self._bad("actrange", "None without an activation")
+        self._check_curves(law)
+        if law.dampratio and law.gain[0] < 0:
+            field = "gainprm" if self.type == "general" else "kp"
+            raise checks.refuse(self, field, law.gain[0], ">= 0 with a damping ratio")
+
+    def _bad(self, field: str, limit: str) -> checks.ElementError:
+        return checks.refuse(self, field, getattr(self, field), limit)
+
+    def _check_curves(self, law: Law) -> None:
+        """A muscle's curves divide by these numbers; MuJoCo's limits."""
+        for field, numbers in (("gainprm", law.muscle_gain), ("biasprm", law.muscle_bias)):
+            if numbers is None:
+                continue
+            low, high = numbers["range"]
+            positive = ("scale", "vmax", "fpmax", "fvmax")
+            limits = {
+                "range": (low < high, "in ascending order"),
+                **{name: (numbers[name] > 0, "> 0") for name in positive},
+                "lmin": (numbers["lmin"] < 1, "below 1"),
+                "lmax": (numbers["lmax"] > 1, "above 1"),
+            }
+            for name, (holds, limit) in limits.items():
+                if not holds:
+                    where = name if self.type == "muscle" else field
+                    limit = f"{limit} ({name} of a muscle)"
+                    raise checks.refuse(self, where, numbers[name], limit)
+
+    def _check_target(self) -> None:
+        if self.body is not None and self.law.servo:
+            raise checks.ElementError(self, "a servo has no length at the contacts of a body")
+        if self.type == "adhesion" and self.body is None:
+            raise self._bad("body", "given for an adhesion")
+        targets = [field for field in TARGETS if getattr(self, field) is not None]
+        if self.type == "input":
+            if targets:
+                raise self._bad(targets[0], "None for type 'input', which pulls at nothing itself")
+            return
+        if len(targets) != 1:
+            what = " and ".join(targets) or "nothing"
+            text = f"pulls at {what}: it needs exactly one of {', '.join(TARGETS)}"
+            raise checks.ElementError(self, text)
+        target = targets[0]
+        for second, first in SECOND.items():
+            if getattr(self, second) is not None and target != first:
+                raise self._bad(second, f"None without a {first}")
+        if target == "cranksite":
+            if self.slidersite is None:
+                raise self._bad("slidersite", "given with a cranksite")
+            if self.cranklength <= 0:
+                raise self._bad("cranklength", "> 0")
+        elif self.cranklength:
+            raise self._bad("cranklength", "0 without a cranksite")
+        if target not in ("joint", "jointinparent", "tendon"):
+            for field in ("damping", "dampingpoly", "armature"):
+                value = getattr(self, field)
+                if any(value) if isinstance(value, tuple) else value:
+                    raise self._bad(field, "0 unless it drives a joint or a tendon")
+
+    def _check_controller(self) -> None:
+        words, motor = self.inputs, self.type == "dcmotor"
+        if motor:
+            self._check_motor(words)
+        elif self.input is None or "voltage" in words:
+            raise self._bad("input", "some of pos, vel, ff for a pid")
+        if self.ki and "pos" not in words:
+            raise self._bad("ki", "None without the input pos")
+        if self.slewmax and not (words[0] == "pos" or (motor and words[0] != "voltage")):
+            what = "pos, vel or ff" if motor else "pos"
+            raise self._bad("slewmax", f"None without the input {what}")
+        if self.refsite is None and getattr(self.target[1], "type", "") != "ball":
+            return
+        # On a circle only a target without a state of its own is taken the shorter way.
+        if self.kp and (motor or "pos" not in words):
+            raise self._bad("kp", "0 on a ball or a refsite, but for a pid with the input pos")
+        for field in ("ki", "slewmax"):
+            if getattr(self, field):
+                raise self._bad(field, "None on a ball or a refsite")
+
+    def _check_motor(self, words: list[str]) -> None:
+        for field in ("motorconst", "resistance"):
+            if (getattr(self, field) or 0.0) <= 0:
+                raise self._bad(field, "> 0")
+        if words == ["voltage"]:
+            for field in ("kp", "kv", *CONTROL, "vmax"):
+                if getattr(self, field):
+                    raise self._bad(field, "None or 0 without an input pos, vel or ff")
+        if (self.vmax or 0.0) < 0:
+            raise self._bad("vmax", ">= 0 for a dcmotor")
+        if self.thermal and min(self.thermal[:2]) <= 0:
+            raise self._bad("thermal", "resistance and capacity > 0")
+
+    def _check_orientation(self) -> None:
+        if self.input not in (None, *CHARTS):
+            raise self._bad("input", f"one of {', '.join(CHARTS)}")
+        if getattr(self.joint, "type", "") != "ball":
+            raise self._bad("joint", "a ball joint for an orientation")
+        if self.forcerange is not None and self.forcerange[0] != 0:
+            raise self._bad("forcerange", "(0, most)")
+        for field in ("damping", "armature"):
+            if getattr(self, field):
+                raise self._bad(field, "0 for an orientation")
+
+    def _check_input(self) -> None:
+        if self.feeds is None:
+            raise self._bad("feeds", "a pid, a dcmotor or an orientation for type 'input'")
+        if self.input not in (*INPUTS, *CHARTS["quat"]):
+            raise self._bad("input", f"one of {', '.join(INPUTS)}")
+        if self.feeds.type not in FED or self.input not in self.feeds.inputs[1:]:
+            raise self._bad("feeds", f"with {self.input!r} among its inputs, and not the first")
+
+
+def check_inputs(actuators: Sequence[Actuator]) -> None:
+    """Refuses an input of an actuator that has no control, or has two."""
+    fed: dict[int, list[str]] = {}
+    for actuator in actuators:
+        if actuator.feeds is not None and actuator.input is not None:
+            fed.setdefault(id(actuator.feeds), []).append(actuator.input)
+    for actuator in actuators:
+        for word in actuator.inputs[1:]:
+            count = fed.get(id(actuator), []).count(word)
+            if count != 1:
+                limit = f"one actuator of type 'input' that feeds {word!r}, not {count}"
+                raise checks.refuse(actuator, "input", actuator.input, limit)
+
+
+def _plain_muscle(numbers: dict[str, Any] | None) -> dict[str, Any] | None:
+    return numbers and {**numbers, "range": list(numbers["range"])}
