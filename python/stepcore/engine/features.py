@@ -80,21 +80,6 @@ def _exclude(scene: Contents, pairs: Iterable[tuple[int, int]]) -> None:
         ]
 
 
-def _no_range(scene: Contents, joints: Iterable[int]) -> None:
-    for joint in joints:
-        scene.joints[joint].range = None
-
-
-def _no_armature(scene: Contents, joints: Iterable[int]) -> None:
-    for joint in joints:
-        scene.joints[joint].armature = 0.0
-
-
-def _no_gravcomp(scene: Contents, bodies: Iterable[int]) -> None:
-    for body in bodies:
-        scene.bodies[body].gravcomp = 0.0
-
-
 def _no_fluid(scene: Contents, _: None) -> None:
     scene.density = scene.viscosity = 0.0
 
@@ -144,9 +129,6 @@ def _settings(scene: Contents, values: tuple[tuple[str, Any], ...]) -> None:
 _EDITS: dict[str, Any] = {
     "feature": _feature,
     "exclude": _exclude,
-    "no range": _no_range,
-    "no armature": _no_armature,
-    "no gravcomp": _no_gravcomp,
     "no fluid": _no_fluid,
     "frictionless": _frictionless,
     "sliding only": _sliding_only,
@@ -243,9 +225,8 @@ class RemovableFeatures:
             removals += self._term("friction loss", "frictionloss")
         heavy = tuple(i for i, joint in enumerate(scene.joints) if joint.armature > 0)
         if heavy:
-            removals.append(
-                Removal("armature", counted(len(heavy), "joint"), (("no armature", heavy),))
-            )
+            edit: Edit = ("cleared", ("joints", heavy, ("armature",)))
+            removals.append(Removal("armature", counted(len(heavy), "joint"), (edit,)))
         if features.damper:
             removals += self._term("joint damping", "damper")
         if features.spring:
@@ -257,7 +238,7 @@ class RemovableFeatures:
         removals += self.adhesion()
         light = tuple(i for i, body in enumerate(scene.bodies) if body.gravcomp != 0)
         if light and features.gravity:
-            edit = ("no gravcomp", light)
+            edit = ("cleared", ("bodies", light, ("gravcomp",)))
             name = counted(len(light), "body")
             removals.append(Removal("gravity compensation", name, (edit,)))
         if features.coriolis and not all(self.plan["constant"]):
@@ -331,12 +312,10 @@ class RemovableFeatures:
         unused = tuple(self.joint[i] for i in ranged if i not in usage.limited)
         removals = []
         if unused:
-            removals.append(Removal("limits", _unreached(unused), (("no range", unused),)))
-        for i in ranged:
-            if i in usage.limited:
-                edit = ("no range", (self.joint[i],))
-                removals.append(Removal("limit", names[i], (edit,)))
-        return removals
+            removals.append(Removal("limits", _unreached(unused), (_no_range(unused),)))
+        reached = [i for i in ranged if i in usage.limited]
+        own = [Removal("limit", names[i], (_no_range([self.joint[i]]),)) for i in reached]
+        return [*removals, *own]
 
     def colliders(self, usage: MotionUsage) -> list[Removal]:
         """Pairs of bodies that never met, each that did, self-collision, groups of geoms."""
@@ -375,16 +354,14 @@ class RemovableFeatures:
         """
         if removal.kind not in ("limits", "colliders"):
             return removal
-        ((edit, values),) = removal.edits
+        ((_, values),) = removal.edits
         if removal.kind == "limits":
             used = {self.joint[i] for i in usage.limited}
-            left = tuple(joint for joint in values if joint not in used)
-            name = _unreached(left)
-        else:
-            met = {tuple(sorted((self.body[a], self.body[b]))) for a, b in usage.touched}
-            left = tuple(pair for pair in values if tuple(sorted(pair)) not in met)
-            name = _unmet(left)
-        return Removal(removal.kind, name, ((edit, left),)) if left else None
+            joints = [joint for joint in values[1] if joint not in used]
+            return Removal("limits", _unreached(joints), (_no_range(joints),)) if joints else None
+        met = {tuple(sorted((self.body[a], self.body[b]))) for a, b in usage.touched}
+        pairs = tuple(pair for pair in values if tuple(sorted(pair)) not in met)
+        return Removal("colliders", _unmet(pairs), (("exclude", pairs),)) if pairs else None
 
     def _excluding(self, kind: str, name: str, pairs: Iterable[tuple[int, int]]) -> Removal:
         value = tuple((self.body[a], self.body[b]) for a, b in pairs)
@@ -435,6 +412,11 @@ def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:
     """The index in the scene's list of each element, in the order of the compiled model."""
     index = {id(element): i for i, element in enumerate(listed)}
     return [index[id(element)] for element in compiled]
+
+
+def _no_range(joints: Iterable[int]) -> Edit:
+    """The edit that removes the limits of joints."""
+    return "cleared", ("joints", tuple(joints), ("range",))
 
 
 def _unreached(joints: Any) -> str:
