@@ -2,7 +2,7 @@
 
 The motion is run with the real step (`motion_runs`) and compared with a run at a fine step:
 
-- it explodes if it does not stay finite, or if its kinetic energy exceeds `EXPLODED` times the
+- it explodes if it does not stay finite, or if its kinetic energy exceeds `LARGE` times the
   largest of the fine run;
 - it chatters if a servo's force jumps from one end of its force range to the other within a step,
   again and again, where the fine run's does not.
@@ -22,6 +22,7 @@ import numpy as np
 
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.model import Model
+from stepcore.experiment.failure import LARGE
 from stepcore.measure.diagnosis.growth import bisected
 from stepcore.measure.diagnosis.limits import Limit, StepStability, step_stability
 from stepcore.measure.diagnosis.linear_motion import linear_motion
@@ -30,8 +31,6 @@ from stepcore.measure.diagnosis.motion_runs import FEWEST, MotionRun, MotionRuns
 from stepcore.measure.diagnosis.servo_range import crossing_dt
 from stepcore.measure.diagnosis.shares import Shares, growing_shares, limiting_shares
 
-# Kinetic energy over the largest of the fine run that counts as an explosion.
-EXPLODED = 10.0
 # The share of the steps in which a chattering servo's force goes from one end of its range to the
 # other (half of them in a cycle of four). `RARE` is enough in a run that is thrown far: chatter may
 # come to rest by luck (Panda's at 4.6 ms, not at 3.2 ms). A fine run has fewer.
@@ -118,7 +117,7 @@ class Judge:
     @property
     def bound(self) -> float:
         """The kinetic energy [J] from which a run explodes."""
-        return EXPLODED * max(self.fine.peak, self.floor)
+        return LARGE * max(self.fine.peak, self.floor)
 
     @property
     def longest(self) -> float:

@@ -19,11 +19,11 @@ import numpy as np
 
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
+from stepcore.experiment.failure import LARGE
 from stepcore.measure.diagnosis.limits import Limit
 from stepcore.measure.diagnosis.linear_step import State
 from stepcore.measure.diagnosis.motion_check import (
     CHATTER,
-    EXPLODED,
     Judge,
     Outcome,
     Runaway,
@@ -57,7 +57,7 @@ class Saturation:
     [N·m or N]. speed: of the joint, from which the range is reached [rad/s or m/s]. thrown: the
     largest speed of the joint at the wanted dt; usual: that of the motion at a fine step. dt: the
     largest step at which it comes to rest [s]. reached: whether the motion itself reaches the
-    range, without a kick. severe: whether the chatter has more energy than the kick, by `EXPLODED`
+    range, without a kick. severe: whether the chatter has more energy than the kick, by `LARGE`
     times, or is that of an oscillation which is unstable. swinging: whether it is that.
     """
 
@@ -201,7 +201,7 @@ class _Kick:
         """Whether a run has much more energy than the kick and the motion, or swings for good."""
         begun = max(float(run.energies[0]), self.judge.fine.peak, self.judge.floor)
         lasting = self.swinging and float(run.jumps[self.servo.index]) > CHATTER
-        return not run.finite or run.peak > EXPLODED * begun or lasting
+        return not run.finite or run.peak > LARGE * begun or lasting
 
     def saturation(self, run: MotionRun) -> Saturation:
         """What it does in a run at the wanted step."""
