@@ -217,35 +217,36 @@ def held_step(
     integrator: str,
     dt: float,
     hold: int,
-    rates: Callable[[Any], Any],
     block: Any,
+    rates: Floats,
+    after: Floats | None,
     mass: Floats,
-    late: tuple[Floats, Floats],
-    smooth: Callable[[Any], Any] | None,
+    implicit: Floats,
+    stiff: Floats,
     feedback: Feedback,
     inputs: Floats,
 ) -> Any:
     """The map of (x, z) over `hold` steps of dt [s] times a block, the controls of the first held.
 
-    rates: J without the controls, times a block. late: implicit damping and stiffness. smooth:
-    rates without the accelerations that `midpoint` adds after its implicit step, or None without
-    those. inputs: force of each control, shape (nv, nu).
+    rates: J without the controls. after: the accelerations in it that `midpoint` adds after its
+    implicit step, shape (nv, 2 nv). implicit, stiff: implicit damping and stiffness. inputs: force
+    of each control, shape (nv, nu).
     """
-    n, (implicit, stiff) = len(mass), late
+    n = len(mass)
     x, z = block[: 2 * n], block[2 * n :]
     push = np.zeros_like(x)
     push[n:] = np.linalg.solve(mass, inputs @ feedback.controls(x, z))
     remembered = feedback.remembered(x, z)
     for _ in range(hold):
         if integrator == "midpoint":
-            whole = np.eye(2 * n)
-            within = (smooth or rates)(whole)
-            after = None if smooth is None else lambda y: (rates(y) - smooth(y))[n:]
-            x = stepped(integrator, dt, rates, x, mass, implicit, after)
-            x = x + np.linalg.solve(whole - dt / 2 * within, dt * push)
+            within, late = np.eye(2 * n) - dt / 2 * rates, None
+            if after is not None:
+                within[n:] += dt / 2 * after
+                late = after.dot
+            x = stepped(integrator, dt, lambda y: rates @ y, x, mass, implicit, late)
+            x = x + np.linalg.solve(within, dt * push)
         else:
-            pushed = lambda y: rates(y) + push  # noqa: E731
-            x = stepped(integrator, dt, pushed, x, mass, implicit, stiff=stiff)
+            x = stepped(integrator, dt, lambda y: rates @ y + push, x, mass, implicit, stiff=stiff)
     return np.concatenate([x, remembered])
 
 
@@ -261,11 +262,11 @@ def control_dt(
     rates = np.linalg.eigvals(np.vstack([[0.0, 1.0], pull]))
     hidden = implicit if integrator in DAMPING_IMPLICIT else 0.0
     free, unit = np.array([[0.0, 1.0], [0.0, -hidden]]), np.eye(1)
-    law, late = Feedback.prompt_law(lambda time, sim: (), pull), (hidden * unit, 0 * unit)
+    law = Feedback.prompt_law(lambda time, sim: (), pull)
 
     def stable(dt: float) -> bool:
         step = held_step(
-            integrator, dt, 1, lambda y: free @ y, np.eye(2), unit, late, None, law, unit
+            *(integrator, dt, 1, np.eye(2), free, None, unit, hidden * unit, 0 * unit, law, unit)
         )
         return worst_growth(np.linalg.eigvals(step), dt, rates, horizon).stable
 

@@ -93,12 +93,10 @@ class LinearMotion:
             )
         free = self.rates.copy()
         free[n:] -= self._accelerations(e for e in self.elements if e.kind == KIND)
-        smooth = free.copy()
-        smooth[n:] -= after
         block = np.eye(2 * n + self.feedback.order) if of is None else of
         return held_step(
-            *(integrator, dt, hold, lambda y: free @ y, block, self.mass, (implicit, stiff)),
-            *((lambda y: smooth @ y) if self.after else None, self.feedback, self.inputs),
+            *(integrator, dt, hold, block, free, after if self.after else None),
+            *(self.mass, implicit, stiff, self.feedback, self.inputs),
         )
 
     def _accelerations(self, elements: Iterable[Element]) -> Floats:
