@@ -93,12 +93,7 @@ class BatchRun:
     def place(self, worlds: Sequence[int]) -> None:
         """Puts worlds at their starts."""
         for world in worlds:
-            start = self.runner.schedule.starts[self.starts[world]]
-            self.batch.qpos[world], self.batch.qvel[world] = start.qpos, start.qvel
-            if start.act is not None:
-                self.batch.act[world] = start.act
-            if start.mocap is not None:
-                self.batch.mocap_pos[world], self.batch.mocap_quat[world] = start.mocap
+            self.runner.schedule.starts[self.starts[world]].put(self.batch, world)
 
     def timed(self, clock: Clock) -> None:
         """Makes the runs once more from their starts, timed and not observed."""

@@ -1,11 +1,13 @@
-"""Where each joint's coordinates lie, and how far two states are apart in them."""
+"""`Start`: an initial state. `Coordinates`: where each joint's coordinates lie."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from stepcore.engine.batch import Batch
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.scene.layout import Layout
@@ -24,12 +26,12 @@ class Start:
     act: np.ndarray | None = None
     mocap: tuple[np.ndarray, np.ndarray] | None = None
 
-    def put(self, sim: Sim) -> None:
-        """Puts a Sim into this state; its time and its controls stay."""
-        sim.qpos, sim.qvel = self.qpos, self.qvel
-        sim.act[:] = 0.0 if self.act is None else self.act
+    def put(self, sim: Sim | Batch, world: Any = ...) -> None:
+        """Puts a Sim, or a world of a Batch, into this state; its time and its controls stay."""
+        sim.qpos[world], sim.qvel[world] = self.qpos, self.qvel
+        sim.act[world] = 0.0 if self.act is None else self.act
         if self.mocap is not None:
-            sim.mocap_pos, sim.mocap_quat = self.mocap
+            sim.mocap_pos[world], sim.mocap_quat[world] = self.mocap
 
 
 class Coordinates:
