@@ -14,7 +14,7 @@ from png_writer import SIGNATURE, chunk, grey
 import stepcore as sc
 from stepcore.mjcf import refusals
 from stepcore.mjcf.lenient_xml import mended
-from stepcore.scene import hfield_files, mesh_files, polygons
+from stepcore.scene import hfield_files, mesh_files
 
 
 def calls(function, *arguments):
@@ -176,7 +176,7 @@ def test_a_face_of_many_corners_is_split_with_some_calls_for_each():
 
 
 def test_faces_that_take_too_long_to_split_are_refused(monkeypatch):
-    monkeypatch.setattr(polygons, "MOST_WORK", 10**6)
+    monkeypatch.setattr(mesh_files, "MOST_WORK", 10**6)
     with pytest.raises(ValueError, match=r"a\.obj: not a whole OBJ file: .* with triangles"):
         read_obj(ring(3000))
     # Any number of small ones is read.

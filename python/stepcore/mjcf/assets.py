@@ -1,7 +1,7 @@
 """The section `<asset>`: meshes and height fields that the motion needs; all others only draw.
 
-A file is opened once it is known that a geom which collides, or which gives a body its mass, needs
-it. MuJoCo documentation, XML reference, asset/mesh, asset/hfield and compiler/meshdir.
+A file is opened only once a geom needs it that collides or gives its body mass. MuJoCo
+documentation, XML reference, asset/mesh, asset/hfield and compiler/meshdir.
 """
 
 from __future__ import annotations
@@ -34,18 +34,15 @@ class Assets:
     """The meshes and height fields of a file by name; `read_used` fills those that geoms use.
 
     drawn: geoms that only draw stay in the scene, as `stepcore.mjcf.appearance` wants them.
+    clear: by name of each material, whether its opacity is 0.
     """
 
     drawn = False
 
-    def __init__(
-        self,
-        sections: Iterable[Node],
-        compiler: Compiler,
-        defaults: Defaults,
-    ) -> None:
+    def __init__(self, sections: Iterable[Node], compiler: Compiler, defaults: Defaults) -> None:
         self.compiler = compiler
         self.defaults = defaults
+        self.clear: dict[str, bool] = {}
         self.nodes: dict[str, dict[str, Node]] = {"mesh": {}, "hfield": {}}
         self.known: dict[tuple[str, str], Mesh | HField] = {}
         # By path and content type, the first asset that holds the numbers of that file.
@@ -53,20 +50,19 @@ class Assets:
         # Of the files that are read: their sizes [bytes], and their names in the text.
         self.sizes: dict[str, int] = {}
         self.named: set[str] = set()
-        # Materials whose opacity is 0.
-        self.clear: dict[str, bool] = {}
-        for section in sections:
-            for node in section.children:
-                if node.tag in self.nodes:
-                    self._declare(node)
-                elif node.tag == "material":
-                    self._material(node)
-
-    def _material(self, node: Node) -> None:
-        default: Any = self.defaults.of(node, kind="material").get("rgba", "")
-        rgba: Any = node.attrs.get("rgba", default)
-        words = rgba.split() if isinstance(rgba, str) else [str(entry) for entry in rgba]
-        self.clear[node.attrs.get("name", "")] = len(words) > 3 and _zero(words[3])
+        for node in (node for section in sections for node in section.children):
+            if node.tag == "material":
+                default: Any = defaults.of(node, kind="material").get("rgba", "")
+                rgba: Any = node.attrs.get("rgba", default)
+                words = rgba.split() if isinstance(rgba, str) else [str(entry) for entry in rgba]
+                self.clear[node.attrs.get("name", "")] = len(words) > 3 and _is_zero(words[3])
+            elif node.tag in self.nodes:
+                name = node.asset_name()
+                if not name:
+                    raise node.error(f"<{node.tag}> needs a name or a file")
+                if name in self.nodes[node.tag]:
+                    raise node.error(f'{node.tag} "{cut(name, 80)}": the name is used twice')
+                self.nodes[node.tag][name] = node
 
     def unseen(self, values: Mapping[str, Any]) -> bool:
         """Whether the material of a geom with these attributes, or its colour, has opacity 0."""
@@ -75,18 +71,9 @@ class Assets:
         rgba = values.get("rgba", ())
         return len(rgba) > 3 and rgba[3] == 0
 
-    def _declare(self, node: Node) -> None:
-        name = node.asset_name()
-        if not name:
-            raise node.error(f"<{node.tag}> needs a name or a file")
-        if name in self.nodes[node.tag]:
-            raise node.error(f'{node.tag} "{cut(name, 80)}": the name is used twice')
-        self.nodes[node.tag][name] = node
-
     def of(self, scene: Contents, node: Node, kind: str, name: str) -> Any:
         """The mesh or height field that a geom names, still empty."""
-        asset = self.nodes[kind].get(name)
-        if asset is None:
+        if name not in self.nodes[kind]:
             near = nearest(name, sorted(self.nodes[kind]))
             raise node.error(f'<{node.tag}> {kind}="{name}": no such {kind}{near}')
         if (kind, name) not in self.known:
@@ -138,57 +125,66 @@ class Assets:
         if len(given) != 1:
             what = " and ".join(given) if given else "none of them"
             raise node.error(f"<mesh> needs one of file, vertex and builtin; it has {what}")
-        if "file" in values:
-            path = self._path(scene, node, values["file"])
-            key = path, values.get("content_type", "")
-            if key in self.read:
-                _share(self.read[key], mesh)
-            else:
-                surface = mesh_files.read(*key)
-                mesh.vertices, mesh.faces, mesh.file = surface.vertices, surface.faces, path
-                self.read[key] = mesh
-                place = f"{node.file}:{node.line}: {values['file']}"
-                scene.notes += mesh_files.notes(place, surface)
-            self._count(node, path)
-        elif "builtin" in values:
+        if given == ["file"]:
+            self._from_file(scene, node, mesh, values)
+        elif given == ["builtin"]:
             builtin_meshes.fill(mesh, node, values)
         else:
             if len(values["vertex"]) % 3:
                 raise bad(node, "vertex", values["vertex"], "3 numbers for each vertex")
             mesh.vertices = values["vertex"]
-            if "face" in values:
-                mesh.faces = _faces(node, values["face"])
-        if "face" in values and "vertex" not in values:
+        if "face" in values and given != ["vertex"]:
             raise node.error("<mesh> has faces, but no vertices of its own")
-        _check_counts(node, mesh)
+        if "face" in values:
+            mesh.faces = _faces(node, values["face"])
+        count = len(mesh.vertices)
+        if count < 4:
+            raise node.error(f"<mesh> has {count} vertices: must be at least 4")
+        if mesh.faces is not None and len(mesh.faces) and mesh.faces.max() >= count:
+            raise node.error(f"<mesh> has a face with vertex {mesh.faces.max()}, of {count}")
 
     def _hfield(self, scene: Contents, node: Node, hfield: HField) -> None:
         values = node.values
-        counts = values.get("nrow", 0), values.get("ncol", 0)
+        counts = nrow, ncol = values.get("nrow", 0), values.get("ncol", 0)
         hfield.size = values["size"]
         if "file" in values:
             if any(counts) or "elevation" in values:
                 raise node.error("<hfield> has a file, and so no nrow, ncol or elevation")
-            path = self._path(scene, node, values["file"])
-            key = path, values.get("content_type", "")
-            if key in self.read:
-                _share(self.read[key], hfield)
-            else:
-                hfield.elevation, hfield.file = hfield_files.read(*key), path
-                self.read[key] = hfield
-            self._count(node, path)
+            self._from_file(scene, node, hfield, values)
+            return
+        if not (nrow > 0 and ncol > 0 and nrow * ncol <= hfield_files.MOST):
+            limit = f"above 0, and their product at most {hfield_files.MOST}, without a file"
+            raise bad(node, "nrow, ncol", counts, limit)
+        heights = values.get("elevation", np.zeros(nrow * ncol))
+        if len(heights) != nrow * ncol:
+            raise node.error(
+                f"<hfield> elevation has {len(heights)} numbers: must be nrow × ncol = "
+                f"{nrow * ncol}"
+            )
+        hfield.elevation = np.asarray(heights).reshape(nrow, ncol)
+
+    def _from_file(
+        self, scene: Contents, node: Node, asset: Mesh | HField, values: Mapping[str, Any]
+    ) -> None:
+        """Reads the file of an asset; assets of one file share its arrays, which are constant."""
+        path = self._path(scene, node, values["file"])
+        key = path, values.get("content_type", "")
+        first = self.read.get(key)
+        if first is not None:
+            for field in ("vertices", "faces", "elevation", "file"):
+                if field in first.__dict__ and field in asset.__dict__:
+                    asset.__dict__[field] = first.__dict__[field]
+        elif isinstance(asset, Mesh):
+            surface = mesh_files.read(*key)
+            asset.vertices, asset.faces = surface.vertices, surface.faces
+            place = f"{node.file}:{node.line}: {values['file']}"
+            scene.notes += mesh_files.notes(place, surface)
         else:
-            nrow, ncol = counts
-            if not (nrow > 0 and ncol > 0 and nrow * ncol <= hfield_files.MOST):
-                limit = f"above 0, and their product at most {hfield_files.MOST}, without a file"
-                raise bad(node, "nrow, ncol", counts, limit)
-            heights = values.get("elevation", np.zeros(nrow * ncol))
-            if len(heights) != nrow * ncol:
-                raise node.error(
-                    f"<hfield> elevation has {len(heights)} numbers: must be nrow × ncol = "
-                    f"{nrow * ncol}"
-                )
-            hfield.elevation = np.asarray(heights).reshape(nrow, ncol)
+            asset.elevation = hfield_files.read(*key)
+        asset.file = path
+        self.read.setdefault(key, asset)
+        self.sizes.setdefault(path, os.path.getsize(path))
+        self.named.add(node.attrs["file"])
 
     def _path(self, scene: Contents, node: Node, name: str) -> str:
         """Where a file of this name lies; a note if that is outside the folder of the model."""
@@ -205,31 +201,26 @@ class Assets:
             )
         return path
 
-    def _place(self, node: Node, name: str, own: str = "meshdir") -> str | None:
+    def _place(self, node: Node, name: str, folder: str = "meshdir") -> str | None:
         """The path that a file's name means; None in a text without a folder.
 
-        own: the attribute of the compiler that names the folder of such files.
+        folder: the attribute of the compiler that names the folder of such files.
         """
         compiler = node.compiler or self.compiler
         values, directory = compiler.values, compiler.directory
         name = name.replace("\\", "/")
-        folder = values.get(own, values.get("assetdir", ""))
+        within = values.get(folder, values.get("assetdir", ""))
         stripped = bool(values.get("strippath"))
         if stripped:
             name = name.rpartition("/")[2]
-        if directory is None and not os.path.isabs(os.path.join(folder, name)):
+        if directory is None and not os.path.isabs(os.path.join(within, name)):
             return None
         # With strippath the folder of an included file does not count either.
-        path = os.path.join(directory or "", folder, name)
-        return os.path.normpath(path if stripped else compiler.path(node, name, folder))
-
-    def _count(self, node: Node, path: str) -> None:
-        if path not in self.sizes:
-            self.sizes[path] = os.path.getsize(path)
-        self.named.add(node.attrs["file"])
+        path = os.path.join(directory or "", within, name)
+        return os.path.normpath(path if stripped else compiler.path(node, name, within))
 
     def _note(self, scene: Contents) -> None:
-        """Notes what was read and what not; the scene's source knows it too."""
+        """Notes which files were read and which not; the scene's source knows them too."""
         files = [
             node for nodes in self.nodes.values() for node in nodes.values() if "file" in node.attrs
         ]
@@ -244,30 +235,19 @@ class Assets:
             )
         source = scene._source
         if source is not None:
-            unread = tuple(name for name in source.unread if name not in self.named)
+            unread = {
+                self._place(node, node.attrs["file"])
+                for node in files
+                if node.attrs["file"] not in self.named
+            }
+            there = [path for path in unread if path and os.path.isfile(path)]
             scene._source = replace(
                 source,
                 files=(*source.files, *self.sizes),
-                unread=unread,
+                unread=tuple(name for name in source.unread if name not in self.named),
                 read_bytes=size,
-                asset_bytes=size + self._unread(files),
+                asset_bytes=size + sum(map(os.path.getsize, there)),
             )
-
-    def _unread(self, files: list[Node]) -> int:
-        """How large the files are that only draw, as far as they are there [bytes]."""
-        places = {
-            self._place(node, node.attrs["file"])
-            for node in files
-            if node.attrs["file"] not in self.named
-        }
-        return sum(os.path.getsize(path) for path in places if path and os.path.isfile(path))
-
-
-def _share(first: Mesh | HField, asset: Mesh | HField) -> None:
-    """Gives an asset the arrays of another of the same file: they are constant."""
-    for field in ("vertices", "faces", "elevation", "file"):
-        if field in first.__dict__ and field in asset.__dict__:
-            asset.__dict__[field] = first.__dict__[field]
 
 
 def _faces(node: Node, face: tuple[int, ...]) -> Any:
@@ -278,15 +258,7 @@ def _faces(node: Node, face: tuple[int, ...]) -> Any:
     return np.array(face).reshape(-1, 3)
 
 
-def _check_counts(node: Node, mesh: Mesh) -> None:
-    count = len(mesh.vertices)
-    if count < 4:
-        raise node.error(f"<mesh> has {count} vertices: must be at least 4")
-    if mesh.faces is not None and len(mesh.faces) and mesh.faces.max() >= count:
-        raise node.error(f"<mesh> has a face with vertex {mesh.faces.max()}, of {count}")
-
-
-def _zero(word: str) -> bool:
+def _is_zero(word: str) -> bool:
     try:
         return float(word) == 0
     except ValueError:

@@ -1,6 +1,8 @@
 """Readers of mesh files: STL (binary and text), OBJ and MuJoCo's MSH.
 
-Each takes the bytes of a file. Anything that is not what the format says is a ValueError.
+Each takes the bytes of a file. Anything that is not what the format says is a ValueError. Faces of
+more than three corners are split as MuJoCo's reader of OBJ files splits them, which matters where
+a face is not flat or not convex: hull, volume and inertia follow the split.
 """
 
 from __future__ import annotations
@@ -13,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks, files
-from stepcore.scene.polygons import triangles
 
 
 class Surface(NamedTuple):
@@ -27,6 +28,15 @@ class Surface(NamedTuple):
     beyond: int = 0
 
 
+Polygon = list[int]
+# Two coordinates.
+Place = tuple[Any, Any]
+# A corner is compared with all others before it is cut off, so the work grows with the square of
+# their number. This much takes seconds, and is enough for a face of 10,000 corners.
+MOST_WORK = 10**8
+# What each corner of a file may take beside, so that there may be any number of small faces, and
+# what a comparison takes with however few.
+PER_CORNER, LEAST = 1000, 500
 # What the content type of MJCF stands for.
 CONTENT = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
 FORMATS = ("stl", "obj", "msh")
@@ -180,7 +190,7 @@ def obj(data: bytes) -> Surface:
     ]
     for face in corners:
         _check_corners(min(face), max(face), len(vertices))
-    return Surface(vertices, triangles(corners, vertices), beyond)
+    return Surface(vertices, split_polygons(corners, vertices), beyond)
 
 
 def _corner(word: bytes, count: int) -> int:
@@ -217,3 +227,88 @@ def msh(data: bytes) -> Surface:
         return Surface(vertices, None)
     faces = np.frombuffer(data, "<i4", 3 * nface, size - 12 * nface)
     return Surface(vertices, faces.astype(np.int64).reshape(-1, 3))
+
+
+def split_polygons(polygons: list[Polygon], vertices: NDArray[Any]) -> NDArray[Any]:
+    """The triangles of polygons, shape (n, 3); a polygon: indices of its vertices in turn.
+
+    Quadrilaterals are split along the shorter diagonal, the second where both are as long; of
+    larger ones ears are cut off, in the plane of two axes that they face most, in the single
+    precision of MuJoCo's reader.
+    """
+    split: list[Polygon] = []
+    work = MOST_WORK + PER_CORNER * sum(map(len, polygons))
+    for polygon in polygons:
+        if len(polygon) == 3:
+            split.append(polygon)
+        elif len(polygon) == 4:
+            a, b, c, d = polygon
+            first, second = vertices[c] - vertices[a], vertices[d] - vertices[b]
+            shorter = first @ first < second @ second
+            split += [[a, b, c], [a, c, d]] if shorter else [[a, b, d], [b, c, d]]
+        else:
+            with np.errstate(all="ignore"):
+                ears, work = _without_ears(polygon, vertices[polygon].astype(np.float32), work)
+            split += ears
+    return np.array(split, np.int64).reshape(-1, 3)
+
+
+def _without_ears(polygon: Polygon, corners: NDArray[Any], work: int) -> tuple[list[Polygon], int]:
+    """Cuts off a corner at a time in which no other corner lies, until a triangle is left.
+
+    What no ear can be found of any more is no simple polygon, and is left out, as in MuJoCo.
+    work: the comparisons of corners that the file has left, which are returned too; ValueError
+    where there are none.
+    """
+    x, y = (np.ascontiguousarray(axis) for axis in corners[:, _axes(corners)].T)
+    left, triangles, at, tries = list(polygon), [], 0, len(polygon)
+    while len(left) > 3 and tries > 0:
+        at %= len(left)
+        tries -= 1
+        work -= LEAST + len(left)
+        if work < 0:
+            raise ValueError(
+                "its faces of many corners take too long to split into triangles: save it with "
+                "triangles"
+            )
+        ear = [at, (at + 1) % len(left), (at + 2) % len(left)]
+        places = [(x[corner], y[corner]) for corner in ear]
+        if _points_in(*places) or _holds_other(ear, places, x, y):
+            at += 1
+            continue
+        triangles.append([left[corner] for corner in ear])
+        del left[ear[1]]
+        x, y = np.delete(x, ear[1]), np.delete(y, ear[1])
+        tries = len(left) + 1
+    return [*triangles, left] if len(left) == 3 else triangles, work
+
+
+def _axes(corners: NDArray[Any]) -> list[int]:
+    """The two axes of the plane that the first proper corner faces most."""
+    edges = np.roll(corners, -1, axis=0) - corners
+    turns = np.abs(np.cross(edges, np.roll(edges, -1, axis=0)))
+    for x, y, z in turns.tolist():
+        if max(x, y, z) > np.finfo(np.float32).eps:
+            if x > y and x > z:
+                return [1, 2]
+            return [0, 1] if z > x and z > y else [0, 2]
+    return [1, 2]
+
+
+def _points_in(a: Place, b: Place, c: Place) -> bool:
+    """Whether a corner counts as one that points into the polygon.
+
+    What it turns is compared with the side on which its first edge passes the origin, as MuJoCo's
+    reader has it, and not with the way round that the polygon goes.
+    """
+    turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+    return bool(turn * (a[0] * b[1] - a[1] * b[0]) < 0)
+
+
+def _holds_other(ear: list[int], places: list[Place], x: NDArray[Any], y: NDArray[Any]) -> bool:
+    """Whether a corner beside those three lies in their triangle: a ray crosses one edge of it."""
+    inside = np.zeros(len(x), bool)
+    for (ax, ay), (bx, by) in zip(places, places[-1:] + places[:-1], strict=True):
+        inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
+    inside[ear] = False
+    return bool(inside.any())
