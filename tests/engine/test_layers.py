@@ -126,7 +126,7 @@ def layer(name):
 
 def test_the_imports_are_found():
     assert ("scene.scene", True) in EDGES["engine.model"]
-    assert "mjcf.write" in RUN["scene.scene"]
+    assert "mjcf.writer" in RUN["scene.scene"]
     assert "lesson.run" in RUN["lesson"]
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == [("b", "c")]
 

@@ -260,7 +260,7 @@ def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
     if min(by_torque, by_voltage) < 0:
         raise bad(node, "motorconst", given, ">= 0")
     if "nominal" in values and free != 0:
-        known: float = values.get("resistance", resistance)
+        known = float(values.get("resistance", resistance))
         by_nominal = _without_load(voltage, stall, free, known, base.damping)
         by_torque, by_voltage = by_torque or by_nominal, by_voltage or by_nominal
     both = by_torque > 0 and by_voltage > 0

@@ -18,8 +18,8 @@ from stepcore._core import Settings
 from stepcore.mjcf import custom
 from stepcore.mjcf.option import said, to_say
 from stepcore.mjcf.reader import read_text
-from stepcore.mjcf.write import written
-from stepcore.mjcf.write.tags import Tag, escaped
+from stepcore.mjcf.tags import Tag, escaped
+from stepcore.mjcf.writer import written
 
 if TYPE_CHECKING:
     from stepcore.mjcf.nodes import Source

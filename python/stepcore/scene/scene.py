@@ -129,7 +129,7 @@ class Scene(Contents):
         </mujoco>
         <BLANKLINE>
         """
-        from stepcore.mjcf.write import written
+        from stepcore.mjcf.writer import written
 
         return written(self)
 

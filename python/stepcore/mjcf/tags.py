@@ -1,13 +1,17 @@
-"""An element to write, and its values as text that reads back as exactly these values."""
+"""Elements to write: exact numbers as text, and names for all that others refer to."""
 
 from __future__ import annotations
 
-import dataclasses
 import re
-from typing import Any
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
+from stepcore.mjcf.custom import KINDS
 from stepcore.mjcf.option import shortest
 from stepcore.scene.elements import Element
+
+if TYPE_CHECKING:
+    from stepcore.scene.layout import Layout
 
 # Characters that XML 1.0 does not allow, even escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
@@ -47,13 +51,6 @@ def escaped(value: str) -> str:
     return "".join(_ESCAPES.get(letter, letter) for letter in value)
 
 
-def changed(element: Element, *skip: str) -> dict[str, Any]:
-    """The fields of an element that differ from their defaults."""
-    defaults = {spec.name: spec.default for spec in dataclasses.fields(element)}  # type: ignore[arg-type]
-    values = {field: value for field, value in element.values().items() if field not in skip}
-    return {field: value for field, value in values.items() if value != defaults[field]}
-
-
 def printed(root: Tag, comment: str) -> str:
     """The text of a whole file."""
     lines: list[str] = []
@@ -69,3 +66,44 @@ def printed(root: Tag, comment: str) -> str:
             pending.append((indent, f"</{item.kind}>"))
             pending += [(indent + 1, tag) for tag in reversed(item.inside)]
     return comment + "\n".join(lines) + "\n"
+
+
+class Names:
+    """What each element is called.
+
+    referred: elements that others refer to, of any kind, so that they need a name.
+    made: (kind, name) of those that got one for that only.
+    """
+
+    def __init__(self, layout: Layout, referred: Iterable[Element]) -> None:
+        self.given: dict[int, str] = {}
+        self.made: list[tuple[str, str]] = []
+        scene = layout.scene
+        wanted = {id(element) for element in referred}
+        # MJCF knows no asset without a name.
+        wanted |= {id(asset) for asset in (*scene.meshes, *scene.hfields)}
+        for kind, where in KINDS.items():
+            # Elements that stand in bodies are counted in the order of the file.
+            self._name(kind, getattr(layout, where, None) or getattr(scene, where), wanted)
+
+    def _name(self, kind: str, elements: Iterable[Any], wanted: set[int]) -> None:
+        elements = list(elements)
+        taken = {element.name for element in elements}
+        for index, element in enumerate(elements):
+            name = element.name
+            if not name and id(element) in wanted:
+                name = f"{kind}_{index}"
+                while name in taken:
+                    name += "_"
+                taken.add(name)
+                self.made.append((kind, name))
+            self.given[id(element)] = name
+
+    def of(self, element: Element) -> str:
+        """The name of an element in the file."""
+        return self.given[id(element)]
+
+    def attribute(self, element: Element) -> dict[str, str]:
+        """``name=…``, if the element has one."""
+        name = self.given.get(id(element), getattr(element, "name", ""))
+        return {"name": name} if name else {}

@@ -1,0 +1,417 @@
+"""Writes a `Scene` as MJCF, with exact numbers and without defaults."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from stepcore import checks
+from stepcore.mjcf import custom
+from stepcore.mjcf.attributes import changed
+from stepcore.mjcf.nodes import DEPTH
+from stepcore.mjcf.option import said, to_say
+from stepcore.mjcf.schema import OWN_FEATURES
+from stepcore.mjcf.tags import Names, Tag, printed, text
+from stepcore.scene import frames
+from stepcore.scene.consistency import check
+from stepcore.scene.elements import (
+    GRAVITY,
+    Actuator,
+    Body,
+    Element,
+    Equality,
+    Geom,
+    HField,
+    Joint,
+    Key,
+    Mesh,
+    Pair,
+    Sensor,
+    Site,
+    Tendon,
+)
+from stepcore.scene.elements.actuator import TARGET_FIELDS
+from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS, FED
+from stepcore.scene.elements.sensor import OF_ACCELERATION, OF_FRAME
+from stepcore.scene.elements.site import SITE_SIZE
+from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
+from stepcore.scene.frames import ORIGIN, Vec
+from stepcore.scene.holdings import MAGNETIC
+from stepcore.scene.layout import SIZES, Layout
+
+if TYPE_CHECKING:
+    from stepcore.scene.contents import Contents
+
+# MuJoCo's grey with opacity 0.
+UNSEEN = (0.5, 0.5, 0.5, 0.0)
+# The group of actuators that are left out.
+DISABLED = 30
+# Attributes of `<general>` alone, and the shortcuts that have them too.
+GENERAL = {"actearly": (), "actrange": ("intvelocity",)}
+# Sensors whose objects are named with their type.
+TYPED = (*OF_FRAME, *OF_ACCELERATION, "insidesite", "user")
+
+
+def written(scene: Contents) -> str:
+    """The scene as an MJCF text; see `Scene.to_mjcf`."""
+    layout = Layout(scene)
+    check(layout)
+    world = scene.world
+    if world.name != "world" or world.mass is not None:
+        raise ValueError(f"{world}: the world of an MJCF file is called world and has no mass")
+    names = Names(layout, _referred(scene))
+    root = Tag("mujoco", **({"model": scene.name} if scene.name else {}))
+    _add_compiler(root, scene)
+    words = _add_option(root, scene)
+    meshes = [_mesh(mesh, names) for mesh in scene.meshes]
+    _add_section(root, "asset", meshes + [_hfield(hfield, names) for hfield in scene.hfields])
+    _add_tree(root, layout, names)
+    excluded = [_exclude(pair, names) for pair in scene.excludes]
+    _add_section(root, "contact", excluded + [_pair(pair, names) for pair in scene.pairs])
+    _add_section(root, "tendon", [_tendon(tendon, names) for tendon in scene.tendons])
+    _add_section(root, "equality", [_equality(tie, names) for tie in scene.equalities])
+    _add_section(root, "actuator", _actuators(scene.actuators, names))
+    _add_section(root, "sensor", [_sensor(sensor, names) for sensor in scene.sensors])
+    _add_section(root, "keyframe", [_key(key) for key in scene.keys])
+    data = custom.data(words, names.made)
+    if data:
+        root.add(Tag("custom")).add(Tag("text", name=custom.NAME, data=data))
+    return printed(root, _left_out(scene))
+
+
+def _referred(scene: Contents) -> list[Element]:
+    """What others refer to, so that it needs a name."""
+    holders: list[tuple[Element, Iterable[str]]] = [
+        *((pair, ("geom1", "geom2")) for pair in scene.pairs),
+        *((tie, tie.given()) for tie in scene.equalities),
+        *((a, [f for f in TARGET_FIELDS if f != "feeds"]) for a in scene.actuators),
+        *((sensor, ("object", "reference")) for sensor in scene.sensors),
+    ]
+    ends = [getattr(holder, field) for holder, fields in holders for field in fields]
+    ends += [body for pair in scene.excludes for body in pair]
+    ends += [element for tendon in scene.tendons for element in tendon.elements()]
+    return [end for end in ends if isinstance(end, Element)]
+
+
+def _actuators(actuators: list[Actuator], names: Names) -> list[Tag]:
+    tags = []
+    for at, actuator in enumerate(actuators):
+        if actuator.type != "input":
+            behind = actuators[at + 1 : at + len(actuator.inputs)]
+            tags.append(_actuator(actuator, behind, names))
+    return tags
+
+
+def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
+    if tags:
+        root.add(Tag(name)).inside = tags
+
+
+def _left_out(scene: Contents) -> str:
+    """The comment about elements of the scene's file that this text leaves out."""
+    count = len(scene.ignored)
+    if not count:
+        return ""
+    what = "1 element" if count == 1 else f"{count} elements"
+    return f"<!-- Left out: {what} of the scene's file that cannot change the motion. -->\n"
+
+
+def _add_compiler(root: Tag, scene: Contents) -> None:
+    """Adds the compiler section."""
+    compiler = root.add(Tag("compiler", angle="radian", **changed(scene.mass_rules)))
+    if ranges := changed(scene.lengthrange):
+        compiler.add(Tag("lengthrange", **ranges))
+
+
+def _add_option(root: Tag, scene: Contents) -> dict[str, Any]:
+    """Adds the option section; returns the settings that it cannot hold."""
+    attributes, flags, rest = said(to_say(scene.settings))
+    whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
+    whole["magnetic"] = MAGNETIC
+    for name, usual in whole.items():
+        if getattr(scene, name) != usual:
+            attributes[name] = text(getattr(scene, name))
+    features = changed(scene.features)
+    for name, on in features.items():
+        if name in OWN_FEATURES:
+            rest[name] = on
+        else:
+            flags[name] = "enable" if on else "disable"
+    override = changed(scene.contact_override)
+    if override.pop("enable", False):
+        flags["override"] = "enable"
+    attributes |= {f"o_{name}": text(value) for name, value in override.items()}
+    if any(not actuator.enabled for actuator in scene.actuators):
+        attributes["actuatorgroupdisable"] = str(DISABLED)
+    if attributes or flags:
+        option = root.add(Tag("option", **attributes))
+        if flags:
+            option.add(Tag("flag", **flags))
+    return rest
+
+
+def _mesh(mesh: Mesh, names: Names) -> Tag:
+    arrays = {"vertex": mesh.vertices.ravel().tolist()}
+    if mesh.faces is not None:
+        arrays["face"] = mesh.faces.ravel().tolist()
+    return Tag(
+        "mesh",
+        **names.attribute(mesh),
+        **changed(mesh, "name", "vertices", "faces", "file"),
+        **arrays,
+    )
+
+
+def _hfield(hfield: HField, names: Names) -> Tag:
+    nrow, ncol = hfield.elevation.shape
+    heights = hfield.elevation.ravel().tolist()
+    own = {"size": hfield.size, "nrow": nrow, "ncol": ncol, "elevation": heights}
+    return Tag("hfield", **names.attribute(hfield), **own)
+
+
+def _add_tree(root: Tag, layout: Layout, names: Names) -> None:
+    """Adds the bodies, each with its joints, geoms and sites before its children."""
+    tags: dict[int, Tag] = {}
+    depth: dict[int, int] = {}
+    for body in layout.bodies:
+        if body.parent is None:
+            tag, level = root.add(Tag("worldbody")), 1
+        else:
+            tag = tags[id(body.parent)].add(_body(body, names))
+            level = depth[id(body.parent)] + 1
+        if level > DEPTH - 2:
+            raise ValueError(f"{body}: an MJCF file nests bodies at most {DEPTH - 2} deep")
+        tags[id(body)], depth[id(body)] = tag, level
+        # Its child bodies follow in the order of the layout.
+        for joint in layout.joints_of.get(id(body), []):
+            tag.add(_joint(joint, names))
+    for geom in layout.geoms:
+        _before_bodies(tags[id(geom.body)], _geom(geom, names))
+    for site in layout.sites:
+        _before_bodies(tags[id(site.body)], _site(site, names))
+
+
+def _before_bodies(tag: Tag, inner: Tag) -> None:
+    at = next((i for i, one in enumerate(tag.inside) if one.kind == "body"), len(tag.inside))
+    tag.inside.insert(at, inner)
+
+
+def _body(body: Body, names: Names) -> Tag:
+    placed = changed(body, "name", "parent", "mass", "ipos", "inertia", "iquat")
+    tag = Tag("body", **names.attribute(body), **placed)
+    if body.mass is not None:
+        tag.add(Tag("inertial", pos=body.ipos, mass=body.mass, **_inertia(body)))
+    return tag
+
+
+def _inertia(body: Body) -> dict[str, Vec]:
+    inertia = body.inertia
+    if body.iquat is not None:
+        turn = {} if body.iquat == frames.IDENTITY else {"quat": body.iquat}
+        return {**turn, "diaginertia": _moments(body.iquat, inertia)}
+    # Axes that are found put the largest moment first; three moments of a file are as they stand.
+    falling = inertia[0] >= inertia[1] >= inertia[2]
+    diagonal = not any(inertia[3:]) and (falling or min(inertia[:3]) == 0.0)
+    return {"diaginertia": inertia[:3]} if diagonal else {"fullinertia": inertia}
+
+
+def _moments(quat: Vec, inertia: Vec) -> Vec:
+    """The moments about principal axes, by which a reader finds these very bits, if any do."""
+    if quat == frames.IDENTITY:
+        return inertia[:3]
+    w, x, y, z = quat
+    best: Vec = (0.0, 0.0, 0.0)
+    # Twice: the quaternion has its length only to rounding.
+    for _ in range(2):
+        turned = frames.turned_inertia(quat, (*best, 0.0, 0.0, 0.0))
+        missing = [a - b for a, b in zip(inertia, turned, strict=True)]
+        more = frames.turned_inertia((w, -x, -y, -z), missing)
+        best = tuple(a + b for a, b in zip(best, more[:3], strict=True))
+    for moments in itertools.product(*map(_neighbours, best)):
+        if frames.turned_inertia(quat, (*moments, 0.0, 0.0, 0.0)) == inertia:
+            return moments
+    return best
+
+
+def _neighbours(x: float) -> list[float]:
+    """The number and those within two roundings of it."""
+    above, below = math.nextafter(x, math.inf), math.nextafter(x, -math.inf)
+    further = math.nextafter(above, math.inf), math.nextafter(below, -math.inf)
+    return [x, above, further[0], below, further[1]]
+
+
+def _joint(joint: Joint, names: Names) -> Tag:
+    skip = ["name", "body"]
+    if joint.type in ("ball", "free"):
+        skip += ["axis", "ref", "springref"]
+    if joint.type == "free":
+        skip.append("pos")
+    # A range of nothing but 0 means no limit, unless it is said to be one.
+    limited = {"limited": "true"} if joint.range == (0.0, 0.0) else {}
+    return Tag("joint", **names.attribute(joint), **limited, **changed(joint, *skip))
+
+
+def _geom(geom: Geom, names: Names) -> Tag:
+    given = changed(geom, "name", "body", "size", "mesh", "hfield")
+    for field, asset in (("mesh", geom.mesh), ("hfield", geom.hfield)):
+        if asset is not None:
+            given[field] = names.of(asset)
+    if given.pop("hidden", False):
+        given["rgba"] = UNSEEN
+    used = SIZES[geom.type]
+    # MuJoCo wants a spacing for the grid of a plane, even where nothing is drawn.
+    size = geom.size[:used] if used else (*geom.size[:2], geom.size[2] or 1.0)
+    if "mesh" not in given and "hfield" not in given:
+        given = {"size": size, **given}
+    first = {"type": given.pop("type")} if "type" in given else {}
+    return Tag("geom", **names.attribute(geom), **first, **given)
+
+
+def _site(site: Site, names: Names) -> Tag:
+    given = changed(site, "name", "body", "size")
+    size = site.size[: SIZES[site.type]]
+    if size != SITE_SIZE[: len(size)]:
+        given["size"] = size
+    return Tag("site", **names.attribute(site), **given)
+
+
+def _exclude(pair: tuple[Body, Body], names: Names) -> Tag:
+    return Tag("exclude", body1=names.of(pair[0]), body2=names.of(pair[1]))
+
+
+def _pair(pair: Pair, names: Names) -> Tag:
+    ends = {"geom1": names.of(pair.geom1), "geom2": names.of(pair.geom2)}
+    given = changed(pair, "name", "geom1", "geom2")
+    return Tag("pair", **names.attribute(pair), **ends, **given)
+
+
+def _tendon(tendon: Tendon, names: Names) -> Tag:
+    kind = "fixed" if tendon.fixed else "spatial"
+    tag = Tag(kind, **names.attribute(tendon), **changed(tendon, "name", "path"))
+    tag.inside = [_stop(stop, names) for stop in tendon.path]
+    return tag
+
+
+def _stop(stop: Stop, names: Names) -> Tag:
+    if isinstance(stop, Share):
+        return Tag("joint", joint=names.of(stop.joint), coef=stop.coef)
+    if isinstance(stop, Around):
+        side = {} if stop.sidesite is None else {"sidesite": names.of(stop.sidesite)}
+        return Tag("geom", geom=names.of(stop.geom), **side)
+    if isinstance(stop, Pulley):
+        return Tag("pulley", divisor=stop.divisor)
+    return Tag("site", site=names.of(stop))
+
+
+def _equality(equality: Equality, names: Names) -> Tag:
+    own = equality.given()
+    if equality.body1 is not None and equality.type == "connect":
+        # Without it MuJoCo does not know what is connected.
+        own["anchor"] = equality.anchor
+    own = {k: names.of(v) if isinstance(v, Element) else v for k, v in own.items()}
+    given = changed(equality, "name", "type", *own)
+    return Tag(equality.type, **names.attribute(equality), **own, **given)
+
+
+def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
+    """behind: what stands behind it in the scene, as many as it has more inputs."""
+    given = changed(actuator, "name", "type", "enabled")
+    first: dict[str, Any] = dict(names.attribute(actuator))
+    for field in TARGET_FIELDS:
+        element = given.pop(field, None)
+        if element is not None:
+            first[field] = names.of(element) if isinstance(element, Element) else element
+    if not actuator.enabled:
+        first["group"] = DISABLED
+    kind = actuator.type
+    if any(field in given and kind not in also for field, also in GENERAL.items()):
+        kind = "general"
+    low, high = actuator.forcerange or (-1.0, 1.0)
+    if kind == "dcmotor" and low != -high:
+        if actuator.law.controller is not None:
+            limit = "alike both ways, to be written as MJCF"
+            raise checks.refuse(actuator, "forcerange", actuator.forcerange, limit)
+        kind = "general"
+    if kind != actuator.type:
+        given = {field: value for field, value in given.items() if field not in ALL_LAW_FIELDS}
+        return Tag(kind, **first, **actuator.law.general(), **given)
+    if kind in FED:
+        first |= _of_inputs(actuator, behind, given)
+    if kind == "dcmotor":
+        given |= _motor(given)
+    if actuator.biasprm is not None and actuator.biastype is None:
+        first["biastype"] = "affine"
+    return Tag(kind, **first, **given)
+
+
+def _of_inputs(actuator: Actuator, behind: list[Actuator], given: dict[str, Any]) -> dict[str, Any]:
+    """The bounds of a controller's controls, each of which is an actuator here."""
+    words = actuator.inputs
+    for word, other in zip(words[1:], behind, strict=False):
+        name = f"{actuator.name}/{word}" if actuator.name else ""
+        late = ("delay", "nsample", "interp")
+        same = all(getattr(other, field) == getattr(actuator, field) for field in late)
+        stands = other.feeds is actuator and other.input == word and other.name == name
+        bounded = actuator.type == "pid" or other.ctrlrange == actuator.ctrlrange
+        if not (stands and same and bounded):
+            limit = "inputs right behind it, named by it and late like it, to be written as MJCF"
+            raise checks.refuse(actuator, "input", actuator.input, limit)
+    if actuator.type != "pid":
+        return {}
+    own = given.pop("ctrlrange", None)
+    bounds = [own, *(other.ctrlrange for other in behind)]
+    return {f"{word}range": b for word, b in zip(words, bounds, strict=False) if b is not None}
+
+
+def _motor(given: dict[str, Any]) -> dict[str, Any]:
+    """What a motor's words are in MJCF; those that it has in place of others leave `given`."""
+    asked = [given.pop(name, None) or 0.0 for name in ("kp", "ki", "kv", "slewmax", "imax", "vmax")]
+    bounds, rate = given.pop("forcerange", None), given.pop("current_rate", None) or 0.0
+    words: dict[str, Any] = {"controller": tuple(asked)} if any(asked) else {}
+    if thermal := given.pop("thermal", None):
+        words["thermal"] = (*thermal[:2], 0.0, *thermal[2:])
+    if bounds or rate:
+        words["saturation"] = (bounds[1] if bounds else 0.0, 0.0, rate)
+    return words
+
+
+def _sensor(sensor: Sensor, names: Names) -> Tag:
+    given: dict[str, Any] = dict(names.attribute(sensor))
+    given |= _end(sensor, names, sensor.object, sensor.objtype, "1")
+    given |= _end(sensor, names, sensor.reference, sensor.reftype, "2")
+    if sensor.data:
+        given["data"] = " ".join(sensor.data)
+    if sensor.type == "user":
+        given["dim"] = sensor.num
+    counted = () if sensor.type == "user" else (("num", 1),)
+    for field, default in (*counted, ("reduce", "none"), ("cutoff", 0.0), ("noise", 0.0)):
+        value = getattr(sensor, field)
+        if value != default:
+            given[field] = value
+    return Tag(sensor.type, **given)
+
+
+def _end(
+    sensor: Sensor, names: Names, element: Element | None, word: str, number: str
+) -> dict[str, Any]:
+    """The attributes that name an object (1) or a reference (2)."""
+    if element is None:
+        return {}
+    kind, name = type(element).__name__.lower(), names.of(element)
+    if sensor.type in TYPED:
+        if sensor.type == "insidesite" and number == "2":
+            return {"site": name}
+        prefix = "obj" if number == "1" else "ref"
+        typed = (word or "xbody") if kind == "body" else kind
+        return {f"{prefix}type": typed, f"{prefix}name": name}
+    if sensor.type in ("contact", "distance", "normal", "fromto") and kind != "site":
+        return {f"{'subtree' if word == 'subtree' else kind}{number}": name}
+    return {kind: name}
+
+
+def _key(key: Key) -> Tag:
+    given = changed(key)
+    # An empty list cannot be written as an attribute.
+    return Tag("key", **{name: value for name, value in given.items() if value != ()})
