@@ -28,12 +28,12 @@ LONGEST_NAME, LONGEST_WORD = 80, 300
 
 
 def shown(value: object, width: int = 80) -> str:
-    """``repr`` on one line, cut to `width` characters."""
+    """``repr`` of a value on one line, cut to `width` characters."""
     return cut(" ".join(repr(value).split()), width)
 
 
 def cut(text: str, width: int = LONGEST) -> str:
-    """The text as it stands in a line: escaped as `printable` does, cut to `width` characters."""
+    """The text escaped as `printable` does and cut to `width` characters."""
     text = escapes.escaped(text[: width + 1])
     return text if len(text) <= width else text[: width - 1] + "…"
 
@@ -45,8 +45,8 @@ _WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 def brief(text: str) -> str:
     """The text of an error, at most `LONGEST` long, without the middle of long names and words.
 
-    What an error says stands after the names of what it is about, so that these are shortened
-    first. Every error about a file or an element passes through here.
+    The names in an error stand before what it says, so they are shortened first. Every error about
+    a file or an element passes through here.
     """
     return cut(_WORD.sub(_shortened, _NAME.sub(_shortened, text)))
 
@@ -58,7 +58,7 @@ def _shortened(match: re.Match[str]) -> str:
 
 
 def without_middle(word: str, width: int = LONGEST_WORD) -> str:
-    """A path or another word, at most `width` long: its beginning and its end tell most."""
+    """A word of at most `width` characters: the middle of a longer one is left out."""
     half = width // 2
     return word if len(word) <= width else f"{word[: half - 1]}…{word[-half:]}"
 
@@ -85,12 +85,12 @@ def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
 
 
 def one_line(error: BaseException) -> str:
-    """The text of an error on one line, without its last full stop: it stands within sentences."""
+    """The text of an error on one line without its full stop, for use within a sentence."""
     return " ".join(str(error).split()).removesuffix(".") or type(error).__name__
 
 
 class KnownNames:
-    """Base of classes that refuse attributes they do not have.
+    """Base of classes that refuse unknown attributes.
 
     A misspelt name would be stored and never read; it is an AttributeError instead.
     """
@@ -118,7 +118,7 @@ class ElementError(ValueError):
 
 
 def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:
-    """The error about a field; all of them have this form."""
+    """The error about a field of an element."""
     return ElementError(owner, f"{field} = {shown(value)}: must be {limit}")
 
 
@@ -151,7 +151,7 @@ def count(name: str, value: object, least: int = 1, most: int = 10**9) -> int:
     return int(result)
 
 
-# Some 30 million years: whatever is longer is a mistake, and its squares may overflow.
+# Some 30 million years: a longer time is a mistake, and its square may overflow.
 LONGEST_TIME = 1e15
 
 
@@ -165,7 +165,7 @@ def seconds(name: str, value: object) -> float:
     return result
 
 
-# No motion that anybody waits for has so many steps: each of them is recorded.
+# The most steps of a run: nobody waits for more, and each step is recorded.
 MOST_STEPS = 1e9
 
 
@@ -182,7 +182,7 @@ def _is_flag(value: object) -> bool:
 
 
 def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST_STEPS) -> None:
-    """Refuses a horizon [s] whose runs have more steps than can ever end."""
+    """Refuses a horizon [s] whose runs would have more than `most` steps."""
     total = horizon / dt * runs
     if not total <= most:
         raise ValueError(
@@ -364,7 +364,7 @@ def interval(owner: Any, field: str, value: object) -> tuple[float, float]:
 
 
 def interval_or_zero(owner: Any, field: str, value: object) -> tuple[float, float]:
-    """The same, or twice 0."""
+    """Two finite numbers, the first smaller; or twice 0."""
     entries = listed(value)
     if entries is not None and [number(entry) for entry in entries] == [0.0, 0.0]:
         return 0.0, 0.0

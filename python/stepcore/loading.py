@@ -1,4 +1,4 @@
-"""Finds the scene that a user names: a path, a model in a package, or a scene of the lesson."""
+"""Finds a scene by file, model of a package, scene of the lesson, or model of MuJoCo."""
 
 from __future__ import annotations
 
@@ -109,6 +109,6 @@ def _lesson(name: str) -> Scene:
 
 
 def _is_test(file: Path, roots: list[str]) -> bool:
-    """Whether a package keeps a file for its own tests."""
+    """Whether a file belongs to a package's tests."""
     root = next(root for root in roots if file.is_relative_to(root))
     return not TESTS.isdisjoint(file.relative_to(root).parts[:-1])

@@ -1,4 +1,5 @@
-"""`load` and `loads`: scenes from MJCF or URDF; a warning where their own step is hardly stable."""
+"""`load` and `loads`: scenes from MJCF, URDF or MuJoCo, with a warning if their time step is hardly
+stable."""
 
 from __future__ import annotations
 

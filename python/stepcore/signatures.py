@@ -43,8 +43,8 @@ class SettingsFields(TypedDict, total=False):
 
 
 class UnknownArgument(TypeError, ValueError):
-    """A call got an argument that it does not have: a TypeError, as Python's own, and, as every
-    other error about an argument, a ValueError."""
+    """An unknown argument: a TypeError, as Python raises, and a ValueError, as every error about an
+    argument here."""
 
 
 class _AsInScene:

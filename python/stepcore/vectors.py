@@ -56,7 +56,7 @@ def _has_avx2() -> bool:
 
 
 def _flags() -> list[str]:
-    """What Linux lets programs use of the processor."""
+    """The processor features that Linux reports."""
     try:
         # Written while it is read, and one processor is enough.
         with open("/proc/cpuinfo", encoding="ascii", errors="replace") as facts:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import subprocess
 import sys
 
@@ -293,6 +294,23 @@ def test_ctrl_c_is_exit_130(capsys, monkeypatch):
     monkeypatch.setattr("stepcore.cli.arguments.load", interrupted)
     status, _, err = call(capsys, "run", "x", "--duration", 1)
     assert status == 130 and err.count("\n") == 1
+
+
+def test_ctrl_c_in_a_measurement_says_what_was_done(capsys, monkeypatch):
+    from stepcore.report.progress import Progress
+
+    advance, calls = Progress.advance, []
+
+    def interrupted(bar, count=1):
+        calls.append(count)
+        advance(bar, count)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Progress, "advance", interrupted)
+    status, out, err = call(capsys, "predict", "lesson:stack", "--horizon", 0.2, "--threads", 1)
+    assert status == 130 and not out
+    assert re.fullmatch(r"stepcore: interrupted after 2 of \d+ .*\n", err), err
 
 
 def test_it_runs_as_a_module(ball):

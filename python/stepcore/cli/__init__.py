@@ -100,11 +100,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run(args)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2
-    except KeyboardInterrupt:
-        say("interrupted")
+    except KeyboardInterrupt as stop:
+        done = ", ".join(getattr(stop, "__notes__", ()))
+        say(f"interrupted after {done}" if done else "interrupted")
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of the pipe has gone: nobody is left to write to.
+        # The pipe's reader has closed it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
@@ -114,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:
-    """The arguments, or an error that names what is nearest to one that is not known."""
+    """The arguments; an unknown one is an error that names the nearest."""
     asked = _asked(argv)
     argv = [ALIASES.get(word, word) if word == asked else word for word in argv]
     top = parser(argv)
@@ -156,7 +157,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _failed(error: Exception) -> int:
-    """Says the error in one line; returns its exit status."""
+    """Prints the error in one line and returns its exit status."""
     say(reason(error))
     return 2 if isinstance(error, (ValueError, OSError)) else 1
 
@@ -169,7 +170,7 @@ def _warned(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """A warning in one line, without the line of code that raised it."""
+    """Prints a warning in one line, without the code that raised it."""
     say(" ".join(str(message).split()))
 
 

@@ -1,4 +1,4 @@
-"""What several commands take: the model, the motion, the controls; and how they are read."""
+"""Arguments that several commands take: the model, the motion and its controls."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
-    """The model that a command works on."""
+    """Adds the model that a command works on."""
     words = "path, package:name or lesson:name"
     command.add_argument("file", metavar="FILE", help=words + default.pop("words", ""), **default)
     command.add_argument(
@@ -96,14 +96,14 @@ def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
 
 
 def add_key(command: argparse.ArgumentParser) -> None:
-    """The keyframe to start from."""
+    """Adds the option of the keyframe to start from."""
     command.add_argument("--key", **OPTIONS["key"])
 
 
 def add_motion(
     command: argparse.ArgumentParser, fields: Collection[str] = tuple(OPTIONS), **default: Any
 ) -> None:
-    """The motion that is measured, and how many runs go on at once.
+    """Adds the options of the motion, and the number of threads.
 
     fields: those of `Motion` that the measurement takes. default: what it takes for those that are
     not given, which the help names.
@@ -138,7 +138,7 @@ def key_of(args: argparse.Namespace, model: Model) -> str | int | None:
 
 
 def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
-    """What `add_motion` took, as arguments of a measurement: only what was given."""
+    """The options of `add_motion` that were given, as arguments of a measurement."""
     given = {name: getattr(args, name, None) for name in (*OPTIONS, "threads")}
     given["key"] = key_of(args, model)
     if given["ctrl"] is not None and given["control"] is not None:
@@ -231,7 +231,7 @@ def control_function(text: str) -> Callable[..., Any]:
 
 
 class _NamedControl:
-    """A control function whose errors name the option; a copy of it has a copy of the function."""
+    """A control function whose errors name the option. Copying it copies the function."""
 
     def __init__(self, text: str, function: Callable[..., Any]) -> None:
         self.text, self.__wrapped__ = text, function
@@ -253,10 +253,13 @@ def _module(name: str) -> ModuleType:
 
 
 def _file(path: str) -> ModuleType:
-    """A file as a module, whatever else has its name; it finds the files beside it."""
+    """Imports a file as a module, even if another module has its name.
+
+    It can import the files beside it.
+    """
     file = Path(path).resolve()
     if str(file.parent) not in sys.path:
-        # At the end: a file beside it must not stand in for a module of Python's own.
+        # At the end, so that a file beside it does not shadow a module of Python.
         sys.path.append(str(file.parent))
     spec = importlib.util.spec_from_file_location(file.stem, file)
     if spec is None or spec.loader is None:
@@ -269,6 +272,6 @@ def _file(path: str) -> ModuleType:
 
 
 def _place(error: Exception) -> str:
-    """An error of the user's own code in one line: its type, its text and the line it is from."""
+    """An error of the user's code in one line: type, text and line."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {one_line(error)} ({Path(last.filename).name}:{last.lineno})"

@@ -55,7 +55,7 @@ def add_json(command: argparse.ArgumentParser) -> None:
 
 
 def check_output(args: argparse.Namespace) -> None:
-    """Checks, before minutes of work, that everything can be written at the end."""
+    """Checks before the run that every output can be written after it."""
     outputs = list(_outputs(args))
     files.outputs.clear()
     for option, out in outputs:
@@ -73,7 +73,7 @@ def check_output(args: argparse.Namespace) -> None:
 
 
 def _outputs(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    """The options of the command that name a file to be written, with these names."""
+    """The options of the command that name an output file, and the file of each."""
     for name, option in OPTIONS.items():
         out = getattr(args, name, None)
         if isinstance(out, str) and out != "-":
@@ -81,7 +81,7 @@ def _outputs(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
 
 
 def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
-    """Refuses to write over what the command reads: now, or when it comes to be read."""
+    """Refuses to write over a file that the command reads, now or later."""
     control = getattr(args, "control", None) or ""
     inputs = (getattr(args, "file", None), getattr(args, "ctrl", None), control.rpartition(":")[0])
     for given in inputs:
@@ -94,7 +94,7 @@ def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
 
 
 def _same(one: str, other: str) -> bool:
-    """Whether two names are those of one file, by whatever links."""
+    """Whether two paths lead to one file."""
     try:
         return os.path.samefile(one, other)
     except OSError:
@@ -102,7 +102,7 @@ def _same(one: str, other: str) -> bool:
 
 
 def _check_path(out: str, option: str) -> None:
-    """Whether a file can be written there, as far as folders tell."""
+    """Refuses a path that is a folder or whose folder does not exist."""
     path = Path(out).resolve()
     if path.is_dir():
         raise Usage(f"{option} {out}: is a folder, not a file")
@@ -130,7 +130,7 @@ def _write(out: str, text: str) -> None:
 
 
 def attempted(writes: Writes) -> list[Exception]:
-    """Writes files; the errors of doing so, which must not hide a result, each with its file."""
+    """Writes files; returns the errors, so that the result is printed before they are raised."""
     failed: list[Exception] = []
     for out, write in writes:
         try:

@@ -135,7 +135,7 @@ def _run(args: argparse.Namespace) -> int:
     result = simulated(sim, model.settings, motion, duration, pushes, record, None, True)
     if result.error is not None:
         said = [f"{one_line(result.error)}.", *(finding.text for finding in result.findings)]
-        # The failure is known before anything else can go wrong.
+        # Printed first: saving may fail too.
         say(" ".join(said), end=" ")
         _keep(result.error, args, result.trajectory)
         return 1
@@ -172,7 +172,7 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
         return ()
     if args.save is not None and not args.save.endswith(SAVED):
         raise Usage(f"--save {args.save}: must end in {', '.join(SAVED)}")
-    # What is missing is said before the run.
+    # A missing package is named before the run.
     if args.save is not None and args.save.endswith(".mcap"):
         need("mcap", f"--save {args.save}", "mcap")
     if args.save is not None and args.save.endswith(".html"):
@@ -188,7 +188,7 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
-    """What writes the run itself, and the plot of one that failed, until then."""
+    """How to write the recorded run."""
     saves: Writes = []
     if run is not None and args.save is not None:
         ending = SAVED.index(args.save[args.save.rindex(".") :])
@@ -213,7 +213,7 @@ def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | No
 
 
 def _replay_name(error: SimulationError) -> str:
-    """Under which name the replay of a failure is saved in this folder."""
+    """A free file name for the replay of a failure."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
     path = f"{name or 'run'}-step{error.step}.replay.json"
     while not is_replaceable(path):

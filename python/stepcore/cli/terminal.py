@@ -1,4 +1,4 @@
-"""What commands say on the error stream, and terminals that lack some of its characters."""
+"""Output of commands: the error stream, and terminals that lack some characters."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from stepcore.escapes import printable
 INTERRUPTED = 130
 ERRORS = "stepcore.plain"
 REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}
-# What a user's arguments and files, and runs that fail, raise.
+# Errors of the user's arguments and files, and of runs that fail.
 EXPECTED = (ValueError, OSError, RuntimeError, ImportError)
-# What stands in for a character that cannot be printed.
+# Replacements for characters that cannot be printed.
 SPELT = """
 µ u ² ^2 ³ ^3 · * × x − - – - … ... ± +- ≤ <= ≥ >= ≈ ~ ∞ inf √ sqrt ° deg → -> “ " ” " ’ '
 Δ d ω omega ζ zeta μ mu λ lambda ρ rho
@@ -33,12 +33,12 @@ def _plain(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     lost = error.object[error.start : error.end]
-    # The bytes of a file's name that were no text come as lone surrogates.
+    # Bytes of a file name that are not text arrive as lone surrogates.
     return "".join(PLAIN.get(character, "?") for character in lost), error.end
 
 
 def print_what_can_be_printed() -> None:
-    """Replaces characters that the output cannot show: a result is never lost to its last sign."""
+    """Replaces characters that the output cannot encode instead of failing."""
     codecs.register_error(ERRORS, _plain)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
@@ -54,7 +54,7 @@ def say(text: str, end: str = "\n") -> None:
 
 
 def put(text: str, end: str = "\n", stream: TextIO | None = None) -> None:
-    """Prints a text with names of models and files, none of which commands the terminal."""
+    """Prints a text; control characters in names are escaped."""
     print(printable(text), end=end, file=stream or sys.stdout, flush=stream is not None)
 
 
@@ -64,6 +64,6 @@ def reason(error: BaseException) -> str:
         return f"{os.fspath(error.filename)}: {REASONS.get(type(error)) or error.strerror}"
     if isinstance(error, EXPECTED):
         return one_line(error)
-    # Whatever else is raised is not what the user did.
+    # Any other error is a defect of stepcore.
     kind = type(error).__name__
     return f"internal error ({kind}: {one_line(error)}); --debug shows the traceback"

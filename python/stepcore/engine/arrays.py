@@ -66,7 +66,7 @@ class Readout(ReadOnlyArray):
 
 
 class ModelArray(ReadOnlyArray):
-    """A constant of a `Model`, in one of its tables of them."""
+    """A constant array of a `Model`."""
 
     def __init__(self, doc: str, table: str = "_arrays") -> None:
         super().__init__(doc)

@@ -1,4 +1,4 @@
-"""What the entries of a recorded array belong to: its axes after time, with their names."""
+"""The axes of a recorded array after time, with the names of their entries."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # 40 % on two cores).
 WORTH_THREADS = 2000
 
-# What the other worlds do when one fails.
+# What happens to the other worlds when one fails.
 ON_FAILURE = ("stop", "go on")
 
 
@@ -55,10 +55,10 @@ class Batch(World):
     threads: how many threads step them; by default one a core, or one in all for a batch so small
         that waking threads costs more than it gains.
     lanes: True steps eight worlds at a time in the processor's vector registers, sixteen in
-        single precision, False one by one. "auto" does what takes less time: now and then, more
-        and more rarely, it takes a step the other way and measures. Where worlds touch different
-        things a register does the work of all of them, so that walkers in contact may be quicker
-        alone.
+        single precision, False one by one. "auto" does what takes less time: now and then, and
+        ever more rarely, it takes a step the other way and times it. Where worlds touch different
+        things, a register does the work of all of them, so walkers in contact may be quicker one by
+        one.
     on_failure: what happens if a world fails as in `Sim.step`. With "stop", SimulationError names
         it and all worlds are left before the first step in which one failed. With "go on", the
         others continue with the same bits; the failed world stays in its last finite state, its
@@ -192,7 +192,7 @@ class Batch(World):
         return states
 
     def _told(self, steps: int) -> None:
-        """Warns of rows that stay unsolved; a look waits while another thread has the batch."""
+        """Warns of rows that stay unsolved; skipped while another thread uses the batch."""
         try:
             text = self._residuals.step(self, steps)
         except RuntimeError as error:
@@ -205,7 +205,7 @@ class Batch(World):
 
     @contextmanager
     def _long(self, steps: int, progress: Choice) -> Iterator[Callable[[int], None] | None]:
-        """`_explained`, and how many steps are done is shown; a single step has nothing to show."""
+        """Shows the progress of a long call; errors within get their replay."""
         checks.progress("Batch", progress)
         with self._explained():
             # What is no number of steps, the engine refuses.
@@ -326,7 +326,7 @@ class Batch(World):
             self._arrays[name][where] = rows
 
     def _write_own_initial(self, chosen: NDArray[np.intp]) -> None:
-        """What parameters change of the initial arrays of chosen worlds."""
+        """Writes the initial arrays that parameters change, in the chosen worlds."""
         for worlds, values in self._param.initial():
             self._write(values, np.intersect1d(worlds, chosen))
 
@@ -398,7 +398,7 @@ class Batch(World):
 
     @property
     def unrecovered_overlap(self) -> Floats:
-        """What was left of each world's overlaps [m], shape (n,); see `Sim.unrecovered_overlap`."""
+        """Overlap that the recovery limit left [m], shape (n,); see `Sim.unrecovered_overlap`."""
         return self._core.unrecovered
 
     @property
@@ -423,14 +423,14 @@ class Batch(World):
 
 
 def unwatched(batch: Batch) -> Batch:
-    """The batch, which never warns: for those who judge its motion themselves."""
+    """The batch without warnings, for measurements that judge its motion themselves."""
     batch._residuals.told = True
     batch._core.unwatch()
     return batch
 
 
 def _threads(threads: int | None, n: int, nv: int) -> int:
-    """How many threads step a batch; None is one a core where the work is worth waking them."""
+    """The number of threads; None: one a core, or a single one where waking more costs too much."""
     if threads is None and checks.number(n) is not None and n * nv < WORTH_THREADS:
         return 1
     return checks.threads(threads)

@@ -253,7 +253,7 @@ class RemovableFeatures:
         return [Removal("moving surfaces", counted(len(own), "geom"), (edit,))] if own else []
 
     def adhesion(self) -> list[Removal]:
-        """What geoms that collide and explicit pairs pull their contacts with."""
+        """Adhesion of geoms that collide and of explicit pairs."""
         scene = self.scene
         geoms = tuple(self.geom[i] for i in self.split(is_sticky)[0])
         pairs = tuple(i for i, pair in enumerate(scene.pairs) if pair.adhesion > 0)
@@ -269,7 +269,7 @@ class RemovableFeatures:
         return [i for i in own if collides[i]], [i for i in own if not collides[i]]
 
     def _term(self, kind: str, feature: str) -> list[Removal]:
-        """What joints have of a feature: switched off, or cleared where tendons have it too."""
+        """A feature of joints: switched off, or cleared where tendons have it too."""
         has = HAS[feature]
         joints = [j for j, joint in enumerate(self.scene.joints) if has.test(joint)]
         if not joints:

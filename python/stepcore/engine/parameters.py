@@ -108,7 +108,7 @@ class Parameters(Mapping[str, Floats]):
         return self._variants.model(world)
 
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
-        """Worlds with the arrays that they have initially, where these are not the model's own."""
+        """Worlds whose initial arrays differ from the model's, with these arrays."""
         return self._variants.initial()
 
     def columns(self) -> dict[str, Floats]:
@@ -197,7 +197,7 @@ class Variants:
             return error
 
     def errors(self) -> dict[int, ValueError]:
-        """By world: why its values cannot be."""
+        """By world, why its values are refused."""
         refused = self._refused
         return {w: refused[index] for w, index in enumerate(self.model_of) if index in refused}
 
@@ -217,7 +217,7 @@ class Variants:
         return self._made[index]
 
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
-        """Worlds with the arrays that they have initially, where these are not the model's own."""
+        """Worlds whose initial arrays differ from the model's, with these arrays."""
         own = dict(self._base.core.initial())
         different = {}
         for index, model in enumerate(self.models):
@@ -233,7 +233,7 @@ class Variants:
 
 
 def _own(model: Model, path: str) -> Floats:
-    """The model's own value of a path, a number or a vector; ValueError for what has no numbers."""
+    """The model's value of a path, a number or a vector; ValueError for a path without numbers."""
     scene = model.scene
     if path in WHOLE:
         return np.asarray(getattr(scene, path), dtype=np.float64)

@@ -191,7 +191,7 @@ def _put(own: dict[str, Floats], inputs: list[list[float]] | None) -> None:
 
 
 def _fails(failure: Replay, sim: _core.Sim, own: dict[str, Floats]) -> bool:
-    """Whether the state at hand is the one that was kept, and fails as it did."""
+    """Whether the present state is the last finite one of the failure, and fails as it did."""
     happened = failure.happened
     if digest(own["qpos"], own["qvel"]) != happened["state"]:
         return False

@@ -142,7 +142,7 @@ def _unusable(shown: str, error: Exception) -> ValueError:
 
 
 def _packed(array: Any) -> Any:
-    """An array as JSON has it: its numbers' type, its shape and its bytes."""
+    """An array in JSON: type, shape and bytes."""
     array = np.asarray(array)
     packed = array.astype(array.dtype.newbyteorder("<"), copy=False)
     text = base64.b64encode(packed.tobytes()).decode("ascii")

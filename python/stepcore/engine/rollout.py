@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore._core import Settings
 from stepcore.engine.arrays import Floats
 from stepcore.engine.trajectory import RECORDED
+
+if TYPE_CHECKING:
+    from stepcore.engine.world import World
 
 # What a Sim counts in its own solve; and momentum, which is a pair of arrays.
 ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum")
@@ -32,21 +34,14 @@ class Rollout(NamedTuple):
     recorded: Mapping[str, NDArray[Any]] = {}
 
 
-class Stepped(Protocol):
-    """What a `Batch` has of this."""
-
-    @property
-    def settings(self) -> Settings: ...
-
-
 def recorded_rollout(
-    batch: Stepped,
+    batch: World,
     roll: Callable[[Floats], object],
     ctrl: Floats,
     names: Sequence[str],
     told: Callable[[int], object] | None,
 ) -> Rollout:
-    """Takes the steps one by one with `roll`, reads what is asked for after each, and tells of it.
+    """Steps one by one with `roll` and reads the recorded arrays after each step.
 
     Numbers are refused before the first step.
     """

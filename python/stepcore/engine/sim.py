@@ -294,7 +294,7 @@ class Sim(World):
 
     @property
     def overlap(self) -> float:
-        """The deepest overlap of two geoms that can collide [m], 0 if none overlap."""
+        """The deepest overlap at the present state of two geoms that can collide [m]; 0 if none."""
         return float(self._core.readout("overlap"))
 
     # The last step or forward().
@@ -313,7 +313,8 @@ class Sim(World):
 
     @property
     def contacts(self) -> NDArray[Any]:
-        """Contacts of the last solve, a structured array with the fields
+        """Contacts of the last solve, a structured array with the fields below. It is empty after
+        `reset`, until a `step` or `forward`; `overlap` belongs to the present state.
 
         - kind ("contact"), index (as `Model.contact_pair` takes it), part (which of its
           contacts);
@@ -335,7 +336,7 @@ class Sim(World):
         return contacts_of_body(self.contacts, self._model, body)
 
     def tendon_path(self, tendon: str | int) -> list[Floats]:
-        """The way of a spatial tendon in the world at the present state [m].
+        """The path of a spatial tendon in the world at the present state [m].
 
         Returns a list with an array of shape (n, 3) for each stretch between two sites that follow
         each other: the sites, and between them points of the way round a geom where it touches one.
@@ -345,7 +346,7 @@ class Sim(World):
         return self.tendon_paths()[self._model.index("tendon", tendon)]
 
     def tendon_paths(self) -> list[list[Floats]]:
-        """The way of every tendon at the present state, as `tendon_path` gives that of one."""
+        """The paths of all tendons at the present state; see `tendon_path`."""
         paths = self._core.tendon_paths()
         return [[np.reshape(way, (-1, 3)) for way in path] for path in paths]
 
@@ -391,10 +392,10 @@ class Sim(World):
 
     @property
     def unrecovered_overlap(self) -> float:
-        """What `max_recovery_speed` kept the last solve from recovering of an overlap [m].
+        """Overlap that `max_recovery_speed` kept the last solve from undoing [m].
 
-        The largest over the contacts of what the step would have undone of its overlap without
-        that limit, beyond what it does undo.
+        The largest over all contacts: how much more of its overlap the step would undo without that
+        limit.
         """
         return self._core.unrecovered
 
@@ -415,7 +416,7 @@ class Sim(World):
 
     @property
     def most_rows(self) -> int:
-        """The most rows that any step since this Sim was created had at once."""
+        """The largest number of rows in any step since this Sim was created."""
         return self._core.most_rows
 
     @property
@@ -444,13 +445,13 @@ class Sim(World):
 
 
 def unwatched(sim: Sim) -> Sim:
-    """The Sim, which never warns (`EnergyWarning`): for those who judge its motion themselves."""
+    """The Sim without `EnergyWarning`, for measurements that judge its motion themselves."""
     sim._core.unwatch()
     return sim
 
 
 def touches(sim: Sim) -> tuple[list[tuple[int, int]], Floats]:
-    """The geoms and the distance [m] of each of `Sim.contacts`, without a table of the rest."""
+    """Geoms and distance [m] of each contact; quicker than `Sim.contacts`."""
     _, pairs, numbers = sim._core.contacts()
     return pairs, numbers[:, 0]
 

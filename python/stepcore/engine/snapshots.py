@@ -1,4 +1,4 @@
-"""Snapshots of a run, from which it is looked at later: whole states, some dozens a second."""
+"""Snapshots of a run for looking at it later: whole states, at most 60 a second."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Snapshots:
     states: tuple[bytes, ...]
 
     def sim(self) -> Any:
-        """A Sim of its own, into which the states can be restored."""
+        """Another Sim, into which the states can be restored."""
         kind: Any = self.kind
         return kind(self.model)
 
@@ -38,7 +38,7 @@ class Snapshots:
 
 
 class Taking:
-    """Takes the snapshots of a run of so many steps."""
+    """Takes the snapshots of a run of `steps` steps."""
 
     def __init__(self, sim: Any, steps: int) -> None:
         self.sim = sim
@@ -49,10 +49,10 @@ class Taking:
         self.stride = max(1, round(1 / (RATE * sim.settings.dt)), -(-steps // most))
 
     def look(self, step: int) -> None:
-        """Keeps the present state if it is this step's turn: the first, the last, and some."""
+        """Keeps the present state at the first and last step and at every `stride` steps."""
         if step % self.stride == 0 or step == self.steps:
             self.states.append(self.sim.state())
 
     def kept(self) -> Snapshots:
-        """What was taken."""
+        """The snapshots taken so far."""
         return Snapshots(type(self.sim), self.sim.model, tuple(self.states))

@@ -1,4 +1,4 @@
-"""Contacts and rows of a solve as structured numpy arrays."""
+"""Contacts and rows of a solve as structured arrays; keyframes and pairs as tuples."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def row_table(
 # A table is read after many steps; its type takes as long to make as its contents.
 @functools.cache
 def _contact_type(width: int) -> np.dtype[np.void]:
-    """Of contacts whose geoms have names of at most so many characters."""
+    """The type of contacts whose geoms' names have at most this many characters."""
     fields = ELEMENT + [(field, np.int32) for field in ("geom1", "geom2")]
     fields += [(field, f"U{width}") for field in ("name1", "name2")]
     return np.dtype([*fields, ("dist", float), *((field, float, 3) for field in VECTORS)])
@@ -107,7 +107,7 @@ def _contact_type(width: int) -> np.dtype[np.void]:
 
 @functools.cache
 def _row_type(width: int) -> np.dtype[np.void]:
-    """Of rows whose elements have names of at most so many characters."""
+    """The type of rows whose elements' names have at most this many characters."""
     fields = [*ELEMENT, ("name", f"U{width}"), ("block", np.int32)]
     return np.dtype([*fields, *((field, float) for field in (*ROW_NUMBERS, "force"))])
 

@@ -88,7 +88,7 @@ class Trajectory:
     __iter__ = None
 
     def axes(self, name: str) -> tuple[Axis, ...]:
-        """The axes of a recorded array after time, with what they are named in the model.
+        """The axes of a recorded array after time, with their names in the model.
 
         The axes of "xpos" are "body", with the names of the bodies, and "xyz". Where nothing names
         an axis its entries are numbered.
@@ -244,7 +244,7 @@ class Trajectory:
         save_video(self._replayed(), path, fps, speed, (width, height), renderer)
 
     def _replayed(self, label: str = "") -> Replayed:
-        """The run as it is drawn, solved again from its snapshots.
+        """The run for drawing, solved again from its snapshots.
 
         Raises ValueError for a trajectory without snapshots.
         """

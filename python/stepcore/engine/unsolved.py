@@ -1,4 +1,4 @@
-"""Rows that stay unsolved: a residual that is large in most of a run is told without being asked.
+"""Warns of rows that stay unsolved: a residual that is large during most of a run.
 
 A residual is large in single steps of healthy runs, where something hits. Where in half of a run
 it is more than the speed that gravity gives in a step, rows do not hold what they should: a stack
@@ -62,7 +62,7 @@ class BatchResiduals:
         self.told = False
 
     def step(self, batch: Any, steps: int) -> str:
-        """After so many steps more: the sentence if a world's residual has stayed large, once."""
+        """Counts steps; returns the sentence, once, if a world's residual has stayed large."""
         self.steps += steps
         if self.steps < self.next or self.told:
             return ""
@@ -95,7 +95,7 @@ def unsolved(settings: Settings, row: str, residual: float) -> str:
 
 
 def _large(sim: Any) -> float:
-    """The residual above which a run is told of [m/s]: what gravity gives in a step."""
+    """The residual above which a run is warned of [m/s]: the speed that gravity gives in a step."""
     scene = sim.model.scene
     given = float(np.linalg.norm(scene.gravity)) * sim.settings.dt
     return given if scene.features.gravity and given > 0 else WEIGHTLESS

@@ -21,9 +21,9 @@ from stepcore.experiment.run import Probe
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import time_of
 
-# About how often probes look at a run, unless they ask for more.
+# About how many times probes observe a run.
 LOOKS = 2000
-# How often a run says how far it is.
+# How many times a run reports its progress.
 TOLD = 100
 # How long a push lasts where nobody says it [s], and how one is written.
 PUSH = 0.1
@@ -124,7 +124,7 @@ class SingleRun:
     trajectory: Trajectory | None = field(default=None, init=False)
 
     def run(self, steps: int) -> None:
-        """Takes so many steps; raises what `Sim.step` raises, and what the control raises."""
+        """Takes `steps` steps; raises what `Sim.step` and the control raise."""
         sim, dt = self.sim, self.sim.settings.dt
         period = 1 if self.control_dt is None else whole_steps("control_dt", self.control_dt, dt, 1)
         stride = 1 if self.record else max(1, steps // LOOKS)
@@ -139,7 +139,7 @@ class SingleRun:
             with Progress("steps", steps, self.progress) as bar:
                 self._steps(steps, period, stride, spans, applied, data, taking, bar)
         finally:
-            # Of a run that fails there is what it did until then.
+            # A run that fails keeps what was recorded until then.
             sim.xfrc_applied[:] = applied
             if taking is not None:
                 arrays = {name: np.array(values) for name, values in data.items()}
@@ -195,10 +195,10 @@ class SingleRun:
 
 
 class Pace(Probe):
-    """Keeps states along a run, from which some steps are timed once the run is over.
+    """Keeps states along a run; some steps from each are timed after the run.
 
-    A step that follows a look at the run finds its numbers gone from the processor's caches, and
-    takes several times as long as those of a run that nobody looks at.
+    Steps are not timed during the run: a probe evicts the step's data from the processor's caches,
+    and the next step takes several times as long.
 
     looks: how often a run is looked at.
     """

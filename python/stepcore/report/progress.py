@@ -81,7 +81,7 @@ class Progress:
             self._drawn = line
 
     def _left(self) -> str:
-        """The time left, in words, at the pace so far."""
+        """The time left at the present pace, in words."""
         spent = monotonic() - self._begun
         if spent < BEGUN or not 0 < self.done < self.total:
             return ""
@@ -98,6 +98,9 @@ class Progress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        if isinstance(error, KeyboardInterrupt):
+            # What an interrupted command says of the work that it had done.
+            error.add_note(f"{self.done} of {self.total} {self.label}")
         if self._stream is not None:
             self._stream.write("\r" + " " * len(self._drawn) + "\r")
             self._stream.flush()

@@ -23,8 +23,8 @@ class Result(ABC):
     name: the name of the scene.
     ran: what motion was run, in words; "" where none was.
     notes: remarks on how the figures were obtained, and on their limits.
-    batches: what making runs as batches saved, as it was timed: no part of the data, which another
-        machine gives too.
+    batches: notes on the time saved by running worlds as batches. They are no part of the data,
+        which is the same on every machine.
 
     A subclass defines what it measured and how (`title`, `setup`), the answer (`sentences`), and
     the figures (`table`, and `tables` as they are printed); everything else is made from these.
@@ -64,7 +64,7 @@ class Result(ABC):
         return [self.table]
 
     def details(self) -> dict[str, Any]:
-        """What only this measurement has; what is no plain data is made so."""
+        """Data that only this measurement has; it is converted to plain data."""
         return {}
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:

@@ -1,4 +1,4 @@
-"""Quantities as people write and read them: "1mm", "0.1%", "20us/step"; 2 ms, 3.1 µm, 12 %."""
+"""Quantities with units, written (2 ms, 3.1 µm, 12 %) and read ("1mm", "0.1%", "20us/step")."""
 
 from __future__ import annotations
 
@@ -124,12 +124,12 @@ def times(value: float) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things: 1 start, 8 starts, 2 bodies."""
+    """A number with its noun: 1 start, 8 starts, 2 bodies."""
     return f"{count} {noun if count == 1 else plural(noun)}"
 
 
 def plural(noun: str) -> str:
-    """Several of a thing.
+    """The plural of a noun.
 
     >>> [plural(noun) for noun in ("start", "body", "key", "mesh", "loss")]
     ['starts', 'bodies', 'keys', 'meshes', 'losses']
@@ -242,5 +242,5 @@ def _budget(text: str, units: Mapping[str, float], dt: float, real_time: bool) -
 
 
 def _spelt(units: Units) -> dict[str, float]:
-    """Units by what a keyboard has: "us" as well as "µs"."""
+    """Units by the names that users type: "us" as well as "µs"."""
     return dict(units) | {unit.replace("µ", "u"): size for unit, size in units}

@@ -185,6 +185,6 @@ def _colour(result: Ablation, row: FeatureEffect) -> str:
 
 
 def _floor(errors: Sequence[float], tolerance: float) -> float:
-    """Where the axis of errors begins: a decade below the smallest that matters."""
+    """The lower end of the error axis: a decade below the smallest error that matters."""
     least = min([error for error in errors if error > 0], default=tolerance)
     return float(10.0 ** math.floor(math.log10(max(least, SMALL * tolerance)) - 1))

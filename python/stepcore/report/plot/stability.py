@@ -73,7 +73,7 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
 def _line(
     values: Any, across: np.ndarray, up: np.ndarray, boundary: list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The boundary as points; where it leaps from any dt to none, upright between two cells."""
+    """The boundary as points; vertical between two cells where it jumps from any dt to none."""
     x, y = np.asarray(values, float), np.asarray(boundary, float)
     leaps = [k for k in range(1, len(y)) if {y[k - 1], y[k]} == {0.0, np.inf}]
     upright = [(across[k], dt) for k in leaps for dt in (up[0], up[-1])]
@@ -85,7 +85,7 @@ def _line(
 
 
 def _says(result: StabilityMap) -> list[str]:
-    """What lies beyond the lines that are drawn, each once."""
+    """Texts about boundaries that are not drawn, each once."""
     return list(dict.fromkeys(p.beyond for p in result.panels if _visible(p)))
 
 
@@ -102,7 +102,7 @@ def _title(result: StabilityMap) -> str:
 
 
 def _named(panel: MapPanel, result: StabilityMap) -> str:
-    """The setting, and what its theory says: in words where there is no line to draw."""
+    """The setting, and its theory in words where there is no line to draw."""
     if panel.boundary and set(panel.boundary) == {0.0}:
         return f"{panel.label} (theory: grows at any dt)"
     if panel.boundary and set(panel.boundary) == {np.inf}:

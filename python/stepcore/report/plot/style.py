@@ -79,7 +79,7 @@ def bar(
 
 
 def name_places(axes: Any, names: Sequence[str], places: Sequence[float], letters: int) -> None:
-    """Names along the vertical axis, without the quotes of a text, cut to so many letters."""
+    """Names along the vertical axis, without quotes, cut to `letters` letters."""
     plain = [name.replace("`", "") for name in names]
     short = [name if len(name) <= letters else name[: letters - 1] + "…" for name in plain]
     axes.set_yticks(list(places), short, fontsize=SMALL)
@@ -100,7 +100,7 @@ def line(label: str, **style: Any) -> Any:
 
 
 def legend(figure: Any, entries: Sequence[Any] | None = None, columns: int = 0) -> None:
-    """The legend outside the axes: below them in so many columns, or at their right."""
+    """The legend outside the axes: below them in `columns` columns, or at their right."""
     place: dict[str, Any] = {"loc": "outside right center"}
     if columns:
         place = {"loc": "outside lower center", "ncols": columns}

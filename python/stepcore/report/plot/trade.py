@@ -69,12 +69,12 @@ def trade(trade: Trade) -> Any:
 
 
 def _cost(trade: Trade, row: TradeRow) -> float:
-    """What is drawn along: ms per simulated second, or operations."""
+    """The horizontal value: ms per simulated second, or operations."""
     return trade.price(row) if trade.by == "flops" else row.cost / 1e3
 
 
 def _split(trade: Trade) -> tuple[list[TradeRow], list[TradeRow]]:
-    """Rows that are drawn where they are, and those that failed or are far off."""
+    """Rows drawn at their values, and rows that failed or lie far off."""
     errors = sorted(trade.error(row) for row in trade.rows if row.errors)
     middle = trade.error(trade.shipped) if trade.shipped.errors else errors[len(errors) // 2]
     limit = FAR * max(middle, trade.reference.high, 1e-300)
@@ -129,7 +129,7 @@ def _limits(errors: list[float]) -> tuple[float, float]:
 
 
 def _failures(axes: Any, trade: Trade, rows: list[TradeRow], high: float) -> None:
-    """Crosses on the upper edge, at what they cost, or where their like with success would be."""
+    """Crosses on the upper edge at their cost; a run that failed has the cost of a similar one."""
     done = [row for row in trade.rows if not math.isnan(trade.price(row))]
     for row in rows:
         cost = _cost(trade, row)
