@@ -10,6 +10,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Start
+from stepcore.measure.diagnosis.isolated import joint_gains
 from stepcore.measure.monitors.actuators import on_one_dof, strength
 from stepcore.measure.monitors.finding import Finding, listed, named
 from stepcore.measure.monitors.joints import PLOT
@@ -148,14 +149,14 @@ def _held_bodies(model: Model, sim: Sim) -> Iterator[int]:
 def _without_armature(model: Model) -> Iterator[Finding]:
     """Servos that are stiff beside the inertia that their joint moves."""
     joints, dt = Layout(model.scene).joints, model.settings.dt
+    gains = {gain.index: gain for gain in joint_gains(model) if gain.kind == "actuator"}
     stiff = []
     for k in on_one_dof(model):
         joint = int(model.actuator_joint[k])
         if joints[joint].armature > 0 or model.scene.actuators[k].armature > 0:
             continue
         inverse = float(model.dof_invweight0[model.jnt_dofadr[joint]])
-        gear = float(model.actuator_gear[k, 0])
-        kp, kv = (-float(bias) * gear**2 for bias in model.actuator_bias[k, 1:])
+        kp, kv = gains[k].stiffness, gains[k].damping
         omega = math.sqrt(max(kp, 0.0) * inverse)
         excess = max(omega * dt / STIFF, max(kv, 0.0) * inverse * dt / DAMPED)
         if excess > 1 and inverse > 0:

@@ -1,4 +1,9 @@
-"""The largest stable dt of one oscillator, x'' = −ω² x − c x', under each integrator.
+"""Frequency, damping and largest stable dt of each element on its own, in closed form.
+
+An element on its own is an oscillator x'' = −ω² x − c x': its stiffness on the mass that it moves,
+with its own damping and with all damping that the integrator treats implicitly along its direction
+(under `explicit` all damping), which helps it. Where an element's own damping limits dt, the row of
+that damper shows it.
 
 With h = dt, s the roots of s² + c s + ω², and c = c_explicit + c_implicit as the integrator treats
 the damping, a step is stable where
@@ -26,7 +31,7 @@ from functools import lru_cache
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.element import INERTIAL, ROWS, Element
+from stepcore.engine.element import FRICTION_LOSSES, INERTIAL, ROWS, Element
 from stepcore.engine.linear_maps import (
     INTEGRATORS,
     STIFFNESS_IMPLICIT,
@@ -268,36 +273,22 @@ def _largest(matrix: Floats) -> tuple[float, Floats]:
 MOST_PAIRS = 1000
 
 
-@dataclass(frozen=True)
-class _Oscillator:
-    """ω² [1/s²] and damping rates [1/s] of an element as an integrator treats them.
-
-    tree: the body at the root of its tree; -1 for a row, whose acceleration is the same whatever
-    else acts.
-    """
-
-    tree: int
-    square: float
-    explicit: float
-    implicit: float = 0.0
-
-
-def closed_form_bound(model: Model, integrator: str | None = None) -> float:
+def closed_form_bound(model: Model) -> float:
     """A step [s] that is stable whatever the elements do together; numbers out of range are stiff.
 
-    integrator: by default the model's own.
+    ω² of a spring on its dof is at least that of the element on its own, k·w with w the dof's entry
+    of M⁻¹'s diagonal at qpos0; all springs of a tree together have at most the sum of theirs (the
+    trace of M⁻¹K). Rows in direct form, or without `refsafe`, are as stiff as their solref says,
+    whatever the mass. Nothing is linearised: cheap enough for `load`.
     """
-    integrator = integrator or model.settings.integrator
-    joints = [*_joints(model, integrator), *_tendons(model, integrator)]
-    safe = math.inf
-    for row in [*_rows(model), *_penalties(model)]:
-        omega = math.sqrt(row.square)
-        safe = min(safe, oscillator_dt(omega, row.explicit, row.implicit, integrator))
-    for tree in {one.tree for one in joints}:
-        own = [one for one in joints if one.tree == tree]
-        square, explicit = sum(one.square for one in own), sum(one.explicit for one in own)
-        safe = min(safe, oscillator_dt(math.sqrt(square), explicit, 0.0, integrator))
-    return safe
+    trees: dict[int, tuple[float, float]] = {}
+    for tree, square, rate in (*_joints(model), *_tendons(model)):
+        squares, rates = trees.get(tree, (0.0, 0.0))
+        trees[tree] = squares + square, rates + rate
+    integrator = model.settings.integrator
+    oscillators = (*_rows(model), *_penalties(model), *trees.values())
+    limits = (oscillator_dt(math.sqrt(w2), rate, 0.0, integrator) for w2, rate in oscillators)
+    return min(limits, default=math.inf)
 
 
 @dataclass(frozen=True)
@@ -340,45 +331,37 @@ def joint_dofs(model: Model, joint: int) -> slice:
     return slice(start, start + DOFS[model.jnt_type[joint]])
 
 
-def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
-    """Springs, dampers and servos; what is treated implicitly helps the others of its joint."""
+def _joints(model: Model) -> Iterator[tuple[int, float, float]]:
+    """Of springs, dampers and servos: their tree, ω² [1/s²] and explicit damping rate [1/s]."""
+    integrator = model.settings.integrator
     hidden = implicit_kinds(integrator, model.scene.features.eulerdamp)
-    gains = list(joint_gains(model))
-    implicit_stiffness = integrator in STIFFNESS_IMPLICIT
-    dampers = {gain.joint: gain.damping for gain in gains if gain.kind == "damper"}
-    for gain in gains:
-        weight, tree = _weight(model, gain.joint), root_of(model, int(model.jnt_body[gain.joint]))
+    for gain in joint_gains(model):
+        weight = float(model.dof_invweight0[joint_dofs(model, gain.joint)].max())
         # A servo that pushes away from its target grows physically, at any dt.
-        square, rate = max(gain.stiffness, 0.0) * weight, gain.damping * weight
-        own = dampers[gain.joint] * weight * ("damper" in hidden)
-        implicit = gain.kind in hidden
-        if implicit_stiffness:
-            # Servos and springs hold at any dt.
-            square = 0.0
-        if square > 0 or (
-            rate > 0 and not (implicit_stiffness or (gain.kind == "damper" and implicit))
-        ):
-            yield _Oscillator(tree, square, rate * (not implicit), own + rate * implicit)
+        square = 0.0 if integrator in STIFFNESS_IMPLICIT else max(gain.stiffness, 0.0) * weight
+        rate = 0.0 if gain.kind in hidden else gain.damping * weight
+        if square > 0 or rate > 0:
+            yield model.root(int(model.jnt_body[gain.joint])), square, rate
 
 
-def _tendons(model: Model, integrator: str) -> Iterator[_Oscillator]:
-    """Springs and dampers of tendons, in each tree that they pass; J M⁻¹ Jᵀ is their weight."""
+def _tendons(model: Model) -> Iterator[tuple[int, float, float]]:
+    """Those of tendons, in each tree that they pass; J M⁻¹ Jᵀ is their weight."""
+    integrator, features = model.settings.integrator, model.scene.features
     if integrator in STIFFNESS_IMPLICIT:
         return
-    features = model.scene.features
     late = "tendon damper" in implicit_kinds(integrator, model.scene.features.eulerdamp)
     layout = Layout(model.scene)
     for weight, tendon in zip(model.tendon_invweight0.tolist(), model.scene.tendons, strict=True):
         square = features.spring * max(tendon.stiffness, 0.0) * weight
-        rate = features.damper * tendon.damping * weight
+        rate = 0.0 if late else features.damper * tendon.damping * weight
         bodies = [element.body for element in tendon.elements()]
-        trees = {root_of(model, layout.body(tendon, body)) for body in bodies} - {0}
-        for tree in trees if square > 0 or (rate > 0 and not late) else ():
-            yield _Oscillator(tree, square, rate * (not late), rate * late)
+        for tree in {model.root(layout.body(tendon, body)) for body in bodies} - {0}:
+            yield tree, square, rate
 
 
-def _rows(model: Model) -> Iterator[_Oscillator]:
-    """Limits, equalities, friction losses and contacts that nothing softens with dt."""
+def _rows(model: Model) -> Iterator[tuple[float, float]]:
+    """ω² and damping rate of limits, equalities, friction losses and contacts that nothing softens
+    with dt."""
     layout = Layout(model.scene)
     for element in _row_elements(model, layout):
         solref = solref_of(model, element)
@@ -393,9 +376,9 @@ def _rows(model: Model) -> Iterator[_Oscillator]:
                 continue
         else:
             square, rate = -solref[0], -solref[1]
-        if element.kind in ("friction loss", "tendon friction loss"):
+        if element.kind in FRICTION_LOSSES:
             square = 0.0
-        yield _Oscillator(-1, max(square, 0.0), max(rate, 0.0))
+        yield max(square, 0.0), max(rate, 0.0)
 
 
 def _row_elements(model: Model, layout: Layout) -> Iterator[Element]:
@@ -424,31 +407,16 @@ def _row_elements(model: Model, layout: Layout) -> Iterator[Element]:
             yield Element.of(model, "contact", pair)
 
 
-def _pair_weights(model: Model) -> list[float]:
-    """The largest sum of mean inverse masses that two bodies of a heap can have [1/kg]."""
-    weights = sorted((float(w) for w in model.body_invweight0[:, 0]), reverse=True)
-    return [sum(weights[:2])]
-
-
-def _penalties(model: Model) -> Iterator[_Oscillator]:
-    """The spring of a contact under the law `penalty`, on the masses of both bodies."""
+def _penalties(model: Model) -> Iterator[tuple[float, float]]:
+    """Those of a contact's spring under the law `penalty`, on the masses of both bodies."""
     s = model.settings
     if s.law != "penalty":
         return
-    weights = model.pair_invweight0[:MOST_PAIRS] if not model.is_heap else _pair_weights(model)
+    if model.is_heap:
+        # The largest sum of mean inverse masses that two bodies can have [1/kg].
+        weights = [float(np.sort(model.body_invweight0[:, 0])[-2:].sum())]
+    else:
+        weights = model.pair_invweight0[:MOST_PAIRS].tolist()
     for weight in weights:
-        square = s.penalty_stiffness * float(weight)
-        rate = 2 * s.penalty_damping_ratio * math.sqrt(square)
-        yield _Oscillator(-1, square, rate)
-
-
-def _weight(model: Model, joint: int) -> float:
-    """The largest entry of M⁻¹'s diagonal at qpos0 among the joint's dofs."""
-    return float(model.dof_invweight0[joint_dofs(model, joint)].max())
-
-
-def root_of(model: Model, body: int) -> int:
-    """The body at the root of a body's tree."""
-    while model.body_parent[body] > 0:
-        body = int(model.body_parent[body])
-    return body
+        square = s.penalty_stiffness * weight
+        yield square, 2 * s.penalty_damping_ratio * math.sqrt(square)
