@@ -15,37 +15,31 @@ from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.schedule import HORIZON, home, scheduled
+from stepcore.experiment.schedule import HORIZON
 from stepcore.measure.diagnosis.advice import advise
-from stepcore.measure.diagnosis.control import KIND, with_feedback
+from stepcore.measure.diagnosis.control import KIND
 from stepcore.measure.diagnosis.control_advice import advise_control, longest_period
 from stepcore.measure.diagnosis.elements import softened_from
-from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements, closed_form_bound
+from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.limits import (
     LONGEST,
     SHORTEST,
     Limit,
     StepStability,
     dt_limit,
-    step_stability,
 )
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
-from stepcore.measure.diagnosis.motion_check import Judge, Runaway, judge, judged_limit
+from stepcore.measure.diagnosis.motion_check import Judge, judge, judged_limit
 from stepcore.measure.diagnosis.motion_runs import MotionRuns
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.saturation import holds_when_kicked, kicked, look
 from stepcore.measure.diagnosis.shares import limiters
 from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
-from stepcore.measure.diagnosis.visited_states import eased, nudged, sampled_often, start, visited
+from stepcore.measure.diagnosis.visited_states import visit
 from stepcore.measure.diagnosis.words import gentle_chatter, notes
 from stepcore.report.progress import Choice
 
 __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
-
-# The control period is this part of the horizon, or one step of the scene if that is longer.
-PERIOD = 1 / 200
-# The run to other states is made at this part of the least step that limits the start.
-SAFE = 0.25
 
 
 @takes_motion(without=("starts",))
@@ -100,49 +94,30 @@ def diagnose(
         progress=progress,
     )
     workers, model = setup.workers, with_converged_rows(setup.model)
-    settings = model.settings
+    settings, own = model.settings, model.settings.integrator
     wanted = settings.dt if dt is None else checks.seconds("dt", dt)
     horizon = setup.motion.horizon or HORIZON
     motion = dataclasses.replace(setup.motion, horizon=horizon)
-    controlled = motion.period(settings.dt)
-    period = min(horizon, controlled or max(settings.dt, horizon * PERIOD))
-    schedule = scheduled(motion, model, period, starts=1)
-    if motion.ctrl is None and motion.control is None:
-        schedule = eased(schedule, home(model, motion.key)[1])
     with workers.bar("states", 1) as bar:
-        begin, control = start(model, schedule), motion.control
-        if control is not None:
-            (begin,) = with_feedback(model, [begin], control, period, horizon)
-        at_start = step_stability(model, [begin], horizon)
-        safe = _safe_dt(at_start)
-        schedule = nudged(schedule, model, float(at_start.rates[0].real.max(initial=0.0)))
-        held = schedule
-        if control is not None and not (motion.control_dt and begin.feedback is None):
-            # Sampled often enough that it cannot blow the run up.
-            schedule = sampled_often(schedule, safe)
-        visit = visited(model, schedule, safe)
-        states = visit.states
-        if control is not None:
-            states = with_feedback(model, states, control, period, horizon, motion.control_dt)
-        here = step_stability(model, states, horizon)
+        visited = visit(model, motion, horizon)
         bar.advance()
+    here = visited.here
     longest = max(LONGEST, 2 * wanted, 2 * settings.dt)
     shortest = min(SHORTEST, wanted / 2, settings.dt / 2)
     limit_of = partial(dt_limit, here, longest=longest, shortest=shortest)
-    each_limit = workers.each(limit_of, INTEGRATORS, "limits")
+    linear = workers.each(limit_of, INTEGRATORS, "limits")
     elements = _element_limits(here)
-    # A control that is not held for a time of its own is sampled at every step.
-    found = _judge(
-        MotionRuns(model, held if motion.control_dt else schedule, horizon), here, visit.dt
-    )
-    by = found if isinstance(found, Judge) else None
-    judged = workers.each(partial(judged_limit, here, by, wanted), each_limit, "motion")
+    check = None
+    if not any(state.feedback is not None and state.feedback.order for state in here.states):
+        # A control that remembers is another one in a run of other steps.
+        check = judge(MotionRuns(model, visited.driven, horizon), visited.dt)
+    by = check if isinstance(check, Judge) else None
+    judged = workers.each(partial(judged_limit, here, by, wanted), linear, "motion")
     limits = {limit.integrator: limit for limit, _ in judged}
-    shares = {limit.integrator: own for limit, own in judged}
-    own, advice = settings.integrator, []
-    seen = look(found, limits[own], shares[own], wanted)
+    shares = {limit.integrator: its_shares for limit, its_shares in judged}
+    seen = look(check, limits[own], shares[own], wanted)
     limits[own], shares[own] = seen.limit, seen.shares
-    if by is not None and any(one.severe and not one.reached for one in seen.saturations):
+    if by is not None and any(servo.severe and not servo.reached for servo in seen.saturations):
         # What a kick shows under one integrator is asked of those that stand beside it.
         for name in limits:
             if name != own and wanted <= limits[name].dt:
@@ -150,6 +125,7 @@ def diagnose(
     if by is not None:
         here = dataclasses.replace(here, holds=partial(holds_when_kicked, by))
     limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
+    advice = []
     if limits[own].dt < wanted and limiting[own]:
         with workers.bar("advice", 1) as bar:
             advice = advise(here, limits, elements, wanted, limiting[own])
@@ -157,6 +133,9 @@ def diagnose(
                 advice += advise_control(here, limiting[own], wanted, limits[own].state)
                 advice.sort(key=lambda a: (not a.met, a.size))
             bar.advance()
+    confirmed = check is not None and check.confirmed
+    gentle = [servo for servo in seen.saturations if not (servo.reached or servo.severe)]
+    often = "" if motion.control_dt else "at every step"
     return Diagnosis(
         name=setup.name,
         settings=settings,
@@ -169,37 +148,20 @@ def diagnose(
         rows=list(elements.values()),
         advice=advice,
         notes=[
-            *notes(here, visit, list(elements.values()), horizon, _confirmed(found)),
-            *(gentle_chatter(s) for s in seen.saturations if not (s.reached or s.severe)),
+            *notes(visited, list(elements.values()), horizon, confirmed),
+            *map(gentle_chatter, gentle),
         ],
         rate=_rate(here, limits[own], wanted),
-        ran=motion_in_words(model, motion, held, *_driven(motion)),
+        ran=motion_in_words(
+            model, motion, visited.schedule, often, ", blended in over the first quarter"
+        ),
         longest_period=_longest_period(here, own, wanted, motion),
-        physical=max(float(r.real.max(initial=0.0)) for r in here.rates),
+        physical=max(float(rates.real.max(initial=0.0)) for rates in here.rates),
         observed=seen.outcome,
         saturations=seen.saturations,
         lasting=seen.lasting,
         runaway=seen.runaway,
     )
-
-
-def _driven(motion: Motion) -> tuple[str, str]:
-    """How often a control function was asked, and how the default controls begin, in words."""
-    return "" if motion.control_dt else "at every step", ", blended in over the first quarter"
-
-
-def _confirmed(found: Judge | Runaway | None) -> bool:
-    """Whether two fine runs agree on what the motion itself does."""
-    if isinstance(found, Runaway):
-        return found.alike
-    return found is not None and found.confirmed
-
-
-def _judge(real: MotionRuns, here: StepStability, dt: float) -> Judge | Runaway | None:
-    """The judge of the motion itself; None for a control that remembers other runs."""
-    if any(state.feedback is not None and state.feedback.order for state in here.states):
-        return None
-    return judge(real, dt)
 
 
 def _rate(here: StepStability, limit: Limit, wanted: float) -> float | None:
@@ -217,13 +179,6 @@ def _longest_period(
     if motion.control_dt is None or not any(state.feedback for state in here.states):
         return None
     return longest_period(here, integrator, min(dt, motion.control_dt), here.horizon)
-
-
-def _safe_dt(at_start: StepStability) -> float:
-    """A step [s] at which the run to other states can be made."""
-    model = at_start.model
-    limit = dt_limit(at_start, "implicitfast").dt
-    return max(SAFE * min(limit, closed_form_bound(model), model.settings.dt / SAFE), SHORTEST)
 
 
 def _element_limits(here: StepStability) -> dict[Element, ElementLimits]:

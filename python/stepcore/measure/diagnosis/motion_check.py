@@ -100,6 +100,11 @@ class Runaway:
     alike: bool
     element: Element | None = None
 
+    @property
+    def confirmed(self) -> bool:
+        """As of a `Judge`: whether two fine runs agree."""
+        return self.alike
+
 
 @dataclass(frozen=True)
 class Judge:

@@ -22,11 +22,19 @@ from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.schedule import Schedule, home, scheduled
+from stepcore.measure.diagnosis.control import with_feedback
+from stepcore.measure.diagnosis.isolated import closed_form_bound
+from stepcore.measure.diagnosis.limits import SHORTEST, StepStability, dt_limit, step_stability
 from stepcore.measure.diagnosis.linear_step import State, sim_at, state_now, state_of
 
+# The control period is this part of the horizon, or one step of the scene if that is longer.
+PERIOD = 1 / 200
+# The run to other states is made at this part of the least step that limits the start.
+SAFE = 0.25
 # The most states, and the most steps and samples of the run.
 STATES, STEPS, SAMPLES = 8, 20_000, 200
 # The most dofs at all states together, with at least two states.
@@ -46,15 +54,51 @@ Pattern = tuple[bytes, frozenset[int]]
 
 @dataclass(frozen=True)
 class Visit:
-    """The states of a run, its step [s], the time that it reached [s], and why it ended early."""
+    """The states along a motion.
 
-    states: list[State]
+    here: the linearised step at them. schedule: the motion, its controls held as the user asked;
+    driven: as runs of the real step have them. dt: the step of the run [s]; reached: how far it
+    came [s]; failure: why it ended early.
+    """
+
+    here: StepStability
+    schedule: Schedule
+    driven: Schedule
     dt: float
     reached: float
     failure: str = ""
 
 
-def eased(schedule: Schedule, ctrl: Floats) -> Schedule:
+def visit(model: Model, motion: Motion, horizon: float) -> Visit:
+    """The states along a motion over a horizon [s], the start first, and the step linearised there.
+
+    The run is made at a part of the least step that limits the start.
+    """
+    settings, control = model.settings, motion.control
+    controlled = motion.period(settings.dt)
+    period = min(horizon, controlled or max(settings.dt, horizon * PERIOD))
+    schedule = scheduled(motion, model, period, starts=1)
+    if motion.ctrl is None and control is None:
+        schedule = _eased(schedule, home(model, motion.key)[1])
+    begin = _start(model, schedule)
+    if control is not None:
+        (begin,) = with_feedback(model, [begin], control, period, horizon)
+    at_start = step_stability(model, [begin], horizon)
+    limit = min(dt_limit(at_start, "implicitfast").dt, closed_form_bound(model))
+    safe = max(min(SAFE * limit, settings.dt), SHORTEST)
+    schedule = driven = _nudged(schedule, model, float(at_start.rates[0].real.max(initial=0.0)))
+    if control is not None and not (motion.control_dt and begin.feedback is None):
+        # Sampled often enough that it cannot blow the run up.
+        driven = _sampled_often(schedule, safe)
+    states, run = _along(model, driven, safe)
+    if control is not None:
+        states = with_feedback(model, states, control, period, horizon, motion.control_dt)
+    here = step_stability(model, states, horizon)
+    # A control that is not held for a time of its own is sampled at every step.
+    return Visit(here, schedule, schedule if motion.control_dt else driven, *run)
+
+
+def _eased(schedule: Schedule, ctrl: Floats) -> Schedule:
     """The schedule with its controls blended in from `ctrl`: a jump would shock a stiff servo."""
     if schedule.ctrl is None:
         return schedule
@@ -62,20 +106,19 @@ def eased(schedule: Schedule, ctrl: Floats) -> Schedule:
     return replace(schedule, ctrl=ctrl + share * (schedule.ctrl - ctrl))
 
 
-def nudged(schedule: Schedule, model: Model, growth: float) -> Schedule:
+def _nudged(schedule: Schedule, model: Model, growth: float) -> Schedule:
     """The schedule with its start pushed a little where the motion grows by more than `UNSTABLE`.
 
     growth [1/s]: the fastest of the motion at the start. A body that spins exactly about its middle
     axis tumbles at a time that rounding decides.
     """
-    first = schedule.starts[0]
     if growth * schedule.horizon < UNSTABLE:
         return schedule
-    push = NUDGE * (-1.0) ** np.arange(model.nv)
-    return replace(schedule, starts=(replace(first, qvel=first.qvel + push), *schedule.starts[1:]))
+    first, push = schedule.starts[0], NUDGE * (-1.0) ** np.arange(model.nv)
+    return replace(schedule, starts=(replace(first, qvel=first.qvel + push),))
 
 
-def sampled_often(schedule: Schedule, dt: float) -> Schedule:
+def _sampled_often(schedule: Schedule, dt: float) -> Schedule:
     """The schedule with a control period of at most dt [s]."""
     count = max(1, math.ceil(schedule.period / dt * (1 - 1e-9)))
     return replace(
@@ -86,7 +129,7 @@ def sampled_often(schedule: Schedule, dt: float) -> Schedule:
     )
 
 
-def start(model: Model, schedule: Schedule) -> State:
+def _start(model: Model, schedule: Schedule) -> State:
     """Where the motion begins."""
     first = schedule.starts[0]
     ctrl = np.zeros(model.nu) if schedule.ctrl is None else schedule.ctrl[0, 0]
@@ -96,8 +139,11 @@ def start(model: Model, schedule: Schedule) -> State:
     return state_of(sim, "the start", 0.0)
 
 
-def visited(model: Model, schedule: Schedule, safe: float) -> Visit:
-    """States along the motion at a step of at most `safe` [s]; the start comes first."""
+def _along(
+    model: Model, schedule: Schedule, safe: float
+) -> tuple[list[State], tuple[float, float, str]]:
+    """States along the motion at a step of at most `safe` [s], the start first; of this run the
+    step [s], the time that it reached [s], and why it ended early."""
     count = max(1, math.ceil(schedule.period / safe))
     dt = schedule.period / count
     # A period longer than all the steps that are allowed is cut short.
@@ -118,14 +164,14 @@ def visited(model: Model, schedule: Schedule, safe: float) -> Visit:
             sampled.sample(sim)
     except SimulationError as error:
         failure = one_line(error)
-    seen = [start(model, schedule), *sampled.states]
-    known = {acting(state) for state in seen}
-    seen += [state for state in brief.states(model) if acting(state) not in known]
-    seen.sort(key=lambda state: state.time)
-    return Visit(_chosen(seen), dt, sim.time, failure)
+    states = [_start(model, schedule), *sampled.states]
+    known = {_acting(state) for state in states}
+    states += [state for state in brief.states(model) if _acting(state) not in known]
+    states.sort(key=lambda state: state.time)
+    return _chosen(states), (dt, sim.time, failure)
 
 
-def acting(state: State) -> frozenset[Element]:
+def _acting(state: State) -> frozenset[Element]:
     """The rows that act at a state, and the contacts of `penalty`, which are none."""
     return frozenset((*state.rows, *state.touching))
 
@@ -206,8 +252,8 @@ def _chosen(seen: Sequence[State]) -> list[State]:
     """
     most = max(2, min(STATES, DOFS // len(seen[0].qvel)))
     kept = {0}
-    sets = {acting(state): k for k, state in enumerate(seen)}
-    for k in sorted(sets.values(), key=lambda k: -len(acting(seen[k])))[: max(1, most - 3)]:
+    sets = {_acting(state): k for k, state in enumerate(seen)}
+    for k in sorted(sets.values(), key=lambda k: -len(_acting(seen[k])))[: max(1, most - 3)]:
         kept.add(k)
     for k in np.linspace(0, len(seen) - 1, most).round().astype(int):
         if len(kept) >= most:

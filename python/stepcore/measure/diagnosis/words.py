@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from stepcore.engine.element import INERTIAL, Element, Elements, listed
 from stepcore.measure.diagnosis.isolated import ElementLimits
-from stepcore.measure.diagnosis.limits import SHORTEST, StepStability
+from stepcore.measure.diagnosis.limits import SHORTEST
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
 from stepcore.measure.diagnosis.motion_check import Runaway
 from stepcore.measure.diagnosis.saturation import Saturation
@@ -138,16 +138,13 @@ def _force(servo: Saturation) -> str:
 
 
 def notes(
-    here: StepStability,
-    visit: Visit,
-    elements: Sequence[ElementLimits],
-    horizon: float,
-    confirmed: bool,
+    visit: Visit, elements: Sequence[ElementLimits], horizon: float, confirmed: bool
 ) -> Iterator[str]:
     """Notes on the limits of the diagnosis.
 
     confirmed: whether two runs at fine steps agree on what the motion itself does.
     """
+    here = visit.here
     labels = ", ".join(state.label for state in here.states)
     run = f"a run of {seconds(visit.reached)} at dt {seconds(visit.dt)} under implicitfast"
     yield f"linearised at {counted(len(here.states), 'state')} of {run}: {labels}"
