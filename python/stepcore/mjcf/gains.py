@@ -253,14 +253,14 @@ def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
     """MuJoCo's rules for what a datasheet leaves out: a constant by torque and one by voltage."""
     values, old = node.values, base.values
     made: Values = {"input": _input(node, old["input"])}
-    kept, resistance = old["motorconst"], old["resistance"]
-    given = values.get("motorconst", (kept,))
+    resistance: float = old["resistance"]
+    given = values.get("motorconst", (old["motorconst"],))
     by_torque, by_voltage = (*given, 0.0)[:2]
     voltage, stall, free = (*values.get("nominal", ()), 0.0, 0.0, 0.0)[:3]
     if min(by_torque, by_voltage) < 0:
         raise bad(node, "motorconst", given, ">= 0")
     if "nominal" in values and free != 0:
-        known = float(values.get("resistance", resistance))
+        known = values.get("resistance", resistance)
         by_nominal = _without_load(voltage, stall, free, known, base.damping)
         by_torque, by_voltage = by_torque or by_nominal, by_voltage or by_nominal
     both = by_torque > 0 and by_voltage > 0

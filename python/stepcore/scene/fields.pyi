@@ -1,24 +1,18 @@
-"""The keyword fields of `Scene.add_joint` and its like, for type checkers and editors.
+"""The keyword fields of `Scene.add_joint` and its like: python benches/keyword_types.py.
 
-What each means stands in `stepcore.scene.elements`; a test compares the names.
+What each means stands in `stepcore.scene.elements`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import Any, TypedDict
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
-    # What is checked when it is assigned: one number stands for a first entry where that is said.
-    Vector = Sequence[float] | NDArray[Any]
-    Numbers = float | Vector
-
+# What is checked when it is assigned: one number stands for a first entry where that is said.
+Vector = Sequence[float] | NDArray[Any]
+Numbers = float | Vector
 
 class JointFields(TypedDict, total=False):
-    """Fields of a `Joint` beside its body and type."""
-
     name: str
     pos: Vector
     axis: Vector
@@ -27,9 +21,9 @@ class JointFields(TypedDict, total=False):
     ref: float
     springref: float
     stiffness: float
-    stiffnesspoly: Vector
+    stiffnesspoly: Numbers
     damping: float
-    dampingpoly: Vector
+    dampingpoly: Numbers
     springdamper: Vector | None
     actuatorgravcomp: bool
     armature: float
@@ -40,10 +34,7 @@ class JointFields(TypedDict, total=False):
     solreffriction: Vector
     solimpfriction: Numbers
 
-
 class GeomFields(TypedDict, total=False):
-    """Fields of a `Geom` beside its body, type and size."""
-
     name: str
     pos: Vector
     quat: Vector
@@ -68,30 +59,21 @@ class GeomFields(TypedDict, total=False):
     fluidshape: str
     fluidcoef: Numbers
 
-
 class MeshFields(TypedDict, total=False):
-    """Fields of a `Mesh` beside its name, vertices and faces."""
-
     scale: Vector
     refpos: Vector
     refquat: Vector
     inertia: str
     maxhullvert: int
 
-
 class SiteFields(TypedDict, total=False):
-    """Fields of a `Site` beside its body."""
-
     name: str
     pos: Vector
     quat: Vector
     type: str
     size: Numbers
 
-
 class SensorFields(TypedDict, total=False):
-    """Fields of a `Sensor` beside its type, object and reference."""
-
     name: str
     objtype: str
     reftype: str
@@ -101,17 +83,14 @@ class SensorFields(TypedDict, total=False):
     reduce: str
     num: int
 
-
 class TendonFields(TypedDict, total=False):
-    """Fields of a `Tendon` beside its name and path."""
-
     range: Vector | None
     margin: float
     springlength: Numbers
     stiffness: float
-    stiffnesspoly: Vector
+    stiffnesspoly: Numbers
     damping: float
-    dampingpoly: Vector
+    dampingpoly: Numbers
     armature: float
     frictionloss: float
     actuatorfrcrange: Vector | None
@@ -120,10 +99,7 @@ class TendonFields(TypedDict, total=False):
     solreffriction: Vector
     solimpfriction: Numbers
 
-
 class ActuatorFields(TypedDict, total=False):
-    """Fields of an `Actuator` beside its joint and type."""
-
     name: str
     cranklength: float
     gear: Numbers
@@ -139,9 +115,9 @@ class ActuatorFields(TypedDict, total=False):
     resistance: float | None
     inductance: float | None
     current_rate: float | None
-    thermal: Numbers | None
+    thermal: Vector | None
     cogging: Numbers | None
-    lugre: Numbers | None
+    lugre: Vector | None
     gain: float | None
     area: float | None
     bias: Numbers | None
@@ -160,23 +136,20 @@ class ActuatorFields(TypedDict, total=False):
     biasprm: Numbers | None
     dyntype: str | None
     dynprm: Numbers | None
+    ctrlrange: Vector | None
     actrange: Vector | None
+    forcerange: Vector | None
     actearly: bool
     lengthrange: Vector | None
     damping: float
-    dampingpoly: Vector
+    dampingpoly: Numbers
     armature: float
     delay: float
     nsample: int
     interp: str
     enabled: bool
-    ctrlrange: Vector | None
-    forcerange: Vector | None
-
 
 class EqualityFields(TypedDict, total=False):
-    """Fields of an `Equality` beside its type, what it ties and its anchor."""
-
     name: str
     relpose: Vector | None
     torquescale: float
@@ -185,10 +158,7 @@ class EqualityFields(TypedDict, total=False):
     solref: Vector
     solimp: Numbers
 
-
 class PairFields(TypedDict, total=False):
-    """Fields of a `Pair` beside its geoms."""
-
     name: str
     condim: int
     friction: Numbers
@@ -199,10 +169,7 @@ class PairFields(TypedDict, total=False):
     gap: float
     adhesion: float
 
-
 class KeyFields(TypedDict, total=False):
-    """Fields of a `Key` beside its name."""
-
     time: float
     qpos: Vector | None
     qvel: Vector | None
