@@ -2,15 +2,23 @@
 
 import inspect
 import pydoc
+import re
 
 import pytest
 
 import stepcore as sc
 
-MEASUREMENTS = ["trade", "ablate", "converge", "diagnose", "predict", "check"]
+MEASUREMENTS = [
+    *("trade", "ablate", "converge", "diagnose", "predict", "check"),
+    *("run", "stability_map"),
+]
 STARTS = ("horizon", "starts", "seed", "key", "control", "ctrl", "control_dt")
 # The map runs one start, without controls; the others of these start at the keyframe alone.
-LEFT_OUT = {"check": {"starts"}, "diagnose": {"starts"}}
+LEFT_OUT = {
+    **{name: {"starts"} for name in ("check", "diagnose", "run")},
+    "stability_map": {"starts", "seed", "control", "ctrl", "control_dt"},
+}
+TWELVE = [*MEASUREMENTS, "sweep", "plan", "Sim", "Batch", "Model"]
 STEPPED = (sc.Sim, sc.Batch, sc.Model, sc.Model.with_settings, sc.Scene.with_settings)
 
 
@@ -26,9 +34,24 @@ def test_measurements_list_the_fields_of_a_motion(name):
     listed = [field for field in STARTS if field not in LEFT_OUT.get(name, ())]
     assert [field for field in takes if field in STARTS] == listed
     assert all(takes[field].default == getattr(sc.Motion, field) for field in listed)
-    assert {"threads", "executor", "progress"} <= set(takes)
+    assert {"threads", "progress"} <= set(takes)
+    assert "executor" in takes or name == "run"
     first = rendered(measurement).splitlines()[2]
     assert all(f" {field}: " in first for field in listed) and "fields" not in first
+
+
+@pytest.mark.parametrize("name", TWELVE)
+def test_help_explains_every_argument(name):
+    """Fields of a Motion and of Settings are explained where these are."""
+    call = getattr(sc, name)
+    elsewhere = {*STARTS, *sc.Settings().as_dict()} - {"error"}
+    text = inspect.getdoc(call)
+    silent = {
+        argument
+        for argument in inspect.signature(call).parameters
+        if argument not in elsewhere and not re.search(rf"\b{argument}\b[^:\n]*: ", text)
+    }
+    assert silent == set()
 
 
 @pytest.mark.parametrize("call", STEPPED, ids=lambda call: call.__qualname__)

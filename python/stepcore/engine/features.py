@@ -205,11 +205,11 @@ class RemovableFeatures:
     def friction(self) -> list[Removal]:
         """Contacts without friction, and with sliding friction only."""
         geoms, turning = self.geoms_with_friction(), self.geoms_with_friction(3)
-        found = [Removal("friction", "condim 1", (("frictionless", geoms),))] if geoms else []
+        removals = [Removal("friction", "condim 1", (("frictionless", geoms),))] if geoms else []
         if turning:
             edit = ("sliding only", turning)
-            found.append(Removal("torsional and rolling friction", "condim 3", (edit,)))
-        return found
+            removals.append(Removal("torsional and rolling friction", "condim 3", (edit,)))
+        return removals
 
     def geoms_with_friction(self, above: int = 1) -> tuple[int, ...]:
         """Geoms of the pairs of a condim above this, by index in the scene."""
@@ -289,18 +289,20 @@ class RemovableFeatures:
             "frictionloss": features.frictionloss and rows,
             "armature": True,
         }
-        found = []
+        removals = []
         for feature, has in HAS.items():
             own = tuple(i for i, tendon in enumerate(tendons) if has.test(tendon))
             if own and on[feature]:
                 edit = ("cleared", ("tendons", own, has.fields))
-                found.append(Removal(f"tendon {has.words}", counted(len(own), "tendon"), (edit,)))
+                removals.append(
+                    Removal(f"tendon {has.words}", counted(len(own), "tendon"), (edit,))
+                )
         for i, tendon in enumerate(tendons if features.limit and rows else ()):
             if tendon.range is not None:
                 edit = ("cleared", ("tendons", (i,), ("range",)))
                 name = self.model.called("tendon")[i]
-                found.append(Removal("tendon limit", name, (edit,)))
-        return found
+                removals.append(Removal("tendon limit", name, (edit,)))
+        return removals
 
     def limits(self, usage: MotionUsage) -> list[Removal]:
         """All limits that the motion never reached, together; each that it reached, alone."""

@@ -56,8 +56,8 @@ def ray_hits(
         np.ascontiguousarray(rays).ravel(), excluded, seen, not checks.flag("ray", "static", static)
     )
     lead = shape[:-1]
-    found = np.array(geom, dtype=np.int64).reshape(lead)
-    return RayHits(distance.reshape(lead), found, normal.reshape((*lead, 3)))
+    met = np.array(geom, dtype=np.int64).reshape(lead)
+    return RayHits(distance.reshape(lead), met, normal.reshape((*lead, 3)))
 
 
 def _more(ends: list[Any]) -> int:

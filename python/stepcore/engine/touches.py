@@ -53,10 +53,10 @@ def touches(
         raise ValueError(f"precision = {checks.shown(precision)}: must be 'f64' or 'f32'")
     leading = positions.shape[:-1]
     flat = np.ascontiguousarray(positions.reshape(int(np.prod(leading, dtype=int)), model.nq))
-    found = model.core.touches(
+    contacts = model.core.touches(
         first, second, flat, precision + " lanes" * checks.flag_of("lanes", lanes)
     )
-    return Touches(*(array.reshape(leading + array.shape[1:]) for array in found))  # type: ignore[arg-type]
+    return Touches(*(array.reshape(leading + array.shape[1:]) for array in contacts))  # type: ignore[arg-type]
 
 
 def _geom(model: Model, field: str, geom: int | str) -> int:

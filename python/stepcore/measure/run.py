@@ -198,7 +198,7 @@ def run(
     >>> from stepcore import lesson
     >>> result = run(lesson.spring(), horizon=0.1, record="energy")
     >>> result.steps, result.trajectory["energy"].shape
-    (50, (51, 2))
+    (10, (11, 2))
     """
     compiled = find_model(model)
     motion = Motion.of(motion, fields, run)

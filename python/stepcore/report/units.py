@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from decimal import Decimal
 
 from stepcore import checks
 
@@ -188,7 +189,10 @@ def _in_units(text: str, units: Units) -> float | None:
     except ValueError:
         match = re.fullmatch(NUMBER + r"(\w+)\s*", text)
         known = _spelt(units)
-        return float(match[1]) * known[match[2]] if match and match[2] in known else None
+        if match is None or match[2] not in known:
+            return None
+        # As decimals: "20us" is the float 2e-05.
+        return float(Decimal(match[1]) * Decimal(repr(known[match[2]])))
 
 
 def length(owner: str, name: str, value: object, size: float) -> float:

@@ -186,7 +186,7 @@ def _most(entries: list[PlanEntry], size: Callable[[PlanEntry], float]) -> list[
     if len(entries) <= PRINTED + 1:
         return entries
     largest = sorted(entries, key=size, reverse=True)[:PRINTED]
-    return [entry for entry in entries if any(entry is one for one in largest)]
+    return [entry for entry in entries if any(entry is large for large in largest)]
 
 
 def _table(entries: list[PlanEntry], heading: str, every: int) -> Table:
