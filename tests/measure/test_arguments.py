@@ -87,7 +87,7 @@ def test_of_best(model):
 
 def test_an_unknown_field_is_the_same_error_everywhere(model):
     one_line(lambda: sc.Scene().add_geom(frction=1), 'no field "frction"; nearest: "friction"')
-    one_line(lambda: sc.Sim(model, dT=1), "no 'dT'; nearest: dt")
+    one_line(lambda: sc.Sim(model, dT=1), 'no argument "dT"; nearest: "dt"')
 
 
 def test_where_nothing_is_near_what_exists_is_listed():

@@ -114,7 +114,7 @@ def control_table(ctrl: Any) -> ControlTable:
 def _of_file(path: str) -> ControlTable:
     source = os.path.basename(path)
     if not path.endswith(ENDINGS):
-        raise ValueError(f"{path}: must end in {', '.join(ENDINGS)}")
+        raise ValueError(f"ctrl = '{path}': must end in {', '.join(ENDINGS)}")
     if path.endswith(".csv"):
         with open(path, encoding="utf-8-sig", newline="") as file:
             return _of_text(source, file.read().splitlines())
