@@ -203,7 +203,8 @@ class Words:
                 named, least_error = self._named(least), metres(self.frontier.error(least))
                 yield f"The cheapest setting that runs is {named}, with an error of {least_error}."
             return
-        half, same = self.frontier.halving(row), self.frontier.cheapest(self.frontier.error(row))
+        error = self.frontier.error(row)
+        half, same = self.frontier.halving(row) if error else None, self.frontier.cheapest(error)
         offers = [("Half that error", half)] if half is not None else []
         if half is None:
             yield "No setting tried halves that error."
