@@ -12,7 +12,7 @@ from stepcore.experiment.errors import Errors, moved, pareto
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import scheduled, time_steps
 from stepcore.measure.trade.methods import Steps, digits
-from stepcore.measure.trade.recommend import _rounded as rounded_row
+from stepcore.measure.trade.recommend import Recommendation
 from stepcore.measure.trade.rows import Frontier, Further, TradeRow, orders
 from stepcore.report.units import metres, seconds
 
@@ -67,7 +67,7 @@ def recommended(dt, worse=()):
     )
     first = row(sc.Settings(dt=dt))
     frontier = Frontier.of([first], 0.0, 0.0, "time")
-    return rounded_row(frontier, confirm, row, steps, first, 1e-3)[1].settings.dt
+    return Recommendation(frontier, confirm, row, steps).rounded(first, 1e-3).settings.dt
 
 
 def test_single_precision_is_chosen_only_where_it_saves_what_timing_can_tell():

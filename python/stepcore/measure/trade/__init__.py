@@ -22,12 +22,7 @@ from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade import words
 from stepcore.measure.trade.batch_cost import batch_points
 from stepcore.measure.trade.methods import Kind, Steps, grid, longest
-from stepcore.measure.trade.recommend import (
-    Confirmation,
-    HardestStarts,
-    within_budget,
-    within_error,
-)
+from stepcore.measure.trade.recommend import Confirmation, HardestStarts, Recommendation
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.rows import Frontier, TradeRow, observed_orders
 from stepcore.measure.trade.run_cache import RowMaker, RunCache
@@ -176,13 +171,15 @@ def trade(
     if further and _recommends(frontier, target, limit):
         unseen = dataclasses.replace(motion, seed=motion.seed + APART)
         others = scheduled(unseen, model, period, starts=further + 1).part(1)
-        confirm = Confirmation(cache, others)
+        confirm, again = Confirmation(cache, others), None
+        if target is not None and not full:
+            again = HardestStarts(cache, confirm, counts, kind, target)
+        recommendation = Recommendation(frontier, confirm, maker.row, counts, again)
         if target is not None:
-            # A full grid is not searched again.
-            again = None if full else HardestStarts(cache, confirm, counts, kind, target)
-            frontier, chosen = within_error(frontier, target, confirm, maker.row, counts, again)
+            chosen = recommendation.within_error(target)
         elif limit is not None:
-            frontier = within_budget(frontier, limit, confirm, maker.row, counts)
+            recommendation.within_budget(limit)
+        frontier = recommendation.frontier
     forces = shipped.law == "penalty" and model.npair > 0
     orders = observed_orders(frontier.rows, reference)
     result = Trade(

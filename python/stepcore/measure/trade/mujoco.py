@@ -28,7 +28,7 @@ from stepcore.experiment.errors import Errors, errors, pareto
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.run import Probe, Run
-from stepcore.experiment.runner import Clock, Runner
+from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.loading import find_asset
 from stepcore.measure.trade.methods import Steps
@@ -195,12 +195,10 @@ class MujocoRunner(Runner):
     def sim(self, settings: Any) -> World:
         return World(self.theirs, settings)
 
-    def follow(
-        self, sim: World, start: int, probes: Sequence[Probe] = (), clock: Clock | None = None
-    ) -> None:
+    def follow(self, sim: World, *args: Any, **options: Any) -> None:
         sim.configure()
         with quiet():
-            super().follow(sim, start, probes, clock)
+            super().follow(sim, *args, **options)
 
     def place(self, sim: World, start: int) -> None:
         require().mj_resetData(self.theirs, sim.data)

@@ -51,10 +51,6 @@ CALM = 30.0
 # most CLOSE times what passed; of the settings that it finds this many cheaper ones are tested.
 HARD, CLOSE, TESTED = 8, 2.0, 3
 
-# Makes a finished row of settings: runs them from all starts, counts and times them.
-Finish = Callable[[Settings], TradeRow]
-# Searches again, on the hardest starts, for settings cheaper than the row that passed.
-Again = Callable[[Frontier, TradeRow], Sequence[Settings]]
 # A start, how wrong a run from it was [m], and why it failed if it did.
 Ran = tuple[int, float, str | None]
 
@@ -199,177 +195,163 @@ class HardestStarts:
         return dataclasses.replace(own, level=level, growth=grown, exact=None)
 
 
-def within_error(
-    frontier: Frontier,
-    target: float,
-    confirm: Confirmation,
-    finish: Finish,
-    steps: Steps,
-    again: Again | None,
-) -> tuple[Frontier, TradeRow | None]:
-    """Tests the cheapest rows within an error [m] until one of them passes.
+class Recommendation:
+    """Tests rows of a frontier on further starts; `frontier` has the results.
 
-    A row must keep to a little less than the error. Some of those that do not are also tried with
-    shorter steps. Where no row passes, one that keeps to the error itself will do. What passes is
-    compared with what a search on the hardest starts finds, and gets a round time step where one
-    near it passes too. Returns the rows with the results of their tests, and the one that passed.
+    finish: makes the finished row of settings. again: searches on the hardest starts for settings
+    cheaper than a row that passed; None where there is no search.
     """
-    frontier, chosen = _first_that_passes(frontier, target, confirm, finish, steps)
-    for _ in range(AGAIN):
-        if chosen is None or again is None or confirm.scored is None:
-            break
-        for setting in again(frontier, chosen):
-            if not frontier.has(setting):
-                frontier = frontier.updated(finish(setting))
-        frontier, better = _first_that_passes(frontier, target, confirm, finish, steps)
-        if better is None or better.settings == chosen.settings:
-            break
-        chosen = better
-    if chosen is None:
-        return _nearly_always(frontier, target, confirm)
-    frontier = _near(frontier, target, confirm, chosen)
-    return _rounded(frontier, confirm, finish, steps, chosen, target)
 
+    def __init__(
+        self,
+        frontier: Frontier,
+        confirm: Confirmation,
+        finish: Callable[[Settings], TradeRow],
+        steps: Steps,
+        again: HardestStarts | None = None,
+    ) -> None:
+        self.frontier, self.confirm, self.finish = frontier, confirm, finish
+        self.steps, self.again = steps, again
+        # The most steps in a period that the reference can judge.
+        self.finest = int(steps.period / confirm.cache.reference.settings.dt / 2 + 1e-9)
 
-def _first_that_passes(
-    frontier: Frontier, target: float, confirm: Confirmation, finish: Finish, steps: Steps
-) -> tuple[Frontier, TradeRow | None]:
-    """The cheapest row that keeps to the error on all further starts."""
-    limit, repairs = MARGIN * target, REPAIRED
-    for _ in range(TRIES):
-        try:
-            row = frontier.cheapest(limit)
-        except ValueError:
-            if limit == target:
+    def add(self, row: TradeRow) -> TradeRow:
+        """Takes a row into the frontier."""
+        self.frontier = self.frontier.updated(row)
+        return row
+
+    def tested(self, row: TradeRow, further: Further) -> TradeRow:
+        """The row with the result of a test, which the frontier has too."""
+        return self.add(dataclasses.replace(row, further=further))
+
+    def within_error(self, target: float) -> TradeRow | None:
+        """Tests the cheapest rows within an error [m] until one of them passes, and returns it.
+
+        A row must keep to a little less than the error. Some of those that do not are also tried
+        with shorter steps. Where no row passes, one that keeps to the error itself will do. What
+        passes is compared with what a search on the hardest starts finds, and gets a round time
+        step where one near it passes too.
+        """
+        chosen = self._first_that_passes(target)
+        if self.confirm.scored is None:
+            return chosen
+        for _ in range(AGAIN if self.again else 0):
+            if chosen is None or self.again is None:
                 break
-            limit = target
-            continue
-        if row.further is not None and row.further.starts in (0, confirm.count):
-            return frontier, row
-        row = dataclasses.replace(row, further=confirm.test(row.settings, limit, target))
-        frontier = frontier.updated(row)
-        if frontier.error(row) > limit and repairs and confirm.scored is not None:
-            repairs -= 1
-            shorter = _repaired(frontier, confirm, steps, row, limit)
-            if shorter is not None:
-                frontier = frontier.updated(finish(shorter))
-    return frontier, None
+            for settings in self.again(self.frontier, chosen):
+                if not self.frontier.has(settings):
+                    self.add(self.finish(settings))
+            better = self._first_that_passes(target)
+            if better is None or better.settings == chosen.settings:
+                break
+            chosen = better
+        if chosen is None:
+            return self._nearly_always(target)
+        self._count_misses(target, chosen)
+        return self.rounded(chosen, target)
 
-
-def _nearly_always(
-    frontier: Frontier, target: float, confirm: Confirmation
-) -> tuple[Frontier, TradeRow | None]:
-    """The cheapest row that keeps to the error on 19 of 20 starts, where none does on all."""
-    good = [row for row in frontier.rows if row.errors and row.errors.high <= target]
-    for row in sorted(good, key=frontier.price)[-NEARLY:] if confirm.scored is not None else ():
-        tested = dataclasses.replace(row, further=confirm.test_all(row.settings, target, target))
-        frontier = frontier.updated(tested)
-        further = tested.further
-        if further and further.held >= SHARE * further.starts and further.high < math.inf:
-            return frontier, tested
-    return frontier, None
-
-
-def _near(frontier: Frontier, target: float, confirm: Confirmation, chosen: TradeRow) -> Frontier:
-    """Counts the misses of the cheaper rows that keep to the error on the search's own starts.
-
-    Where few starts decide, other starts may decide otherwise: that is worth saying.
-    """
-    if confirm.scored is None:
-        return frontier
-    price = frontier.price(chosen)
-    near = [
-        row
-        for row in frontier.rows
-        if row.errors and row.errors.high <= target and frontier.price(row) < price
-    ]
-    for row in sorted(near, key=frontier.price)[-NEAR:]:
-        tested = confirm.test_all(row.settings, target, target)
-        frontier = frontier.updated(dataclasses.replace(row, further=tested))
-    return frontier
-
-
-def _rounded(
-    frontier: Frontier,
-    confirm: Confirmation,
-    finish: Finish,
-    steps: Steps,
-    row: TradeRow,
-    target: float,
-) -> tuple[Frontier, TradeRow]:
-    """A row that passed, or the same with a rounder time step that passes too and costs little."""
-    limit = MARGIN * target if frontier.error(row) <= MARGIN * target else target
-    # A little beyond what is searched: the same reference judges it nearly as well.
-    finest = DENSER * _finest(confirm, steps)
-    for pieces in steps.rounder(steps.pieces(row.settings)) if confirm.scored is not None else ():
-        settings = steps.at(row.settings, pieces)
-        if pieces > finest:
-            continue
-        other = next((r for r in frontier.rows if r.settings == settings), None) or finish(settings)
-        frontier = frontier.updated(other)
-        if not frontier.error(other) <= limit:
-            continue
-        if not frontier.price(other) <= DEARER * frontier.price(row):
-            continue
-        other = dataclasses.replace(other, further=confirm.test(settings, limit, target))
-        frontier = frontier.updated(other)
-        if frontier.error(other) <= limit:
-            return frontier, other
-    return frontier, row
-
-
-def _finest(confirm: Confirmation, steps: Steps) -> int:
-    """The most steps in a period that the reference can judge."""
-    return int(steps.period / confirm.cache.reference.settings.dt / 2 + 1e-9)
-
-
-def _repaired(
-    frontier: Frontier, confirm: Confirmation, steps: Steps, row: TradeRow, limit: float
-) -> Settings | None:
-    """The settings of a row that failed on further starts, with a step short enough for them."""
-    misses = pieces = steps.pieces(row.settings)
-    finest = _finest(confirm, steps)
-
-    def holds(count: int) -> bool:
-        return confirm.holds(steps.at(row.settings, count), limit)
-
-    for k in range(TIMES):
-        pieces = math.ceil(pieces * (SHORTER + MORE * k))
-        pieces = min(pieces, finest)
-        if pieces <= misses:
-            return None
-        if holds(pieces):
-            break
-        misses = pieces
-    else:
+    def _first_that_passes(self, target: float) -> TradeRow | None:
+        """The cheapest row that keeps to the error on all further starts."""
+        limit, repairs, confirm = MARGIN * target, REPAIRED, self.confirm
+        for _ in range(TRIES):
+            try:
+                row = self.frontier.cheapest(limit)
+            except ValueError:
+                if limit == target:
+                    break
+                limit = target
+                continue
+            if row.further is not None and row.further.starts in (0, confirm.count):
+                return row
+            row = self.tested(row, confirm.test(row.settings, limit, target))
+            if self.frontier.error(row) > limit and repairs and confirm.scored is not None:
+                repairs -= 1
+                shorter = self._repaired(row, limit)
+                if shorter is not None and not self.frontier.has(shorter):
+                    self.add(self.finish(shorter))
         return None
-    while pieces - misses > 1 and pieces > FINE * misses:
-        middle = math.ceil(math.sqrt(misses * pieces))
-        if middle in (misses, pieces):
-            break
-        misses, pieces = (misses, middle) if holds(middle) else (middle, pieces)
-    settings = steps.at(row.settings, pieces)
-    return None if frontier.has(settings) else settings
 
+    def _repaired(self, row: TradeRow, limit: float) -> Settings | None:
+        """The settings of a row that failed on further starts, with a step short enough there."""
+        misses = pieces = self.steps.pieces(row.settings)
 
-def within_budget(
-    frontier: Frontier, budget: float, confirm: Confirmation, finish: Finish, steps: Steps
-) -> Frontier:
-    """Fits the time step of the most accurate row to the budget, and tests it on further starts."""
-    for _ in range(TRIES):
-        try:
-            row = frontier.most_accurate(budget)
-        except ValueError:
-            break
-        pieces = steps.pieces(row.settings)
-        more = int(pieces * budget / frontier.price(row) * 0.98)
-        # A rounder step that is longer, so that it keeps to the budget.
-        more = next((n for n in steps.rounder(more) if n <= more), more)
-        if more >= 1.08 * pieces and not frontier.has(steps.at(row.settings, more)):
-            frontier = frontier.updated(finish(steps.at(row.settings, more)))
-            continue
-        if row.further is not None:
-            break
-        tested = confirm.test(row.settings, math.inf, math.inf)
-        frontier = frontier.updated(dataclasses.replace(row, further=tested))
-    return frontier
+        def holds(count: int) -> bool:
+            return self.confirm.holds(self.steps.at(row.settings, count), limit)
+
+        for k in range(TIMES):
+            pieces = min(math.ceil(pieces * (SHORTER + MORE * k)), self.finest)
+            if pieces <= misses:
+                return None
+            if holds(pieces):
+                break
+            misses = pieces
+        else:
+            return None
+        while pieces - misses > 1 and pieces > FINE * misses:
+            middle = math.ceil(math.sqrt(misses * pieces))
+            if middle in (misses, pieces):
+                break
+            misses, pieces = (misses, middle) if holds(middle) else (middle, pieces)
+        return self.steps.at(row.settings, pieces)
+
+    def _nearly_always(self, target: float) -> TradeRow | None:
+        """The cheapest row that keeps to the error on 19 of 20 starts, where none does on all."""
+        good = [row for row in self.frontier.rows if row.errors and row.errors.high <= target]
+        for row in sorted(good, key=self.frontier.price)[-NEARLY:]:
+            further = self.confirm.test_all(row.settings, target, target)
+            tested = self.tested(row, further)
+            if further.held >= SHARE * further.starts and further.high < math.inf:
+                return tested
+        return None
+
+    def _count_misses(self, target: float, chosen: TradeRow) -> None:
+        """Tests the cheaper rows that keep to the error on the search's own starts.
+
+        Where few starts decide, other starts may decide otherwise: that is worth saying.
+        """
+        price = self.frontier.price
+        near = [
+            row
+            for row in self.frontier.rows
+            if row.errors and row.errors.high <= target and price(row) < price(chosen)
+        ]
+        for row in sorted(near, key=price)[-NEAR:]:
+            self.tested(row, self.confirm.test_all(row.settings, target, target))
+
+    def rounded(self, row: TradeRow, target: float) -> TradeRow:
+        """A row that passed, or the same with a rounder step that passes too and costs little."""
+        frontier, steps = self.frontier, self.steps
+        limit = MARGIN * target if frontier.error(row) <= MARGIN * target else target
+        for pieces in steps.rounder(steps.pieces(row.settings)):
+            # A little beyond what is searched: the same reference judges it nearly as well.
+            if pieces > DENSER * self.finest:
+                continue
+            settings = steps.at(row.settings, pieces)
+            other = next((r for r in self.frontier.rows if r.settings == settings), None)
+            other = self.add(other or self.finish(settings))
+            dear = not frontier.price(other) <= DEARER * frontier.price(row)
+            if dear or not frontier.error(other) <= limit:
+                continue
+            other = self.tested(other, self.confirm.test(settings, limit, target))
+            if frontier.error(other) <= limit:
+                return other
+        return row
+
+    def within_budget(self, budget: float) -> None:
+        """Fits the time step of the most accurate row to the budget, and tests it."""
+        for _ in range(TRIES):
+            try:
+                row = self.frontier.most_accurate(budget)
+            except ValueError:
+                break
+            pieces = self.steps.pieces(row.settings)
+            more = int(pieces * budget / self.frontier.price(row) * 0.98)
+            # A rounder step that is longer, so that it keeps to the budget.
+            more = next((n for n in self.steps.rounder(more) if n <= more), more)
+            finer = self.steps.at(row.settings, more)
+            if more >= 1.08 * pieces and not self.frontier.has(finer):
+                self.add(self.finish(finer))
+                continue
+            if row.further is not None:
+                break
+            self.tested(row, self.confirm.test(row.settings, math.inf, math.inf))
