@@ -36,8 +36,9 @@ def fuse(world: WorldReader) -> None:
     measured_on = {id(site.body) for site in scene.sites if site.name and site.name in measured}
     options = [section.values for section in sections(root, "option")]
     fluid = any(o.get(name, 0.0) > 0 for o in options for name in ("density", "viscosity"))
-    known = weights(scene, scene.bodies[1:])
     layout = Layout(scene)
+    # Found for the first body that is not on the world.
+    known: dict[int, Weight] = {}
     # Of a fused body: the body that it is part of, and its pose there.
     whole: dict[int, Body] = {}
     poses: dict[int, Pose] = {}
@@ -48,7 +49,11 @@ def fuse(world: WorldReader) -> None:
             body.pos, body.quat = frames.composed(poses[id(carrier)], body.pos, body.quat)
             body.parent = carrier = whole[id(carrier)]
         kept = id(body) in jointed or id(body) in measured_on or (body.name and body.name in named)
-        if kept or not _may_fuse(world, body, carrier, known, fluid):
+        if kept:
+            continue
+        if carrier is not scene.world and not known:
+            known = weights(scene, scene.bodies[1:])
+        if not _may_fuse(world, body, carrier, known, fluid):
             continue
         whole[id(body)], poses[id(body)] = carrier, (body.pos, body.quat)
         if body.name:
@@ -79,7 +84,7 @@ def _may_fuse(
     values = world.nodes[id(body)].values
     if values.get("mocap") or values.get("fuse") is False or "sleep" in values:
         return False
-    if known[id(body)].mass == 0.0 or carrier is world.scene.world:
+    if carrier is world.scene.world or known[id(body)].mass == 0.0:
         return True
     there = world.nodes[id(carrier)].values.get("gravcomp", 0.0)
     return not fluid and bool(values.get("gravcomp", 0.0) == there)

@@ -82,19 +82,23 @@ def weights(
 ) -> dict[int, Weight]:
     """The weights of bodies by their ``id``, without the scaling to a total mass.
 
-    rules: others than those of the scene. Only these bodies and their geoms are compiled.
+    rules: others than those of the scene. Only these bodies and the geoms that give them mass are
+    compiled.
     """
     part = Contents()
     part.mass_rules = MassRules(**((rules or scene.mass_rules).values() | {"settotalmass": -1.0}))
-    part.meshes, part.hfields = scene.meshes, scene.hfields
     twins = {id(body): copy.copy(body) for body in bodies}
     for twin in twins.values():
         twin.parent = part.world
         part.bodies.append(twin)
     for geom in scene.geoms:
-        if id(geom.body) in twins:
+        twin = twins.get(id(geom.body))
+        if twin and (twin.mass is None or part.mass_rules.inertiafromgeom is True):
             part.geoms.append(copy.copy(geom))
-            part.geoms[-1].body = twins[id(geom.body)]
+            part.geoms[-1].body = twin
+    used = {id(asset) for geom in part.geoms for asset in (geom.mesh, geom.hfield)}
+    part.meshes = [mesh for mesh in scene.meshes if id(mesh) in used]
+    part.hfields = [hfield for hfield in scene.hfields if id(hfield) in used]
     tables = _core.compile(plain(Layout(part))).tables()
     columns = [tables[f"body_{name}"][1:] for name in ("mass", "ipos", "inertia", "iquat")]
     # Bodies of one parent keep their order.
