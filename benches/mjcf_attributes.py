@@ -19,6 +19,8 @@ from attributes.runs import SCENES, case_of, measured
 
 from stepcore.mjcf.notation import Spec
 from stepcore.mjcf.schema import ROOT
+from stepcore.scene import elements
+from stepcore.scene.element import Element, table
 
 PAGE = Path(__file__).parent.parent / "docs" / "mjcf_attributes.md"
 # What the schema's text calls the elements of the tree, and those that stand outside of it.
@@ -60,6 +62,17 @@ KNOWN = {
     "sensor/insidesite": {"enclosed": "senses"} | LATE,
 }
 ROLES = {"draws": "only draws", "senses": "senses", "data": "data", "unbuilt": "refused"}
+# The element class whose fields are attributes of an element, by path.
+CLASSES: dict[str, type[Element]] = {
+    **{"body": elements.Body, "joint": elements.Joint, "geom": elements.Geom},
+    **{"site": elements.Site, "contact/pair": elements.Pair, "keyframe/key": elements.Key},
+    **{"compiler": elements.MassRules, "compiler/lengthrange": elements.LengthRange},
+    **{"asset/mesh": elements.Mesh, "asset/hfield": elements.HField},
+}
+SECTIONS: dict[str, type[Element]] = {
+    **{"tendon": elements.Tendon, "equality": elements.Equality},
+    **{"actuator": elements.Actuator, "sensor": elements.Sensor},
+}
 COLUMNS = ("honoured", "no effect", "only draws", "senses", "data", "refused")
 TEXT = """# Every attribute of MJCF
 
@@ -75,7 +88,10 @@ and in MuJoCo:
   left out: `load(path, without=["joint/springyield"])`, `--without joint/springyield`
   ([refusals](#refusals)).
 
-An attribute of a default class is what the same attribute of the element is.
+An attribute of a default class is treated as the same attribute of the element. Units and defaults
+are given for attributes that are fields of an element class (`stepcore.Joint` and so on). Units are
+those of the fields; a file gives angles in degrees, unless it has `<compiler angle="radian"/>`.
+
 Of {count} attributes {counts}.
 
 {table}
@@ -170,21 +186,45 @@ def _refused_above(path: str) -> str:
     return next((spec.role for spec in above if spec is not None and spec.role), "")
 
 
+def value_of(path: str, attribute: str) -> str:
+    """What an attribute holds, in words."""
+    spec = spec_of(path)
+    notation = "" if spec is None else spec.attrs.get(attribute, "")
+    if not notation or "|" in notation:
+        return notation.replace("|", ", ") or "text"
+    kind = "integer" if notation.startswith("int") else "number"
+    count = notation.removeprefix("int").replace("-", " to ") or "1"
+    return f"{kind}s" if count == "*" else f"{count} {kind}{'s' * (count != '1')}"
+
+
+def field_of(path: str, attribute: str) -> tuple[str, str]:
+    """The unit and the default of an attribute that is a field of an element class."""
+    kind = CLASSES.get(path, SECTIONS.get(path.partition("/")[0]))
+    row = None if kind is None else table(kind).get(attribute)
+    spec = spec_of(path)
+    if row is None or row.type.attribute is None or spec is None or attribute not in spec.attrs:
+        return "", ""
+    default = row.checked
+    if default is None or default == "" or row.type.refers or attribute in spec.required:
+        return row.unit, ""
+    numbers = default if isinstance(default, tuple) else (default,)
+    words = [f"{x:g}" if isinstance(x, float) else str(x) for x in numbers]
+    return row.unit, " ".join(words).replace("True", "true").replace("False", "false")
+
+
 def page() -> tuple[str, list[str]]:
     """The text of the page, and what is wrong."""
     wrong: list[str] = []
-    lines = ["| element | " + " | ".join(COLUMNS) + " |", "|---" * (len(COLUMNS) + 1) + "|"]
+    columns = ("element", "attribute", "value", "unit", "default", "here")
+    lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     counts = dict.fromkeys(COLUMNS, 0)
     for path, attributes in schema().items():
-        cells: dict[str, list[str]] = {column: [] for column in COLUMNS}
         for attribute in attributes:
             word, mistake = mark(path, attribute)
-            cells[word].append(attribute)
             counts[word] += 1
             wrong += [mistake] if mistake else []
-        if attributes:
-            row = " | ".join(" ".join(cells[column]) for column in COLUMNS)
-            lines.append(f"| `{path}` | {row} |")
+            cells = (value_of(path, attribute), *field_of(path, attribute), word)
+            lines.append(f"| `{path}` | {attribute} | {' | '.join(cells)} |")
     said = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
     text = TEXT.format(
         version=mujoco.__version__,
