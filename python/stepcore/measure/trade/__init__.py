@@ -26,7 +26,7 @@ from stepcore.measure.trade.recommend import Confirmation, HardestStarts, Recomm
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.rows import Frontier, TradeRow, observed_orders
 from stepcore.measure.trade.run_cache import RowMaker, RunCache
-from stepcore.measure.trade.search import searched
+from stepcore.measure.trade.search import SettingsSearch
 from stepcore.measure.trade.statistics import LEAST, MOST, AfterPrediction
 from stepcore.report import units
 from stepcore.report.progress import Choice
@@ -152,7 +152,8 @@ def trade(
         tried = grid(kind, steps, **axes)
         cache.run(tried)
     else:
-        tried = searched(cache, counts, kind, target, limit is not None, whole=mujoco)
+        searching = SettingsSearch(cache, counts, kind)
+        tried = searching.run(target, budget=limit is not None, whole=mujoco)
         unjudged = list(words.about_search(cache.reference, counts, min(steps)))
     _refine(cache, tried)
     softens = rows > 0 and shipped.law == "solref" and shipped.refsafe

@@ -124,6 +124,71 @@ class SettingsSearch:
         """The most steps in a control period that the reference is accurate enough to judge."""
         return max(1, int(self.steps.period / self.cache.reference.settings.dt / 2 + 1e-9))
 
+    def run(self, wanted: float | None, budget: bool, whole: bool) -> list[Settings]:
+        """Runs the search; the settings that ran from all starts or failed, coarsest step first.
+
+        wanted: the error asked for [m], or None. budget: whether there is one. whole: settings of
+        any error are of use.
+        """
+        cache = self.cache
+        chosen: list[Settings] = []
+        self.overview()
+        targets = self.targets(wanted, budget)
+        for k, (error, climb) in enumerate(targets):
+            halvings = REFINED
+            if k and chosen and wanted is not None:
+                # The longest step tried can be far more accurate than what was asked for.
+                error = min(error, cache.score(chosen[0], self.all).error / 2)
+                halvings = REFINED if error * DEEP >= wanted else 0
+                if error <= cache.reference.high:
+                    break
+            while halvings and cache.reference.high * FINER > error and cache.refine():
+                halvings -= 1
+            some = self.meeting(error, climb)
+            while not some and halvings and cache.refine():
+                halvings -= 1
+                some = self.meeting(error, climb)
+            chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
+        least = 0.0 if whole else min((error for error, _ in targets), default=0.0) / USELESS
+        # What is nearer to the reference than it is known is not known to be better.
+        known = 0.0 if cache.can_refine else cache.reference.high
+        failed = [setting for setting, runs in cache.screened.items() if cache.why_failed(runs)]
+        every = [*chosen, *self.fronts(least, known), self.shipped, *failed]
+        cache.run(every, "search: the best")
+        return sorted(dict.fromkeys(every), key=lambda s: -s.dt)
+
+    def targets(self, wanted: float | None, budget: bool) -> list[tuple[float, bool]]:
+        """The errors to search for [m], and whether methods are changed there."""
+        if wanted is not None:
+            return [(share * wanted, climb) for share, climb in ASKED]
+        shipped = self.cache.score(self.shipped, self.few).error
+        if not 0 < shipped < math.inf:
+            errors = (self.cache.score(setting, self.few).error for setting in self.cache.screened)
+            finite = sorted(error for error in errors if 0 < error < math.inf)
+            shipped = finite[len(finite) // 2] if finite else 0.0
+        shares = BUDGET if budget else UNASKED
+        return [(shipped * share, climb) for share, climb in shares if shipped > 0]
+
+    def fronts(self, least: float, known: float) -> list[Settings]:
+        """The front of every integrator by its scores from few starts, thinned out.
+
+        least: smaller errors are not wanted [m]. known: of errors up to it the cheapest is wanted.
+        """
+        by_name: dict[str, list[tuple[Score, int, Settings]]] = {}
+        for i, setting in enumerate(self.cache.screened):
+            scored = (self.cache.score(setting, self.few), i, setting)
+            by_name.setdefault(setting.integrator, []).append(scored)
+        kept = []
+        for some in by_name.values():
+            best, last = math.inf, 0.0
+            for score, _, setting in sorted(some, key=lambda entry: entry[:2]):
+                if score.error < best and score.price > SPARSE * last and score.error >= least:
+                    kept.append(setting)
+                    best, last = score.error, score.price
+                    if best <= known:
+                        break
+        return kept
+
     def overview(self) -> None:
         """Runs every family at a few time steps from few starts, around the shipped settings.
 
@@ -262,81 +327,3 @@ class SettingsSearch:
         """The methods that differ in one setting, at the step where this one meets the error."""
         pieces = bracket.meets(error) or max(bracket.known)
         return moves(self.steps.at(bracket.base, pieces), self.kind)
-
-
-def searched(
-    cache: RunCache, steps: Steps, kind: Kind, wanted: float | None, budget: bool, whole: bool
-) -> list[Settings]:
-    """Runs the search; the settings that ran from all starts or failed, coarsest step first.
-
-    wanted: the error asked for [m], or None. budget: whether there is one. whole: settings of any
-    error are of use.
-    """
-    search = SettingsSearch(cache, steps, kind)
-    search.overview()
-    chosen: list[Settings] = []
-    targets = _targets(search, wanted, budget)
-    for k, (error, climb) in enumerate(targets):
-        halvings = REFINED
-        if k and chosen and wanted is not None:
-            # The longest step tried can be far more accurate than what was asked for.
-            error = min(error, cache.score(chosen[0], search.all).error / 2)
-            halvings = REFINED if error * DEEP >= wanted else 0
-            if error <= cache.reference.high:
-                break
-        while halvings and cache.reference.high * FINER > error and cache.refine():
-            halvings -= 1
-        some = search.meeting(error, climb)
-        while not some and halvings and cache.refine():
-            halvings -= 1
-            some = search.meeting(error, climb)
-        chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
-    least = 0.0 if whole else min((error for error, _ in targets), default=0.0) / USELESS
-    # What is nearer to the reference than it is known is not known to be better.
-    known = 0.0 if cache.can_refine else cache.reference.high
-    chosen += _fronts(search, least, known)
-    chosen.append(kind.shipped)
-    failed = [setting for setting, runs in cache.screened.items() if cache.why_failed(runs)]
-    cache.run([*chosen, *failed], "search: the best")
-    return sorted(dict.fromkeys([*chosen, *failed]), key=lambda s: -s.dt)
-
-
-def _targets(
-    search: SettingsSearch, wanted: float | None, budget: bool
-) -> list[tuple[float, bool]]:
-    """The errors to search for [m], and whether methods are changed there."""
-    if wanted is not None:
-        return [(share * wanted, climb) for share, climb in ASKED]
-    cache = search.cache
-    own = cache.score(search.shipped, search.few).error
-    if not 0 < own < math.inf:
-        scores = [cache.score(settings, search.few).error for settings in cache.screened]
-        finite = sorted(e for e in scores if 0 < e < math.inf)
-        own = finite[len(finite) // 2] if finite else 0.0
-    shares = BUDGET if budget else UNASKED
-    return [(own * share, climb) for share, climb in shares if own > 0]
-
-
-def _fronts(search: SettingsSearch, least: float, known: float) -> list[Settings]:
-    """The front of every integrator by its scores from few starts, thinned out.
-
-    least: smaller errors are not wanted [m]. known: of errors up to it the cheapest is wanted.
-    """
-    by_name: dict[str, list[Settings]] = {}
-    for setting in search.cache.screened:
-        by_name.setdefault(setting.integrator, []).append(setting)
-    return [s for some in by_name.values() for s in _thin(search, some, least, known)]
-
-
-def _thin(
-    search: SettingsSearch, some: Sequence[Settings], least: float, known: float
-) -> list[Settings]:
-    scores = [(search.cache.score(setting, search.few), i) for i, setting in enumerate(some)]
-    kept, best, last = [], math.inf, 0.0
-    for score, i in sorted(scores, key=lambda pair: (pair[0].price, pair[0].error, pair[1])):
-        if score.error < best and score.price > SPARSE * last and score.error >= least:
-            kept.append(some[i])
-            best, last = score.error, score.price
-            if best <= known:
-                break
-    return kept
