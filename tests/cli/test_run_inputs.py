@@ -78,7 +78,7 @@ def test_a_log_with_names_and_times_drives_a_run_and_a_measurement(capsys, carts
 
 def test_a_measurement_takes_constant_controls_and_sines_by_name(capsys, carts):
     options = ["--horizon", "0.1", "--threads", "1", "--json"]
-    for ctrl, said in (("b=4", "the controls given and held"), ("sines", "follow seeded sines")):
+    for ctrl, said in (("b=4", "motors hold b=4"), ("sines", "follow seeded sines")):
         assert main(["converge", carts, "--ctrl", ctrl, *options]) == 0
         assert said in json.loads(capsys.readouterr().out)["ran"]
 

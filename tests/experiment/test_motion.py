@@ -86,7 +86,7 @@ def test_the_motion_is_told_in_words():
     scene.keys[0].ctrl = (0.0, 0.0)
     assert "their range; free without a range held at zero; law" in words(scene, short)
     given = Motion(horizon=0.1, ctrl=[[0.0, 1.0]])
-    assert "; motors driven by the controls given and held; law" in words(scene, given)
+    assert "; motors hold 0, 1; law" in words(scene, given)
     rows = Motion(horizon=0.1, ctrl=[[0.0, 1.0], [1.0, 0.0]])
     assert "; motors driven by the controls given, a row every 2 ms; law" in words(scene, rows)
 

@@ -437,7 +437,7 @@ def test_the_motion_is_told():
     assert "from keyframe `ready`; servos are held at zero, because nothing" in told(scene)
     scene.actuators[0].ctrlrange = (-1, 1)
     assert "servos follow seeded sines within 0.4 of their range" in told(scene)
-    assert "the controls given" in told(scene, ctrl=[[0.2]])
+    assert "hold 0.2" in told(scene, ctrl=[[0.2]])
     function = told(scene, control=lambda time, sim: [0.0])
     assert "servos driven by the control function `<lambda>, line " in function
     assert " of test_diagnose_advice.py, sampled at every step; law" in function

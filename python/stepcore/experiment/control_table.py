@@ -19,6 +19,8 @@ from stepcore.engine.trajectory import Trajectory
 # What --ctrl and `Motion.ctrl` call the controls of measurements.
 SINES = "sines"
 ENDINGS = (".csv", ".npy", ".npz")
+# More constant controls than this are counted and not listed.
+NAMED = 8
 # A column of times: "time", "t", "Time [s]", "t_s".
 TIME = re.compile(r"(time|t)([\s_]*[\[(]?s[\])]?)?", re.IGNORECASE)
 
@@ -57,6 +59,16 @@ class ControlTable:
     def changes(self) -> bool:
         """Whether any two rows differ."""
         return bool(np.any(self.rows != self.rows[:1]))
+
+    @property
+    def constants(self) -> str:
+        """The first row in words: "a=1, b=3", or "1, 3" without names."""
+        values = [f"{value:g}" for value in np.atleast_2d(self.rows)[0]]
+        if len(values) > NAMED:
+            return f"{len(values)} constant controls"
+        if self.columns is not None:
+            values = [f"{name}={value}" for name, value in zip(self.columns, values, strict=True)]
+        return ", ".join(values)
 
     def period(self, dt: float) -> float:
         """The period of the controls [s]: that of the times where these are evenly spaced in whole

@@ -8,6 +8,7 @@ import numpy as np
 
 from stepcore.engine.control import control_name
 from stepcore.engine.model import Model
+from stepcore.experiment.control_table import control_table
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import counted, seconds
@@ -30,7 +31,8 @@ def motion_in_words(
     count = len(schedule.starts)
     if count > 1:
         begin = f"{begin} and {counted(count - 1, 'start')} near it"
-    drive = _drive(model, motion, schedule, sampled or f"every {seconds(schedule.period)}", driven)
+    sampled = sampled or f"every {seconds(schedule.period)}"
+    drive = drive_in_words(model, motion, schedule.undriven, sampled, driven)
     return f"{seconds(schedule.horizon)} from {begin}; {drive}; {scene_in_words(model)}"
 
 
@@ -77,19 +79,26 @@ def held_motion_in_words(
     return f"{seconds(horizon)} from {begin}; {drive}; {scene_in_words(model)}"
 
 
-def _drive(model: Model, motion: Motion, schedule: Schedule, sampled: str, driven: str) -> str:
-    """How the controls were driven."""
+def drive_in_words(
+    model: Model, motion: Motion, undriven: Sequence[str], sampled: str, driven: str = ""
+) -> str:
+    """How the controls were driven; sampled: how often, such as "every 2 ms".
+
+    undriven: actuators that the default controls hold still. driven: what else there is to say of
+    these controls.
+    """
     if model.nu == 0:
         return "no motors"
     what = actuators_in_words(model)
     if motion.control is not None:
         return f"{what} driven by {control_name(motion.control)}, sampled {sampled}"
     if motion.ctrl is not None:
-        row = f", a row {sampled}" if motion.period(1.0) is not None else " and held"
-        source = getattr(motion.ctrl, "source", "ctrl")
-        drive = "the controls given" if source == "ctrl" else source
-        return f"{what} driven by {drive}{row}"
-    still = list(schedule.undriven)
+        table = control_table(motion.ctrl)
+        if not table.changes:
+            return f"{what} hold {table.constants}"
+        source = "the controls given" if table.source == "ctrl" else table.source
+        return f"{what} driven by {source}, a row {sampled}"
+    still = list(undriven)
     if len(still) == model.nu:
         return f"{what} are held at zero, because nothing gives their range"
     low, high = model.actuator_ctrlrange.T

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -12,15 +12,14 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.axes import axes_of
-from stepcore.engine.control import Control, control_name
-from stepcore.engine.model import Model
+from stepcore.engine.control import Control
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
-from stepcore.experiment.control_table import ControlTable, control_table
+from stepcore.experiment.control_table import control_table
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import (
-    actuators_in_words,
+    drive_in_words,
     held_in_words,
     scene_in_words,
     start_in_words,
@@ -283,33 +282,27 @@ def _driven(sim: Sim, motion: Motion, horizon: float) -> tuple[Control | None, f
 
     Controls that never change are set, and have no function.
     """
-    model = sim.model
-    period = motion.control_dt or sim.settings.dt
-    what, held = actuators_in_words(model), np.array(sim.ctrl)
-    if motion.control is not None:
-        said = f"{what} driven by {control_name(motion.control)}, sampled every {seconds(period)}"
-        return motion.control, motion.control_dt, said if model.nu else held_in_words(model, held)
-    if motion.ctrl is None or not model.nu:
-        if motion.ctrl is not None and not motion.follows_sines:
-            control_table(motion.ctrl).over(model, held, 1, period)
+    model, dt, held = sim.model, sim.settings.dt, np.array(sim.ctrl)
+    if motion.ctrl is None and motion.control is None:
         return None, motion.control_dt, held_in_words(model, held)
-    periods = int(np.ceil(horizon / period)) + 1
+    period = motion.control_dt or dt
     if motion.follows_sines:
+        periods = int(np.ceil(horizon / period)) + 1
         rows = smooth(model, held, periods, period, np.random.default_rng(motion.seed))
-        still = undriven(model, held)
-        said = f"{what} follow seeded sines within 0.4 of their range"
-        said += f"; {', '.join(still)} without a range held at zero" if still else ""
+        said = drive_in_words(model, replace(motion, ctrl=None), undriven(model, held), "")
         return _player(rows, period, sim), motion.control_dt, said
+    if motion.control is not None:
+        said = drive_in_words(model, motion, (), f"every {seconds(period)}")
+        return motion.control, motion.control_dt, said
     table = control_table(motion.ctrl)
-    period = motion.control_dt or table.period(sim.settings.dt)
-    periods = int(np.ceil(horizon / period)) + 1
-    if not table.changes:
-        sim.ctrl = table.over(model, held, 1, period)[0]
-        return None, motion.control_dt, f"{what} hold {_constants(table, model)}"
-    source = "the controls given" if table.source == "ctrl" else table.source
+    period = motion.control_dt or table.period(dt)
+    periods = int(np.ceil(horizon / period)) + 1 if table.changes else 1
     rows = table.over(model, held, periods, period)
-    said = f"{what} driven by {source}, a row every {seconds(period)}"
-    return _player(rows, period, sim), period, said
+    said = drive_in_words(model, motion, (), f"every {seconds(period)}")
+    if table.changes:
+        return _player(rows, period, sim), period, said
+    sim.ctrl = rows[0]
+    return None, motion.control_dt, said
 
 
 def _player(rows: np.ndarray, period: float, sim: Sim) -> Callable[[float, Sim], np.ndarray]:
@@ -321,12 +314,3 @@ def _player(rows: np.ndarray, period: float, sim: Sim) -> Callable[[float, Sim],
         return row
 
     return control
-
-
-def _constants(table: ControlTable, model: Model) -> str:
-    """Constant controls: "a=1, b=3", or "1, 3" where they have no names."""
-    values = [f"{value:g}" for value in np.atleast_2d(table.rows)[0]]
-    if table.columns is not None:
-        values = [f"{name}={value}" for name, value in zip(table.columns, values, strict=True)]
-    shown = ", ".join(values)
-    return shown if len(values) <= 8 else f"{len(values)} constant controls"
