@@ -23,8 +23,8 @@ except ModuleNotFoundError as error:
     ) from None
 
 from stepcore.gymnasium.env import Env
-from stepcore.gymnasium.moment import Moment
 from stepcore.gymnasium.registration import register_envs
+from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.task import Task
 from stepcore.gymnasium.vector_env import VectorEnv
 

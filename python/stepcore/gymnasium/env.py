@@ -15,8 +15,8 @@ from stepcore._core import Settings
 from stepcore.engine.arrays import Floats
 from stepcore.engine.sim import Sim
 from stepcore.gymnasium.camera import MODES, Picture, camera_for, metadata_of
-from stepcore.gymnasium.drive import Drive
-from stepcore.gymnasium.moment import owned
+from stepcore.gymnasium.env_core import EnvCore
+from stepcore.gymnasium.snapshot import owned
 from stepcore.gymnasium.spaces import Spaces
 from stepcore.gymnasium.task import Function, Source, Task, task_of
 
@@ -30,7 +30,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         qvel.
     reward: of a `Moment`, a number; by default 0.
     terminated: of a `Moment`, whether the episode is over; by default never.
-    info: of a `Moment`, a dict of what else is told after an action.
+    info: of a `Moment`, a dict of further information after an action.
     reset: a function of the model and a `numpy.random.Generator` that returns the first qpos and
         qvel; by default the model's initial pose at rest.
     frame_skip: steps of the engine for each action.
@@ -84,16 +84,16 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         self._task = task_of(
             model,
             frame_skip,
-            observing=observe,
-            rewarding=reward,
-            terminating=terminated,
-            informing=info,
-            starting=reset,
-            actions=action_space,
-            observations=observation_space,
+            observe=observe,
+            reward=reward,
+            terminated=terminated,
+            info=info,
+            reset=reset,
+            action_space=action_space,
+            observation_space=observation_space,
         )
-        self._drive = Drive(self._task, settings)
-        spaces = Spaces(self._task, self._drive)
+        self._env_core = EnvCore(self._task, settings)
+        spaces = Spaces(self._task, self._env_core)
         self.action_space = spaces.action
         self.observation_space = spaces.observation  # type: ignore[assignment]
         self._begun = False
@@ -102,14 +102,14 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
     @property
     def sim(self) -> Sim:
         """The `Sim` of this environment."""
-        world = self._drive.world
+        world = self._env_core.world
         assert isinstance(world, Sim)
         return world
 
     @property
     def dt(self) -> float:
         """Time between two actions [s]."""
-        return self._drive.dt
+        return self._env_core.dt
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -117,11 +117,11 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         """Begin an episode; see `gymnasium.Env.reset`. There are no options."""
         super().reset(seed=seed)
         no_options(options)
-        qpos, qvel = self._drive.starts([self.np_random])
+        qpos, qvel = self._env_core.starts([self.np_random])
         self.sim.reset()
         self.sim.qpos, self.sim.qvel = qpos[0], qvel[0]
-        first = self._drive.first(qpos, qvel)
-        self._drive.keep_only(first)
+        first = self._env_core.first(qpos, qvel)
+        self._env_core.keep_only(first)
         self._begun = True
         info = self._task.reset_info(first)
         observation = owned(self._task.observe(first)[0], self.observation_space.dtype)
@@ -131,13 +131,13 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         """Take an action, shape (nu,); see `gymnasium.Env.step`. The episode is never truncated."""
         if not self._begun:
             raise gymnasium.error.ResetNeeded("Env.step: call reset first")
-        now, errors = self._drive.act(checked(action, self.action_space.shape))
+        now, errors = self._env_core.act(checked(action, self.action_space.shape))
         reward, terminated, info = self._task.outcome(now)
         info = {name: owned(value) for name, value in info.items()}
         if errors:
             terminated, info["failure"] = np.array(True), str(errors[0])
         observation = owned(self._task.observe(now), self.observation_space.dtype)
-        self._drive.keep(now)
+        self._env_core.keep(now)
         return observation, float(reward), bool(terminated), False, info
 
     def render(self) -> Picture | None:

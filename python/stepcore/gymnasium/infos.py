@@ -24,8 +24,8 @@ def masked(infos: dict[str, Any], info: dict[str, Any], mask: Mask) -> dict[str,
         if len(rows) == len(mask):
             rows = rows[worlds]
         if rows.dtype == object:
-            told = np.array([row is not None for row in rows], dtype=bool)
-            _fill(infos, name, rows[told], worlds[told], mask)
+            present = np.array([row is not None for row in rows], dtype=bool)
+            _fill(infos, name, rows[present], worlds[present], mask)
         else:
             _fill(infos, name, rows, worlds, mask)
     return infos

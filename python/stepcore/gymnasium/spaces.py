@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from stepcore import checks
-from stepcore.gymnasium.drive import Drive
+from stepcore.gymnasium.env_core import EnvCore
 from stepcore.gymnasium.task import Task
 
 
@@ -18,7 +18,7 @@ class Spaces:
     Raises ValueError if a function of the task returns something of another shape.
     """
 
-    def __init__(self, task: Task, drive: Drive) -> None:
+    def __init__(self, task: Task, drive: EnvCore) -> None:
         now = drive.trial()
         shape = now.shape
         observation = _array("observe", task.observe(now), "fiub")

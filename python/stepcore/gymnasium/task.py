@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.world import compiled
-from stepcore.gymnasium.moment import Moment, state_vector
+from stepcore.gymnasium.snapshot import Moment, state_vector
 from stepcore.reading import load
 from stepcore.scene.scene import Scene
 
@@ -80,50 +79,35 @@ class Task(ABC):
 
 
 Function = Callable[[Moment], Any]
+# The arguments of `Env` that are spaces, and no functions.
+SPACES = ("action_space", "observation_space")
 
 
-@dataclass(frozen=True, kw_only=True)
 class FunctionTask(Task):
-    """A task of a model and functions; those of `Task` replace a None."""
+    """A task of a model and functions, which replace those of `Task`."""
 
-    source: Source
-    observing: Function | None = None
-    rewarding: Function | None = None
-    terminating: Function | None = None
-    informing: Function | None = None
-    starting: Callable[[Model, np.random.Generator], tuple[ArrayLike, ArrayLike]] | None = None
-    actions: Box | None = None
-    observations: Box | None = None
-    frame_skip: int = 1
+    def __init__(self, source: Source, frame_skip: int, given: Mapping[str, Any]) -> None:
+        self.source, self.frame_skip = source, frame_skip
+        self.spaces = {name: given[name] for name in SPACES if name in given}
+        for name in given.keys() - self.spaces:
+            # As a method of this task; it is no function of a class, so it gets no self.
+            setattr(self, "start" if name == "reset" else name, given[name])
 
     def model(self) -> Model:
         source = self.source
         return compiled(load(source) if isinstance(source, (str, os.PathLike)) else source)
 
-    def observe(self, now: Moment) -> Floats:
-        return self.observing(now) if self.observing else super().observe(now)
-
-    def reward(self, now: Moment) -> Floats:
-        return self.rewarding(now) if self.rewarding else super().reward(now)
-
-    def terminated(self, now: Moment) -> NDArray[np.bool_]:
-        return self.terminating(now) if self.terminating else super().terminated(now)
-
-    def info(self, now: Moment) -> dict[str, Any]:
-        return self.informing(now) if self.informing else super().info(now)
-
-    def start(self, model: Model, rng: np.random.Generator) -> tuple[ArrayLike, ArrayLike]:
-        return self.starting(model, rng) if self.starting else super().start(model, rng)
-
     def action_space(self, model: Model) -> Box:
-        return self.actions or super().action_space(model)
+        return self.spaces.get("action_space") or super().action_space(model)
 
     def observation_space(self, size: int) -> Box:
-        return self.observations or super().observation_space(size)
+        return self.spaces.get("observation_space") or super().observation_space(size)
 
 
 def task_of(model: Source | Task, frame_skip: int, **functions: Any) -> Task:
     """Return a `Task` unchanged, or make the task of a model with these functions.
+
+    functions: by the names that they have as arguments of `Env`.
 
     Raises ValueError for functions beside a `Task`, which has its own, and for a function that
     cannot be called.
@@ -131,25 +115,11 @@ def task_of(model: Source | Task, frame_skip: int, **functions: Any) -> Task:
     given = {name: value for name, value in functions.items() if value is not None}
     if isinstance(model, Task):
         if given or frame_skip != 1:
-            name = NAMES.get(next(iter(given), ""), "frame_skip")
+            name = next(iter(given), "frame_skip")
             raise ValueError(f"{name}: must be the task's own, not given beside a Task")
         return model
     for name, value in given.items():
-        space = name in ("actions", "observations")
-        if not (isinstance(value, Box) if space else callable(value)):
-            limit = "a gymnasium.spaces.Box" if space else "a function"
-            raise ValueError(f"{NAMES[name]} = {checks.shown(value)}: must be {limit}")
-    skip = checks.count("frame_skip", frame_skip)
-    return FunctionTask(source=model, frame_skip=skip, **given)
-
-
-# What a user calls the fields of a FunctionTask.
-NAMES = {
-    "observing": "observe",
-    "rewarding": "reward",
-    "terminating": "terminated",
-    "informing": "info",
-    "starting": "reset",
-    "actions": "action_space",
-    "observations": "observation_space",
-}
+        if not (isinstance(value, Box) if name in SPACES else callable(value)):
+            limit = "a gymnasium.spaces.Box" if name in SPACES else "a function"
+            raise ValueError(f"{name} = {checks.shown(value)}: must be {limit}")
+    return FunctionTask(model, checks.count("frame_skip", frame_skip), given)

@@ -18,10 +18,10 @@ from stepcore._core import Settings
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
 from stepcore.gymnasium.camera import MODES, Picture, camera_for, metadata_of
-from stepcore.gymnasium.drive import Drive
 from stepcore.gymnasium.env import checked, no_options
+from stepcore.gymnasium.env_core import EnvCore
 from stepcore.gymnasium.infos import failures, final_infos, masked
-from stepcore.gymnasium.moment import owned
+from stepcore.gymnasium.snapshot import owned
 from stepcore.gymnasium.spaces import Spaces
 from stepcore.gymnasium.task import Function, Source, Task, task_of
 
@@ -81,23 +81,23 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         self._task = task_of(
             model,
             frame_skip,
-            observing=observe,
-            rewarding=reward,
-            terminating=terminated,
-            informing=info,
-            starting=reset,
-            actions=action_space,
-            observations=observation_space,
+            observe=observe,
+            reward=reward,
+            terminated=terminated,
+            info=info,
+            reset=reset,
+            action_space=action_space,
+            observation_space=observation_space,
         )
-        self._drive = Drive(self._task, settings, self.num_envs, threads=threads, lanes=lanes)
-        spaces = Spaces(self._task, self._drive)
+        self._env_core = EnvCore(self._task, settings, self.num_envs, threads=threads, lanes=lanes)
+        spaces = Spaces(self._task, self._env_core)
         self.single_action_space = spaces.action
         self.single_observation_space = spaces.observation
         self.action_space = batch_space(spaces.action, self.num_envs)
         self.observation_space = batch_space(spaces.observation, self.num_envs)
         self.autoreset_mode = _mode(autoreset_mode)
-        told = {**metadata_of(self.dt), "autoreset_mode": self.autoreset_mode}
-        self.metadata = told  # type: ignore[misc]
+        metadata = {**metadata_of(self.dt), "autoreset_mode": self.autoreset_mode}
+        self.metadata = metadata  # type: ignore[misc]
         self._rngs: list[np.random.Generator] = []
         self._seeds: list[int] = []
         self._observations = np.zeros((0, 0))
@@ -107,14 +107,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
     @property
     def batch(self) -> Batch:
         """The worlds, for whatever an environment does not tell of them."""
-        world = self._drive.world
+        world = self._env_core.world
         assert isinstance(world, Batch)
         return world
 
     @property
     def dt(self) -> float:
         """Time between two actions [s]."""
-        return self._drive.dt
+        return self._env_core.dt
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -187,10 +187,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
     ) -> tuple[Floats, dict[str, Any]]:
         """Resets worlds; the observations and the information with theirs."""
         worlds = np.flatnonzero(mask)
-        qpos, qvel = self._drive.starts([self._rngs[world] for world in worlds])
+        qpos, qvel = self._env_core.starts([self._rngs[world] for world in worlds])
         self.batch.reset(worlds=worlds, qpos=qpos, qvel=qvel)
-        first = self._drive.first(qpos, qvel)
-        self._drive.keep_first(worlds, first)
+        first = self._env_core.first(qpos, qvel)
+        self._env_core.keep_first(worlds, first)
         observations = observations.copy()
         observations[worlds] = self._task.observe(first)
         self._elapsed[worlds], self._over[worlds] = 0, False
@@ -208,7 +208,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
             raise gymnasium.error.ResetNeeded(
                 f'worlds {listed} are over: reset them with options={{"reset_mask": …}}'
             )
-        now, errors = self._drive.act(checked(actions, self.action_space.shape))
+        now, errors = self._env_core.act(checked(actions, self.action_space.shape))
         rewards, terminated, info = self._task.outcome(now)
         rewards = np.array(rewards, dtype=np.float64)
         terminated = np.array(terminated, dtype=bool)
@@ -216,7 +216,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
             terminated[list(errors)] = True
             info = {**info, "failure": failures(errors, self.num_envs)}
         observations = owned(self._task.observe(now), self.observation_space.dtype)
-        self._drive.keep(now)
+        self._env_core.keep(now)
         self._elapsed += 1
         truncated = self._elapsed >= self._most
         if over.any():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from stepcore.gymnasium.env import Env
 from stepcore.gymnasium.task import Task
@@ -40,52 +40,28 @@ def named(name: str, **options: Any) -> Task:
     return task
 
 
-def make(
-    task: str,
-    settings: Any = None,
-    render_mode: str | None = None,
-    width: int = 480,
-    height: int = 480,
-    **options: Any,
-) -> Env:
+# What `make` hands to `Env`, and `make_vec` to `VectorEnv`; other options are the task's.
+OF_ENV = ("settings", "render_mode", "width", "height")
+OF_VECTOR_ENV = (*OF_ENV, "max_episode_steps", "autoreset_mode", "threads", "lanes")
+
+
+def make(task: str, **options: Any) -> Env:
     """Make one world of a task; `gymnasium.make` calls this.
 
-    settings, render_mode, width, height: as for `Env`. options: those of the task.
+    options: of the task, and those of `Env` in `OF_ENV`.
     """
-    picture = {"render_mode": render_mode, "width": width, "height": height}
-    return Env(named(task, **options), settings=settings, **picture)  # type: ignore[arg-type]
+    given = {name: options.pop(name) for name in OF_ENV if name in options}
+    return Env(named(task, **options), **given)
 
 
 # Here gymnasium looks for the modes, to which it adds lists of pictures.
 make.metadata = Env.metadata  # type: ignore[attr-defined]
 
 
-def make_vec(
-    task: str,
-    num_envs: int,
-    settings: Any = None,
-    render_mode: str | None = None,
-    width: int = 480,
-    height: int = 480,
-    max_episode_steps: int | None = None,
-    autoreset_mode: Any = "NextStep",
-    threads: int | None = None,
-    lanes: bool | Literal["auto"] = "auto",
-    **options: Any,
-) -> VectorEnv:
+def make_vec(task: str, num_envs: int, **options: Any) -> VectorEnv:
     """Make many worlds of a task; `gymnasium.make_vec` calls this.
 
-    All but `task` and the options of the task are as for `VectorEnv`.
+    options: of the task, and those of `VectorEnv` in `OF_VECTOR_ENV`.
     """
-    return VectorEnv(
-        named(task, **options),
-        num_envs,
-        settings=settings,
-        render_mode=render_mode,
-        width=width,
-        height=height,
-        max_episode_steps=max_episode_steps,
-        autoreset_mode=autoreset_mode,
-        threads=threads,
-        lanes=lanes,
-    )
+    given = {name: options.pop(name) for name in OF_VECTOR_ENV if name in options}
+    return VectorEnv(named(task, **options), num_envs, **given)

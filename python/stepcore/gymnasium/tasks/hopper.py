@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.gymnasium.moment import Moment, state_vector
+from stepcore.gymnasium.snapshot import Moment, state_vector
 from stepcore.gymnasium.tasks.upright import Upright, within
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
-from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.tasks.human import Human
 from stepcore.gymnasium.tasks.mujoco_task import distance, squares, velocity
 from stepcore.gymnasium.tasks.upright import within

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.tasks.human import Human
 from stepcore.gymnasium.tasks.mujoco_task import squares
 

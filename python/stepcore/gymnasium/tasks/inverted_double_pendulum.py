@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, uniform
 
 # Observed velocities and forces are clipped to this on either side.

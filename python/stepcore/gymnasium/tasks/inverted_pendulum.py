@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.gymnasium.moment import Moment, state_vector
+from stepcore.gymnasium.snapshot import Moment, state_vector
 from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, uniform
 
 # An episode is over when the pole leans more than this [rad].

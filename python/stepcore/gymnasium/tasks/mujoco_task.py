@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.task import Outcome, Task
 from stepcore.loading import find_asset, find_scene
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, distance, squares
 
 # The cylinder begins at least so far from its goal [m].

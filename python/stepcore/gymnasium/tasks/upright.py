@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, observed, squares, uniform, velocity
 
 # Observed velocities are clipped to this on either side [m/s or rad/s].

@@ -1,4 +1,4 @@
-"""`Drive`: steps the worlds of an environment by one action and reads them for its task."""
+"""`EnvCore`: steps the worlds of an environment by one action and reads them for its task."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.gymnasium.last_stage import go_to_last_stage
-from stepcore.gymnasium.moment import Moment, Readings
+from stepcore.gymnasium.mujoco_late_arrays import go_to_last_stage
+from stepcore.gymnasium.snapshot import Moment, Readings
 from stepcore.gymnasium.task import Task
 
 # What tells of the last solve; the other arrays are of the present state.
@@ -29,7 +29,7 @@ OF_THE_SOLVE = frozenset(
 NOT_OF_FORWARD = frozenset({"cacc", "cfrc_ext", "cfrc_int"})
 
 
-class Drive:
+class EnvCore:
     """A `Sim`, or a `Batch` of n worlds, with what its task reads.
 
     settings: a `Settings` or some fields of one, instead of the model's own.

@@ -33,7 +33,7 @@ def go_to_last_stage(scratch: Sim | Batch, qpos: Floats, qvel: Floats) -> None:
     rate = np.array(qvel)
     for reach in REACHES if settings.integrator == "rk4" else ():
         scratch.forward()
-        # A world whose speeds overflow fails in its step; what is read of it here is not told.
+        # A world whose speeds overflow fails in its step; what is read here is not reported.
         with np.errstate(over="ignore", invalid="ignore"):
             place = _advanced(turns, qpos, dt * reach * rate)
             speed = qvel + dt * reach * scratch.qacc
