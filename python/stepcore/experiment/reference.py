@@ -254,7 +254,9 @@ class ReferenceRuns:
             self._add_coarser(name, growth, bar)
         reference = self._better_known(growth)
         if reference.known.high > EAGER * reference.level.high:
-            self._catch_up(reference, bar)
+            # The other integrator's run decides the error, and two halvings of it are cheap.
+            if reference.other not in ("", "rk4") and self._halve(reference.other, growth, bar):
+                self._halve(reference.other, growth, bar)
             reference = self._better_known(growth, reference.level.integrator)
         return self._checked_exact(reference)
 
@@ -265,16 +267,14 @@ class ReferenceRuns:
         explodes can cost more than all that do not.
         """
         levels: list[Level] = []
-        failed = None
         for dt in reversed(steps):
             level = self.level(integrator, dt, bar)
-            failed = level.failed
-            if failed:
+            if level.failed:
                 break
             levels.insert(0, level)
         if len(levels) > 1:
             self.chains[integrator] = levels
-        return failed
+        return level.failed
 
     def _refuse_runaway(self, levels: Iterable[Level]) -> None:
         for level in levels:
@@ -283,15 +283,14 @@ class ReferenceRuns:
                 raise ValueError(explodes)
 
     def _checked_exact(self, reference: Reference) -> Reference:
-        """With the closed form, unless the converged run says that something was met on the way."""
+        """With the closed form, unless the converged run met something on the way."""
         exact = closed(self.runner, reference.level.runs)
-        if exact is None:
-            return reference
-        truth = Level(0.0, "", exact.runs)
-        check = self.apart(reference.level, truth, reference.growth).median
-        if check > FINER * reference.error + 1e-9 * self.size:
-            return reference
-        return dataclasses.replace(reference, exact=dataclasses.replace(exact, check=check))
+        if exact is not None:
+            check = errors(reference.level.runs, exact.runs, reference.scored).median
+            if not check > FINER * reference.error + 1e-9 * self.size:
+                exact = dataclasses.replace(exact, check=check)
+                return dataclasses.replace(reference, exact=exact)
+        return reference
 
     def _steps(self) -> list[float]:
         """Three halvings from twice the finest step, or from a coarser one where that costs too
@@ -337,12 +336,6 @@ class ReferenceRuns:
         stalls = reference.stalls + 1 if better.high > STALLED * reference.high else 0
         return dataclasses.replace(better, stalls=stalls)
 
-    def _catch_up(self, reference: Reference, bar: Progress) -> None:
-        """Halves the other integrator's step twice: cheap, where its run decides the error."""
-        for _ in range(2 if reference.other not in ("", "rk4") else 0):
-            if not self._halve(reference.other, reference.growth, bar):
-                return
-
     def _deciding(self, reference: Reference) -> list[str]:
         """The integrators that a refinement halves."""
         chosen = reference.level.integrator
@@ -359,13 +352,9 @@ class ReferenceRuns:
             self.chains[integrator].append(self._measured(coarse, fine, growth))
         return not fine.failed
 
-    def apart(self, coarse: Level, fine: Level, growth: Growth) -> Errors:
-        """The distance of a level to another, as errors are measured."""
-        return errors(coarse.runs, fine.runs, growth.scored)
-
     def _measured(self, coarse: Level, fine: Level, growth: Growth) -> Level:
-        """The finer level with its distance to the coarser."""
-        return dataclasses.replace(fine, moved=self.apart(coarse, fine, growth))
+        """The finer level with its distance to the coarser, as errors are measured."""
+        return dataclasses.replace(fine, moved=errors(coarse.runs, fine.runs, growth.scored))
 
     def _fits(self, dt: float) -> bool:
         """Whether a step divides the period."""
@@ -399,7 +388,9 @@ class ReferenceRuns:
         levels = self.chains[name]
         last = levels[-1]
         other = next((key for key in self.chains if key != name), "")
-        rival = self.apart(self.chains[other][-1], last, growth) if other else None
+        rival = None
+        if other:
+            rival = errors(self.chains[other][-1].runs, last.runs, growth.scored)
         moved = [level.moved for level in levels if level.moved is not None]
         count = last.runs[0].com[..., 0].size
         return Reference(
