@@ -211,13 +211,14 @@ class Frontier:
         return math.inf if row.errors is None else max(row.errors.high, self.known)
 
     def halving(self, row: TradeRow) -> TradeRow | None:
-        """The cheapest row with at most half the error of this one; None if there is none.
+        """The cheapest row with at most half the error of this one; None if there is none, or if
+        there is no error to halve.
 
         Both in the starts of the search: further ones, from which few rows ran, may be harder.
         """
         half = self.searched(row) / 2
         good = [r for r in self.rows if self.searched(r) <= half and not math.isnan(self.price(r))]
-        return self._cheapest_of(good) if good else None
+        return self._cheapest_of(good) if good and half > 0 else None
 
     def price(self, row: TradeRow) -> float:
         """What a row costs per simulated second: µs, or operations if that is the metric."""
