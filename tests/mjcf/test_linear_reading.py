@@ -13,7 +13,7 @@ from png_writer import SIGNATURE, chunk, grey
 
 import stepcore as sc
 from stepcore.mjcf import refusals
-from stepcore.mjcf.lenient_xml import mended
+from stepcore.mjcf.lenient_xml import repaired
 from stepcore.scene import hfield_files, mesh_files
 
 
@@ -125,8 +125,8 @@ def test_the_errors_of_a_file_are_looked_up_up_to_a_number(monkeypatch):
 
 def test_comments_without_an_end_are_looked_for_once():
     text = b"<!--" * 500_000
-    assert mended(text) == text
-    assert mended(b"<a><!-- one -- two --><!-----></a>") == b"<a><!-- one    two --><!-- --></a>"
+    assert repaired(text) == text
+    assert repaired(b"<a><!-- one -- two --><!-----></a>") == b"<a><!-- one    two --><!-- --></a>"
 
 
 def test_urdf_meshes_of_one_name_are_numbered_in_turn(tmp_path):

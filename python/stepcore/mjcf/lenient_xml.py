@@ -1,7 +1,5 @@
-"""A text that is not well-formed XML only where MuJoCo's parser does not look, made well-formed.
-
-Files that people wrote for MuJoCo hold such comments, blanks and ampersands. Lines keep their
-numbers.
+"""Repairs XML that MuJoCo's parser accepts: bare "&", "--" in comments, blanks before the document,
+and attributes without blanks between them. Lines keep their numbers.
 """
 
 from __future__ import annotations
@@ -12,19 +10,19 @@ from typing import cast
 # An "&" that begins no reference.
 _AMPERSAND = re.compile(rb"&(?!(?:\w+|#\d+|#x[0-9a-fA-F]+);)", re.ASCII)
 _BLANKS = re.compile(rb"(?:\xef\xbb\xbf)?(\s+)(<\?xml[^>]*>)")
-# Attributes that nothing parts.
-_UNPARTED = re.compile(rb"""(<[^\s<>!?/"'=]+)((?:\s*[^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))*)""")
+# A start tag with attributes that may lack blanks between them.
+_TAG = re.compile(rb"""(<[^\s<>!?/"'=]+)((?:\s*[^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))*)""")
 _ATTRIBUTE = re.compile(rb"""(\s*)([^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))""")
 
 
-def mended(data: str | bytes) -> str | bytes:
-    """The text with these things put right; the same text where there are none."""
+def repaired(data: str | bytes) -> str | bytes:
+    """The repaired text, or the same text if there is nothing to repair."""
     raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
     raw = _plain_comments(raw)
     raw = _AMPERSAND.sub(b"&amp;", raw)
     if blanks := _BLANKS.match(raw):
         raw = blanks[2] + blanks[1] + raw[blanks.end() :]
-    raw = _UNPARTED.sub(_parted, raw)
+    raw = _TAG.sub(_with_blanks, raw)
     if isinstance(data, str):
         return raw.decode("utf-8", "surrogatepass")
     return raw
@@ -40,6 +38,6 @@ def _plain_comments(raw: bytes) -> bytes:
     return b"".join([*parts, raw[at:]])
 
 
-def _parted(found: re.Match[bytes]) -> bytes:
-    apart = _ATTRIBUTE.sub(lambda one: (one[1] or b" ") + one[2], cast(bytes, found[2]))
-    return cast(bytes, found[1]) + apart
+def _with_blanks(tag: re.Match[bytes]) -> bytes:
+    attributes = _ATTRIBUTE.sub(lambda found: (found[1] or b" ") + found[2], cast(bytes, tag[2]))
+    return cast(bytes, tag[1]) + attributes

@@ -92,10 +92,10 @@ def weights(
         twin.parent = part.world
         part.bodies.append(twin)
     for geom in scene.geoms:
-        twin = twins.get(id(geom.body))
-        if twin and (twin.mass is None or part.mass_rules.inertiafromgeom is True):
+        body = twins.get(id(geom.body))
+        if body and (body.mass is None or part.mass_rules.inertiafromgeom is True):
             part.geoms.append(copy.copy(geom))
-            part.geoms[-1].body = twin
+            part.geoms[-1].body = body
     used = {id(asset) for geom in part.geoms for asset in (geom.mesh, geom.hfield)}
     part.meshes = [mesh for mesh in scene.meshes if id(mesh) in used]
     part.hfields = [hfield for hfield in scene.hfields if id(hfield) in used]

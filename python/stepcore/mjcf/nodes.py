@@ -8,7 +8,7 @@ from typing import Any
 from xml.parsers import expat
 
 from stepcore.checks import brief
-from stepcore.mjcf.lenient_xml import mended
+from stepcore.mjcf.lenient_xml import repaired
 from stepcore.mjcf.refusal_texts import effect
 
 # MuJoCo's own parser stops at this depth too.
@@ -173,7 +173,7 @@ def parse(data: str | bytes, file: str) -> Node:
     try:
         return _parse(data, file)
     except MJCFError:
-        plain = mended(data)
+        plain = repaired(data)
         if plain == data:
             raise
         return _parse(plain, file)

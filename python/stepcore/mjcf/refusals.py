@@ -9,16 +9,16 @@ from stepcore.checks import cut
 from stepcore.mjcf.nodes import MJCFError, Node, below
 
 T = TypeVar("T")
-# The most lines of a message, their length, and the lines of the file that one of them lists.
+# Limits of a message: its lines, the characters of a line, and the places that a line lists.
 LINES = 20
 LINE = 600
 PLACES = 4
-# After so many errors elements are read no more.
+# After this many errors no more elements are read: each may look up nearest names.
 MOST = 100
 
 
 class Refusals:
-    """Errors of a file as they are found; `raise_all` raises them as one."""
+    """Collects the errors of a file; `raise_all` raises them as one."""
 
     def __init__(self) -> None:
         self.errors: list[MJCFError] = []
@@ -26,8 +26,7 @@ class Refusals:
         self._gone: set[str] = set()
 
     def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
-        """What `read` gives for a node; an error is kept, with the node's file and line."""
-        # To look up the nearest name of each of thousands takes minutes.
+        """The result of `read` for a node, or None after an error, which is kept."""
         if len(self.errors) >= MOST:
             return None
         try:
@@ -42,7 +41,7 @@ class Refusals:
         """Keeps an error; node: the element that is not read because of it."""
         if node is not None:
             follows = bool(self._gone) and not error.kind and self._refers_to_gone(node)
-            self._gone.update(one.attrs["name"] for one in below(node) if "name" in one.attrs)
+            self._gone.update(n.attrs["name"] for n in below(node) if "name" in n.attrs)
             if follows:
                 return
         self.errors += error.errors
@@ -50,13 +49,13 @@ class Refusals:
     def _refers_to_gone(self, node: Node) -> bool:
         return any(
             name in self._gone
-            for one in below(node)
-            for attribute, name in one.attrs.items()
+            for inner in below(node)
+            for attribute, name in inner.attrs.items()
             if attribute != "name"
         )
 
     def raise_all(self) -> None:
-        """Raises what was found, if anything."""
+        """Raises the errors, if there are any."""
         if not self.errors:
             return
         files = list(dict.fromkeys(error.file for error in self.errors))

@@ -136,8 +136,8 @@ class WorldReader:
     def rules_of(self, body: Body) -> MassRules:
         """How the body's mass is made: by the compiler settings of its own model."""
         node = self.nodes.get(id(body))
-        own = None if node is None or self.settled else node.compiler
-        return self.scene.mass_rules if own is None else own.mass_rules()
+        compiler = None if node is None or self.settled else node.compiler
+        return self.scene.mass_rules if compiler is None else compiler.mass_rules()
 
     def _element(self, place: Place, node: Node) -> Place | None:
         """Reads an element; returns the place of its children if they are to be read."""
@@ -164,7 +164,7 @@ class WorldReader:
         """Records the node of an element, for error messages, and for keyframes."""
         self.nodes[id(element)] = node
         self.elements[id(node)] = element
-        # Past the element's own check of fields: its place is none.
+        # Not by setattr, which checks fields: the place is no field.
         element.__dict__["place"] = f"{node.file}:{node.line}"
 
     def _pose(self, node: Node, values: dict[str, Any], place: Place) -> tuple[Vec, Vec]:
@@ -175,8 +175,8 @@ class WorldReader:
     def _body(self, node: Node, place: Place) -> Place:
         values = node.values
         pos, quat = self._pose(node, values, place)
-        own = given(Body, values, "name", "pos", "quat")
-        body = self.scene.add_body(values.get("name", ""), place.body, pos, quat, **own)
+        fields = given(Body, values, "name", "pos", "quat")
+        body = self.scene.add_body(values.get("name", ""), place.body, pos, quat, **fields)
         self.keep(node, body)
         if place.pose != AT_ORIGIN:
             self.written[id(body)] = self._pose(node, values, Place(place.body))
@@ -205,7 +205,7 @@ class WorldReader:
         inertia, axes = values.get("fullinertia"), None
         if inertia is None:
             xx, yy, zz = values.get("diaginertia", frames.ORIGIN)
-            # Axes that are found put the largest moment first.
+            # The axes that the engine finds put the largest moment first.
             axes = None if turn == frames.IDENTITY and xx >= yy >= zz else turn
             inertia = (xx, yy, zz, 0.0, 0.0, 0.0)
         place.body.inertia = frames.turned_inertia(turn, inertia)
@@ -214,10 +214,10 @@ class WorldReader:
     def _joint(self, node: Node, place: Place) -> None:
         values = self.defaults.of(node, place.childclass)
         kind = values.get("type", "hinge")
-        self._refuse_joint(node, kind, values)
-        turns = kind in ("hinge", "ball")
-        convert = self.compiler.radians if turns else float
-        limits = None
+        if values.get("springyield", 0) != 0 and kind != "free":
+            raise node.unbuilt("a spring that yields (springyield)", "springyield")
+        convert = self.compiler.radians if kind in ("hinge", "ball") else float
+        limits, forces = None, None
         if kind != "free":
             limits = self.limits(node, values, "limited", "range", lo_free=kind != "ball")
         scalar = kind in ("hinge", "slide")
@@ -225,6 +225,8 @@ class WorldReader:
         pos = frames.composed(place.pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0]
         axis = values.get("axis", (0.0, 0.0, 1.0)) if scalar else (0.0, 0.0, 1.0)
         angles = tuple(convert(bound) for bound in values.get("range", ()))
+        if scalar:
+            forces = self.limits(node, values, "actuatorfrclimited", "actuatorfrcrange")
         joint = self.scene.add_joint(
             place.body,
             kind,
@@ -232,7 +234,7 @@ class WorldReader:
             pos=pos if kind != "free" else frames.ORIGIN,
             axis=frames.rotated(turn, axis),
             range=limits and tuple(convert(bound) for bound in limits),
-            actuatorfrcrange=self._force_range(node, values) if scalar else None,
+            actuatorfrcrange=forces,
             ref=convert(values.get("ref", 0.0)) if scalar else 0.0,
             springref=convert(values.get("springref", 0.0)) if scalar else 0.0,
             **given(Joint, values, *_OF_JOINT),
@@ -241,13 +243,6 @@ class WorldReader:
         if angles:
             # MuJoCo converts the range of a limited joint only.
             self.ranges[id(joint)] = angles if limits else values["range"]
-
-    def _force_range(self, node: Node, values: dict[str, Any]) -> tuple[float, ...] | None:
-        return self.limits(node, values, "actuatorfrclimited", "actuatorfrcrange")
-
-    def _refuse_joint(self, node: Node, kind: str, values: dict[str, Any]) -> None:
-        if values.get("springyield", 0) != 0 and kind != "free":
-            raise node.unbuilt("a spring that yields (springyield)", "springyield")
 
     def limits(
         self, node: Node, values: dict[str, Any], switch: str, field: str, lo_free: bool = True
@@ -289,33 +284,27 @@ class WorldReader:
             raise node.unbuilt("a geom of type sdf")
         if kind in ("mesh", "hfield") and kind not in values:
             raise node.error(f'<geom type="{kind}"> names no {kind}')
-        own: dict[str, Any] = {
-            k: self.assets.of(self.scene, node, k, values[k])
-            for k in ("mesh", "hfield")
-            if k in values
+        assets: dict[str, Any] = {
+            word: self.assets.of(self.scene, node, word, values[word])
+            for word in ("mesh", "hfield")
+            if word in values
         }
         if kind != "hfield":
-            # As in MuJoCo, only a height field looks at the attribute.
-            own.pop("hfield", None)
-        if own and "fromto" in values:
-            raise node.error(f"<geom> has both {next(iter(own))} and fromto")
+            # As in MuJoCo, other geoms ignore the attribute.
+            assets.pop("hfield", None)
+        if assets and "fromto" in values:
+            raise node.error(f"<geom> has both {next(iter(assets))} and fromto")
         heavy = values.get("mass", values.get("density", 1000.0)) != 0 and kind != "hfield"
         size, pose = self._shape(node, values, kind, place)
-        if own:
+        if assets:
             size = frames.ORIGIN
         # Only what is fitted to a mesh looks at the scale.
-        more = given(Geom, values, *_OF_GEOM, *(() if own else ("fitscale",)))
+        fields = given(Geom, values, *_OF_GEOM, *(() if assets else ("fitscale",)))
         if self.assets.unseen(values):
-            more["hidden"] = True
+            fields["hidden"] = True
+        pos, quat = pose
         geom = self.scene.add_geom(
-            place.body,
-            kind,
-            size,
-            name=name,
-            pos=pose[0],
-            quat=pose[1],
-            **own,
-            **more,
+            place.body, kind, size, name=name, pos=pos, quat=quat, **assets, **fields
         )
         self.keep(node, geom)
         fluid = values.get("fluidshape", "none") != "none"
@@ -340,24 +329,20 @@ class WorldReader:
         self._refer(node, values, "material")
         self._refer(node, values, "mesh")
         kind = values.get("type", "sphere")
-        size, (pos, quat) = self._shape(node, values | {"size": _site_size(values)}, kind, place)
+        size: Vec = values.get("size", ())
+        values = values | {"size": size + SITE_SIZE[len(size) :]}
+        size, (pos, quat) = self._shape(node, values, kind, place)
         name = values.get("name", "")
-        own: dict[str, Any] = {"name": name, "pos": pos, "quat": quat}
+        fields: dict[str, Any] = {"name": name, "pos": pos, "quat": quat}
         if kind == "mesh":
             self.mesh_sites.add(name)
         else:
-            own |= {"type": kind, "size": size}
-        self.keep(node, self.scene.add_site(place.body, **own))
+            fields |= {"type": kind, "size": size}
+        self.keep(node, self.scene.add_site(place.body, **fields))
 
     def _refer(self, node: Node, values: dict[str, Any], kind: str) -> None:
         if kind in values:
             self.references.append((node, kind, values[kind]))
-
-
-def _site_size(values: dict[str, Any]) -> tuple[float, ...]:
-    """The size of a site, the rest of it MuJoCo's default."""
-    size: tuple[float, ...] = values.get("size", ())
-    return size + SITE_SIZE[len(size) :]
 
 
 def _within(outer: tuple[Vec, Vec], pos: Vec, quat: Vec) -> tuple[Vec, Vec]:
