@@ -20,13 +20,10 @@ from stepcore import checks, files
 from stepcore.checks import ElementError, flag, nearest
 from stepcore.mjcf import (
     actuators,
-    contacts,
     custom,
-    equalities,
     keyframes,
     option,
-    sensors,
-    tendons,
+    section_readers,
 )
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attach import Attacher, Model
@@ -54,11 +51,11 @@ if TYPE_CHECKING:
 # The sections that are read one element after the other once the tree is there, in an order in
 # which names exist before something refers to them.
 SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
-    "contact": contacts.read,
-    "tendon": tendons.read,
-    "equality": equalities.read,
+    "contact": section_readers.contact,
+    "tendon": section_readers.tendon,
+    "equality": section_readers.equality,
     "actuator": actuators.read,
-    "sensor": sensors.read,
+    "sensor": section_readers.sensor,
 }
 
 

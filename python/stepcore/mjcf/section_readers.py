@@ -1,19 +1,17 @@
-"""The section `<sensor>`.
-
-A sensor changes nothing of the motion. One that is not computed is listed in `Scene.ignored`, with
-the reason; everything else is read.
-"""
+"""The sections `<contact>`, `<tendon>`, `<equality>` and `<sensor>`, element by element."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from stepcore.mjcf.attributes import given
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
-from stepcore.scene.elements import Element
+from stepcore.scene.elements import Element, Equality, Pair, Sensor, Tendon
 from stepcore.scene.elements.sensor import ADHERES, MOST_NUMBERS
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
+from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 
 # Attributes that name the object, or the reference, with what they name and as what.
 NAMED = {
@@ -24,12 +22,66 @@ NAMED = {
 }
 REFERENCES = {"geom2": ("geom", ""), "body2": ("body", "body"), "subtree2": ("body", "subtree")}
 
-# Types whose readings depend on the orientation of their object.
-TURNED = ("framequat", "framexaxis", "frameyaxis", "framezaxis")
+
+def contact(world: WorldReader, node: Node) -> None:
+    """Reads an excluded pair of bodies, or an explicit pair of geoms."""
+    if node.tag == "pair":
+        world.keep(node, world.scene.add_pair(**given(Pair, world.defaults.of(node))))
+    else:
+        world.scene.exclude(node.values["body1"], node.values["body2"])
 
 
-def read(world: WorldReader, node: Node) -> None:
-    """Reads a sensor, or lists it."""
+def tendon(world: WorldReader, node: Node) -> None:
+    """Reads a fixed or a spatial tendon."""
+    values = world.defaults.of(node, kind="tendon")
+    if values.get("springyield", 0) > 0:
+        raise node.unbuilt("a spring that yields (springyield)", "springyield")
+    if "material" in values:
+        world.references.append((node, "material", values["material"]))
+    fields = given(Tendon, values, "name", "range", "actuatorfrcrange", "springlength")
+    if "springlength" in values:
+        # One number is both ends, whatever a default class has for the second.
+        own: Any = node.values.get("springlength", values["springlength"])
+        fields["springlength"] = own[0] if len(own) == 1 else own
+    added = world.scene.add_tendon(
+        values.get("name", ""),
+        path=[_stop(world, child) for child in node.children],
+        range=world.limits(node, values, "limited", "range"),
+        actuatorfrcrange=world.limits(node, values, "actuatorfrclimited", "actuatorfrcrange"),
+        **fields,
+    )
+    world.keep(node, added)
+    if "range" in values:
+        world.ranges[id(added)] = values["range"]
+
+
+def _stop(world: WorldReader, node: Node) -> Stop:
+    values, scene = node.values, world.scene
+    try:
+        if node.tag == "joint":
+            return Share(scene.joint(values["joint"]), values["coef"])
+        if node.tag == "site":
+            return scene.site(values["site"])
+        if node.tag == "geom":
+            side = values.get("sidesite")
+            return Around(scene.geom(values["geom"]), None if side is None else scene.site(side))
+        return Pulley(values["divisor"])
+    except ValueError as error:
+        raise node.error(str(error)) from None
+
+
+def equality(world: WorldReader, node: Node) -> None:
+    """Reads an equality; it is checked with the whole scene."""
+    values = world.defaults.of(node, kind="equality")
+    if node.tag in ("connect", "weld") and not {"body1", "site1", "site2"} & set(values):
+        raise node.error(f"<{node.tag}> needs body1, or site1 and site2")
+    if node.tag == "connect" and "body1" in values and "anchor" not in values:
+        raise node.error("<connect> needs body1 and anchor")
+    world.keep(node, world.scene.add_equality(node.tag, **given(Equality, values)))
+
+
+def sensor(world: WorldReader, node: Node) -> None:
+    """Reads a sensor; one that is not computed is listed in `Scene.ignored`, with the reason."""
     values = node.values
     if node.tag not in TYPES:
         # Listed already: the schema knows that it is not read.
@@ -38,16 +90,12 @@ def read(world: WorldReader, node: Node) -> None:
     if why:
         world.scene.ignored.append(node.listed(f"only senses; {why}"))
         return
-    given: dict[str, Any] = {f: values[f] for f in ("name", "noise", "reduce") if f in values}
-    if values.get("cutoff", 0.0) != 0 or node.tag in ("distance", "normal", "fromto"):
-        given["cutoff"] = values.get("cutoff", 0.0)
-    given |= {f: values[f] for f in ("data", "num") if f in values}
+    fields = given(Sensor, values)
     if node.tag == "user":
         if not 0 < values["dim"] <= MOST_NUMBERS:
             raise bad(node, "dim", values["dim"], f"1 to {MOST_NUMBERS}")
-        given["num"] = values["dim"]
-    ends = _ends(world, node)
-    world.keep(node, world.scene.add_sensor(node.tag, **ends, **given))
+        fields["num"] = values["dim"]
+    world.keep(node, world.scene.add_sensor(node.tag, **_ends(world, node), **fields))
 
 
 def _not_computed(world: WorldReader, node: Node) -> str:
