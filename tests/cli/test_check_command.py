@@ -67,9 +67,9 @@ def test_the_motion_is_the_user_s(capsys, scene, tmp_path):
     (tmp_path / "far.py").write_text("def far(time, sim):\n    return [3.0]\n")
     args = ["--control", f"{tmp_path / 'far.py'}:far", "--horizon", 0.1]
     status, out, _ = call(capsys, scene(0.5), *args)
-    assert status == 0 and "The control of servo `servo` is clamped for 100 % of the run" in (
-        " ".join(out.split())
-    )
+    out = " ".join(out.split())
+    assert status == 0 and "The control of servo `servo` is clamped for 100 % of the run" in out
+    assert "another motion" not in out
 
 
 def test_every_command_takes_the_same_file_and_motion(capsys, scene, tmp_path):

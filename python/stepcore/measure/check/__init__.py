@@ -122,7 +122,9 @@ class Check(Result):
     def setup(self) -> str:
         """Under which settings, and on what motion the time step was judged."""
         said = f"Under {label(self.settings)}."
-        if self.diagnosis is not None and self.diagnosis.ran not in ("", self.ran):
+        # Controls that the user gives drive both; without them this run holds the keyframe's.
+        driven = self.motion.control is not None or self.motion.ctrl is not None
+        if self.diagnosis is not None and not driven and self.diagnosis.ran not in ("", self.ran):
             said += f"\nThe time step was judged on another motion: {self.diagnosis.ran}."
         return said
 
