@@ -175,8 +175,8 @@ class JointMonitor:
         cure = harder_limit(model, worst.joint, worst.kept, wanted)
         if kind == "actuator":
             motor = model.actuator_bias[index, 1] >= 0
-            own = "ctrlrange" if motor else "forcerange or ctrlrange"
-            cure = f"a smaller {own} of {pusher}" + (f", or {cure}" if cure else "")
+            range_ = "ctrlrange" if motor else "forcerange or ctrlrange"
+            cure = f"a smaller {range_} of {pusher}" + (f", or {cure}" if cure else "")
         strength = quantity(force, TORQUES if angular else FORCES)
         also = [
             f"{model.element_name('joint', at.joint)} by {length_of(model, at.joint, at.kept)}"

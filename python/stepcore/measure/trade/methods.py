@@ -48,10 +48,10 @@ class Steps:
 
     def dt(self, pieces: int) -> float:
         """The time step [s] for this many pieces of a period; the shipped one to the bit."""
-        return self.shipped if pieces == self.own else self.period / pieces
+        return self.shipped if pieces == self.shipped_pieces else self.period / pieces
 
     @property
-    def own(self) -> int:
+    def shipped_pieces(self) -> int:
         """Shipped steps in a period."""
         return round(self.period / self.shipped)
 
@@ -76,6 +76,10 @@ class Steps:
     def at(self, settings: Settings, pieces: int) -> Settings:
         """The settings with another time step."""
         return settings.replace(dt=self.dt(pieces))
+
+    def method(self, settings: Settings) -> Settings:
+        """The settings with the shipped time step, which stand for their method."""
+        return settings.replace(dt=self.shipped)
 
 
 def digits(dt: float) -> int:
@@ -205,9 +209,9 @@ def families(kind: Kind) -> list[Settings]:
     shipped = kind.shipped
     methods: list[dict[str, Any]] = [{}]
     if kind.rows:
-        own = shipped.sweeps if shipped.solver == "pgs" else 20
-        single = min(own, 1) if own != "auto" else 1
-        methods = [{"solver": "pgs", "sweeps": own if kind.rows > 1 else single}]
+        sweeps = shipped.sweeps if shipped.solver == "pgs" else 20
+        single = min(sweeps, 1) if sweeps != "auto" else 1
+        methods = [{"solver": "pgs", "sweeps": sweeps if kind.rows > 1 else single}]
         if kind.smooth:
             methods.append(kind.newton)
     chosen = [

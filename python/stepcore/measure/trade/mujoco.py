@@ -238,16 +238,16 @@ class Poses(Probe):
 class MujocoTrials:
     """MuJoCo's settings run on a trade's motion; one after the other, as they share its model."""
 
-    def __init__(self, source: Any, own: Experiment, reference: Reference) -> None:
-        self.experiment = Experiment(own.model, own.schedule, size=own.size)
-        theirs = load(source, own.model)
-        self.experiment.runner = MujocoRunner(own.model, own.schedule, theirs)
+    def __init__(self, source: Any, experiment: Experiment, reference: Reference) -> None:
+        self.experiment = Experiment(experiment.model, experiment.schedule, size=experiment.size)
+        theirs = load(source, experiment.model)
+        self.experiment.runner = MujocoRunner(experiment.model, experiment.schedule, theirs)
         self.reference = reference
 
     def points(self, steps: Steps, workers: Workers) -> tuple[list[Point], list[TimedRun]]:
         """Integrators × solvers × steps, all run from every start; and the same to be timed."""
         solvers = SOLVERS if any(run.rows for run in self.reference.runs) else ("newton",)
-        pieces = sorted({max(1, round(steps.own / factor)) for factor in FACTORS})
+        pieces = sorted({max(1, round(steps.shipped_pieces / factor)) for factor in FACTORS})
         asked = [Setting(steps.dt(n), i, s) for n in pieces for i in TRIED for s in solvers]
         starts = len(self.reference.runs)
         with workers.bar("MuJoCo", len(asked) * starts) as bar:

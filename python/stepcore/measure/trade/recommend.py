@@ -59,14 +59,14 @@ class Confirmation:
     """Further starts with their own reference, on which settings are tested."""
 
     def __init__(self, cache: RunCache, others: Schedule) -> None:
-        self.cache, own = cache, cache.experiment
-        self.further = Experiment(own.model, others, own.workers, own.size)
+        self.cache, experiment = cache, cache.experiment
+        self.further = Experiment(experiment.model, others, experiment.workers, experiment.size)
         self.hard: list[int] = []
         self.ends = np.full(self.count, np.inf)
         self.scored: np.ndarray | None = None
         # By settings and further start: how wrong the run was [m], and why it failed if it did.
         self.ran: dict[Settings, dict[int, Ran]] = {}
-        # As fine as the search's own: a further start may be harder than all of those.
+        # As fine as the search's experiment: a further start may be harder than all of those.
         settings, level = cache.reference.settings, cache.reference.level
         runs = self.further.run(settings, probes=positions, bar="further starts")
         self.truth = dataclasses.replace(level, runs=runs)
@@ -75,7 +75,7 @@ class Confirmation:
         if cache.reference.growth.factor.max() < CALM:
             self.scored = np.ones((self.count, len(others.times)), bool)
             return
-        with own.workers.bar("further perturbed runs", (1 + DIRECTIONS) * self.count) as bar:
+        with experiment.workers.bar("further perturbed runs", (1 + DIRECTIONS) * self.count) as bar:
             grown = self.further.growth(settings, bar)
         self.scored, self.ends = grown.scored, grown.ends
 
@@ -129,11 +129,11 @@ class Confirmation:
         assert self.scored is not None
         known = self.ran.setdefault(settings, {})
         missing = [start for start in starts if start not in known]
-        own = self.further
-        runs = screened(own.runner, settings, missing, own.workers, "further starts")
+        further = self.further
+        runs = screened(further.runner, settings, missing, further.workers, "further starts")
         for start, run in zip(missing, runs, strict=True):
             truth = [self.truth.runs[start]]
-            failure = run.failure or far_off([run], truth, own.size)
+            failure = run.failure or far_off([run], truth, further.size)
             wrong = math.inf
             if not failure:
                 wrong = WORST_START(errors([run], truth, self.scored[[start]]))
@@ -156,13 +156,17 @@ class HardestStarts:
     def __call__(self, frontier: Frontier, chosen: TradeRow) -> Sequence[Settings]:
         """Settings cheaper than the row that passed, as far as the hardest starts tell."""
         few = [int(i) for i in self.order(frontier)[:HARD]]
-        own = self.cache.experiment
-        experiment = Experiment(own.model, self._schedule(few), own.workers, own.size)
+        searched = self.cache.experiment
+        experiment = Experiment(
+            searched.model, self._schedule(few), searched.workers, searched.size
+        )
         hard = RunCache(experiment, self._reference(few))
         search = SettingsSearch(hard, self.steps, self.kind)
         price = frontier.price(chosen)
         near = [r.settings for r in frontier.rows if frontier.price(r) <= CLOSE * price]
-        methods = (self.steps.at(s, self.steps.own) for s in near if s.precision == "f64")
+        methods = (
+            self.steps.at(s, self.steps.shipped_pieces) for s in near if s.precision == "f64"
+        )
         search.methods = list(dict.fromkeys(methods))
         met = search.meeting(MARGIN * self.target)
         self.cache.count += hard.count
@@ -170,29 +174,29 @@ class HardestStarts:
 
     def order(self, frontier: Frontier) -> np.ndarray:
         """All starts, numbered from the search's own, the hardest for tested rows first."""
-        own = np.zeros(len(self.cache.experiment.schedule.starts))
+        worst = np.zeros(len(self.cache.experiment.schedule.starts))
         for row in frontier.rows:
             if row.further is not None and row.errors is not None:
-                own = np.maximum(own, row.errors.each)
-        return np.argsort(-np.concatenate([own, self.confirm.hardness()]), kind="stable")
+                worst = np.maximum(worst, row.errors.each)
+        return np.argsort(-np.concatenate([worst, self.confirm.hardness()]), kind="stable")
 
     def _schedule(self, few: Sequence[int]) -> Schedule:
-        own, further = self.cache.experiment.schedule, self.confirm.further.schedule
-        starts = [*own.starts, *further.starts]
+        searched, further = self.cache.experiment.schedule, self.confirm.further.schedule
+        starts = [*searched.starts, *further.starts]
         ctrl = None
-        if own.ctrl is not None and further.ctrl is not None:
-            ctrl = np.concatenate([own.ctrl, further.ctrl])[list(few)]
-        return dataclasses.replace(own, starts=tuple(starts[i] for i in few), ctrl=ctrl)
+        if searched.ctrl is not None and further.ctrl is not None:
+            ctrl = np.concatenate([searched.ctrl, further.ctrl])[list(few)]
+        return dataclasses.replace(searched, starts=tuple(starts[i] for i in few), ctrl=ctrl)
 
     def _reference(self, few: Sequence[int]) -> Reference:
         """The reference of these starts, known as well as that of the search's own."""
-        own = self.cache.reference
-        runs = [*own.runs, *self.confirm.truth.runs]
-        level = dataclasses.replace(own.level, runs=[runs[i] for i in few])
-        ends = np.concatenate([own.growth.ends, self.confirm.ends])[list(few)]
-        factor = np.ones((len(few), len(own.growth.times)))
-        grown = Growth(own.growth.times, factor, ends)
-        return dataclasses.replace(own, level=level, growth=grown, exact=None)
+        reference = self.cache.reference
+        runs = [*reference.runs, *self.confirm.truth.runs]
+        level = dataclasses.replace(reference.level, runs=[runs[i] for i in few])
+        ends = np.concatenate([reference.growth.ends, self.confirm.ends])[list(few)]
+        factor = np.ones((len(few), len(reference.growth.times)))
+        grown = Growth(reference.growth.times, factor, ends)
+        return dataclasses.replace(reference, level=level, growth=grown, exact=None)
 
 
 class Recommendation:

@@ -278,8 +278,8 @@ def orders(rows: Sequence[TradeRow], least: float, most: float = np.inf) -> dict
     kinds: dict[Settings, list[tuple[float, float]]] = {}
     for row in rows:
         e, s = row.errors, row.settings
-        own = s.precision == "f64" and not row.clamped and e is not None and e.modelling == 0
-        if e is not None and own and least < e.high < most:
+        plain = s.precision == "f64" and not row.clamped and e is not None and e.modelling == 0
+        if e is not None and plain and least < e.high < most:
             kinds.setdefault(s.replace(dt=1.0), []).append((s.dt, e.high))
     for kind, points in kinds.items():
         dts, errors = np.log(np.array(sorted(points))).T

@@ -169,9 +169,9 @@ class RowMaker:
                 self.split.keep(setting, self.cache.full[setting])
         times, experiment = [math.nan] * len(settings), self.cache.experiment
         if self.by == "time":
-            own = [TimedRun(experiment.runner, setting, setting in failed) for setting in settings]
-            with experiment.workers.bar("costs", len(own) + len(others)) as bar:
-                times = costs([*own, *others], bar)[: len(settings)]
+            runs = [TimedRun(experiment.runner, setting, setting in failed) for setting in settings]
+            with experiment.workers.bar("costs", len(runs) + len(others)) as bar:
+                times = costs([*runs, *others], bar)[: len(settings)]
         return [self._row(setting, cost) for setting, cost in zip(settings, times, strict=True)]
 
     def _row(self, settings: Settings, cost: float) -> TradeRow:

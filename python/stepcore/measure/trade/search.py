@@ -194,10 +194,18 @@ class SettingsSearch:
 
         None but the shipped one is shorter than the reference can judge.
         """
-        own = self.steps.own
-        counts = {max(1, own // 4), max(1, own // 2), own, 2 * own, 4 * own, 8 * own, 1}
-        judged = sorted(n for n in counts if n <= max(own, self.finest))
-        tried = [self.steps.at(base, n) for base in families(self.kind) for n in judged]
+        pieces = self.steps.shipped_pieces
+        counts = {
+            max(1, pieces // 4),
+            max(1, pieces // 2),
+            pieces,
+            2 * pieces,
+            4 * pieces,
+            8 * pieces,
+            1,
+        }
+        judged = sorted(n for n in counts if n <= max(pieces, self.finest))
+        tried = [self.steps.at(base, count) for base in families(self.kind) for count in judged]
         self.cache.screen([self.shipped, *tried], self.few, "search: overview")
 
     def meeting(self, error: float, climb: bool = True) -> list[Settings]:
@@ -213,7 +221,9 @@ class SettingsSearch:
         if climb:
             open_ = self.climb(open_, error)
             self.narrow(open_, error, self.few, COARSE, "search: settings")
-            self.methods += [self.steps.at(bracket.base, self.steps.own) for bracket in open_]
+            self.methods += [
+                self.steps.at(bracket.base, self.steps.shipped_pieces) for bracket in open_
+            ]
         kept = [self.again(bracket, error) for bracket in self.keep(open_, error, SECOND)]
         self.narrow(kept, error, self.all, FINE, "all starts")
         good = [(bracket, bracket.meets(error)) for bracket in kept]
@@ -222,7 +232,7 @@ class SettingsSearch:
 
     def bracket(self, base: Settings) -> Bracket:
         """A method with its scores from few starts, as far as it has been run."""
-        bracket = Bracket(base, self.steps.own)
+        bracket = Bracket(base, self.steps.shipped_pieces)
         for settings in self.cache.screened:
             pieces = self.steps.pieces(settings)
             if self.steps.at(base, pieces) == settings and pieces <= self.finest:

@@ -101,11 +101,13 @@ class AfterPrediction:
         """The differences of one setting; None where a run under it or the reference fails."""
         if self.truth is None:
             self.truth = self._means(self.settings, bar)
-        own = self._means(settings, bar)
-        if own is None or self.truth is None:
+        measured = self._means(settings, bar)
+        if measured is None or self.truth is None:
             return None
-        apart = [difference(mine, true) for mine, true in zip(own.T, self.truth.T, strict=True)]
-        return Statistics(len(own), self.since, *apart)
+        apart = [
+            difference(mine, true) for mine, true in zip(measured.T, self.truth.T, strict=True)
+        ]
+        return Statistics(len(measured), self.since, *apart)
 
     def _means(self, settings: Settings, bar: Progress) -> np.ndarray | None:
         """Means over the window of every start, (starts, 3)."""
