@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from stepcore.engine.element import EQUALITIES, FRICTION_LOSSES, ROWS, Element, ElementSlopes
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Joint, Tendon
 from stepcore.scene.frames import Vec
 
@@ -74,22 +75,35 @@ def may_limit_dt(solref: Vec, refsafe: bool) -> bool:
 def softened_from(model: Model, element: Element) -> float:
     """The dt [s] from which `refsafe` softens an element; inf where it never does."""
     solref = solref_of(model, element)
-    if solref is None or not model.settings.refsafe or solref[0] <= 0:
-        return math.inf
-    return solref[0] / 2
+    return math.inf if solref is None else softened_dt(solref, model.settings.refsafe)
+
+
+def softened_dt(solref: Vec, refsafe: bool) -> float:
+    """The dt [s] from which `refsafe` softens a row with this solref; inf where it never does."""
+    return solref[0] / 2 if refsafe and solref[0] > 0 else math.inf
 
 
 def first_softened(model: Model) -> float:
     """The least dt [s] from which `refsafe` softens any row; inf where it softens none."""
-    law, scene = model.settings.law, model.scene
-    if law not in ("solref", "penalty") or not model.settings.refsafe:
-        return math.inf
-    lengths: list[Joint | Tendon] = [*scene.joints, *scene.tendons]
-    solrefs = [length.solreflimit for length in lengths if length.range is not None]
+    scene, law = model.scene, model.settings.law
+    solrefs = [solref for _, solref in solrefs_of(scene, law)]
     if law == "solref":
-        solrefs += [length.solreffriction for length in lengths if length.frictionloss > 0]
-        solrefs += [equality.solref for equality in scene.equalities]
         # What is mixed of two geoms lies between theirs.
-        pairs = [g.solref for g in scene.geoms] if model.is_heap else model.pair_solref.tolist()
-        solrefs += [tuple(solref) for solref in pairs]
-    return min((solref[0] / 2 for solref in solrefs if solref[0] > 0), default=math.inf)
+        solrefs += [g.solref for g in scene.geoms] if model.is_heap else model.pair_solref.tolist()
+    return min((softened_dt(s, model.settings.refsafe) for s in solrefs), default=math.inf)
+
+
+def solrefs_of(scene: Contents, law: str) -> Iterator[tuple[str, Vec]]:
+    """Kind and solref of all limits, friction losses and equalities that a law gives rows."""
+    features = scene.features
+    if not features.constraint or law not in ("solref", "penalty"):
+        return
+    for prefix, lengths in (("", scene.joints), ("tendon ", scene.tendons)):
+        length: Joint | Tendon
+        for length in lengths:
+            if features.limit and length.range is not None:
+                yield f"{prefix}limit", length.solreflimit
+            if features.frictionloss and length.frictionloss > 0 and law == "solref":
+                yield f"{prefix}friction loss", length.solreffriction
+    if features.equality and law == "solref":
+        yield from ((e.row_kind, e.solref) for e in scene.equalities if e.active)

@@ -40,7 +40,7 @@ from stepcore.engine.linear_maps import (
 )
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.control import KIND, control_dt
-from stepcore.measure.diagnosis.elements import may_limit_dt, softened_from, solref_of
+from stepcore.measure.diagnosis.elements import may_limit_dt, softened_dt, solrefs_of
 from stepcore.measure.diagnosis.growth import DAMPED, eigenvalues, largest_stable, neutral_growth
 from stepcore.measure.diagnosis.limits import LONGEST, SHORTEST
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
@@ -362,49 +362,21 @@ def _tendons(model: Model) -> Iterator[tuple[int, float, float]]:
 def _rows(model: Model) -> Iterator[tuple[float, float]]:
     """ω² and damping rate of limits, equalities, friction losses and contacts that nothing softens
     with dt."""
-    layout = Layout(model.scene)
-    for element in _row_elements(model, layout):
-        solref = solref_of(model, element)
-        if solref is None:
-            continue
-        if solref[0] > 0:
-            inverse = solref[0] * solref[1]
-            square = 1 / inverse / inverse if inverse > 0 else math.inf
-            rate = 2 / solref[0]
-            limit = oscillator_dt(math.sqrt(square), rate, 0.0, model.settings.integrator)
-            if softened_from(model, element) < limit:
-                continue
-        else:
-            square, rate = -solref[0], -solref[1]
-        if element.kind in FRICTION_LOSSES:
-            square = 0.0
-        yield max(square, 0.0), max(rate, 0.0)
-
-
-def _row_elements(model: Model, layout: Layout) -> Iterator[Element]:
-    """The elements that have rows, contacts only where their solref may limit dt."""
-    features, settings = model.scene.features, model.settings
-    if not features.constraint:
-        return
-    for j, joint in enumerate(layout.joints):
-        if features.limit and joint.range is not None:
-            yield Element.of(model, "limit", j)
-        if features.frictionloss and joint.frictionloss > 0:
-            yield Element.of(model, "friction loss", j)
-    for t, tendon in enumerate(model.scene.tendons):
-        if features.limit and tendon.range is not None:
-            yield Element.of(model, "tendon limit", t)
-        if features.frictionloss and tendon.frictionloss > 0:
-            yield Element.of(model, "tendon friction loss", t)
-    for e, equality in enumerate(model.scene.equalities):
-        if features.equality and equality.active:
-            yield Element.of(model, equality.row_kind, e)
-    if settings.law == "solref":
+    settings, rows = model.settings, [*solrefs_of(model.scene, model.settings.law)]
+    if settings.law == "solref" and model.scene.features.constraint and not model.is_heap:
         # A heap's contacts are judged while they are there.
-        solrefs = enumerate([] if model.is_heap else model.pair_solref.tolist())
-        hard = [pair for pair, solref in solrefs if may_limit_dt(solref, settings.refsafe)]
-        for pair in hard[:MOST_PAIRS]:
-            yield Element.of(model, "contact", pair)
+        solrefs = model.pair_solref.tolist()
+        hard = [solref for solref in solrefs if may_limit_dt(solref, settings.refsafe)]
+        rows += [("contact", solref) for solref in hard[:MOST_PAIRS]]
+    for kind, (first, second) in rows:
+        square, rate = -first, -second
+        if first > 0:
+            inverse, rate = first * second, 2 / first
+            square = 1 / inverse / inverse if inverse > 0 else math.inf
+            limit = oscillator_dt(math.sqrt(square), rate, 0.0, settings.integrator)
+            if softened_dt((first, second), settings.refsafe) < limit:
+                continue
+        yield 0.0 if kind in FRICTION_LOSSES else max(square, 0.0), max(rate, 0.0)
 
 
 def _penalties(model: Model) -> Iterator[tuple[float, float]]:

@@ -88,14 +88,12 @@ def _may_be_stiff(scene: Scene) -> bool:
         return True
     if any(actuator.type != "motor" for actuator in scene.actuators):
         return True
-    from stepcore.measure.diagnosis.elements import may_limit_dt
+    from stepcore.measure.diagnosis.elements import may_limit_dt, solrefs_of
 
+    solrefs = [geom.solref for geom in scene.geoms] + [pair.solref for pair in scene.pairs]
+    solrefs.append(scene.contact_override.solref)
+    solrefs += [solref for _, solref in solrefs_of(scene, scene.options.get("law", "solref"))]
     refsafe = scene.options.get("refsafe", True)
-    solrefs = [geom.solref for geom in scene.geoms] + [e.solref for e in scene.equalities]
-    solrefs += [pair.solref for pair in scene.pairs] + [scene.contact_override.solref]
-    for length in lengths:
-        solrefs += [length.solreflimit] * (length.range is not None)
-        solrefs += [length.solreffriction] * (length.frictionloss > 0)
     return any(may_limit_dt(solref, refsafe) for solref in solrefs)
 
 
