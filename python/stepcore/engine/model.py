@@ -20,7 +20,7 @@ from stepcore.engine.arrays import Count, Floats, ModelArray, Names, numbers
 from stepcore.engine.compilation import bare, compiled_once, compiled_scenes
 from stepcore.engine.tables import ContactPair, Keyframe
 from stepcore.engine.touches import Touches, touches
-from stepcore.scene import collector
+from stepcore.scene import gc_pause
 from stepcore.scene.value_paths import changed
 from stepcore.signatures import refuse_unknown, takes_settings
 
@@ -64,7 +64,7 @@ class Model:
         if not hasattr(scene, "to_dict"):
             raise ValueError(f"scene = {checks.shown(scene)}: must be a stepcore.Scene")
         refuse_unknown(Model, fields)
-        with collector.held():
+        with gc_pause.paused():
             self._scene = copy.deepcopy(scene)
             merged = _merged(self._scene.settings, settings, fields)
             self._core, self._settings = compiled_once(scene, self._scene), merged

@@ -40,7 +40,7 @@ from stepcore.mjcf.replicate import expand_replicates
 from stepcore.mjcf.validation import validate
 from stepcore.mjcf.visual_geoms import discard_visual, leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
-from stepcore.scene import collector
+from stepcore.scene import gc_pause
 from stepcore.scene.consistency import check
 from stepcore.scene.layout import Layout, named
 from stepcore.urdf import translate
@@ -110,7 +110,7 @@ class Models:
         return model
 
 
-@collector.held()
+@gc_pause.paused()
 def read_file(
     scene: Contents,
     path: str | os.PathLike[str],
@@ -126,7 +126,7 @@ def read_file(
     _fill(scene, root, Source(data, os.path.abspath(main.parent), fuse=fuse), without)
 
 
-@collector.held()
+@gc_pause.paused()
 def read_text(
     scene: Contents,
     text: str | bytes,

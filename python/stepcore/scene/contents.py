@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore import checks, files
 from stepcore.scene import frames
-from stepcore.scene.element import belongs
+from stepcore.scene.element import belongs, table
 from stepcore.scene.elements import (
     Actuator,
     Body,
@@ -40,20 +40,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from stepcore.scene.fields import (
-        ActuatorFields,
-        EqualityFields,
-        GeomFields,
-        JointFields,
-        KeyFields,
-        MeshFields,
-        Numbers,
-        PairFields,
-        SensorFields,
-        SiteFields,
-        TendonFields,
-        Vector,
-    )
+    from stepcore.scene import fields as of
+    from stepcore.scene.fields import Numbers, Vector
 
 E = TypeVar("E", bound=Element)
 
@@ -96,23 +84,19 @@ class Contents(Holdings):
         mocap: True for a body whose pose is an input.
         sleep: of the root of a tree, whether it may sleep: "auto", "never", "allowed" or "init".
         """
-        fields: dict[str, Any] = {"name": name, "pos": pos, "quat": quat, "mass": mass}
-        if inertia is not None:
-            fields["inertia"] = inertia
-        if ipos is not None:
-            fields["ipos"] = ipos
-        if iquat is not None:
-            fields["iquat"] = iquat
-        given = len(fields) > 4
-        carrier = self.body(parent)
+        weight = {"inertia": inertia, "ipos": ipos, "iquat": iquat}
+        fields: dict[str, Any] = {f: value for f, value in weight.items() if value is not None}
+        heavy = bool(fields)
+        fields |= {"name": name, "parent": self.body(parent), "pos": pos, "quat": quat}
+        fields |= {"mass": mass, "gravcomp": gravcomp, "mocap": mocap, "sleep": sleep}
         with self._naming():
-            body = Body(parent=carrier, gravcomp=gravcomp, mocap=mocap, sleep=sleep, **fields)
-            if mass is None and given:
+            body = Body(**fields)
+            if mass is None and heavy:
                 raise checks.refuse(body, "mass", None, "given where ipos, inertia or iquat is")
         return self._append(self.bodies, body)
 
     def add_joint(
-        self, body: str | Body, type: str = "hinge", **fields: Unpack[JointFields]
+        self, body: str | Body, type: str = "hinge", **fields: Unpack[of.JointFields]
     ) -> Joint:
         """Adds a joint between a body and its parent.
 
@@ -132,7 +116,7 @@ class Contents(Holdings):
         fromto: Vector | None = None,
         mesh: str | Mesh | None = None,
         hfield: str | HField | None = None,
-        **fields: Unpack[GeomFields],
+        **fields: Unpack[of.GeomFields],
     ) -> Geom:
         """Adds a shape to a body.
 
@@ -164,7 +148,7 @@ class Contents(Holdings):
         faces: ArrayLike | None = None,
         *,
         file: str | os.PathLike[str] | None = None,
-        **fields: Unpack[MeshFields],
+        **fields: Unpack[of.MeshFields],
     ) -> Mesh:
         """Adds a mesh, which geoms then refer to; only its convex hull collides.
 
@@ -221,7 +205,7 @@ class Contents(Holdings):
             name = name or os.path.splitext(os.path.basename(file))[0]
         return self._add(self.hfields, HField, {}, name=name, size=size, **given)
 
-    def add_site(self, body: str | Body = "world", **fields: Unpack[SiteFields]) -> Site:
+    def add_site(self, body: str | Body = "world", **fields: Unpack[of.SiteFields]) -> Site:
         """Adds a site, a named place on a body.
 
         fields: of `Site`: name, pos [m], quat, type, size [m].
@@ -233,7 +217,7 @@ class Contents(Holdings):
         name: str = "",
         path: Iterable[Any] = (),
         joints: Mapping[str | Joint, float] | None = None,
-        **fields: Unpack[TendonFields],
+        **fields: Unpack[of.TendonFields],
     ) -> Tendon:
         """Adds a tendon: over joints (fixed), or through sites and round geoms (spatial).
 
@@ -273,7 +257,7 @@ class Contents(Holdings):
         type: str,
         object: str | Element | None = None,
         reference: str | Element | None = None,
-        **fields: Unpack[SensorFields],
+        **fields: Unpack[of.SensorFields],
     ) -> Sensor:
         """Adds a sensor.
 
@@ -328,7 +312,7 @@ class Contents(Holdings):
         slidersite: str | Site | None = None,
         body: str | Body | None = None,
         feeds: str | Actuator | None = None,
-        **fields: Unpack[ActuatorFields],
+        **fields: Unpack[of.ActuatorFields],
     ) -> Actuator:
         """Adds an actuator on a joint, or on something else.
 
@@ -339,19 +323,19 @@ class Contents(Holdings):
             joint, by name or as elements; see `Actuator`. feeds: of an "input", the pid or dcmotor.
         fields: of `Actuator`: name, gear, kp, kv, dampratio, ctrlrange, forcerange [N or N·m], …
         """
-        found: dict[str, Any] = {
-            "joint": (joint, self.joint),
-            "jointinparent": (jointinparent, self.joint),
-            "tendon": (tendon, self.tendon),
-            "site": (site, self.site),
-            "refsite": (refsite, self.site),
-            "cranksite": (cranksite, self.site),
-            "slidersite": (slidersite, self.site),
-            "body": (body, self.body),
-            "feeds": (feeds, self.actuator),
-        }
-        own = {field: find(given) for field, (given, find) in found.items() if given is not None}
-        return self._add(self.actuators, Actuator, fields, **own, type=type)
+        ends = self._ends(
+            Actuator,
+            joint=joint,
+            jointinparent=jointinparent,
+            tendon=tendon,
+            site=site,
+            refsite=refsite,
+            cranksite=cranksite,
+            slidersite=slidersite,
+            body=body,
+            feeds=feeds,
+        )
+        return self._add(self.actuators, Actuator, fields, **ends, type=type)
 
     def add_equality(
         self,
@@ -366,7 +350,7 @@ class Contents(Holdings):
         joint2: str | Joint | None = None,
         tendon1: str | Tendon | None = None,
         tendon2: str | Tendon | None = None,
-        **fields: Unpack[EqualityFields],
+        **fields: Unpack[of.EqualityFields],
     ) -> Equality:
         """Adds a constraint that ties two bodies, two joints or two tendons together.
 
@@ -378,38 +362,50 @@ class Contents(Holdings):
             tendon1, tendon2: of equalities of joints and of tendons.
         fields: of `Equality`: name, active, relpose, torquescale, polycoef, solref, solimp.
         """
-        ends: dict[str, Any] = {
-            "body1": body1 if body1 is None else self.body(body1),
-            "body2": body2 if body2 is None else self.body(body2),
-            "site1": site1 if site1 is None else self.site(site1),
-            "site2": site2 if site2 is None else self.site(site2),
-            "joint1": joint1 if joint1 is None else self.joint(joint1),
-            "joint2": joint2 if joint2 is None else self.joint(joint2),
-            "tendon1": tendon1 if tendon1 is None else self.tendon(tendon1),
-            "tendon2": tendon2 if tendon2 is None else self.tendon(tendon2),
-        }
+        ends = self._ends(
+            Equality,
+            body1=body1,
+            body2=body2,
+            site1=site1,
+            site2=site2,
+            joint1=joint1,
+            joint2=joint2,
+            tendon1=tendon1,
+            tendon2=tendon2,
+        )
         return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **ends)
 
-    def add_key(self, name: str = "", **fields: Unpack[KeyFields]) -> Key:
+    def add_key(self, name: str = "", **fields: Unpack[of.KeyFields]) -> Key:
         """Adds a keyframe, a named state.
 
         fields: of `Key`: time [s], qpos, qvel, act and ctrl in the compiled model's order.
         """
         return self._add(self.keys, Key, fields, name=name)
 
-    def add_pair(self, geom1: str | Geom, geom2: str | Geom, **fields: Unpack[PairFields]) -> Pair:
+    def add_pair(
+        self, geom1: str | Geom, geom2: str | Geom, **fields: Unpack[of.PairFields]
+    ) -> Pair:
         """Adds a pair of geoms that can collide, with contact parameters of their own.
 
         geom1, geom2: names or `Geom` objects. What excludes pairs does not concern them.
         fields: of `Pair`: name, condim, friction, solref, solimp, solreffriction, margin [m], gap
             [m].
         """
-        ends = {"geom1": self.geom(geom1), "geom2": self.geom(geom2)}
+        ends = self._ends(Pair, geom1=geom1, geom2=geom2)
         return self._add(self.pairs, Pair, fields, **ends)
 
     def exclude(self, body1: str | Body, body2: str | Body) -> None:
         """Excludes collisions between the geoms of two bodies, but for those of explicit pairs."""
         self.excludes.append((self.body(body1), self.body(body2)))
+
+    def _ends(self, kind: type[Element], **ends: str | Element | None) -> dict[str, Any]:
+        """The elements that fields refer to, by name or as given; without those that are None."""
+        rows = table(kind)
+        return {
+            field: getattr(self, rows[field].type.refers[0].lower())(end)
+            for field, end in ends.items()
+            if end is not None
+        }
 
     @contextlib.contextmanager
     def _naming(self) -> Iterator[None]:

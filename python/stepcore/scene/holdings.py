@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 from stepcore import checks
 from stepcore.scene import frames
@@ -37,14 +37,36 @@ if TYPE_CHECKING:
     from stepcore import _core
     from stepcore._core import Settings
     from stepcore.mjcf.nodes import Source
-    from stepcore.scene.fields import (
-        Vector,
-    )
+    from stepcore.scene.fields import Vector
     from stepcore.signatures import SettingsFields
 
 E = TypeVar("E", bound=Element)
+T = TypeVar("T")
 # MuJoCo's default.
 MAGNETIC: frames.Vec = (0.0, -0.5, 0.0)
+
+
+class _Checked(Generic[T]):
+    """A value of the whole scene, checked when it is assigned."""
+
+    def __init__(self, check: checks.Check, doc: str) -> None:
+        self._check, self.__doc__ = check, doc
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    @overload
+    def __get__(self, scene: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, scene: Holdings, owner: type) -> T: ...
+    def __get__(self, scene: Holdings | None, owner: type) -> Self | T:
+        if scene is None:
+            return self
+        value: T = getattr(scene, f"_{self._name}")
+        return value
+
+    def __set__(self, scene: Holdings, value: Vector | float) -> None:
+        setattr(scene, f"_{self._name}", self._check("scene", self._name, value))
 
 
 class Holdings(checks.KnownNames):
@@ -93,50 +115,21 @@ class Holdings(checks.KnownNames):
         # By kind, so that what an element refers to is found without looking at all of them.
         self._names: dict[str, Names] = {}
 
-    @property
-    def gravity(self) -> frames.Vec:
-        """Gravitational acceleration [m/s²], shape (3,)."""
-        return self._gravity
-
-    @gravity.setter
-    def gravity(self, value: Vector) -> None:
-        self._gravity: frames.Vec = checks.vector(3)("scene", "gravity", value)
-
-    @property
-    def density(self) -> float:
-        """Density of the fluid around the bodies [kg/m³], >= 0: its drag and lift go by it."""
-        return self._density
-
-    @density.setter
-    def density(self, value: float) -> None:
-        self._density: float = checks.real(low=0)("scene", "density", value)
-
-    @property
-    def viscosity(self) -> float:
-        """Viscosity of the fluid around the bodies [Pa·s], >= 0."""
-        return self._viscosity
-
-    @viscosity.setter
-    def viscosity(self, value: float) -> None:
-        self._viscosity: float = checks.real(low=0)("scene", "viscosity", value)
-
-    @property
-    def wind(self) -> frames.Vec:
-        """Velocity of the fluid around the bodies [m/s], shape (3,)."""
-        return self._wind
-
-    @wind.setter
-    def wind(self, value: Vector) -> None:
-        self._wind: frames.Vec = checks.vector(3)("scene", "wind", value)
-
-    @property
-    def magnetic(self) -> frames.Vec:
-        """Magnetic flux, which magnetometers read [T], shape (3,)."""
-        return self._magnetic
-
-    @magnetic.setter
-    def magnetic(self, value: Vector) -> None:
-        self._magnetic: frames.Vec = checks.vector(3)("scene", "magnetic", value)
+    gravity = _Checked[frames.Vec](
+        checks.vector(3), "Gravitational acceleration [m/s²], shape (3,)."
+    )
+    density = _Checked[float](
+        checks.real(low=0), "Density of the fluid around the bodies [kg/m³], >= 0."
+    )
+    viscosity = _Checked[float](
+        checks.real(low=0), "Viscosity of the fluid around the bodies [Pa·s], >= 0."
+    )
+    wind = _Checked[frames.Vec](
+        checks.vector(3), "Velocity of the fluid around the bodies [m/s], shape (3,)."
+    )
+    magnetic = _Checked[frames.Vec](
+        checks.vector(3), "Magnetic flux, which magnetometers read [T], shape (3,)."
+    )
 
     @property
     def world(self) -> Body:

@@ -5,7 +5,7 @@ import gc
 import pytest
 
 import stepcore as sc
-from stepcore.scene import collector
+from stepcore.scene import gc_pause
 
 
 @pytest.mark.parametrize("searches", [True, False])
@@ -13,7 +13,7 @@ def test_the_collector_is_as_before(searches):
     before = gc.isenabled()
     (gc.enable if searches else gc.disable)()
     try:
-        with collector.held():
+        with gc_pause.paused():
             assert not gc.isenabled()
         assert gc.isenabled() == searches
         scene = sc.loads("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>")
