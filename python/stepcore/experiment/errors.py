@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.experiment.friction import anisotropy, creep
-from stepcore.experiment.run import Run, angle, distance, separation
+from stepcore.experiment.run import Run, angle, distance, lever, separation
 
 # A contact sticks whose friction is below this share of μ × normal force. The pyramid reaches the
 # whole of it along its tangents, and 1/√2 between them.
@@ -112,11 +112,12 @@ def errors(
 
     size: of the scene [m]; sticks: see `stepcore.experiment.friction.creep`.
     """
-    triples = list(zip(runs, truth, scored, strict=True))
-    metres = [distance(run, true)[mask] for run, true, mask in triples]
-    radians = [angle(run, true)[mask] for run, true, mask in triples]
-    both = [separation(run, true)[mask] for run, true, mask in triples]
-    creeps = [creep(run.slips, true.slips, mask, sticks) for run, true, mask in triples]
+    metres, radians, both, creeps = [], [], [], []
+    for run, true, mask in zip(runs, truth, scored, strict=True):
+        metres.append(distance(run, true)[mask])
+        radians.append(angle(run, true)[mask])
+        both.append(np.hypot(metres[-1], lever(run, true) * radians[-1]))
+        creeps.append(creep(run.slips, true.slips, mask, sticks))
     largest = [float(part.max(initial=0.0)) for part in metres]
     position, each = float(np.median(_roots(metres))), tuple(_roots(both))
     return Errors(

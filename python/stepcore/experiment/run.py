@@ -68,14 +68,18 @@ def angle(a: Run, b: Run) -> np.ndarray:
     return apart
 
 
+def lever(a: Run, b: Run) -> np.ndarray | float:
+    """The radii of gyration of the bodies of two runs [m], by which angles become lengths."""
+    return next((run.gyration for run in (b, a) if len(run.gyration)), 0.0)
+
+
 def separation(a: Run, b: Run) -> np.ndarray:
     """The distance and the angle between the bodies of two runs as one length [m], (n, bodies).
 
     It is the root mean square over a body's matter: the angle counts times the radius of gyration,
     √(tr I / 2m).
     """
-    radii = next((run.gyration for run in (b, a) if len(run.gyration)), 0.0)
-    apart: np.ndarray = np.hypot(distance(a, b), radii * angle(a, b))
+    apart: np.ndarray = np.hypot(distance(a, b), lever(a, b) * angle(a, b))
     return apart
 
 
