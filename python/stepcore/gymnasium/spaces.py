@@ -18,8 +18,8 @@ class Spaces:
     Raises ValueError if a function of the task returns something of another shape.
     """
 
-    def __init__(self, task: Task, drive: EnvCore) -> None:
-        now = drive.trial()
+    def __init__(self, task: Task, core: EnvCore) -> None:
+        now = core.trial()
         shape = now.shape
         observation = _array("observe", task.observe(now), "fiub")
         if observation.ndim != len(shape) + 1 or observation.shape[:-1] != shape:
@@ -35,8 +35,8 @@ class Spaces:
                 if np.shape(value)[: len(shape)] != shape:
                     text = _text(f'{what}["{key}"]', np.asarray(value), f"{shape} first")
                     raise ValueError(text)
-        self.action = task.action_space(drive.model)
-        nu = len(drive.model.names["actuator"])
+        self.action = task.action_space(core.model)
+        nu = len(core.model.names["actuator"])
         if self.action.shape != (nu,):
             raise ValueError(f"action_space has shape {self.action.shape}: must be ({nu},)")
         self.observation: Box = task.observation_space(observation.shape[-1])
