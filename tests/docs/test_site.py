@@ -18,7 +18,7 @@ DOCS = ROOT / "docs"
 API = "\n".join(path.read_text(encoding="utf-8") for path in (DOCS / "api").glob("*.md"))
 DOCUMENTED = re.findall(r"^::: stepcore\.([\w.]+)$", API, re.MULTILINE)
 # What only types a part of a result stands under the module that defines it.
-PARTS = re.compile(r"(engine|measure)\.")
+PARTS = re.compile(r"(engine|measure|scene)\.")
 # Pages that the build makes.
 MADE = {"index.md", "adding.md", "benchmarks.md", "changelog.md", "contributing.md"}
 

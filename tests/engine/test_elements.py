@@ -64,7 +64,7 @@ def test_every_kind_has_a_name(sim):
 
 def test_what_is_no_element_is_refused(sim):
     name = sim.model.element_name
-    with pytest.raises(ValueError, match=r"kind = 'sprin': no such kind; nearest: spring"):
+    with pytest.raises(ValueError, match=r"kind = 'sprin': no such kind; nearest: spin, spring"):
         name("sprin", 0)
     with pytest.raises(ValueError, match=r"index = 2: must be below 2"):
         name("joint", 2)
