@@ -177,7 +177,7 @@ SLACK = {"transition_matrix(m, d)": 1e-4}
 VALUES = [
     *section("Sizes and constants"),
     *section("State and inputs"),
-    *section("What is computed"),
+    *section("Computed quantities"),
     *section("Functions"),
 ]
 
@@ -210,6 +210,6 @@ def test_an_option_is_read_as_its_setting(attribute, setting):
 
 def test_what_only_draws_is_listed_where_the_page_says():
     text = " ".join(PAGE.read_text(encoding="utf-8").split())
-    named = re.search(r"what only draws is listed in `scene\.(\w+)`", text)[1]
+    named = re.search(r"Elements that only draw are listed in `scene\.(\w+)`", text)[1]
     scene = sc.loads("<mujoco><worldbody><light/><geom size='1'/></worldbody></mujoco>")
     assert "light" in " ".join(getattr(scene, named))
