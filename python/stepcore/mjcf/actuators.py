@@ -57,7 +57,7 @@ def sizes(gains: ActuatorGains) -> tuple[int, int]:
 
 
 def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> None:
-    """Another input of a controller: it has a control of its own, next to the owner's."""
+    """Adds another input of a controller, whose control stands next to the owner's."""
     values = world.defaults.of(node, kind="actuator")
     bounds: Bounds = owner.ctrlrange
     if owner.type == "pid":
@@ -131,7 +131,7 @@ Bounds = tuple[float, ...] | None
 def _ctrlrange(
     world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
 ) -> Bounds:
-    """That of the one input; MuJoCo names it by the input of a <pid>."""
+    """The range of the actuator's own control; MuJoCo names that of a <pid> by its input."""
     if gains.tag in ("damper", "adhesion"):
         # MuJoCo limits these whatever ctrllimited and autolimits say.
         values = values | {"ctrllimited": True}

@@ -17,7 +17,7 @@ from stepcore.scene.frames import Vec
 
 
 class Compiler:
-    """All compiler sections of a file together; a later value replaces an earlier one.
+    """All compiler sections of a file; a later value replaces an earlier value.
 
     directory: the folder of the model's main file, or None for a text without one.
     file: the name of that file, by which elements of included files are known.

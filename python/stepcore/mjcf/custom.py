@@ -40,7 +40,7 @@ def ours(node: Node) -> bool:
 
 
 def data(words: Mapping[str, Any], unnamed: Iterable[tuple[str, str]] = ()) -> str:
-    """The data of the text for these settings and features, "" for none."""
+    """The data of the text for these settings and features; "" if there are none."""
     parts = [f"{name}={_word(value)}" for name, value in words.items()]
     names = [f"{kind}/{name}" for kind, name in unnamed]
     return " ".join([*parts, *(["unnamed=" + ",".join(names)] if names else [])])
@@ -61,7 +61,7 @@ def _value(text: str) -> Any:
 
 
 def own_texts(nodes: Iterable[Node]) -> list[Node]:
-    """stepcore's own text if a file has one, as a list; a second one is an error."""
+    """stepcore's own text as a list of at most one node; a second text is an error."""
     texts = [node for node in nodes if ours(node)]
     if len(texts) > 1:
         raise texts[1].error(f'a second <text name="{NAME}">')

@@ -95,7 +95,7 @@ class Defaults:
         return names
 
     def known(self, node: Node, attribute: str) -> str | None:
-        """The class that an attribute of a node names, which must exist; None for none."""
+        """The class that an attribute of a node names; None without the attribute."""
         name = node.attrs.get(attribute)
         if name is not None and name not in self.classes:
             raise node.error(f'unknown default class "{name}"{nearest(name, self.classes)}')

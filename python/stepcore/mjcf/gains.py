@@ -49,7 +49,7 @@ class ActuatorGains:
     tag: the element that gave it. values: the fields of its law; of a `<general>` as MJCF has them,
         of a `<dcmotor>` with the time constant of its current in place of the inductance.
     inheritrange: the scale of an inherited range, or 0.
-    torque: the bound of a motor's torque; 0: none is given, None: nothing is said of it.
+    torque: the bound of a motor's torque; 0: unbounded, None: not given.
     damping: the first coefficient of the damping that the actuator itself has.
     """
 
@@ -66,14 +66,14 @@ class ActuatorGains:
 
     @property
     def is_position(self) -> bool:
-        """Whether it controls a length; only then can it inherit its joint's range."""
+        """Whether the control is a length; only then can it inherit the range of its joint."""
         if "input" in self.values:
             return self.tag == "pid" and self.inputs[:1] == ["pos"]
         return self.law.holds_length
 
     @property
     def inputs(self) -> list[str]:
-        """What its controls are."""
+        """What the controls are, the actuator's own first."""
         return inputs(self.tag, self.values.get("input"))
 
     @property
@@ -111,7 +111,7 @@ def _general_fields(values: Values) -> Values:
 
 
 def inherited(chain: Chain, node: Node) -> ActuatorGains:
-    """The law of an actuator or a default; chain: those of its classes, outermost first."""
+    """The law of an actuator or a default. chain: the laws of its classes, outermost first."""
     last, tag = chain[-1], node.tag
     drag = (*node.values.get("damping", ()), last.damping)[0]
     if tag == "general":
@@ -171,7 +171,7 @@ def _adhesion(base: ActuatorGains, node: Node) -> ActuatorGains:
 
 
 def _muscle(base: ActuatorGains, node: Node) -> ActuatorGains:
-    """A muscle keeps a number in place of a negative one.
+    """A negative number leaves the muscle's number as it is.
 
     MuJoCo takes the numbers that `<general>` starts from for numbers that were not given.
     """
@@ -250,7 +250,7 @@ def _pid(base: ActuatorGains, node: Node) -> ActuatorGains:
 
 
 def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
-    """MuJoCo's rules for what a datasheet leaves out: a constant by torque and one by voltage."""
+    """By MuJoCo's rules for datasheets, which give a constant by torque or by voltage."""
     values, old = node.values, base.values
     made: Values = {"input": _input(node, old["input"])}
     resistance: float = old["resistance"]
@@ -296,7 +296,7 @@ def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
 def _without_load(
     voltage: float, stall: float, free: float, resistance: float, drag: float
 ) -> float:
-    """The constant K of a motor that its own damping B lets turn at ω without a load.
+    """The constant K of a motor that turns at ω without a load against its own damping B.
 
     K (V - K ω)/R = B ω; without a resistance, K/R = stall/V. Where no K > 0 does it, MuJoCo takes
     the one without damping.
@@ -466,7 +466,7 @@ def _inheritrange(base: ActuatorGains, node: Node) -> float:
 
 
 def saturated(values: Values, made: ActuatorGains, node: Node) -> Values:
-    """The values of a motor or its class, the bounds being those of its saturation."""
+    """The values of a motor or its class, bounded by its saturation."""
     if made.torque is None or "saturation" not in node.values:
         return values
     rest = {name: v for name, v in values.items() if name not in ("forcerange", "forcelimited")}

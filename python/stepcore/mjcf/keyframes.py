@@ -20,7 +20,7 @@ MAX_KEYS = 100_000
 
 
 def default_state(layout: Layout) -> dict[str, list[float]]:
-    """The state whose values are those that a keyframe leaves out."""
+    """The state that completes a keyframe."""
     mocaps = [body for body in layout.bodies if body.mocap]
     return {
         "qpos": layout.qpos0(),
@@ -33,7 +33,7 @@ def default_state(layout: Layout) -> dict[str, list[float]]:
 
 
 def read(world: WorldReader, layout: Layout, rest: dict[str, list[float]], node: Node) -> None:
-    """Reads a keyframe; rest: the default state, of which missing values are."""
+    """Reads a keyframe. rest: the default state, which completes it."""
     values = node.values
     if values.get("plastic"):
         raise bad(node, "plastic", values["plastic"], "empty: the model has no plastic")
@@ -57,13 +57,13 @@ def read(world: WorldReader, layout: Layout, rest: dict[str, list[float]], node:
 
 
 def _joints_of(world: WorldReader, node: Node) -> set[int]:
-    """The joints of which a keyframe of an attached model tells."""
+    """The joints whose positions a keyframe of an attached model gives."""
     parts = (node.parts or {}).get("qpos", ())
     return {id(world.elements.get(id(part))) for part, _ in parts}
 
 
 def follow_bodies(world: WorldReader) -> None:
-    """Free joints of which such a keyframe does not tell are where their bodies are by now."""
+    """Puts free joints that such a keyframe leaves out where their bodies stand now."""
     layout = Layout(world.scene)
     for key, said in world.open_keys:
         qpos, at = list(key.qpos or ()), 0

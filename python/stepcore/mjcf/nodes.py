@@ -39,7 +39,7 @@ class MJCFError(ValueError):
         return str(self), self.errors[1:]
 
     def with_others(self, errors: tuple[MJCFError, ...], message: str) -> MJCFError:
-        """The same error with all that is wrong with the file, and a message that lists it."""
+        """This error with all errors of the file, and a message that lists them."""
         self.errors = (self, *errors)
         self.args = (message,)
         return self
@@ -63,7 +63,7 @@ class Source:
     """The text that a scene was read from.
 
     data: the text. urdf: that of a URDF, which leaves `data` empty. directory: the folder of its
-    includes. fuse: what the reader was told about bodies that cannot move against their parent.
+    includes. fuse: the argument `fuse` of `stepcore.load`.
     files: the files that were read, the main one first.
     unread: files that the text names but that only draw; they are never opened.
     read_bytes: the size of the files of meshes and height fields that were read, and asset_bytes:
@@ -80,7 +80,7 @@ class Source:
     asset_bytes: int = 0
 
     def of(self, root: Node) -> Source:
-        """The same, with the files of a whole model whose includes are expanded."""
+        """This source with the files of a model whose includes are expanded."""
         files, unread = [root.file], []
         pending = [root]
         while pending:

@@ -100,7 +100,7 @@ def read(scene: Contents, node: Node) -> None:
 
 
 def settle_sleep(scene: Contents, nodes: list[Node]) -> None:
-    """MuJoCo's rule of sleep, once all sections (`nodes`) are read: it counts steps."""
+    """Applies MuJoCo's rule of sleep, which counts steps, once all sections (`nodes`) are read."""
     if not scene.options.get("sleep"):
         return
     flags = [child for node in nodes for child in node.children if "sleep" in child.values]
@@ -113,7 +113,7 @@ def settle_sleep(scene: Contents, nodes: list[Node]) -> None:
 
 
 def sleep_time(dt: float) -> float:
-    """How long MuJoCo lets a tree be slow in steps of `dt` before it sleeps [s]."""
+    """How long a tree is slow, in steps of `dt`, before MuJoCo lets it sleep [s]."""
     return SLOW_STEPS * dt
 
 
@@ -173,7 +173,7 @@ _FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe", "sleep": "sleep"}
 
 
 def to_say(settings: Settings) -> dict[str, Any]:
-    """The settings that a file has to say: those that one without them has not."""
+    """The settings that differ from those of a file without any."""
     values, unsaid = settings.as_dict(), Settings().as_dict()
     if settings.sleep:
         unsaid["sleep_time"] = sleep_time(settings.dt)

@@ -45,7 +45,7 @@ def text(value: Any) -> str:
 
 
 def escaped(value: str) -> str:
-    """A text as it stands between quotes; ValueError for characters that XML does not allow."""
+    """A text escaped for quotes; ValueError for characters that XML does not allow."""
     if _FORBIDDEN.search(value):
         raise ValueError(f"{value!r}: XML does not allow this character in a name")
     return "".join(_ESCAPES.get(letter, letter) for letter in value)
@@ -69,7 +69,7 @@ def printed(root: Tag, comment: str) -> str:
 
 
 class Names:
-    """What each element is called.
+    """The name of each element in the file.
 
     referred: elements that others refer to, of any kind, so that they need a name.
     made: (kind, name) of those that got one for that only.

@@ -75,7 +75,7 @@ def validate(root: Node, refusals: Refusals, exclusions: Exclusions) -> list[str
 
 
 def _strip(node: Node, spec: Spec) -> list[str]:
-    """Drops what MuJoCo does not look at; returns the lines about it.
+    """Drops attributes that MuJoCo ignores, and returns a line about each.
 
     The class of a frame is that of what it holds, as its childclass is, which goes before it.
     """
@@ -107,7 +107,7 @@ def _check_once(node: Node, spec: Spec) -> None:
 
 
 def values_of(node: Node, spec: Spec) -> dict[str, object]:
-    """The attributes of an element as numbers and words; MJCFError for one that is none of its.
+    """The attributes of an element as numbers and words; MJCFError for an unknown attribute.
 
     Numbers and names that are empty say nothing, as in MuJoCo.
     """
@@ -126,7 +126,7 @@ def values_of(node: Node, spec: Spec) -> dict[str, object]:
 
 
 def seen_values(node: Node, known: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """What views show of an element that only draws; MJCFError for a value that it cannot have.
+    """The attributes that views show of an element that only draws; MJCFError for a bad value.
 
     known: its texts completed by its default class, where it has one.
     """

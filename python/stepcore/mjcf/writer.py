@@ -82,7 +82,7 @@ def written(scene: Contents) -> str:
 
 
 def _referred(scene: Contents) -> list[Element]:
-    """What others refer to, so that it needs a name."""
+    """The elements that others refer to by name."""
     holders: list[tuple[Element, Iterable[str]]] = [
         *((pair, ("geom1", "geom2")) for pair in scene.pairs),
         *((tie, tie.given()) for tie in scene.equalities),
@@ -218,7 +218,7 @@ def _inertia(body: Body) -> dict[str, Vec]:
 
 
 def _moments(quat: Vec, inertia: Vec) -> Vec:
-    """The moments about principal axes, by which a reader finds these very bits, if any do."""
+    """The moments about principal axes from which a reader computes exactly this inertia."""
     if quat == frames.IDENTITY:
         return inertia[:3]
     w, x, y, z = quat
@@ -236,7 +236,7 @@ def _moments(quat: Vec, inertia: Vec) -> Vec:
 
 
 def _neighbours(x: float) -> list[float]:
-    """The number and those within two roundings of it."""
+    """A number and its nearest two neighbours on both sides."""
     above, below = math.nextafter(x, math.inf), math.nextafter(x, -math.inf)
     further = math.nextafter(above, math.inf), math.nextafter(below, -math.inf)
     return [x, above, further[0], below, further[1]]
@@ -316,7 +316,7 @@ def _equality(equality: Equality, names: Names) -> Tag:
 
 
 def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
-    """behind: what stands behind it in the scene, as many as it has more inputs."""
+    """Writes an actuator. behind: as many following actuators as it has further inputs."""
     given = changed(actuator, "name", "type", "enabled")
     first: dict[str, Any] = dict(names.attribute(actuator))
     for field in TARGET_FIELDS:
@@ -366,7 +366,7 @@ def _of_inputs(actuator: Actuator, behind: list[Actuator], given: dict[str, Any]
 
 
 def _motor(given: dict[str, Any]) -> dict[str, Any]:
-    """What a motor's words are in MJCF; those that it has in place of others leave `given`."""
+    """Moves fields of a motor that MJCF gathers in other attributes from `given` to these."""
     asked = [given.pop(name, None) or 0.0 for name in ("kp", "ki", "kv", "slewmax", "imax", "vmax")]
     bounds, rate = given.pop("forcerange", None), given.pop("current_rate", None) or 0.0
     words: dict[str, Any] = {"controller": tuple(asked)} if any(asked) else {}

@@ -23,7 +23,7 @@ SIZE_WORDS = {
 
 
 def _is_root(layout: Layout, body: Body) -> bool:
-    """Whether a tree begins with this body."""
+    """Whether this body is the root of a tree."""
     return layout.moving(body) and not layout.moving(body.parent)
 
 
@@ -141,13 +141,13 @@ def _check_spatial(tendon: Tendon) -> None:
             raise checks.ElementError(tendon, "a branch of its path needs at least two sites")
         if not (isinstance(branch[0], Site) and isinstance(branch[-1], Site)):
             raise checks.ElementError(tendon, "a branch of its path must begin and end with a site")
-        for one, two in itertools.pairwise(branch):
-            if isinstance(one, Around) and isinstance(two, Around):
+        for stop, following in itertools.pairwise(branch):
+            if isinstance(stop, Around) and isinstance(following, Around):
                 raise checks.ElementError(tendon, "two geoms of its path need a site between them")
-            if isinstance(one, Around) and one.geom.type not in ("sphere", "cylinder"):
+            if isinstance(stop, Around) and stop.geom.type not in ("sphere", "cylinder"):
                 raise checks.ElementError(
                     tendon,
-                    f"goes round {one.geom}, which is a {one.geom.type}: a sphere or a "
+                    f"goes round {stop.geom}, which is a {stop.geom.type}: a sphere or a "
                     "cylinder can be gone round",
                 )
 

@@ -244,7 +244,7 @@ class Contents(Holdings):
         return self._add(self.tendons, Tendon, fields, name=name, path=stops)
 
     def _stop(self, stop: Any) -> Any:
-        """A stop of a tendon whose names are looked up."""
+        """A stop of a tendon, with elements in place of names."""
         match stop:
             case str():
                 return self.site(stop)
@@ -274,9 +274,9 @@ class Contents(Holdings):
         return self._add(self.sensors, Sensor, fields, type=type, **ends)
 
     def _end(self, kinds: Sequence[str], what: str, name: object) -> Element | None:
-        """The element of one of these kinds that has this name, or is the one given.
+        """The element of these kinds that has this name, or the element that is given.
 
-        Raises ValueError for an unknown name, with the nearest, and for one that several kinds
+        Raises ValueError for an unknown name, with the nearest, and for a name that several kinds
         have.
         """
         if name is None or isinstance(name, Element):
@@ -409,7 +409,7 @@ class Contents(Holdings):
 
     @contextlib.contextmanager
     def _naming(self) -> Iterator[None]:
-        """Errors about an element name it as those of the whole scene do."""
+        """Makes errors about an element name it as errors of the whole scene do."""
         try:
             yield
         except checks.ElementError as error:
@@ -419,7 +419,7 @@ class Contents(Holdings):
         return named(self, error)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy's elements are the copy's."""
+        """The elements of a copy belong to the copy."""
         self.__dict__.update(state)
         for elements in state.values():
             if isinstance(elements, list):
@@ -456,7 +456,7 @@ def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
 
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-    """A new element; a field that it does not have is a ValueError with the nearest one."""
+    """A new element; a field that it does not have is a ValueError with the nearest name."""
     known = fields_of(kind)
     for field in fields:
         if field not in known:

@@ -46,8 +46,8 @@ class FieldType:
 class Row:
     """A field of an element class, as a row of the table.
 
-    unit: "" for numbers without one and for what is no number. checked: the default as the check
-    returns it. poly: the field of the higher coefficients of the same polynomial, or "".
+    unit: "" for a pure number and for what is no number. checked: the default as the check returns
+    it. poly: the field with the higher coefficients of the same polynomial, or "".
     """
 
     name: str
@@ -72,19 +72,19 @@ _TABLES: dict[type, dict[str, Row]] = {}
 # By class: the check of each field, its default, and what the check makes of the default.
 _CHECKS: dict[type, dict[str, tuple[checks.Check, object, object]]] = {}
 E = typing.TypeVar("E", bound="Element")
-# How often an element has got another name.
+# How often an element was renamed.
 _renamed = [0]
-# By element, the scene that holds it.
+# The scene that holds each element.
 _SCENES: weakref.WeakKeyDictionary[Element, weakref.ref[Any]] = weakref.WeakKeyDictionary()
 
 
 def renamed() -> int:
-    """A number that grows whenever some element gets another name."""
+    """A number that grows whenever an element is renamed."""
     return _renamed[0]
 
 
 def belongs(element: Element, scene: Any) -> None:
-    """Remembers which scene holds an element: errors call it as the scene does."""
+    """Remembers which scene holds an element, so that errors name it as the scene does."""
     _SCENES[element] = weakref.ref(scene)
 
 
@@ -249,7 +249,7 @@ def place_of(places: Places, element: Element) -> int:
 
 
 def made(kind: type[E], values: Mapping[str, Any]) -> E:
-    """`kind(**values)`, without looking at the fields one by one that keep their defaults."""
+    """`kind(**values)`, faster: fields that keep their defaults are not checked again."""
     element = object.__new__(kind)
     own = element.__dict__
     for field, (check, default, checked) in (_CHECKS.get(kind) or _checks_of(kind)).items():

@@ -112,7 +112,7 @@ class Holdings(checks.KnownNames):
         self._source: Source | None = None
         # What was compiled last, with a hash of the scene then; `Model` keeps and uses it.
         self._compiled: tuple[bytes, _core.Model] | None = None
-        # By kind, so that what an element refers to is found without looking at all of them.
+        # An index of each list, so that building a large scene does not search it.
         self._names: dict[str, Names] = {}
 
     gravity = _Checked[frames.Vec](
@@ -187,7 +187,7 @@ class Holdings(checks.KnownNames):
         return self._find(self.keys, "key", name)
 
     def _find(self, elements: Sequence[E], kind: str, name: object) -> E:
-        """The element of this name, or the element itself if it is one of these."""
+        """The element of this name, or the given element if it is in the list."""
         found: E | None = self._names_of(kind).find(elements, name)
         if found is None:
             raise self._unknown(elements, kind, name)
@@ -203,7 +203,7 @@ class Holdings(checks.KnownNames):
         return ValueError(f"{kind} = {checks.shown(name)}: must be {limit}")
 
     def _no_such(self, what: str, name: str, names: Sequence[str]) -> str:
-        """That nothing has this name: with the body that a fused one is part of, or the nearest."""
+        """The text about an unknown name: of a fused body its new owner, else the nearest names."""
         said = f"no {what} is named {checks.quoted(name)}"
         if "body" not in what.split() or name not in self.fused:
             return said + checks.nearest(name, names)

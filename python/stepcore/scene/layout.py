@@ -67,7 +67,7 @@ class Layout:
         }
 
     def body_called(self, body: Body) -> str:
-        """A body in errors: "body 'leg'", or "body 3" without a name."""
+        """What an error calls a body: "body 'leg'", or "body 3" without a name."""
         if body is self.bodies[0]:
             return "the world"
         return f"body '{body.name}'" if body.name else f"body {self.body(body, body)}"
@@ -86,7 +86,7 @@ class Layout:
         return sum(actuator.law.states for actuator in self.scene.actuators)
 
     def place(self, element: Element) -> int | None:
-        """Where an element stands among those of its kind; None if it is not in the scene."""
+        """The index of an element among those of its kind; None if it is not in the scene."""
         kind = type(element).__name__.lower()
         if kind not in self._places:
             assets: dict[str, Sequence[Element]] = {
@@ -94,7 +94,7 @@ class Layout:
                 "hfield": self.scene.hfields,
             }
             listed = (assets | self.elements)[kind]
-            self._places[kind] = {id(one): at for at, one in enumerate(listed)}
+            self._places[kind] = {id(each): at for at, each in enumerate(listed)}
         return self._places[kind].get(id(element))
 
     @cached_property
@@ -160,9 +160,9 @@ def _depth_first(bodies: list[Body]) -> list[Body]:
 
 
 def called(scene: Holdings, element: object) -> str:
-    """An element in errors, as the engine calls it: "joint 3 of body 'leg'" without a name.
+    """What an error calls an element, as the engine does: "joint 3 of body 'leg'" without a name.
 
-    One that the scene has not yet gets the index that it would have.
+    An element that is not in the scene yet has the index that it would get.
     """
     kind = type(element).__name__.lower()
     try:
@@ -175,12 +175,12 @@ def called(scene: Holdings, element: object) -> str:
         whose = f" of {layout.body_called(body)}" if isinstance(body, Body) else ""
         return f"{kind} {index}{whose}"
     except checks.ElementError:
-        # The scene refers to something that it has not.
+        # The scene refers to an element that it does not hold.
         return str(element)
 
 
 def named(scene: Holdings, error: checks.ElementError) -> checks.ElementError:
-    """The same error, whose element is called as in the engine's errors."""
+    """The same error, with the element named as the engine names it."""
     again = checks.ElementError(called(scene, error.owner), error.text)
     again.owner = error.owner
     return again

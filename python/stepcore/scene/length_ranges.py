@@ -1,4 +1,4 @@
-"""The least and greatest length of muscles that give none, found by simulation as MuJoCo does.
+"""Find the length range of muscles that give none, by simulation as MuJoCo does.
 
 MuJoCo documentation, "Length range": each actuator is pulled both ways along its transmission, by a
 force that accelerates the joints by `accel` in all, without gravity, contacts, friction, passive
@@ -34,7 +34,7 @@ MOST_KEPT = 64
 
 
 def fill(scene: Contents, data: dict[str, Any]) -> None:
-    """Puts the ranges that the scene leaves to be found into its plain data.
+    """Writes the ranges that the scene does not give into its plain data.
 
     Raises ValueError, naming the actuator, where the simulation does not come to rest.
     """
@@ -51,7 +51,7 @@ def fill(scene: Contents, data: dict[str, Any]) -> None:
 
 
 def asked(scene: Contents) -> list[int]:
-    """The actuators whose ranges are to be found."""
+    """The indices of the actuators whose range must be found."""
     rules = scene.lengthrange
     return [index for index, each in enumerate(scene.actuators) if _asks(each, rules)]
 
@@ -68,7 +68,7 @@ def _asks(actuator: Actuator, rules: LengthRange) -> bool:
 
 
 def _limits(actuator: Actuator) -> Sequence[float] | None:
-    """The range of its joint or tendon, which MuJoCo takes without the gear."""
+    """The range of its joint or tendon; MuJoCo does not multiply it by the gear."""
     field, target = actuator.target
     if field not in ("joint", "jointinparent", "tendon") or getattr(target, "type", "") == "free":
         return None
@@ -94,7 +94,7 @@ def _simulated(scene: Contents, data: dict[str, Any], asked: list[int]) -> list[
 
 
 def _bare(data: dict[str, Any]) -> dict[str, Any]:
-    """The scene of the simulation; its actuators pull with what they are told, none being told."""
+    """The scene that is simulated: its actuators are motors, and their controls are zero."""
     motor = {
         **{"gain": [1.0, 0.0, 0.0], "bias": [0.0, 0.0, 0.0], "dampratio": 0.0},
         **{"muscle_gain": None, "muscle_bias": None, "dynamics": "none", "delay": 0.0},
@@ -123,7 +123,7 @@ def _extremes(
     asked: list[int],
     actuators: Sequence[Actuator],
 ) -> Lengths:
-    """By actuator: its least and greatest length at the end, of each when pulled either way."""
+    """For each actuator, the least and greatest length at the end of both pulls."""
     model = _core.compile(bare)
     settings = _core.Settings(dt=timestep, integrator="euler")
     twice = 2 * len(asked)
@@ -164,9 +164,11 @@ def _settled(
     greatest: np.ndarray[Any, Any],
 ) -> list[float]:
     low, high = float(least[0]), float(greatest[1])
-    for one, other in zip(least, greatest, strict=True):
-        if not (low < high and other - one <= rules.tolrange * (high - low)):
-            text = f"after {rules.inttotal:g} s of pulling it went from {one:g} to {other:g}"
+    for least_end, greatest_end in zip(least, greatest, strict=True):
+        moved = greatest_end - least_end
+        if not (low < high and moved <= rules.tolrange * (high - low)):
+            ends = f"from {least_end:g} to {greatest_end:g}"
+            text = f"after {rules.inttotal:g} s of pulling it went {ends}"
             raise _not_found(actuator, f"{text}, of {low:g} to {high:g}")
     return [low, high]
 

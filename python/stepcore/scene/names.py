@@ -1,4 +1,4 @@
-"""`Names`: the elements of one list by name, so that scenes of thousands are built quickly."""
+"""`Names`: an index of a list of elements, so that scenes of thousands are built quickly."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from stepcore.scene.element import Element, renamed
 class Names:
     """Where the elements of a list stand, by name and by identity.
 
-    The list is the scene's, and anybody may change it: where it has another length, or an element
-    has got another name, it is read anew, and what is found is compared with what stands there.
+    The list belongs to the scene, and anybody may change it. The index is rebuilt where the length
+    of the list or the name of an element has changed, and each answer is compared with the list.
     """
 
     def __init__(self) -> None:
@@ -33,21 +33,22 @@ class Names:
             element = elements[at]
             if element is name or element.name == name:
                 return element
-        # An entry of the list may have been replaced since.
+        # An entry of the list may have been replaced since the index was built.
         for element in elements:
             if element is name or (name and element.name == name):
                 return element
         return None
 
     def taken(self, elements: Sequence[Any], name: str) -> bool:
-        """Whether an element has this name. (One that was put in another's place may be missed;
-        compiling finds it.)
+        """Whether an element has this name.
+
+        An element that replaced another in place may be missed; compiling finds it.
         """
         self._read(elements)
         return name in self._by_name and self.find(elements, name) is not None
 
     def added(self, elements: Sequence[Any], element: Any) -> None:
-        """The last element of the list is new."""
+        """Notes that the last element of the list is new."""
         if self._elements is elements and self._count == len(elements) - 1:
             self._note(element)
 
@@ -61,7 +62,7 @@ class Names:
         now = renamed()
         if self._elements is elements and (self._count, self._renamed) == (len(elements), now):
             return
-        # What was added at the end of a list leaves the rest as it is.
+        # Elements appended to a list leave the index of the others valid.
         grown = self._elements is elements and self._renamed == now
         grown = (
             grown and 0 < self._count < len(elements) and elements[self._count - 1] is self._last
@@ -73,5 +74,5 @@ class Names:
             self._note(elements[at])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # A copy of the scene has elements of its own.
+        # A copy of the scene has other elements.
         return Names, ()

@@ -136,13 +136,14 @@ class Variation:
             for index, element in enumerate(elements)
         }
         known = {places.get(id(element)) for element, _ in self._initial}
-        # What stands in no list of records, and what is found by simulation, needs all of it.
+        # A value of an element in none of these lists, and a range that is found by simulation,
+        # need the whole scene anew.
         self._all_anew = None in known or bool(length_ranges.asked(self.scene))
         self._places = sorted(place for place in known if place is not None)
         self._data: dict[str, Any] | None = None
 
     def _touched(self, path: str) -> list[Element]:
-        """The elements that a value changes: a body's mass may be that of its geoms."""
+        """The elements that a value changes; without a mass of its own a body's are its geoms."""
         element, field = find(self.scene, path)
         if field == "mass" and isinstance(element, Body) and element.mass is None:
             return [geom for geom in self.scene.geoms if geom.body is element]

@@ -1,4 +1,4 @@
-"""Values of a scene by path, "kind/name/field": finding them and changing them."""
+"""Find and change values of a scene by path, "kind/name/field"."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WHOLE = ("gravity", "density", "viscosity", "wind")
 
 
 def is_path(name: str) -> bool:
-    """Whether a name is that of a value of a scene, and not of a setting."""
+    """Whether a name is the path of a value of the scene, not a setting."""
     return "/" in name or name in WHOLE
 
 
@@ -90,7 +90,7 @@ def _set(element: Element, field: str, value: Any) -> None:
 
 
 def _scale_geoms(scene: Contents, body: Body, old: float, value: Any) -> None:
-    """Changes the mass of a body that gets it from its geoms, `old`, by scaling the geoms."""
+    """Changes a mass that comes from geoms, `old`, by scaling these geoms."""
     mass: float = checks.real(above=0)(body, "mass", value)
     factor = mass / old
     low, high = scene.mass_rules.inertiagrouprange
