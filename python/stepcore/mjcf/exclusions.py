@@ -8,15 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from stepcore.checks import cut, nearest, refuse, shown
+from stepcore.mjcf.copies import references
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusal_texts import GROUPS, SECTIONS, effect
 from stepcore.mjcf.schema import ROOT
 
-# Attributes that refer to what can be left out, by the section of the latter.
-REFERENCES = {
-    **dict.fromkeys(("tendon", "tendon1", "tendon2"), "tendon"),
-    "actuator": "actuator",
-}
 # The only elements of the tree that can be left out: the rest of the file stands on the others.
 _OF_TREE = ("flexcomp", "composite", "attach", "replicate", "plugin", "camera", "light")
 _KEPT = ("compiler", "default", "worldbody", "asset", "size")
@@ -147,13 +143,8 @@ class Exclusions:
 
 def _kind_referred_to(node: Node, gone: dict[str, dict[str, str]]) -> str:
     """The kind of the first element that is gone and that this one refers to, or ""."""
-    for attribute, name in node.attrs.items():
-        section = REFERENCES.get(attribute)
-        if attribute == "objname" and node.attrs.get("objtype") in gone:
-            section = node.attrs["objtype"]
-        if section in gone and name in gone[section]:
-            return gone[section][name]
-    return ""
+    kinds = (gone.get(section, {}).get(name, "") for _, section, name in references(node))
+    return next(filter(None, kinds), "")
 
 
 def _note(kind: str, nodes: list[Node]) -> str:

@@ -1,4 +1,4 @@
-"""The masses that bodies get once the scene is compiled, for what the reader does by them."""
+"""The masses that the engine will give bodies, which some of the reader's passes need."""
 
 from __future__ import annotations
 

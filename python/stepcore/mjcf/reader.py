@@ -48,8 +48,7 @@ from stepcore.urdf import translate
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
-# The sections that are read one element after the other once the tree is there, in an order in
-# which names exist before something refers to them.
+# The sections that are read after the tree, in the order in which they refer to one another.
 SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
     "contact": section_readers.contact,
     "tendon": section_readers.tendon,
@@ -59,7 +58,7 @@ SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
 }
 
 
-# The most models that attach each other in turn.
+# The most models that may attach one another in a chain.
 MOST_NESTED = 50
 
 

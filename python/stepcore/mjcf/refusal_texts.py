@@ -1,4 +1,4 @@
-"""What the things that can stand in a file do to its motion: for refusals and for what is left out.
+"""What elements and attributes do to the motion: for refusals and notes on exclusions.
 
 A kind is a section ("tendon"), an element ("actuator/muscle"), an attribute ("geom/surfacevel"),
 or one of `GROUPS`.
@@ -53,7 +53,7 @@ _EFFECTS = {
 
 
 def effect(kind: str) -> str:
-    """What a thing of this kind does to the motion, "" if nothing more can be said of it."""
+    """What a kind does to the motion; "" if there is no text on it."""
     tag = kind.rpartition("/")[2]
     group = next((name for name, tags in GROUPS.items() if kind in tags or tag in tags), "")
     for name in (kind, group, tag, kind.partition("/")[0]):

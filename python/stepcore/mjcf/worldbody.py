@@ -47,7 +47,7 @@ class EmptyRange(str):
 
 @dataclass(frozen=True)
 class Place:
-    """Where an element stands: in which body, in which frame of it, and under which childclass."""
+    """The place of an element: its body, the pose of its frame there, and its childclass."""
 
     body: Body
     pose: tuple[Vec, Vec] = AT_ORIGIN
@@ -58,7 +58,7 @@ class Place:
 class Shape:
     """A geom of the file.
 
-    heavy: nothing but its body's own mass keeps it from giving mass. fluid: a fluid sees its shape.
+    heavy: it gives mass to a body that has none of its own. fluid: it has a shape in a fluid.
     values: its attributes, those of its class included.
     """
 

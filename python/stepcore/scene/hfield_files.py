@@ -49,14 +49,14 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
     return heights
 
 
-# What pillow raises for bytes that are no image; it tells no more than that.
+# What pillow raises for bytes that are no image.
 DAMAGED = (OSError, SyntaxError, ValueError, EOFError, LookupError, struct.error, zlib.error)
 
 
 def image_levels(data: bytes) -> NDArray[Any]:
     """The levels of a PNG image: the grey, or the red of coloured images, as MuJoCo takes them.
 
-    Of 16 bits the first 8 count. Opacity says nothing.
+    Of 16 bits the first 8 count; opacity does not.
     """
     # W3C, Portable Network Graphics (PNG) Specification, 5.2 and 11.2.1: the first chunk is the
     # head, which is looked at before anything is unpacked.

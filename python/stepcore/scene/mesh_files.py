@@ -70,7 +70,7 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> Surface:
 
 
 def notes(where: str, surface: Surface) -> list[str]:
-    """What a file has that its mesh has not."""
+    """A note on the faces of a file that its mesh leaves out."""
     if not surface.beyond:
         return []
     what = "of an OBJ file the first object is read for mass and shape, as in MuJoCo"
