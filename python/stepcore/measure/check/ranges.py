@@ -13,11 +13,10 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Start
 from stepcore.measure.monitors.actuators import on_one_dof, strength
-from stepcore.measure.monitors.finding import Finding, listed, named
+from stepcore.measure.monitors.finding import PLOT, Finding, listed, named
 from stepcore.measure.monitors.joints import (
     BEYOND,
     LEFT,
-    PLOT,
     harder_limit,
     is_angular,
     length_of,

@@ -12,8 +12,7 @@ from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Start
 from stepcore.measure.diagnosis.isolated import joint_gains
 from stepcore.measure.monitors.actuators import on_one_dof, strength
-from stepcore.measure.monitors.finding import Finding, listed, named
-from stepcore.measure.monitors.joints import PLOT
+from stepcore.measure.monitors.finding import PLOT, Finding, listed, named
 from stepcore.report.units import hertz, seconds
 from stepcore.scene.layout import Layout
 

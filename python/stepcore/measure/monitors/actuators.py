@@ -11,7 +11,7 @@ from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.measure.monitors.contacts import FEWEST, REST
-from stepcore.measure.monitors.finding import Finding, Next, named
+from stepcore.measure.monitors.finding import PLOT, Finding, named
 from stepcore.report.units import FORCES, TORQUES, metres, percent, plural, quantity, radians
 
 # A force this near to the end of its range is at it.
@@ -24,7 +24,6 @@ STEADY = 0.05
 CLAMPED, SATURATED = 0.05, 0.5
 # How far a servo may sag: of a radian, or of the range of a slide; and what a cure leaves of that.
 SAGS, LEFT = 0.1, 0.1
-PLOT = (Next("run", "energy over time", ("--plot", "run.png")),)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,9 @@ class Next(NamedTuple):
     arguments: tuple[str, ...] = ()
 
 
+PLOT = (Next("run", "energy over time", ("--plot", "run.png")),)
+
+
 @dataclass(frozen=True)
 class Finding:
     """One finding of `stepcore.check`.

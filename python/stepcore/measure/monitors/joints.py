@@ -14,7 +14,7 @@ from stepcore.engine.sim import Sim
 from stepcore.experiment.bodies import Joints
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.contacts import settled
-from stepcore.measure.monitors.finding import OTHERS, Finding, Next, listed, named
+from stepcore.measure.monitors.finding import OTHERS, PLOT, Finding, Next, listed, named
 from stepcore.measure.monitors.soft_rows import advised
 from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
 from stepcore.scene.layout import Layout
@@ -32,7 +32,6 @@ OVERPOWERS = 0.5
 WIDEST = 3.0
 # What only resists motion pushes no joint beyond its limit.
 RESISTS = ("damper", "friction loss")
-PLOT = (Next("run", "energy over time", ("--plot", "run.png")),)
 
 
 @dataclass(frozen=True)

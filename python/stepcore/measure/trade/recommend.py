@@ -156,17 +156,14 @@ class HardestStarts:
     def __call__(self, frontier: Frontier, chosen: TradeRow) -> Sequence[Settings]:
         """Settings cheaper than the row that passed, as far as the hardest starts tell."""
         few = [int(i) for i in self.order(frontier)[:HARD]]
-        searched = self.cache.experiment
-        experiment = Experiment(
-            searched.model, self._schedule(few), searched.workers, searched.size
-        )
+        experiment = self.cache.experiment
+        model, workers, size = experiment.model, experiment.workers, experiment.size
+        experiment = Experiment(model, self._schedule(few), workers, size)
         hard = RunCache(experiment, self._reference(few))
         search = SettingsSearch(hard, self.steps, self.kind)
         price = frontier.price(chosen)
         near = [r.settings for r in frontier.rows if frontier.price(r) <= CLOSE * price]
-        methods = (
-            self.steps.at(s, self.steps.shipped_pieces) for s in near if s.precision == "f64"
-        )
+        methods = (self.steps.method(s) for s in near if s.precision == "f64")
         search.methods = list(dict.fromkeys(methods))
         met = search.meeting(MARGIN * self.target)
         self.cache.count += hard.count

@@ -194,17 +194,9 @@ class SettingsSearch:
 
         None but the shipped one is shorter than the reference can judge.
         """
-        pieces = self.steps.shipped_pieces
-        counts = {
-            max(1, pieces // 4),
-            max(1, pieces // 2),
-            pieces,
-            2 * pieces,
-            4 * pieces,
-            8 * pieces,
-            1,
-        }
-        judged = sorted(n for n in counts if n <= max(pieces, self.finest))
+        n = self.steps.shipped_pieces
+        counts = {1, max(1, n // 4), max(1, n // 2), n, 2 * n, 4 * n, 8 * n}
+        judged = sorted(count for count in counts if count <= max(n, self.finest))
         tried = [self.steps.at(base, count) for base in families(self.kind) for count in judged]
         self.cache.screen([self.shipped, *tried], self.few, "search: overview")
 
@@ -221,9 +213,7 @@ class SettingsSearch:
         if climb:
             open_ = self.climb(open_, error)
             self.narrow(open_, error, self.few, COARSE, "search: settings")
-            self.methods += [
-                self.steps.at(bracket.base, self.steps.shipped_pieces) for bracket in open_
-            ]
+            self.methods += [self.steps.method(bracket.base) for bracket in open_]
         kept = [self.again(bracket, error) for bracket in self.keep(open_, error, SECOND)]
         self.narrow(kept, error, self.all, FINE, "all starts")
         good = [(bracket, bracket.meets(error)) for bracket in kept]
