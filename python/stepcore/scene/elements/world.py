@@ -27,6 +27,8 @@ class Key(Element):
     time: [s].
     qpos, qvel, act, ctrl: in the order of the compiled model, shapes (nq,), (nv,), (na,) and (nu,);
         None means the pose of the scene, rest, zero and zero.
+    mpos, mquat: positions [m], shape (3 n,), and quaternions, shape (4 n,), of the n mocap bodies;
+        None means the pose of the scene.
     """
 
     name: Text = ""
