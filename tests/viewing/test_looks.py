@@ -51,6 +51,14 @@ def test_the_visual_geoms_of_a_urdf_are_drawn_and_not_in_the_physics():
     assert [note for note in drawing.notes if "none.dae" in note and "saved" not in note]
 
 
+def test_a_file_of_which_something_is_left_out_keeps_its_colours():
+    colour = '<mujoco><worldbody><body><joint name="j"/><geom size=".1" rgba="1 0 0 1"/></body>'
+    text = f'{colour}</worldbody><sensor><jointpos joint="j"/></sensor></mujoco>'
+    _, drawing = drawn(text, without=["sensor"])
+    assert drawing.shapes[0].rgba == (1, 0, 0, 1)
+    assert not drawing.notes
+
+
 def test_a_visual_may_have_the_name_of_a_later_collision():
     first, later = '<collision name="seen"><geometry><sphere radius="1"', '<sphere radius=".3"/>'
     named = ARM.replace(first, first.replace(' name="seen"', ""))

@@ -143,7 +143,7 @@ def read_looks(scene: Contents) -> Looks | None:
         urdf = to_mjcf(root, source.directory, drawn=True)
         root, links, undrawn = urdf.tree, urdf.links, urdf.undrawn
     drawn, refusals = Contents(), Refusals()
-    model = Models(drawn, refusals, Exclusions(scene.without)).prepared(root, source.directory)
+    model = Models(drawn, refusals, Exclusions(source.without)).prepared(root, source.directory)
     world = read_sections(drawn, model, refusals, _DrawnAssets)
     refusals.raise_all()
     finish(world, source.fuse)

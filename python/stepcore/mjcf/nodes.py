@@ -68,6 +68,7 @@ class Source:
     unread: files that the text names but that only draw; they are never opened.
     read_bytes: the size of the files of meshes and height fields that were read, and asset_bytes:
         of all of them that are there.
+    without: the kinds that are left out.
     """
 
     data: bytes
@@ -78,6 +79,7 @@ class Source:
     unread: tuple[str, ...] = ()
     read_bytes: int = 0
     asset_bytes: int = 0
+    without: tuple[str, ...] = ()
 
     def of(self, root: Node) -> Source:
         """This source with the files of a model whose includes are expanded."""

@@ -169,7 +169,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
         world = None
     refusals.raise_all()
     assert world is not None
-    scene._source = source.of(root)
+    scene._source = replace(source.of(root), without=tuple(exclusions.nodes))
     try:
         finish(world, source.fuse)
     except ElementError as error:
@@ -280,7 +280,7 @@ PASSES: tuple[Callable[[WorldReader], None], ...] = (
     _read_keyframes,
     # The names in sensors and materials are those of the file, before any body or geom leaves.
     _check_references,
-    # No file is opened of an asset that only such a geom uses.
+    # A file is not opened if only a geom that leaves here needs it.
     leave_out_visual_geoms,
     # Every pass below finds masses, which come from meshes too.
     _read_assets,
@@ -288,15 +288,17 @@ PASSES: tuple[Callable[[WorldReader], None], ...] = (
     place_weightless,
     # The passes below know one set of rules for masses.
     settle_masses,
-    # Geoms go while their bodies are those of the file, whose masses they hand on.
+    # A body keeps the mass of a geom that leaves, and hands it on if it is fused.
     _discard_visual,
+    # A fused body weighs what its parts weigh by now.
     _fuse,
     # A free body is aligned with the inertia that it has with all bodies that were fused with it.
     align,
-    # Keyframes of attached models tell nothing of these joints, which start where bodies are now.
+    # Free joints that a keyframe of an attached model leaves out start where their bodies are now.
     keyframes.follow_bodies,
-    # It takes names away, by which everything above refers to elements.
+    # It takes away names by which the passes above find elements.
     _read_own_text,
+    # Nothing changes after the check of the whole scene.
     _check,
 )
 
