@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from stepcore import checks
 from stepcore.scene.element import Element, FieldType, Places, place_of
+from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.actuator_laws import (
     ALL_LAW_FIELDS,
     CHARTS,
@@ -20,28 +21,6 @@ from stepcore.scene.elements.actuator_laws import (
     inputs,
 )
 from stepcore.scene.elements.body import Body
-from stepcore.scene.elements.field_types import (
-    GEAR,
-    Bias,
-    Delay,
-    DynPrm,
-    Flag,
-    Gain,
-    Gear,
-    Lengths,
-    Limit,
-    NonNegative,
-    OwnFlag,
-    Poly,
-    Range,
-    Real,
-    Text,
-    element,
-    optional,
-    vector,
-    whole,
-    words,
-)
 from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
 from stepcore.scene.elements.tendon import Tendon
@@ -86,14 +65,14 @@ def _inputs(owner: Any, field: str, value: object) -> Any:
 Terms = Annotated[Any, FieldType(_one_or(10), "Numbers | None", "*")]
 Times = Annotated[Any, FieldType(_one_or(2), "Numbers | None", "1")]
 Inputs = Annotated[str | None, FieldType(checks.optional(_inputs), "str | None", "")]
-Thermal = Annotated[Vec | None, replace(optional(vector(5)), attribute="1-6")]
-Cogging = Annotated[Vec | None, optional(vector(3, fill=ORIGIN))]
-Lugre = Annotated[Vec | None, replace(optional(vector(5, low=0)), attribute="1-5")]
-Samples = Annotated[int, replace(whole(0, MOST_SAMPLES), read=lambda value: max(value, 0))]
-AnyJoint = Annotated[Joint | None, optional(element("Joint"))]
-AnyTendon = Annotated[Tendon | None, optional(element("Tendon"))]
-AnyBody = Annotated[Body | None, optional(element("Body"))]
-AnySite = Annotated[Site | None, optional(element("Site"))]
+Thermal = Annotated[Vec | None, replace(of.optional(of.vector(5)), attribute="1-6")]
+Cogging = Annotated[Vec | None, of.optional(of.vector(3, fill=ORIGIN))]
+Lugre = Annotated[Vec | None, replace(of.optional(of.vector(5, low=0)), attribute="1-5")]
+Samples = Annotated[int, replace(of.whole(0, MOST_SAMPLES), read=lambda value: max(value, 0))]
+AnyJoint = Annotated[Joint | None, of.optional(of.element("Joint"))]
+AnyTendon = Annotated[Tendon | None, of.optional(of.element("Tendon"))]
+AnyBody = Annotated[Body | None, of.optional(of.element("Body"))]
+AnySite = Annotated[Site | None, of.optional(of.element("Site"))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -193,7 +172,7 @@ class Actuator(Element):
     enabled: False leaves it out.
     """
 
-    name: Text = ""
+    name: of.Text = ""
     joint: AnyJoint = None
     jointinparent: AnyJoint = None
     tendon: AnyTendon = None
@@ -201,56 +180,56 @@ class Actuator(Element):
     refsite: AnySite = None
     cranksite: AnySite = None
     slidersite: AnySite = None
-    cranklength: Annotated[NonNegative, "m"] = 0.0
+    cranklength: Annotated[of.NonNegative, "m"] = 0.0
     body: AnyBody = None
-    type: Annotated[str, words(*ACTUATOR_TYPES)] = "motor"
-    gear: Gear = GEAR
-    kp: Gain = None
-    kv: Gain = None
-    dampratio: Gain = None
+    type: Annotated[str, of.words(*ACTUATOR_TYPES)] = "motor"
+    gear: of.Gear = of.GEAR
+    kp: of.Gain = None
+    kv: of.Gain = None
+    dampratio: of.Gain = None
     timeconst: Annotated[Times, "s"] = None
     input: Inputs = None
-    feeds: Annotated[Actuator | None, optional(element("Actuator"))] = None
-    ki: Limit = None
-    imax: Limit = None
-    slewmax: Annotated[Limit, "1/s"] = None
-    motorconst: Annotated[Gain, "N·m/A"] = None
-    resistance: Annotated[Gain, "Ω"] = None
-    inductance: Annotated[Limit, "H"] = None
-    current_rate: Annotated[Limit, "A/s"] = None
+    feeds: Annotated[Actuator | None, of.optional(of.element("Actuator"))] = None
+    ki: of.Limit = None
+    imax: of.Limit = None
+    slewmax: Annotated[of.Limit, "1/s"] = None
+    motorconst: Annotated[of.Gain, "N·m/A"] = None
+    resistance: Annotated[of.Gain, "Ω"] = None
+    inductance: Annotated[of.Limit, "H"] = None
+    current_rate: Annotated[of.Limit, "A/s"] = None
     thermal: Annotated[Thermal, "K/W, J/K, 1/K, °C and °C"] = None
     cogging: Cogging = None
     lugre: Lugre = None
-    gain: Annotated[Gain, "N"] = None
-    area: Annotated[Gain, "m²"] = None
-    bias: Bias = None
-    range: Range = None
-    force: Gain = None
-    scale: Gain = None
-    lmin: Gain = None
-    lmax: Gain = None
-    vmax: Gain = None
-    fpmax: Gain = None
-    fvmax: Gain = None
-    tausmooth: Gain = None
-    gaintype: Annotated[str | None, optional(words(*GAINS))] = None
+    gain: Annotated[of.Gain, "N"] = None
+    area: Annotated[of.Gain, "m²"] = None
+    bias: of.Bias = None
+    range: of.Range = None
+    force: of.Gain = None
+    scale: of.Gain = None
+    lmin: of.Gain = None
+    lmax: of.Gain = None
+    vmax: of.Gain = None
+    fpmax: of.Gain = None
+    fvmax: of.Gain = None
+    tausmooth: of.Gain = None
+    gaintype: Annotated[str | None, of.optional(of.words(*GAINS))] = None
     gainprm: Terms = None
-    biastype: Annotated[str | None, optional(words(*BIASES))] = None
+    biastype: Annotated[str | None, of.optional(of.words(*BIASES))] = None
     biasprm: Terms = None
-    dyntype: Annotated[str | None, optional(words(*DYNAMICS))] = None
-    dynprm: DynPrm = None
-    ctrlrange: Range = None
-    actrange: Range = None
-    forcerange: Range = None
-    actearly: Flag = False
-    lengthrange: Lengths = None
-    damping: Real = 0.0
-    dampingpoly: Poly = (0.0, 0.0)
-    armature: NonNegative = 0.0
-    delay: Annotated[Delay, "s"] = 0.0
+    dyntype: Annotated[str | None, of.optional(of.words(*DYNAMICS))] = None
+    dynprm: of.DynPrm = None
+    ctrlrange: of.Range = None
+    actrange: of.Range = None
+    forcerange: of.Range = None
+    actearly: of.Flag = False
+    lengthrange: of.Lengths = None
+    damping: of.Real = 0.0
+    dampingpoly: of.Poly = (0.0, 0.0)
+    armature: of.NonNegative = 0.0
+    delay: Annotated[of.Delay, "s"] = 0.0
     nsample: Samples = 0
-    interp: Annotated[str, words(*INTERPS)] = "zoh"
-    enabled: OwnFlag = True
+    interp: Annotated[str, of.words(*INTERPS)] = "zoh"
+    enabled: of.OwnFlag = True
 
     @property
     def target(self) -> tuple[str, Any]:

@@ -6,19 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from stepcore.scene.element import Element, Places, place_of
-from stepcore.scene.elements.field_types import (
-    Flag,
-    Inertia,
-    Mass,
-    Quat,
-    Real,
-    Text,
-    Vec3,
-    element,
-    optional,
-    unit,
-    words,
-)
+from stepcore.scene.elements import field_types as of
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, turned_inertia
 
 # Who may sleep, said of the root of a tree.
@@ -52,17 +40,17 @@ class Body(Element):
         from the start.
     """
 
-    name: Text = ""
-    parent: Annotated[Body | None, optional(element("Body"))] = None
-    pos: Annotated[Vec3, "m"] = ORIGIN
-    quat: Quat = IDENTITY
-    mass: Annotated[Mass, "kg"] = None
-    ipos: Annotated[Vec3, "m"] = ORIGIN
-    inertia: Annotated[Inertia, "kg·m²"] = (0.0,) * 6
-    iquat: Annotated[Vec | None, optional(unit(4))] = None
-    gravcomp: Real = 0.0
-    mocap: Flag = False
-    sleep: Annotated[str, words(*SLEEP)] = "auto"
+    name: of.Text = ""
+    parent: Annotated[Body | None, of.optional(of.element("Body"))] = None
+    pos: Annotated[of.Vec3, "m"] = ORIGIN
+    quat: of.Quat = IDENTITY
+    mass: Annotated[of.Mass, "kg"] = None
+    ipos: Annotated[of.Vec3, "m"] = ORIGIN
+    inertia: Annotated[of.Inertia, "kg·m²"] = (0.0,) * 6
+    iquat: Annotated[Vec | None, of.optional(of.unit(4))] = None
+    gravcomp: of.Real = 0.0
+    mocap: of.Flag = False
+    sleep: Annotated[str, of.words(*SLEEP)] = "auto"
 
     def __setattr__(self, field: str, value: object) -> None:
         super().__setattr__(field, value)
@@ -89,4 +77,4 @@ def _principal(axes: Vec, inertia: Vec) -> bool:
 
 
 # A reference to one.
-ABody = Annotated[Body, element("Body")]
+ABody = Annotated[Body, of.element("Body")]

@@ -6,20 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from stepcore.scene.element import Element
-from stepcore.scene.elements.field_types import (
-    PAIR_FRICTION,
-    SOLIMP,
-    SOLREF,
-    Condim,
-    Flag,
-    NonNegative,
-    PairFriction,
-    Real,
-    SolImp,
-    SolRef,
-    SolRefFriction,
-    Text,
-)
+from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.geom import AGeom
 
 
@@ -43,17 +30,17 @@ class Pair(Element):
     adhesion: with how much each contact can pull [N].
     """
 
-    name: Text = ""
+    name: of.Text = ""
     geom1: AGeom
     geom2: AGeom
-    condim: Condim = 3
-    friction: PairFriction = PAIR_FRICTION
-    solref: SolRef = SOLREF
-    solimp: SolImp = SOLIMP
-    solreffriction: SolRefFriction = None
-    margin: Annotated[Real, "m"] = 0.0
-    gap: Annotated[NonNegative, "m"] = 0.0
-    adhesion: Annotated[NonNegative, "N"] = 0.0
+    condim: of.Condim = 3
+    friction: of.PairFriction = of.PAIR_FRICTION
+    solref: of.SolRef = of.SOLREF
+    solimp: of.SolImp = of.SOLIMP
+    solreffriction: of.SolRefFriction = None
+    margin: Annotated[of.Real, "m"] = 0.0
+    gap: Annotated[of.NonNegative, "m"] = 0.0
+    adhesion: Annotated[of.NonNegative, "N"] = 0.0
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -65,11 +52,11 @@ class ContactOverride(Element):
     margin: [m]. solref, solimp: softness. friction: as in `Pair`, shape (5,).
     """
 
-    enable: Flag = False
-    margin: Annotated[Real, "m"] = 0.0
-    solref: SolRef = SOLREF
-    solimp: SolImp = SOLIMP
-    friction: PairFriction = PAIR_FRICTION
+    enable: of.Flag = False
+    margin: Annotated[of.Real, "m"] = 0.0
+    solref: of.SolRef = of.SOLREF
+    solimp: of.SolImp = of.SOLIMP
+    friction: of.PairFriction = of.PAIR_FRICTION
 
     def __str__(self) -> str:
         return "contact_override"

@@ -7,23 +7,8 @@ from typing import Annotated, Any
 
 from stepcore import checks
 from stepcore.scene.element import Element, Places, table
+from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.body import Body
-from stepcore.scene.elements.field_types import (
-    POLYCOEF,
-    SOLIMP,
-    SOLREF,
-    Flag,
-    PolyCoef,
-    Real,
-    RelPose,
-    SolImp,
-    SolRef,
-    Text,
-    Vec3,
-    element,
-    optional,
-    words,
-)
 from stepcore.scene.elements.geom import Geom
 from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
@@ -50,10 +35,10 @@ FIELDS = {
 # Fields that say what is tied, and where.
 _ENDS = (*_BODIES, *_SITES, "relpose", "joint1", "joint2", "tendon1", "tendon2")
 
-SomeBody = Annotated[Body | None, optional(element("Body"))]
-SomeSite = Annotated[Site | None, optional(element("Site"))]
-SomeTendon = Annotated[Tendon | None, optional(element("Tendon"))]
-SomeJoint = Annotated[Joint | None, optional(element("Joint"))]
+SomeBody = Annotated[Body | None, of.optional(of.element("Body"))]
+SomeSite = Annotated[Site | None, of.optional(of.element("Site"))]
+SomeTendon = Annotated[Tendon | None, of.optional(of.element("Tendon"))]
+SomeJoint = Annotated[Joint | None, of.optional(of.element("Joint"))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -79,8 +64,8 @@ class Equality(Element):
     solref, solimp: softness of the constraint.
     """
 
-    name: Text = ""
-    type: Annotated[str, words(*ROW_KINDS)] = "connect"
+    name: of.Text = ""
+    type: Annotated[str, of.words(*ROW_KINDS)] = "connect"
     body1: SomeBody = None
     body2: SomeBody = None
     site1: SomeSite = None
@@ -89,13 +74,13 @@ class Equality(Element):
     joint2: SomeJoint = None
     tendon1: SomeTendon = None
     tendon2: SomeTendon = None
-    anchor: Annotated[Vec3, "m"] = ORIGIN
-    relpose: Annotated[RelPose, "m and 1"] = None
-    torquescale: Annotated[Real, "m/rad"] = 1.0
-    polycoef: Annotated[PolyCoef, "rad or m"] = POLYCOEF
-    active: Flag = True
-    solref: SolRef = SOLREF
-    solimp: SolImp = SOLIMP
+    anchor: Annotated[of.Vec3, "m"] = ORIGIN
+    relpose: Annotated[of.RelPose, "m and 1"] = None
+    torquescale: Annotated[of.Real, "m/rad"] = 1.0
+    polycoef: Annotated[of.PolyCoef, "rad or m"] = of.POLYCOEF
+    active: of.Flag = True
+    solref: of.SolRef = of.SOLREF
+    solimp: of.SolImp = of.SOLIMP
 
     @property
     def row_kind(self) -> str:

@@ -8,35 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from stepcore.scene.element import Element
+from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.body import ABody
-from stepcore.scene.elements.field_types import (
-    FLUIDCOEF,
-    FRICTION,
-    SOLIMP,
-    SOLREF,
-    STILL,
-    Condim,
-    Flag,
-    FluidCoef,
-    Friction,
-    Int,
-    Mask,
-    Mass,
-    NonNegative,
-    OwnFlag,
-    Positive,
-    Quat,
-    Real,
-    Size,
-    SolImp,
-    SolRef,
-    SurfaceVel,
-    Text,
-    Vec3,
-    element,
-    optional,
-    words,
-)
 from stepcore.scene.elements.mesh import HField, Mesh
 from stepcore.scene.frames import IDENTITY, ORIGIN
 
@@ -80,34 +53,34 @@ class Geom(Element):
         one whose priority is higher. They pull as far as the gap reaches.
     """
 
-    name: Text = ""
+    name: of.Text = ""
     body: ABody
-    type: Annotated[str, words(*GEOM_TYPES)] = "sphere"
-    size: Annotated[Size, "m"] = ORIGIN
-    pos: Annotated[Vec3, "m"] = ORIGIN
-    quat: Quat = IDENTITY
-    mesh: Annotated[Mesh | None, optional(element("Mesh"))] = None
-    fitscale: Positive = 1.0
-    hfield: Annotated[HField | None, optional(element("HField"))] = None
-    mass: Annotated[Mass, "kg"] = None
-    density: Annotated[NonNegative, "kg/m³ or kg/m²"] = 1000.0
-    shellinertia: Flag = False
-    group: Int = 0
-    hidden: OwnFlag = False
-    contype: Mask = 1
-    conaffinity: Mask = 1
-    condim: Condim = 3
-    priority: Int = 0
-    friction: Annotated[Friction, "1, m and m"] = FRICTION
-    margin: Annotated[Real, "m"] = 0.0
-    gap: Annotated[NonNegative, "m"] = 0.0
-    surfacevel: Annotated[SurfaceVel, "m/s and rad/s"] = STILL
-    adhesion: Annotated[NonNegative, "N"] = 0.0
-    solmix: NonNegative = 1.0
-    solref: SolRef = SOLREF
-    solimp: SolImp = SOLIMP
-    fluidshape: Annotated[str, words("none", "ellipsoid")] = "none"
-    fluidcoef: FluidCoef = FLUIDCOEF
+    type: Annotated[str, of.words(*GEOM_TYPES)] = "sphere"
+    size: Annotated[of.Size, "m"] = ORIGIN
+    pos: Annotated[of.Vec3, "m"] = ORIGIN
+    quat: of.Quat = IDENTITY
+    mesh: Annotated[Mesh | None, of.optional(of.element("Mesh"))] = None
+    fitscale: of.Positive = 1.0
+    hfield: Annotated[HField | None, of.optional(of.element("HField"))] = None
+    mass: Annotated[of.Mass, "kg"] = None
+    density: Annotated[of.NonNegative, "kg/m³ or kg/m²"] = 1000.0
+    shellinertia: of.Flag = False
+    group: of.Int = 0
+    hidden: of.OwnFlag = False
+    contype: of.Mask = 1
+    conaffinity: of.Mask = 1
+    condim: of.Condim = 3
+    priority: of.Int = 0
+    friction: Annotated[of.Friction, "1, m and m"] = of.FRICTION
+    margin: Annotated[of.Real, "m"] = 0.0
+    gap: Annotated[of.NonNegative, "m"] = 0.0
+    surfacevel: Annotated[of.SurfaceVel, "m/s and rad/s"] = of.STILL
+    adhesion: Annotated[of.NonNegative, "N"] = 0.0
+    solmix: of.NonNegative = 1.0
+    solref: of.SolRef = of.SOLREF
+    solimp: of.SolImp = of.SOLIMP
+    fluidshape: Annotated[str, of.words("none", "ellipsoid")] = "none"
+    fluidcoef: of.FluidCoef = of.FLUIDCOEF
 
     @property
     def half_size(self) -> float:
@@ -120,4 +93,4 @@ class Geom(Element):
 
 
 # A reference to one.
-AGeom = Annotated[Geom, element("Geom")]
+AGeom = Annotated[Geom, of.element("Geom")]

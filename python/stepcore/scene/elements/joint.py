@@ -6,25 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from stepcore.scene.element import Element
+from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.body import ABody
-from stepcore.scene.elements.field_types import (
-    SOLIMP,
-    SOLREF,
-    Axis,
-    Flag,
-    NonNegative,
-    Poly,
-    Range,
-    Reach,
-    Real,
-    SolImp,
-    SolRef,
-    SpringDamper,
-    Text,
-    Vec3,
-    element,
-    words,
-)
 from stepcore.scene.frames import ORIGIN
 
 JOINT_TYPES = ("free", "ball", "slide", "hinge")
@@ -62,28 +45,28 @@ class Joint(Element):
     solreffriction, solimpfriction: softness of the dry friction.
     """
 
-    name: Text = ""
+    name: of.Text = ""
     body: ABody
-    type: Annotated[str, words(*JOINT_TYPES)] = "hinge"
-    pos: Annotated[Vec3, "m"] = ORIGIN
-    axis: Axis = (0.0, 0.0, 1.0)
-    range: Annotated[Reach, "rad or m"] = None
-    margin: Annotated[Real, "rad or m"] = 0.0
-    ref: Annotated[Real, "rad or m"] = 0.0
-    springref: Annotated[Real, "rad or m"] = 0.0
-    stiffness: Annotated[Real, "N·m/rad or N/m"] = 0.0
-    stiffnesspoly: Poly = (0.0, 0.0)
-    damping: Annotated[Real, "N·m·s/rad or N·s/m"] = 0.0
-    dampingpoly: Poly = (0.0, 0.0)
-    springdamper: Annotated[SpringDamper, "s and 1"] = None
-    actuatorgravcomp: Flag = False
-    armature: Annotated[NonNegative, "kg·m² or kg"] = 0.0
-    actuatorfrcrange: Annotated[Range, "N·m or N"] = None
-    frictionloss: Annotated[NonNegative, "N·m or N"] = 0.0
-    solreflimit: SolRef = SOLREF
-    solimplimit: SolImp = SOLIMP
-    solreffriction: SolRef = SOLREF
-    solimpfriction: SolImp = SOLIMP
+    type: Annotated[str, of.words(*JOINT_TYPES)] = "hinge"
+    pos: Annotated[of.Vec3, "m"] = ORIGIN
+    axis: of.Axis = (0.0, 0.0, 1.0)
+    range: Annotated[of.Reach, "rad or m"] = None
+    margin: Annotated[of.Real, "rad or m"] = 0.0
+    ref: Annotated[of.Real, "rad or m"] = 0.0
+    springref: Annotated[of.Real, "rad or m"] = 0.0
+    stiffness: Annotated[of.Real, "N·m/rad or N/m"] = 0.0
+    stiffnesspoly: of.Poly = (0.0, 0.0)
+    damping: Annotated[of.Real, "N·m·s/rad or N·s/m"] = 0.0
+    dampingpoly: of.Poly = (0.0, 0.0)
+    springdamper: Annotated[of.SpringDamper, "s and 1"] = None
+    actuatorgravcomp: of.Flag = False
+    armature: Annotated[of.NonNegative, "kg·m² or kg"] = 0.0
+    actuatorfrcrange: Annotated[of.Range, "N·m or N"] = None
+    frictionloss: Annotated[of.NonNegative, "N·m or N"] = 0.0
+    solreflimit: of.SolRef = of.SOLREF
+    solimplimit: of.SolImp = of.SOLIMP
+    solreffriction: of.SolRef = of.SOLREF
+    solimpfriction: of.SolImp = of.SOLIMP
 
     @property
     def sprung(self) -> bool:
@@ -101,4 +84,4 @@ class Joint(Element):
 
 
 # A reference to one.
-AJoint = Annotated[Joint, element("Joint")]
+AJoint = Annotated[Joint, of.element("Joint")]

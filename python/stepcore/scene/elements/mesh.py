@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stepcore import checks
 from stepcore.scene.element import Element, FieldType
-from stepcore.scene.elements.field_types import Quat, Text, Vec3, optional, vector, words
+from stepcore.scene.elements import field_types as of
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, rotated
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Asset(Element):
 
 Vertices = Annotated[NDArray[Any], FieldType(checks.table(3), "ArrayLike")]
 Faces = Annotated[
-    NDArray[Any] | None, optional(FieldType(checks.table(3, whole=True), "ArrayLike"))
+    NDArray[Any] | None, of.optional(FieldType(checks.table(3, whole=True), "ArrayLike"))
 ]
 HullVertices = Annotated[int, FieldType(checks.most_vertices, "int", "int")]
 FilePath = Annotated[str, FieldType(checks.text, "str | os.PathLike[str]", "")]
@@ -67,13 +67,13 @@ class Mesh(Asset):
     file: the file that it was read from, or "".
     """
 
-    name: Text = ""
+    name: of.Text = ""
     vertices: Annotated[Vertices, "m"]
     faces: Faces = None
-    scale: Vec3 = (1.0, 1.0, 1.0)
-    refpos: Annotated[Vec3, "m"] = ORIGIN
-    refquat: Quat = IDENTITY
-    inertia: Annotated[str, words(*MESH_INERTIAS)] = "legacy"
+    scale: of.Vec3 = (1.0, 1.0, 1.0)
+    refpos: Annotated[of.Vec3, "m"] = ORIGIN
+    refquat: of.Quat = IDENTITY
+    inertia: Annotated[str, of.words(*MESH_INERTIAS)] = "legacy"
     maxhullvert: HullVertices = -1
     file: FilePath = ""
 
@@ -115,7 +115,7 @@ class HField(Asset):
     file: the file that it was read from, or "".
     """
 
-    name: Text = ""
-    size: Annotated[Vec, vector(4, low=0), "m"]
+    name: of.Text = ""
+    size: Annotated[Vec, of.vector(4, low=0), "m"]
     elevation: Heights
     file: FilePath = ""

@@ -9,14 +9,7 @@ from typing import Annotated, Any
 
 from stepcore import checks
 from stepcore.scene.element import Element, FieldType, Places
-from stepcore.scene.elements.field_types import (
-    NonNegative,
-    Text,
-    element,
-    optional,
-    whole,
-    words,
-)
+from stepcore.scene.elements import field_types as of
 
 # By type: the kinds of elements that it can look at, and those of its reference.
 FRAMES = ("site", "body", "geom")
@@ -85,8 +78,8 @@ def _words(owner: object, field: str, value: object) -> tuple[str, ...]:
 
 
 # What a body stands for; MJCF says it by the name of the attribute.
-STANDS_FOR = replace(words("", "body", "xbody", "subtree"), attribute=None)
-AnObject = element("Site", "Body", "Geom", "Joint", "Tendon", "Actuator")
+STANDS_FOR = replace(of.words("", "body", "xbody", "subtree"), attribute=None)
+AnObject = of.element("Site", "Body", "Geom", "Joint", "Tendon", "Actuator")
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -115,17 +108,17 @@ class Sensor(Element):
         are 0: they are its user's to compute.
     """
 
-    name: Text = ""
-    type: Annotated[str, words(*OBJECTS)]
-    object: Annotated[Element | None, optional(AnObject)] = None
+    name: of.Text = ""
+    type: Annotated[str, of.words(*OBJECTS)]
+    object: Annotated[Element | None, of.optional(AnObject)] = None
     objtype: Annotated[str, STANDS_FOR] = ""
-    reference: Annotated[Element | None, optional(AnObject)] = None
+    reference: Annotated[Element | None, of.optional(AnObject)] = None
     reftype: Annotated[str, STANDS_FOR] = ""
-    cutoff: NonNegative = 0.0
-    noise: NonNegative = 0.0
+    cutoff: of.NonNegative = 0.0
+    noise: of.NonNegative = 0.0
     data: Annotated[tuple[str, ...], FieldType(_words, "str | Sequence[str]", "")] = ()
-    reduce: Annotated[str, words("none", "mindist", "maxforce", "netforce")] = "none"
-    num: Annotated[int, whole(1, MOST_NUMBERS)] = 1
+    reduce: Annotated[str, of.words("none", "mindist", "maxforce", "netforce")] = "none"
+    num: Annotated[int, of.whole(1, MOST_NUMBERS)] = 1
 
     @property
     def quantities(self) -> tuple[str, ...]:

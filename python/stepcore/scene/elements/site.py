@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from stepcore.scene.element import Element
+from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.body import ABody
-from stepcore.scene.elements.field_types import Quat, Size, Text, Vec3, words
 from stepcore.scene.frames import IDENTITY, ORIGIN
 
 # MuJoCo's default size of a site.
@@ -23,9 +23,9 @@ class Site(Element):
     size: of its volume [m], as that of a geom, shape (3,). Fewer numbers may be given.
     """
 
-    name: Text = ""
+    name: of.Text = ""
     body: ABody
-    pos: Annotated[Vec3, "m"] = ORIGIN
-    quat: Quat = IDENTITY
-    type: Annotated[str, words("sphere", "capsule", "ellipsoid", "cylinder", "box")] = "sphere"
-    size: Annotated[Size, "m"] = SITE_SIZE
+    pos: Annotated[of.Vec3, "m"] = ORIGIN
+    quat: of.Quat = IDENTITY
+    type: Annotated[str, of.words("sphere", "capsule", "ellipsoid", "cylinder", "box")] = "sphere"
+    size: Annotated[of.Size, "m"] = SITE_SIZE

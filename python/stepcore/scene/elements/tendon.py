@@ -8,18 +8,7 @@ from typing import Annotated, Any, NamedTuple
 
 from stepcore import checks
 from stepcore.scene.element import Element, FieldType, Places, place_of
-from stepcore.scene.elements.field_types import (
-    SOLIMP,
-    SOLREF,
-    NonNegative,
-    Poly,
-    Range,
-    Real,
-    SolImp,
-    SolRef,
-    Text,
-    element,
-)
+from stepcore.scene.elements import field_types as of
 from stepcore.scene.elements.geom import Geom
 from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
@@ -129,22 +118,22 @@ class Tendon(Element):
     solreffriction, solimpfriction: softness of the dry friction.
     """
 
-    name: Text = ""
+    name: of.Text = ""
     path: Annotated[Path, FieldType(path, "Iterable[Any]", refers=("Joint", "Site", "Geom"))]
-    range: Annotated[Range, "m"] = None
-    margin: Annotated[Real, "m"] = 0.0
+    range: Annotated[of.Range, "m"] = None
+    margin: Annotated[of.Real, "m"] = 0.0
     springlength: Annotated[SpringLength, "m"] = AUTOMATIC
-    stiffness: Annotated[Real, "N/m"] = 0.0
-    stiffnesspoly: Poly = (0.0, 0.0)
-    damping: Annotated[Real, "N·s/m"] = 0.0
-    dampingpoly: Poly = (0.0, 0.0)
-    armature: Annotated[NonNegative, "kg"] = 0.0
-    frictionloss: Annotated[NonNegative, "N"] = 0.0
-    actuatorfrcrange: Annotated[Range, "N"] = None
-    solreflimit: SolRef = SOLREF
-    solimplimit: SolImp = SOLIMP
-    solreffriction: SolRef = SOLREF
-    solimpfriction: SolImp = SOLIMP
+    stiffness: Annotated[of.Real, "N/m"] = 0.0
+    stiffnesspoly: of.Poly = (0.0, 0.0)
+    damping: Annotated[of.Real, "N·s/m"] = 0.0
+    dampingpoly: of.Poly = (0.0, 0.0)
+    armature: Annotated[of.NonNegative, "kg"] = 0.0
+    frictionloss: Annotated[of.NonNegative, "N"] = 0.0
+    actuatorfrcrange: Annotated[of.Range, "N"] = None
+    solreflimit: of.SolRef = of.SOLREF
+    solimplimit: of.SolImp = of.SOLIMP
+    solreffriction: of.SolRef = of.SOLREF
+    solimpfriction: of.SolImp = of.SOLIMP
 
     @property
     def fixed(self) -> bool:
@@ -187,4 +176,4 @@ def _plain_stop(stop: Stop, places: Places) -> dict[str, Any]:
 
 
 # A reference to one.
-ATendon = Annotated[Tendon, element("Tendon")]
+ATendon = Annotated[Tendon, of.element("Tendon")]

@@ -7,16 +7,7 @@ from typing import Annotated
 
 from stepcore import checks
 from stepcore.scene.element import Element, FieldType
-from stepcore.scene.elements.field_types import (
-    AUTO,
-    Flag,
-    Groups,
-    NonNegative,
-    Numbers,
-    Real,
-    Text,
-    words,
-)
+from stepcore.scene.elements import field_types as of
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -31,14 +22,14 @@ class Key(Element):
         None means the pose of the scene.
     """
 
-    name: Text = ""
-    time: Annotated[Real, "s"] = 0.0
-    qpos: Numbers = None
-    qvel: Numbers = None
-    act: Numbers = None
-    ctrl: Numbers = None
-    mpos: Numbers = None
-    mquat: Numbers = None
+    name: of.Text = ""
+    time: Annotated[of.Real, "s"] = 0.0
+    qpos: of.Numbers = None
+    qvel: of.Numbers = None
+    act: of.Numbers = None
+    ctrl: of.Numbers = None
+    mpos: of.Numbers = None
+    mquat: of.Numbers = None
 
 
 FromGeoms = Annotated[
@@ -46,7 +37,7 @@ FromGeoms = Annotated[
     FieldType(
         checks.one_of(None, True, False),
         "bool | None",
-        AUTO,
+        of.AUTO,
         read=lambda value: None if value == "auto" else value,
     ),
 ]
@@ -67,12 +58,12 @@ class MassRules(Element):
     """
 
     inertiafromgeom: FromGeoms = None
-    inertiagrouprange: Groups = (0, 5)
-    boundmass: Annotated[NonNegative, "kg"] = 0.0
-    boundinertia: Annotated[NonNegative, "kg·m²"] = 0.0
-    balanceinertia: Flag = False
-    settotalmass: Annotated[Real, "kg"] = -1.0
-    fitaabb: Flag = False
+    inertiagrouprange: of.Groups = (0, 5)
+    boundmass: Annotated[of.NonNegative, "kg"] = 0.0
+    boundinertia: Annotated[of.NonNegative, "kg·m²"] = 0.0
+    balanceinertia: of.Flag = False
+    settotalmass: Annotated[of.Real, "kg"] = -1.0
+    fitaabb: of.Flag = False
 
     def __str__(self) -> str:
         return "mass_rules"
@@ -98,16 +89,16 @@ class LengthRange(Element):
     tolrange: how far it may move there, of the whole range.
     """
 
-    mode: Annotated[str, words("none", "muscle", "muscleuser", "all")] = "muscle"
-    useexisting: Flag = True
-    uselimit: Flag = False
-    accel: Annotated[NonNegative, "rad/s² or m/s²"] = 20.0
-    maxforce: Annotated[NonNegative, "N·m or N"] = 0.0
-    timeconst: Annotated[NonNegative, "s"] = 1.0
-    timestep: Annotated[NonNegative, "s"] = 0.01
-    inttotal: Annotated[NonNegative, "s"] = 10.0
-    interval: Annotated[NonNegative, "s"] = 2.0
-    tolrange: NonNegative = 0.05
+    mode: Annotated[str, of.words("none", "muscle", "muscleuser", "all")] = "muscle"
+    useexisting: of.Flag = True
+    uselimit: of.Flag = False
+    accel: Annotated[of.NonNegative, "rad/s² or m/s²"] = 20.0
+    maxforce: Annotated[of.NonNegative, "N·m or N"] = 0.0
+    timeconst: Annotated[of.NonNegative, "s"] = 1.0
+    timestep: Annotated[of.NonNegative, "s"] = 0.01
+    inttotal: Annotated[of.NonNegative, "s"] = 10.0
+    interval: Annotated[of.NonNegative, "s"] = 2.0
+    tolrange: of.NonNegative = 0.05
 
     def __str__(self) -> str:
         return "lengthrange"
@@ -121,20 +112,20 @@ class Features(Element):
     forces.
     """
 
-    constraint: Flag = True
-    equality: Flag = True
-    frictionloss: Flag = True
-    limit: Flag = True
-    contact: Flag = True
-    spring: Flag = True
-    damper: Flag = True
-    gravity: Flag = True
-    clampctrl: Flag = True
-    actuation: Flag = True
-    filterparent: Flag = True
-    eulerdamp: Flag = True
-    sensor: Flag = True
-    coriolis: Flag = True
+    constraint: of.Flag = True
+    equality: of.Flag = True
+    frictionloss: of.Flag = True
+    limit: of.Flag = True
+    contact: of.Flag = True
+    spring: of.Flag = True
+    damper: of.Flag = True
+    gravity: of.Flag = True
+    clampctrl: of.Flag = True
+    actuation: of.Flag = True
+    filterparent: of.Flag = True
+    eulerdamp: of.Flag = True
+    sensor: of.Flag = True
+    coriolis: of.Flag = True
 
     def __str__(self) -> str:
         return "features"
