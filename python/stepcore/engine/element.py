@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stepcore.report.units import counted, plural, unit_of
-from stepcore.scene.elements.actuator import LAW_FIELDS
+from stepcore.scene.elements.actuator_laws import LAW_FIELDS
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
