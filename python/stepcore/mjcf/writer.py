@@ -385,12 +385,10 @@ def _sensor(sensor: Sensor, names: Names) -> Tag:
         given["data"] = " ".join(sensor.data)
     if sensor.type == "user":
         given["dim"] = sensor.num
-    counted = () if sensor.type == "user" else (("num", 1),)
-    for field, default in (*counted, ("reduce", "none"), ("cutoff", 0.0), ("noise", 0.0)):
-        value = getattr(sensor, field)
-        if value != default:
-            given[field] = value
-    return Tag(sensor.type, **given)
+    rest = changed(sensor, "name", "type", "object", "reference", "objtype", "reftype", "data")
+    if sensor.type == "user":
+        rest.pop("num", None)
+    return Tag(sensor.type, **given, **rest)
 
 
 def _end(

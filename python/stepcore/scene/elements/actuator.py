@@ -20,10 +20,10 @@ from stepcore.scene.elements.actuator_laws import (
     Law,
     inputs,
 )
-from stepcore.scene.elements.body import Body
-from stepcore.scene.elements.joint import Joint
-from stepcore.scene.elements.site import Site
-from stepcore.scene.elements.tendon import Tendon
+from stepcore.scene.elements.body import SomeBody
+from stepcore.scene.elements.joint import SomeJoint
+from stepcore.scene.elements.site import SomeSite
+from stepcore.scene.elements.tendon import SomeTendon
 from stepcore.scene.frames import ORIGIN, Vec
 
 ACTUATOR_TYPES = tuple(LAWS)
@@ -69,10 +69,6 @@ Thermal = Annotated[Vec | None, replace(of.optional(of.vector(5)), attribute="1-
 Cogging = Annotated[Vec | None, of.optional(of.vector(3, fill=ORIGIN))]
 Lugre = Annotated[Vec | None, replace(of.optional(of.vector(5, low=0)), attribute="1-5")]
 Samples = Annotated[int, replace(of.whole(0, MOST_SAMPLES), read=lambda value: max(value, 0))]
-AnyJoint = Annotated[Joint | None, of.optional(of.element("Joint"))]
-AnyTendon = Annotated[Tendon | None, of.optional(of.element("Tendon"))]
-AnyBody = Annotated[Body | None, of.optional(of.element("Body"))]
-AnySite = Annotated[Site | None, of.optional(of.element("Site"))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -173,15 +169,15 @@ class Actuator(Element):
     """
 
     name: of.Text = ""
-    joint: AnyJoint = None
-    jointinparent: AnyJoint = None
-    tendon: AnyTendon = None
-    site: AnySite = None
-    refsite: AnySite = None
-    cranksite: AnySite = None
-    slidersite: AnySite = None
+    joint: SomeJoint = None
+    jointinparent: SomeJoint = None
+    tendon: SomeTendon = None
+    site: SomeSite = None
+    refsite: SomeSite = None
+    cranksite: SomeSite = None
+    slidersite: SomeSite = None
     cranklength: Annotated[of.NonNegative, "m"] = 0.0
-    body: AnyBody = None
+    body: SomeBody = None
     type: Annotated[str, of.words(*ACTUATOR_TYPES)] = "motor"
     gear: of.Gear = of.GEAR
     kp: of.Gain = None

@@ -76,5 +76,6 @@ def _principal(axes: Vec, inertia: Vec) -> bool:
     return max(map(abs, products)) <= PRINCIPAL * (xx + yy + zz) and any(inertia)
 
 
-# A reference to one.
+# A reference to a body, and one that may be missing.
 ABody = Annotated[Body, of.element("Body")]
+SomeBody = Annotated[Body | None, of.optional(of.element("Body"))]

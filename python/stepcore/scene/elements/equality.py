@@ -8,11 +8,11 @@ from typing import Annotated, Any
 from stepcore import checks
 from stepcore.scene.element import Element, Places, table
 from stepcore.scene.elements import field_types as of
-from stepcore.scene.elements.body import Body
+from stepcore.scene.elements.body import Body, SomeBody
 from stepcore.scene.elements.geom import Geom
-from stepcore.scene.elements.joint import Joint
-from stepcore.scene.elements.site import Site
-from stepcore.scene.elements.tendon import Tendon
+from stepcore.scene.elements.joint import Joint, SomeJoint
+from stepcore.scene.elements.site import Site, SomeSite
+from stepcore.scene.elements.tendon import SomeTendon, Tendon
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
 
 # By type: what its rows are called.
@@ -34,11 +34,6 @@ FIELDS = {
 }
 # Fields that say what is tied, and where.
 _ENDS = (*_BODIES, *_SITES, "relpose", "joint1", "joint2", "tendon1", "tendon2")
-
-SomeBody = Annotated[Body | None, of.optional(of.element("Body"))]
-SomeSite = Annotated[Site | None, of.optional(of.element("Site"))]
-SomeTendon = Annotated[Tendon | None, of.optional(of.element("Tendon"))]
-SomeJoint = Annotated[Joint | None, of.optional(of.element("Joint"))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -92,5 +92,4 @@ class Geom(Element):
         return max(self.size)
 
 
-# A reference to one.
 AGeom = Annotated[Geom, of.element("Geom")]

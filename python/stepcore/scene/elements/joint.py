@@ -83,5 +83,4 @@ class Joint(Element):
         return super().record(*skip) | {"springdamper": list(self.springdamper or (0.0, 0.0))}
 
 
-# A reference to one.
-AJoint = Annotated[Joint, of.element("Joint")]
+SomeJoint = Annotated[Joint | None, of.optional(of.element("Joint"))]

@@ -29,3 +29,6 @@ class Site(Element):
     quat: of.Quat = IDENTITY
     type: Annotated[str, of.words("sphere", "capsule", "ellipsoid", "cylinder", "box")] = "sphere"
     size: Annotated[of.Size, "m"] = SITE_SIZE
+
+
+SomeSite = Annotated[Site | None, of.optional(of.element("Site"))]

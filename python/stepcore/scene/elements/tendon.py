@@ -175,5 +175,4 @@ def _plain_stop(stop: Stop, places: Places) -> dict[str, Any]:
     return {"site": place_of(places, stop)}
 
 
-# A reference to one.
-ATendon = Annotated[Tendon, of.element("Tendon")]
+SomeTendon = Annotated[Tendon | None, of.optional(of.element("Tendon"))]
