@@ -77,7 +77,9 @@ def find_asset(package: str, name: str) -> Path:
         near = nearest(wanted.stem, [file.stem for file in files])
         raise ValueError(brief(f"{package}:{name}: the package has no {wanted}{near}"))
     if len(matches) > 1:
-        matches = [file for file in matches if not _is_test(file, roots)] or matches
+        inner = [(file, root) for file in matches for root in roots if file.is_relative_to(root)]
+        shown = [f for f, root in inner if TESTS.isdisjoint(f.relative_to(root).parts[:-1])]
+        matches = shown or matches
     if len(matches) > 1:
         several = ", ".join(str(file.relative_to(roots[0]).with_suffix("")) for file in matches[:6])
         raise ValueError(
@@ -106,9 +108,3 @@ def _lesson(name: str) -> Scene:
     scene: Scene = getattr(scenes, name)()
     scene.name = name
     return scene
-
-
-def _is_test(file: Path, roots: list[str]) -> bool:
-    """Whether a file belongs to a package's tests."""
-    root = next(root for root in roots if file.is_relative_to(root))
-    return not TESTS.isdisjoint(file.relative_to(root).parts[:-1])

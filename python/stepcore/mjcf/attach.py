@@ -9,7 +9,7 @@ compiler's attribute "conflict".
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -32,7 +32,7 @@ from stepcore.mjcf.copies import (
     section_of,
 )
 from stepcore.mjcf.defaults import MAIN, Defaults
-from stepcore.mjcf.nodes import Node, below, inside
+from stepcore.mjcf.nodes import Node, below, inside, sections
 from stepcore.mjcf.schema import FLAGS, ROOT
 from stepcore.scene.layout import DOFS, QPOS
 
@@ -356,19 +356,11 @@ def _split_keys(root: Node, defaults: Defaults) -> list[Node]:
     keys = inside(root, "keyframe")
     if not keys:
         return []
-    bodies = list(_bodies(root))
-    joints: list[tuple[Node, str]] = []
-    for _, content in bodies:
-        for node, childclass in content:
-            if node.tag == "freejoint":
-                joints.append((node, "free"))
-            elif node.tag == "joint":
-                joints.append((node, defaults.of(node, childclass).get("type", "hinge")))
-    mocaps = [body for body, _ in bodies if body.values.get("mocap")]
+    joints, mocaps = _joints_and_mocaps(root, defaults)
     actuators = [(node, *sizes(defaults.gains(node))) for node in inside(root, "actuator")]
     layout = {
-        "qpos": [(node, QPOS[kind]) for node, kind in joints],
-        "qvel": [(node, DOFS[kind]) for node, kind in joints],
+        "qpos": [(node, QPOS[kind]) for kind, node in joints],
+        "qvel": [(node, DOFS[kind]) for kind, node in joints],
         "ctrl": [(node, controls) for node, controls, _ in actuators],
         "act": [(node, activations) for node, _, activations in actuators],
         "mpos": [(node, 3) for node in mocaps],
@@ -401,25 +393,30 @@ def _copied_key(key: Node, made: dict[int, Node]) -> Node:
     return copy
 
 
-def _bodies(root: Node) -> Iterable[tuple[Node, list[tuple[Node, str | None]]]]:
-    """The world and the bodies in the model's order, each with its content and their childclass.
+def _joints_and_mocaps(root: Node, defaults: Defaults) -> tuple[list[Part], list[Node]]:
+    """The joints, each after its type, and the mocap bodies, in the model's order.
 
     The content of a frame is that of the body which holds the frame.
     """
-    pending: list[tuple[Node, str | None]] = [
-        (section, None) for section in reversed(root.children) if section.tag == "worldbody"
-    ]
+    joints: list[Part] = []
+    mocaps: list[Node] = []
+    pending: list[tuple[Node, str | None]] = [(n, None) for n in sections(root, "worldbody")[::-1]]
     while pending:
         body, childclass = pending.pop()
-        content: list[tuple[Node, str | None]] = []
-        waiting = [(child, body.attrs.get("childclass", childclass)) for child in body.children]
-        waiting.reverse()
+        if body.values.get("mocap"):
+            mocaps.append(body)
+        bodies: list[tuple[Node, str | None]] = []
+        waiting = [(body, childclass)]
         while waiting:
             node, inherited = waiting.pop()
-            if node.tag == "frame":
+            if node is body or node.tag == "frame":
                 inner = node.attrs.get("childclass", inherited)
                 waiting += [(child, inner) for child in reversed(node.children)]
-            else:
-                content.append((node, inherited))
-        yield body, content
-        pending += reversed([part for part in content if part[0].tag == "body"])
+            elif node.tag == "body":
+                bodies.append((node, inherited))
+            elif node.tag == "freejoint":
+                joints.append(("free", node))
+            elif node.tag == "joint":
+                joints.append((defaults.of(node, inherited).get("type", "hinge"), node))
+        pending += reversed(bodies)
+    return joints, mocaps
