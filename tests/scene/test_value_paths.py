@@ -59,3 +59,11 @@ def test_a_map_varies_what_diagnose_names():
 def test_what_is_no_value_is_refused_by_name(path, text):
     with pytest.raises(ValueError, match=text):
         sc.loads(ROPE).compile().with_values({path: 1.0})
+
+
+def test_the_kind_of_a_row_is_not_cut_off():
+    """ "tendon friction loss" is the longest."""
+    text = ROPE.replace('stiffness="100"', 'frictionloss="1"')
+    sim = sc.Sim(sc.loads(text))
+    sim.step()
+    assert sim.rows["kind"].tolist() == ["tendon friction loss"]

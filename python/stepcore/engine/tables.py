@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 VECTORS = ("pos", "normal", "force", "torque")
 # kind, index and part of an element, as `Model.element_name` takes them.
-ELEMENT: list[Any] = [("kind", "U16"), ("index", np.int64), ("part", np.int32)]
+ELEMENT: list[Any] = [("kind", "U20"), ("index", np.int64), ("part", np.int32)]
 ROW_NUMBERS = ("impulse", "velocity", "target", "regulariser", "residual", "lo", "hi")
 
 
