@@ -378,7 +378,9 @@ def test_a_control_that_raises_is_named(capsys, tmp_path, monkeypatch):
     assert status == 1 and err.count("\n") == 1
     assert "my_broken_control:grip: ValueError: boom (my_broken_control.py:2)" in err
     status, _, err = call(capsys, *args, "my_broken_control:few")
-    assert status == 2 and "function of (time, sim)" in err
+    assert (
+        status == 2 and "my_broken_control:few: the control function must take (time, sim)" in err
+    )
     status, _, err = call(capsys, *args, "my_broken_module:f")
     assert status == 2 and "my_broken_module:f: ZeroDivisionError" in err
 
