@@ -9,6 +9,7 @@ from tangents import differences
 
 import stepcore as sc
 from stepcore.engine.linear_maps import INTEGRATORS
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.growth import step_growth
 from stepcore.measure.diagnosis.isolated import oscillator_dt
 from stepcore.measure.diagnosis.linear_motion import linear_motion
@@ -18,6 +19,7 @@ from stepcore.measure.diagnosis.linear_step import (
     step_map,
     with_converged_rows,
 )
+from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 
 # Runs beyond their limits are what these tests make.
 pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
@@ -118,6 +120,29 @@ def test_rates_are_those_of_the_motion():
         state = State("there", 0.0, np.array([angle]), np.zeros(1), np.zeros(0))
         rates = np.linalg.eigvals(rates_matrix(model, state))
         assert np.allclose(np.sort_complex(rates), expected, atol=1e-5)
+
+
+def test_the_midpoint_step_is_one_linear_system():
+    """Law: without rows A of the midpoint rule, from one linearised acceleration, is what
+    `linearize` iterates to, on free, ball and hinge joints that turn fast; to 1e-8 of its size."""
+    scene = sc.Scene().with_settings(integrator="midpoint", dt=0.02)
+    parent = scene.world
+    for kind in ("free", "ball", "hinge"):
+        parent = scene.add_body(kind, parent=parent, pos=(0.3, 0, 0))
+        given = {} if kind == "free" else {"stiffness": 20.0, "damping": 0.1}
+        scene.add_joint(parent, kind, name=kind, **given)
+        scene.add_geom(parent, "box", (0.1, 0.2, 0.3), pos=(0.1, 0.05, 0), mass=1.0)
+    scene.add_actuator("hinge", type="position", kp=30.0, kv=0.2)
+    scene.features.constraint = False
+    model = with_converged_rows(scene.compile())
+    rng = np.random.default_rng(0)
+    for speed in (0.0, 1.0, 8.0):
+        sim = sc.Sim(model)
+        change = rng.normal(size=model.nv)
+        sim.qpos[:] = Coordinates(model).moved(model.qpos0, change)
+        sim.qvel[:], sim.ctrl[:] = speed * rng.normal(size=model.nv), 0.4
+        real = sim.linearize().A
+        assert np.abs(midpoint_map(sim)[0] - real).max() < 1e-8 * np.abs(real).max()
 
 
 # --- against the real step ----------------------------------------------------------------------

@@ -30,6 +30,7 @@ from stepcore.measure.diagnosis.elements import (
     slipping_elements,
 )
 from stepcore.measure.diagnosis.feedback import Feedback
+from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 
 # The step from which J is read [s]: a free rotation turns by dt·v, an error of this size.
 TINY_STEP = 1e-7
@@ -172,9 +173,12 @@ def step_maps(model: Model, state: State, integrator: str, dt: float, count: int
 
 def closed_step(sim: Sim, feedback: Feedback | None, hold: int = 1) -> Floats:
     """A of the next steps of a Sim, with the controls of the first held; it stays where it is."""
-    linear, n = sim.linearize(), 2 * sim.model.nv
-    # Activations are held.
-    step, inputs = linear.A[:n, :n], linear.B[:n]
+    if sim.settings.integrator == "midpoint" and not sim.model.scene.features.constraint:
+        step, inputs = midpoint_map(sim)
+    else:
+        linear, n = sim.linearize(), 2 * sim.model.nv
+        # Activations are held.
+        step, inputs = linear.A[:n, :n], linear.B[:n]
     return step if feedback is None else feedback.closed(step, inputs, hold)
 
 
