@@ -3,9 +3,9 @@
 #
 # **A cube that a gripper holds by friction sinks at 1.89 mm/s, and a smaller time
 # step does not help. `stiction=True` stops it: below 1e-6 µm/s, at no smaller
-# step.** The creep is MuJoCo's, whose soft contact stepcore has by default:
-# friction rows are softened like normals, and have no position to return to.
-# `check` finds it and names the cures.
+# step.** The creep comes from MuJoCo's soft contact, stepcore's default: it softens
+# friction rows as it softens normals, and they have no position to return to.
+# `check` finds the creep and names its cures.
 
 # %%
 import stepcore as sc
@@ -44,7 +44,7 @@ scene = sc.loads(GRIPPER)
 # ## Does it hold?
 #
 # Each finger presses with 2 N, so friction can carry 2 × 0.6 × 2 N = 2.40 N, and
-# the cube weighs 0.981 N: 41% of it. By Coulomb's law it stands still.
+# the cube weighs 0.981 N, 41% of that. By Coulomb's law it stands still.
 
 # %%
 weight, most = 0.1 * 9.81, 2 * 0.6 * 2.0
@@ -52,7 +52,8 @@ print(f"weight {weight:.3f} N, friction up to {most:.2f} N: {weight / most:.0%}"
 print(sc.check(scene, progress=False).findings[0].text)
 
 # %% [markdown]
-# Two seconds of it; drag to turn, and watch the cube between the fingers:
+# This page replays two seconds. Drag to turn, and watch the cube between the
+# fingers:
 
 # %%
 sim = sc.Sim(scene)
@@ -62,11 +63,11 @@ sim.run(2.0)
 # %% [markdown]
 # ## What helps
 #
-# We let it settle for a second, and measure how far the cube sinks in the next two.
+# The cube settles for a second; then we measure how far it sinks in the next two.
 # A quarter of the time step changes nothing. `impratio` divides the creep by its
-# value: it stiffens friction, and the solver's task with it. MuJoCo's
+# value, but it makes friction stiffer and harder to solve. MuJoCo's
 # `noslip_iterations` sweep over friction again after each solve. Only `stiction`
-# makes it a law of the contact: a spring from where the cube was gripped.
+# changes the law of the contact: a spring holds the cube where it was gripped.
 
 
 # %%
@@ -91,8 +92,8 @@ held = creep(stiction=True)
 print(f"stiction           {abs(held):8.2f} µm/s, below 1e-6: {abs(held) < 1e-6}")
 
 # %% [markdown]
-# The same at 5 ms, two and a half times the step; and when the weight is more than
-# friction can carry, the cube slips, as it should:
+# `stiction` also holds the cube at 5 ms, two and a half times the step. If the
+# weight is more than friction can carry, the cube slips, as it should:
 
 # %%
 print(f"stiction, dt 5 ms  {abs(creep(stiction=True, dt=0.005)):8.2f} µm/s")
@@ -106,8 +107,7 @@ print(f"gripped with 0.7 N each: {100 * fallen:.1f} cm lower after 1 s")
 # %% [markdown]
 # ## Keep it
 #
-# The setting is written into the file, where MuJoCo ignores it and stepcore reads
-# it.
+# The file keeps the setting. stepcore reads it, and MuJoCo ignores it.
 
 # %%
 holds = scene.with_settings(scene.settings.replace(stiction=True))

@@ -3,8 +3,8 @@
 #
 # **For reaching movements of gymnasium's `reacher`, the model without velocity
 # forces, limits and warm start is as good to 1 mm, and saves 18 % of the work.**
-# `plan` lists what a step computes; `ablate` leaves out one feature after another,
-# measures what that changes, and puts together the smallest model within a
+# `plan` lists what a step computes. `ablate` removes one feature at a time,
+# measures the error that this adds, and finds the smallest model within a
 # tolerance.
 
 # %%
@@ -22,9 +22,10 @@ print("\n".join(plan.sentences))
 # %% [markdown]
 # ## What could be left out?
 #
-# The motion is 0.5 s from 4 starts, with smooth controls. Every feature is left out
-# in turn; those that change the worst start by 1 mm at most are then left out
-# together, and the result must hold from 32 starts that the search has not seen.
+# The motion is 0.5 s from 4 starts, with smooth controls. Each feature is removed
+# alone. Then as many as possible are removed together, so that the worst start
+# changes by at most 1 mm. The result must hold from 32 starts that the search has
+# not seen.
 
 # %%
 result = sc.ablate(
@@ -38,8 +39,8 @@ result.plot()
 # %% [markdown]
 # ## The smallest model
 #
-# It is a scene like any other. It is the smallest *for this motion*: without its
-# limits an arm that reaches further would turn on.
+# The smallest model is a scene like any other. It is the smallest *for this
+# motion*: without its limits, an arm that reaches further would not stop.
 
 # %%
 small = result.smallest  # small.save("small.xml") writes it to a file

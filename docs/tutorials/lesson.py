@@ -1,11 +1,11 @@
 # %% [markdown]
 # # The lesson
 #
-# **Four small scenes show what goes wrong in a simulation, each with a number that
-# can be worked out on paper.** An integrator can create energy. A contact that is a
-# spring sinks in or explodes. A contact that is a constraint does neither, but
-# rests too deep where the time step is large. Contacts that rest on each other need
-# more than one sweep of the solver.
+# **Four small scenes show how a simulation goes wrong, each with a number that can
+# be calculated by hand.** An integrator can create energy. A contact that is a
+# spring sinks in or explodes. A contact that is a constraint does neither, but it
+# rests too deep if the time step is large. Bodies that rest on each other need more
+# than one sweep of the solver.
 
 # %%
 import warnings
@@ -27,9 +27,9 @@ def started(scene, **settings):
 # ## An integrator can create energy
 #
 # A mass of 1 kg swings on a spring of 100 N/m: 2000 steps of 0.01 s. Its energy
-# should stay what it was. `explicit` multiplies it by 1 + (ω dt)² = 1.01 in every
-# step, by 4.39e+08 in all. `semi-implicit` costs the same, and ends at 1.05 of what
-# it was.
+# should stay constant. `explicit` multiplies it by 1 + (ω dt)² = 1.01 in every
+# step, by 4.39e+08 in all. `semi-implicit` costs the same, and ends at 1.05 of the
+# first energy.
 
 # %%
 growth = {}
@@ -44,7 +44,7 @@ with warnings.catch_warnings(record=True) as warned:
 print(f"by theory: × {1.01**2000:.3g}")
 
 # %% [markdown]
-# The engine keeps an eye on this, and says which element the energy came from:
+# The engine watches the energy, and its warning names the element that injected it:
 
 # %%
 print(warned[0].message)
@@ -75,9 +75,9 @@ fig.tight_layout()
 # ## A contact that is a constraint
 #
 # Under the law `lesson` the solver finds the impulse for which the ball does not
-# sink in any further. It comes to rest whatever the step. How deep it rests can be
-# written down: s m g dt²/β, with the softness s = 0.5 and β = 0.2: 98.1 µm at 2 ms,
-# and a hundred times that at 20 ms.
+# sink in any further. The ball comes to rest at every step size. Its depth is
+# s m g dt²/β, with the softness s = 0.5 and β = 0.2: 98.1 µm at 2 ms, and a hundred
+# times that at 20 ms.
 
 # %%
 for dt in (0.002, 0.01, 0.02):
@@ -89,8 +89,8 @@ for dt in (0.002, 0.01, 0.02):
 # %% [markdown]
 # ## Two contacts, and sweeps
 #
-# One ball on another: the solver goes over the rows one by one, and each sweep
-# undoes a part of what the one before had reached. With equal balls and rigid rows
+# One ball rests on another. The solver goes over the rows one by one, and each row
+# undoes a part of the last row's solution. With equal balls and rigid rows
 # a sweep leaves 50% of the error: the lower contact is 196 µm deep with 1 sweep a
 # step, and 0.000187 µm with 20.
 
@@ -106,7 +106,7 @@ print(f"a sweep leaves {result.theory.radius:.0%}")
 # %% [markdown]
 # ## All of it
 #
-# The whole lesson has 74 figures, each beside its reference.
+# The whole lesson compares 74 figures with their references.
 # `stepcore lesson --all` prints them.
 
 # %%

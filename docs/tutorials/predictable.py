@@ -3,8 +3,8 @@
 #
 # **A double pendulum that falls from a raised pose can be predicted for 3.2 s;
 # after that no time step and no integrator gives its position.** Two runs that
-# start a nanometre apart are far from each other before 20 s are over. What can
-# still be compared are averages. `predict` measures where the border is.
+# start a nanometre apart are far from each other before 20 s are over. Averages can
+# still be compared. `predict` measures how long positions can be predicted.
 
 # %%
 import matplotlib.pyplot as plt
@@ -35,7 +35,7 @@ scene = sc.loads(PENDULUM)
 # ## For how long?
 #
 # The motion runs again from states moved by 1e-9 of the scene's size. It counts as
-# lost when that has grown more than 1000 times.
+# lost when this distance has grown more than 1000 times.
 
 # %%
 result = sc.predict(scene, horizon=20.0, starts=1, progress=False)
@@ -48,9 +48,9 @@ result.plot()
 # %% [markdown]
 # ## The same by hand
 #
-# Two runs at a step of 1 ms, one of them moved by 1e-09 rad. This is no error of
-# the integrator: at this step the energy of the fall, which should stay the same,
-# changes by less than 1e-07 of what moves.
+# Two runs use a step of 1 ms; one of them starts 1e-09 rad away. The integrator is
+# not the cause: at this step the total energy, which should stay constant, changes
+# by less than 1e-07 of the largest kinetic energy.
 
 
 # %%
@@ -61,17 +61,17 @@ def run(offset):
     return sim.run(20.0, record=("qpos", "energy"))
 
 
-one, other = run(0.0), run(1e-9)
-apart = np.abs(one.qpos - other.qpos).max(axis=1)
+exact, moved = run(0.0), run(1e-9)
+apart = np.abs(exact.qpos - moved.qpos).max(axis=1)
 for second in (0, 5, 10, 15, 20):
     print(f"{second:2} s: {apart[1000 * second]:.0e} rad apart")
-total = one.energy.sum(axis=1)
-change = np.ptp(total) / one.energy[:, 0].max()
+total = exact.energy.sum(axis=1)
+change = np.ptp(total) / exact.energy[:, 0].max()
 print(f"energy changes by {change:.0e}, below 1e-07: {change < 1e-7}")
 
 # %%
 fig, ax = plt.subplots(figsize=(7, 3))
-ax.semilogy(one.time[1:], apart[1:])
+ax.semilogy(exact.time[1:], apart[1:])
 ax.axvline(result.time, color="0.5", linestyle="--")
 ax.set(xlabel="time [s]", ylabel="apart [rad]", title="two runs, 1e-9 rad apart")
 fig.tight_layout()
@@ -79,10 +79,10 @@ fig.tight_layout()
 # %% [markdown]
 # ## What can be said beyond
 #
-# Position errors after that time say nothing about a setting, so measurements stop
-# counting them there. The trade then compares means over time, over 32 starts: a
-# setting is wrong if its means differ by more than chance. A step of 40 ms is, one
-# of 20 ms is not.
+# Position errors after that time say nothing about a setting, so measurements do
+# not count them. `trade` then compares means over time, over 32 starts. A setting
+# is wrong if its means differ from the reference's by more than chance. A step of
+# 40 ms is wrong, one of 20 ms is not.
 
 # %%
 trade = sc.trade(

@@ -4,7 +4,7 @@
 # **An arm that runs at 1 ms explodes at 2 ms, because of one servo. With the
 # integrator `discrete` it runs at 2 ms, at half the cost and about the same
 # error.** `diagnose` names the element that limits the time step and lists the
-# changes that lift the limit; `trade` says what each costs in accuracy.
+# changes that lift the limit. `trade` measures their accuracy and cost.
 
 # %%
 import warnings
@@ -41,11 +41,11 @@ with warnings.catch_warnings(record=True) as warned:
 print(warned[0].message)
 
 # %% [markdown]
-# Loading it already warns: the step of 1 ms is close to a limit.
+# `loads` already warns that the step of 1 ms is close to a limit.
 #
 # ## Twice the step
 #
-# At 2 ms it does not hold. The error says which element the energy came from:
+# At 2 ms the motion explodes. The error names the element that injected the energy:
 
 # %%
 sim = sc.Sim(scene, dt=0.002)
@@ -63,18 +63,18 @@ diagnosis = sc.diagnose(scene, dt=0.002, horizon=0.5, progress=False)
 print("\n".join(diagnosis.sentences))
 
 # %% [markdown]
-# The wrist swings at 201.5 Hz with hardly any damping, and `implicitfast` takes its
-# damping, but not its stiffness, as implicit. `discrete` takes both: no model is
-# changed. Or the gain of the servo could be lowered, to 118 N·m/rad.
+# The wrist swings at 201.5 Hz with hardly any damping. `implicitfast` treats its
+# damping implicitly, but not its stiffness. `discrete` treats both implicitly, and
+# leaves the model as it is. A lower gain of the servo, 118 N·m/rad, works too.
 
 # %%
 diagnosis.plot()
 
 # %% [markdown]
-# ## What does it cost in accuracy?
+# ## How accurate is it?
 #
-# Both integrators at four steps, against the arm's own converged motion. Costs are
-# counted in operations, so they are the same on every machine.
+# Both integrators run at four steps, and are compared with the arm's own converged
+# motion. Costs are counted in operations, so they are the same on every machine.
 
 # %%
 trade = sc.trade(
@@ -98,13 +98,13 @@ for row in sorted(trade.rows, key=lambda row: row.flops):
         )
 
 # %% [markdown]
-# As shipped the worst start is off by 2.2 mm; `discrete` at 2 ms by 2.4 mm, for
-# half the operations. The motion of the wrist's spring itself is not resolved by
-# either, and need not be.
+# As shipped the error of the worst start is 2.2 mm. With `discrete` at 2 ms it is
+# 2.4 mm, for half the operations. Neither resolves the oscillation of the wrist's
+# servo, and this motion does not need it.
 #
 # ## Use it
 #
-# The change is one line of settings, and can be saved as a file:
+# The change is one line of settings. The scene with it can be saved as a file:
 
 # %%
 fast = scene.with_settings(scene.settings.replace(integrator="discrete", dt=0.002))

@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Thousands of worlds
 #
-# **A `Batch` steps 4096 inverted pendulums at once, each with the bits that it
-# would have alone: 57% of the starts that we try are caught by a linear
-# controller.** The controller comes from the exact derivative of a step; the batch
-# then says where it works, in a few lines of numpy.
+# **A `Batch` steps 4096 inverted pendulums at once, each with the same bits as a
+# single run: a linear controller catches 57% of the starts that we try.** The
+# controller comes from the exact derivative of a step. The batch then shows where
+# it works, in a few lines of numpy.
 
 # %%
 import time
@@ -20,8 +20,8 @@ scene = sc.load("gymnasium:inverted_pendulum")
 # ## A controller from the derivative
 #
 # `Sim.linearize` gives the derivative of the step itself, x → A x + B u, for a step
-# of 20 ms. From A and B the Riccati iteration of textbooks makes the gains of u =
-# −K x.
+# of 20 ms. The Riccati iteration of textbooks gives the gains K of u = −K x from A
+# and B.
 
 # %%
 sim = sc.Sim(scene)
@@ -38,13 +38,13 @@ print(f"a step of {1e3 * sim.settings.dt:.0f} ms")
 print(f"alone × {grows:.3f} a step, with K × {decays:.3f}")
 
 # %% [markdown]
-# Left alone the pendulum moves away by a factor of 1.095 in every step; with the
-# controller it comes back, by a factor of 0.964.
+# Without control the pendulum's distance grows by a factor of 1.095 in every step.
+# With the controller it shrinks by a factor of 0.964.
 #
 # ## Where does it work?
 #
-# 64 angles times 64 angular velocities are 4096 worlds. All arrays have the worlds
-# in front: `batch.qpos` has the shape (4096, 2).
+# 64 angles times 64 angular velocities are 4096 worlds. Worlds are the first axis
+# of all arrays: `batch.qpos` has the shape (4096, 2).
 
 # %%
 angles, rates = np.linspace(-1.0, 1.0, 64), np.linspace(-4.0, 4.0, 64)
@@ -77,7 +77,7 @@ ax.set(xlabel="angle [rad]", ylabel="angular velocity [rad/s]", title="caught")
 fig.tight_layout()
 
 # %% [markdown]
-# How fast this is depends on the machine. Here, controller included:
+# The speed depends on the machine. On this one, controller included:
 
 # %%
 print(f"{4096 * 250 / seconds:.3g} steps a second")
@@ -85,8 +85,8 @@ print(f"{4096 * 250 / seconds:.3g} steps a second")
 # %% [markdown]
 # ## The bits are those of one world
 #
-# Worlds are stepped side by side in the lanes of the processor's vector registers,
-# and on all its cores. World 2000 run alone has the same bits:
+# Worlds are stepped together in the lanes of the processor's vector registers, and
+# on all its cores. World 2000, stepped alone, has the same bits:
 
 # %%
 alone = sc.Sim(scene)
