@@ -2,6 +2,7 @@
 
 import pytest
 
+from stepcore import Scene
 from stepcore.mjcf.schema import ROOT
 from stepcore.scene import elements
 from stepcore.scene.element import table
@@ -71,3 +72,14 @@ def test_a_general_actuator_can_have_any_law_without_a_controller(kind):
         values["input"] = "expmap"
     law = row.to_law(values)
     assert LAWS["general"].to_law(law.general()) == law
+
+
+@pytest.mark.parametrize("kind", ["pid", "dcmotor"])
+def test_a_controller_has_no_input_of_an_orientation(kind):
+    scene = Scene()
+    body = scene.add_body("arm")
+    scene.add_joint(body, "hinge", name="elbow")
+    scene.add_geom(body, "sphere", 0.1)
+    scene.add_actuator("elbow", kind, name="servo", motorconst=None, input="x")
+    with pytest.raises(ValueError, match=f"\"servo\": input = 'x': must be .* for a {kind}"):
+        scene.compile()

@@ -396,7 +396,7 @@ class Actuator(Element):
         words, motor = self.inputs, self.type == "dcmotor"
         if motor:
             self._check_motor(words)
-        elif self.input is None or "voltage" in words:
+        elif self.input is None or not {*words} <= {*INPUTS[:3]}:
             raise self._bad("input", "some of pos, vel, ff for a pid")
         if self.ki and "pos" not in words:
             raise self._bad("ki", "None without the input pos")
@@ -413,6 +413,8 @@ class Actuator(Element):
                 raise self._bad(field, "None on a ball or a refsite")
 
     def _check_motor(self, words: list[str]) -> None:
+        if not {*words} <= {*INPUTS}:
+            raise self._bad("input", f"some of {', '.join(INPUTS)} for a dcmotor")
         for field in ("motorconst", "resistance"):
             if (getattr(self, field) or 0.0) <= 0:
                 raise self._bad(field, "> 0")
