@@ -407,7 +407,7 @@ JUNK = st.one_of(
 def test_any_scene_compiles_or_is_a_value_error_and_any_model_steps_or_says_why():
     outcomes = collections.Counter()
 
-    @settings(max_examples=300, deadline=None, derandomize=True)
+    @settings(max_examples=500, deadline=None, derandomize=True)
     @given(st.lists(st.tuples(st.sampled_from(PLACES), JUNK), min_size=1, max_size=2))
     def changed(changes):
         outcomes[outcome(changes)] += 1
