@@ -80,11 +80,12 @@ From the schema of MuJoCo {version}, by `python benches/mjcf_attributes.py`, whi
 attribute to a value that is not its default in a scene where it matters, and runs that scene here
 and in MuJoCo:
 
-- **honoured**: the motion is MuJoCo's, and another one than without the attribute; and names.
-- **no effect**: MuJoCo's motion is the same with and without it; it is read and checked.
-- **only draws**, **senses**, **data**: the element is read past and listed in `Scene.ignored`; of a
-  sensor, where this attribute is set.
-- **refused**: an error with file and line that says what the thing does to the motion. It can be
+- **honoured**: the motion is MuJoCo's, and it differs from the motion without the attribute. Names
+  are honoured too.
+- **no effect**: MuJoCo's motion is the same with and without the attribute. It is read and checked.
+- **only draws**, **senses**, **data**: the element is listed in `Scene.ignored` and not simulated.
+  A sensor is listed only if it has this attribute.
+- **refused**: an error with file and line says how the attribute would change the motion. It can be
   left out: `load(path, without=["joint/springyield"])`, `--without joint/springyield`
   ([refusals](#refusals)).
 
@@ -98,7 +99,7 @@ Of {count} attributes {counts}.
 
 ## Refusals
 
-All that is wrong with a file, or not built yet, is listed at once, a line for each:
+An error lists everything that is wrong with a file or not built yet, one line for each:
 
     robot.xml:12: <flexcomp> in <body> is not built yet: its points move, … (also in line 15)
     robot.xml:40: a spring that yields (springyield) is not built yet: the spring of the …
@@ -106,18 +107,19 @@ All that is wrong with a file, or not built yet, is listed at once, a line for e
 
 `without` takes a section (`contact`, `tendon`, `equality`, `actuator`, `sensor`, `keyframe`), an
 element (`weld`, or `actuator/muscle` where a name is ambiguous), an attribute
-(`joint/springyield`), `flex` or `plugin`. What refers to something that is left out is left out
-too, and a keyframe keeps the controls of the actuators that stay. `Scene.notes` says what that
-changes, and every result that says what motion it ran says so: "…; law solref; without flex (2)".
+(`joint/springyield`), `flex` or `plugin`. Elements that refer to a removed one are removed too, and
+a keyframe keeps the controls of the actuators that stay. `Scene.notes` says what this changes, and
+every result names it in its motion: "…; law solref; without flex (2)".
 
-Why these are refused:
+Reasons for the refusals:
 
-- **flex, plugins, skins that move**: another kind of body, and code outside of the file.
+- **flex, plugins, skins that move**: another kind of body, and code outside the file.
 - **flags**: `ipc` solves the contacts of flexes. `diagexact` gives rows another softness, and
   `speculative` adds contacts before shapes meet: options that change MuJoCo's own motion.
 - **as MuJoCo does**: a sensor's `cutoff` of axes and quaternions.
-- **not built yet**: an `orientation` of a site (that of a ball is); springs that yield, and what
-  keyframes hold of them (`plastic`); scaled frames; sensors that read late or rarely.
+- **not built yet**: an `orientation` of a site (that of a ball is built); springs that yield, and
+  their state in keyframes (`plastic`); scaled frames; a mesh's `builtin` `grid`, `box`, `cylinder`
+  and `ellipsoid`, which `load(MjModel)` reads. Sensors that read late or rarely are not computed.
 """
 
 
