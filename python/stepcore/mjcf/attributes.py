@@ -11,10 +11,11 @@ from stepcore.scene.element import Element, table
 def given(kind: type[Element], values: Mapping[str, Any], *skip: str) -> dict[str, Any]:
     """The fields of an element class that these attributes give, but for those to `skip`."""
     fields: dict[str, Any] = {}
-    for name, row in table(kind).items():
-        if name not in values or name in skip or row.type.attribute is None:
+    rows = table(kind)
+    for name, value in values.items():
+        row = rows.get(name)
+        if row is None or name in skip or row.type.attribute is None:
             continue
-        value = values[name]
         if row.poly:
             value, *higher = value
             if any(higher):
@@ -27,9 +28,9 @@ def given(kind: type[Element], values: Mapping[str, Any], *skip: str) -> dict[st
 
 def changed(element: Element, *skip: str) -> dict[str, Any]:
     """The attributes of an element whose fields differ from their defaults."""
-    attributes = {}
+    attributes, rows = {}, table(type(element))
     for name, value in element.values().items():
-        row = table(type(element))[name]
-        if name not in skip and value != row.default:
+        row = rows[name]
+        if value is not row.checked and name not in skip and value != row.default:
             attributes[name] = value if row.type.write is None else row.type.write(value)
     return attributes

@@ -163,12 +163,9 @@ class Element:
         The coefficients of a polynomial stand together, if there are any beyond the first.
         """
         own, values = self.__dict__, {}
-        for name, row in table(type(self)).items():
+        for name, poly in _value_plan(type(self)):  # type: ignore[arg-type]
             value = own[name]
-            if row.poly and any(own[row.poly]):
-                value = (value, *own[row.poly])
-            if not name.endswith("poly"):
-                values[name] = value
+            values[name] = (value, *own[poly]) if poly and any(own[poly]) else value
         return values
 
     def record(self, *skip: str) -> dict[str, Any]:
@@ -221,6 +218,14 @@ class Element:
 
 
 @functools.cache
+def _value_plan(kind: type[Element]) -> list[tuple[str, str]]:
+    """The fields that are attributes by themselves, each with its higher coefficients."""
+    rows = table(kind)
+    higher = {row.poly for row in rows.values()}
+    return [(name, row.poly) for name, row in rows.items() if name not in higher]
+
+
+@functools.cache
 def _record_plan(kind: type[Element], skip: tuple[str, ...]) -> list[tuple[str, str, str, str]]:
     """The fields of a record: name, the engine's name, and those that stand with it."""
     rows = table(kind)
@@ -263,6 +268,7 @@ def made(kind: type[E], values: Mapping[str, Any]) -> E:
     return element
 
 
+@functools.cache
 def fields_of(kind: type[Element]) -> tuple[str, ...]:
     """The names of the fields of an element class, in order."""
     return tuple(table(kind))
