@@ -20,6 +20,7 @@ import scenes
 import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment.arguments import Workers
+from stepcore.experiment.cost import priced
 from stepcore.experiment.errors import errors
 from stepcore.experiment.failure import far_off
 from stepcore.experiment.motion import Motion
@@ -28,7 +29,6 @@ from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled, time_steps
 from stepcore.measure.trade.methods import COULOMB_LAW, SMOOTH_LAW, Steps, longest
-from stepcore.measure.trade.run_cache import priced
 from stepcore.report.progress import Progress
 
 G = (0, 0, -9.81)
@@ -213,7 +213,7 @@ class Judge:
 
     def price(self, settings: sc.Settings) -> float:
         """Operations per simulated second, on the motion of the first start."""
-        return priced(self.runner, settings)[1].flops
+        return priced(self.runner, settings, [0], Workers())[1].flops
 
 
 def every(shipped: sc.Settings, steps: Steps, rows: int) -> Iterator[sc.Settings]:

@@ -93,12 +93,8 @@ class Score:
         return float(getattr(errors, self.measure))
 
 
-# The score of a setting: the errors are those from the converged motion.
+# The score of a setting is its error against the converged motion.
 WORST_START = Score("high", "RMS position error of the worst start", "m")
-# The score of a feature that is removed: the errors are those from the whole model's own motion.
-ADDED = Score("high", "RMS position error added in the worst start", "m")
-# The score of a cell of a stability map.
-LARGEST = Score("relative_max", "largest distance over the size", "1")
 
 
 def errors(

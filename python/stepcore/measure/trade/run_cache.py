@@ -31,7 +31,7 @@ Ran = tuple[list[Run], Work]
 Job = tuple[Settings, int, int]
 
 
-class Score(NamedTuple):
+class PricedError(NamedTuple):
     """price: floating-point operations per simulated second. error: RMS of the worst start [m].
 
     Both infinite for a failure.
@@ -99,13 +99,13 @@ class RunCache:
             self.full[setting], self.work[setting] = runs, work
             self.count += len(runs)
 
-    def score(self, settings: Settings, starts: int) -> Score:
+    def score(self, settings: Settings, starts: int) -> PricedError:
         """The price and the error of a setting, by its positions from the first starts alone."""
         runs = self.screened[settings][:starts]
         if self.why_failed(runs):
-            return Score(math.inf, math.inf)
+            return PricedError(math.inf, math.inf)
         errors = self.experiment.errors(runs, self.reference)
-        return Score(self.work[settings].flops, WORST_START(errors))
+        return PricedError(self.work[settings].flops, WORST_START(errors))
 
     def failure(self, settings: Settings) -> str | None:
         """Why a setting that was run from all starts failed, or None."""

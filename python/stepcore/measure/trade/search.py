@@ -17,7 +17,7 @@ from stepcore._core import Settings
 from stepcore.experiment.reference import FINER
 from stepcore.measure.trade.methods import Kind, Steps, families, moves
 from stepcore.measure.trade.rows import MARGIN
-from stepcore.measure.trade.run_cache import RunCache, Score
+from stepcore.measure.trade.run_cache import PricedError, RunCache
 
 # Starts that methods are first judged from.
 FEW = 2
@@ -59,7 +59,7 @@ class Bracket:
 
     base: Settings
     guess: int
-    known: dict[int, Score] = field(default_factory=dict)
+    known: dict[int, PricedError] = field(default_factory=dict)
     floored: bool = False
 
     def meets(self, error: float) -> int | None:
@@ -102,7 +102,7 @@ class Bracket:
         return equal_error(self.known[n], error, self.order(error))
 
 
-def equal_error(score: Score, error: float, order: float) -> float:
+def equal_error(score: PricedError, error: float, order: float) -> float:
     """The price at another error, if the error falls with the step at this order."""
     if not 0 < score.error < math.inf:
         return score.price
@@ -174,7 +174,7 @@ class SettingsSearch:
 
         least: smaller errors are not wanted [m]. known: of errors up to it the cheapest is wanted.
         """
-        by_name: dict[str, list[tuple[Score, int, Settings]]] = {}
+        by_name: dict[str, list[tuple[PricedError, int, Settings]]] = {}
         for i, setting in enumerate(self.cache.screened):
             scored = (self.cache.score(setting, self.few), i, setting)
             by_name.setdefault(setting.integrator, []).append(scored)
