@@ -457,8 +457,7 @@ def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
     """A new element; a field that it does not have is a ValueError with the nearest name."""
-    element_kind: type[Element] = kind
-    known = fields_of(element_kind)
+    known = fields_of(kind)
     for field in fields:
         if field not in known:
             near = checks.nearest(field, known)

@@ -268,7 +268,6 @@ def made(kind: type[E], values: Mapping[str, Any]) -> E:
     return element
 
 
-@functools.cache
 def fields_of(kind: type[Element]) -> tuple[str, ...]:
     """The names of the fields of an element class, in order."""
     return tuple(table(kind))
