@@ -1,4 +1,4 @@
-"""`diagnose`: which element limits the time step, by name, and what to change."""
+"""`diagnose` names the element that limits the time step, and the changes that raise the limit."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ def diagnose(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Diagnosis:
-    """Finds the element that limits the time step, and the changes that make a wanted step stable.
+    """Find the element that limits the time step, and changes that make a wanted step stable.
 
     The step is linearised (`Sim.linearize`) at the start and at some states along the motion. The
-    largest stable dt is where an eigenvalue begins to grow faster than the motion itself, found by
-    bisection for each integrator; the worst state decides.
+    largest stable dt is the step above which an eigenvalue grows faster than the motion itself. It
+    is found by bisection for each integrator, and the worst state decides.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: the `Motion` along which the states lie; or write its fields as arguments, except
@@ -67,12 +67,12 @@ def diagnose(
         and blends into smooth random ones.
     dt: the wanted time step [s]; by default the scene's own. If it is unstable, each suggestion is
         made on a copy of the model and verified on its linearised step.
-    threads: the number of integrators at the same time (default: one per core).
+    threads: the number of integrators that are diagnosed in parallel (default: one per core).
     executor: any concurrent.futures executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, for a scene in which nothing can move, and
-    for one whose accelerations are not finite at the start.
+    for a scene whose accelerations are not finite at the start.
 
     >>> from stepcore import Scene
     >>> scene = Scene().with_settings(dt=0.005, integrator="semi-implicit")
@@ -109,7 +109,7 @@ def diagnose(
     elements = _element_limits(here)
     check = None
     if not any(state.feedback is not None and state.feedback.order for state in here.states):
-        # A control that remembers is another one in a run of other steps.
+        # A run with other steps would give a control function with memory another history.
         check = judge(MotionRuns(model, visited.driven, horizon), visited.dt)
     by = check if isinstance(check, Judge) else None
     judged = workers.each(partial(judged_limit, here, by, wanted), linear, "motion")
@@ -118,7 +118,7 @@ def diagnose(
     seen = look(check, limits[own], shares[own], wanted)
     limits[own], shares[own] = seen.limit, seen.shares
     if by is not None and any(servo.severe and not servo.reached for servo in seen.saturations):
-        # What a kick shows under one integrator is asked of those that stand beside it.
+        # The kick that fails under the scene's integrator is repeated under the other stable ones.
         for name in limits:
             if name != own and wanted <= limits[name].dt:
                 limits[name], shares[name], _ = kicked(by, limits[name], shares[name], wanted)
@@ -165,7 +165,7 @@ def diagnose(
 
 
 def _rate(here: StepStability, limit: Limit, wanted: float) -> float | None:
-    """The growth [1/s] that the integrator causes at the wanted step, if that is unstable."""
+    """Return the growth [1/s] that the integrator causes at an unstable wanted step, or None."""
     if wanted <= limit.dt:
         return None
     rate = here.growth(limit.integrator, wanted, limit.state).rate
@@ -175,14 +175,14 @@ def _rate(here: StepStability, limit: Limit, wanted: float) -> float | None:
 def _longest_period(
     here: StepStability, integrator: str, dt: float, motion: Motion
 ) -> float | None:
-    """The longest stable control period [s], where one was asked for that matters."""
+    """Return the longest stable control period [s], or None without feedback or a control_dt."""
     if motion.control_dt is None or not any(state.feedback for state in here.states):
         return None
     return longest_period(here, integrator, min(dt, motion.control_dt), here.horizon)
 
 
 def _element_limits(here: StepStability) -> dict[Element, ElementLimits]:
-    """Every element on its own, at the state where it is stiffest; the stiffest first."""
+    """Return each element's limits at the state where it is stiffest, the stiffest first."""
     elements: dict[Element, ElementLimits] = {}
     for k, state in enumerate(here.states):
         motion = here.motion(state)
@@ -191,7 +191,7 @@ def _element_limits(here: StepStability) -> dict[Element, ElementLimits]:
         try:
             isolated = IsolatedElements(motion, here.horizon, k)
         except np.linalg.LinAlgError:
-            # A mass matrix of rounding alone.
+            # The mass matrix is singular to rounding.
             continue
         for element in motion.elements:
             if element == INERTIAL:

@@ -1,9 +1,9 @@
-"""Changes that make the wanted dt stable: values searched on the model itself, and verified.
+"""Search for the least changes of a model that make the wanted dt stable, and verify each.
 
-For each way to change the limiting elements the least change that leaves a margin at the wanted dt
-is searched for, in both directions, on copies of the model and at every state; a run of the real
-step confirms it. Where one element is not enough, those that limit dt next are changed by the same
-factor.
+For each way to change the limiting elements, the search finds the least change that leaves a margin
+at the wanted dt. It works in both directions, on copies of the model and at every state. A run of
+the real step confirms the change. Where one element is not enough, the elements that limit dt next
+are changed by the same factor.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from stepcore.report.units import seconds
 
 # The stability margin that a change leaves: the largest stable dt over the wanted one.
 MARGIN = 1.5
-# The most elements that one piece of advice changes, and the relative resolution of its factor.
+# The most elements that one advice changes, and the relative resolution of its factor.
 TOGETHER, FINE = 8, 0.01
 
 
@@ -50,11 +50,14 @@ TOGETHER, FINE = 8, 0.01
 class Advice:
     """One way to make the wanted dt stable, with a stability margin of `MARGIN`.
 
-    what: what is changed, such as "kp" or "integrator". values: the new values of the scene;
-    settings: or the new settings. met: it was made on the model, and the dt is stable at every
-    state; where no change of its kind is enough it is False, and the text says so. size: how much
-    it changes the model, |log| of the factors of its values (root of the sum of squares); 0 for
-    settings.
+    what: the name of the change, such as "kp" or "integrator".
+    values: the new values of the scene.
+    settings: the new settings.
+    met: whether the change, made on the model, makes dt stable at every state. False means that no
+        change of this kind is enough; the text says so.
+    text: the change in words.
+    size: how much the model changes: root sum of squares of |log| of the factors of its values; 0
+        for settings.
     """
 
     what: str
@@ -72,10 +75,13 @@ def advise(
     wanted: float,
     stiffest: Sequence[Element],
 ) -> list[Advice]:
-    """All ways that were found, those that change the model least first; then what is not enough.
+    """Return the changes that work, the smallest change of the model first, then those that fail.
 
-    limits: by integrator. wanted: the dt [s]. stiffest: what limits the model's own integrator, of
-    one kind.
+    now: the stability of the unchanged model.
+    limits: the limits by integrator.
+    elements: each element on its own.
+    wanted: the wanted dt [s].
+    stiffest: the elements, of one kind, that limit the model's own integrator.
     """
     settings = now.model.settings
     own = limits[settings.integrator]
@@ -88,7 +94,7 @@ def advise(
     advice = [*_settings(now, limits, settings, wanted), *(a for a in tried if a is not None)]
     met = {a.what: a for a in advice if a.met}
     if "kp" in met or "kv" in met:
-        # A gain that is enough by itself is less change than both.
+        # A single sufficient gain is a smaller change than both gains.
         advice = [a for a in advice if a.what != GAINS.what]
     if _owners(met.get(ARMATURE.what)) == _owners(met.get(CHAIN.what)):
         advice = [a for a in advice if a.what != CHAIN.what]
@@ -120,9 +126,7 @@ def _settings(
 
 
 def _bounded(now: StepStability, model: Model, name: str, dt: float, worst: int) -> bool:
-    """Whether runs of the real step from the first state and the worst one stay bounded, and the
-    motion itself holds.
-    """
+    """Return whether the motion holds, and runs from the first and the worst state stay bounded."""
     if now.holds is not None and not now.holds(model, name, dt):
         return False
     states = dict.fromkeys((0, max(worst, 0)))
@@ -131,10 +135,12 @@ def _bounded(now: StepStability, model: Model, name: str, dt: float, worst: int)
 
 @dataclass
 class _Search:
-    """The least change that is stable at the wanted dt.
+    """A search for the least change that is stable at the wanted dt.
 
-    worst: the state that decides so far. by_motion: the limit was seen in the motion itself, which
-    decides of every change too. servos: those that limit dt there, and must come to rest.
+    worst: the index of the state that decides so far.
+    by_motion: whether the limit comes from a run of the motion, which then also judges every
+        change.
+    servos: the actuators that limit dt in that run, and must come to rest.
     """
 
     now: StepStability
@@ -163,7 +169,7 @@ class _Search:
         return Advice(change.what, values, {}, True, text, size)
 
     def softer_penalty(self) -> Advice | None:
-        """The stiffest spring of the law `penalty` that is enough."""
+        """Return the stiffest contact spring of the law `penalty` that is stable, or None."""
         old = self.now.model.settings.penalty_stiffness
 
         def softer(factor: float) -> Model:
@@ -187,27 +193,27 @@ class _Search:
     def _made(
         self, group: Sequence[ElementLimits], change: Change, x: float
     ) -> tuple[Model, list[NewValue]]:
-        """The model with the change made, and its new values."""
+        """Return the model with the change made, and its new values."""
         scene, values = changed(self.now.model, group, change, x, MARGIN * self.wanted)
         return Model(scene, self.now.model.settings), values
 
     def _stable(self, group: Sequence[ElementLimits], change: Change, x: float) -> bool:
-        """Whether the wanted dt is stable at every state, and so is the margin beyond it."""
+        """Return whether every state is stable at the wanted dt and at the margin beyond it."""
         try:
             model, values = self._made(group, change, x)
         except (ValueError, ArithmeticError):
-            # A value that the scene refuses.
+            # The scene refuses the value.
             return False
         if not values:
             return False
-        # The state that decides first: it is unstable most often.
+        # The worst state is checked first, because it is unstable most often.
         worst = self.now.states[self.worst]
         if self._excess(model, [worst], x) > 0 or self._excess(model, self.now.states) > 0:
             return False
         return not self.by_motion or self._holds(model)
 
     def _holds(self, model: Model) -> bool:
-        """Whether the motion itself holds at the margin's step, and servos come to rest there."""
+        """Return whether the motion holds and the servos settle at the margin's step."""
         beyond, begin = MARGIN * self.wanted, self.now.states[0]
         return _bounded(self.now, model, self.integrator, beyond, self.worst) and all(
             settles(model, begin, self.integrator, dt, servo)
@@ -216,7 +222,7 @@ class _Search:
         )
 
     def _excess(self, model: Model, states: Sequence[Any], x: float | None = None) -> float:
-        """The largest growth above what is allowed [1/s], at the wanted dt and at its margin."""
+        """Return the largest excess growth [1/s] at the wanted dt and at its margin."""
         try:
             made = step_stability(model, states, self.now.horizon)
         except ValueError:
@@ -232,7 +238,7 @@ class _Search:
         return largest
 
     def _enough(self, group: Sequence[ElementLimits], change: Change) -> float | None:
-        """The x nearest to no change that is enough, refined by bisection; None where none is."""
+        """Return the x nearest to no change that is stable, refined by bisection, or None."""
         self.nearest = (math.inf, change.xs[0])
         for x in change.xs:
             if not self._stable(group, change, x):
@@ -245,7 +251,7 @@ class _Search:
         return None
 
     def _next(self, group: Sequence[ElementLimits], change: Change) -> ElementLimits | None:
-        """The element that limits dt once these are changed by as much as helps most."""
+        """Return the element that limits dt after the group's most effective change, or None."""
         model, _ = self._made(group, change, self.nearest[1])
         made = step_stability(model, self.now.states, self.now.horizon)
         dt = MARGIN * self.wanted
@@ -268,7 +274,10 @@ class _Search:
 
 
 def _not_enough(change: Change, more: Sequence[ElementLimits]) -> Advice:
-    """more: the elements that were changed beside those that limit dt."""
+    """Return the advice that a change fails.
+
+    more: the elements that were changed in addition to those that limit dt.
+    """
     names = Elements(limits.element for limits in more).name
     text = f"{change.what} (of {names} too)" if more else change.what
     return Advice(change.what, (), {}, False, text)

@@ -1,8 +1,9 @@
-"""Ways to change an element so that a larger dt is stable, and what they change in the scene.
+"""Changes of elements that make a larger dt stable, and the new values that each puts in a scene.
 
 A change has one number x: a gain is multiplied by x, an armature grows by x times the inertia that
-the element moves, a damping by x times the critical one, a solref becomes slower by 1/x. It is made
-on a copy of the scene; values are rounded to three digits, towards more change.
+the element moves, a damping grows by x times the critical damping, and a solref becomes slower by
+1/x. Changes are made on a copy of the scene. New values are rounded to three digits, towards more
+change.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.scene.scene import Scene
 
-# How far a gain is changed in both directions, and how far something is added, in octaves.
+# The range of a gain's factor, down and up, and the range of added values, in octaves.
 DOWN, UP, LEAST, MOST = 24, 8, -7, 14
-# A gain of zero grows from this part of the critical damping.
+# A gain of zero starts at this part of the critical damping.
 FROM_NOTHING = 1 / 64
-# A smaller damping ratio counts as this one where damping is added to it.
+# The least damping ratio from which the size of added damping is measured.
 UNDAMPED = 0.01
-# Digits of a new value, and the most values that are written out in one text.
+# Significant digits of a new value, and the most values written out in one text.
 DIGITS, WRITTEN = 3, 3
 
 
@@ -37,9 +38,12 @@ DIGITS, WRITTEN = 3, 3
 class NewValue:
     """A value of the scene before and after a change.
 
-    element: which element has it; owner: its name, such as "servo `elbow`". field: which of its
-    fields, as in `Scene`. before, after: the numbers, in `unit`. size: |log| of the factor by which
-    it changes the gain, or the inertia or the damping that it adds to.
+    element: the element that has the value.
+    owner: the element's name, such as "servo `elbow`".
+    field: the name of the field, as in `Scene`.
+    before, after: the numbers, in `unit`.
+    unit: the unit, "" for none.
+    size: |log| of the factor by which the change multiplies the gain, the inertia or the damping.
     """
 
     element: Element = dataclasses.field(repr=False)
@@ -55,21 +59,21 @@ class NewValue:
 
     @property
     def way(self) -> str:
-        """From which numbers to which."""
+        """The old and the new numbers in words, with unit."""
         old, new = (" ".join(f"{x:.6g}" for x in side) for side in (self.before, self.after))
         unit = f" {self.unit}" if self.unit else ""
         return f"from {old} to {new}{unit}"
 
 
 def text_of(values: Sequence[NewValue]) -> str:
-    """Several changes in words; equal ones together, and no more than a few written out."""
+    """Return several changes in words; equal changes are merged, and at most three written out."""
     alike: dict[tuple[str, str], list[Element]] = {}
     for value in values:
         alike.setdefault((value.field, value.way), []).append(value.element)
     if len(alike) <= WRITTEN:
         texts = (f"change {f} of {Elements(owners).name} {w}" for (f, w), owners in alike.items())
         return ", ".join(texts)
-    # Of one field, with a value for each owner.
+    # Too many to write out: one field with a range of values.
     fields = " and ".join(dict.fromkeys(value.field for value in values))
     low, high = min(v.after[-1] for v in values), max(v.after[-1] for v in values)
     unit = f" {values[0].unit}" if values[0].unit else ""
@@ -78,14 +82,14 @@ def text_of(values: Sequence[NewValue]) -> str:
 
 
 def ratio(before: float, after: float) -> float:
-    """|log| of the factor between two numbers; 0 where there is none."""
+    """Return |log| of the factor between two numbers; 0 if either is zero."""
     if before == 0 or after == 0:
         return 0.0
     return abs(math.log(abs(after)) - math.log(abs(before)))
 
 
 def rounded(value: float, *, up: bool) -> float:
-    """A number >= 0 rounded to three digits, upwards or downwards.
+    """Return a number >= 0 rounded to three digits, upwards or downwards.
 
     >>> rounded(1234.5, up=False), rounded(0.0012341, up=True)
     (1230.0, 0.00124)
@@ -93,9 +97,9 @@ def rounded(value: float, *, up: bool) -> float:
     if value <= 0 or not math.isfinite(value):
         return max(value, 0.0)
     place = math.floor(math.log10(value)) - DIGITS + 1
-    # As text: a power of ten of a small number leaves the range of numbers.
+    # Through text, because the power of ten of a small number would overflow.
     count = float(f"{value:.16e}".split("e")[0]) * 10.0 ** (DIGITS - 1)
-    # A number that has three digits already stays as it is.
+    # A number with three digits already is kept.
     whole = round(count)
     if not math.isclose(count, whole, rel_tol=1e-9):
         whole = math.ceil(count) if up else math.floor(count)
@@ -104,9 +108,11 @@ def rounded(value: float, *, up: bool) -> float:
 
 @dataclass(frozen=True)
 class Change:
-    """A way to change elements. xs: the values of x to try, from little change to large.
+    """A way to change elements.
 
-    adds: x = 0 is no change, and not x = 1.
+    what: the name of the change.
+    xs: the values of x to try, from little change to large.
+    adds: whether x = 0, and not x = 1, is no change.
     """
 
     what: str
@@ -114,7 +120,7 @@ class Change:
     adds: bool = False
 
     def before(self, x: float) -> float:
-        """The value an octave nearer to no change."""
+        """Return the value of x one octave nearer to no change."""
         if x == 1.0 and not self.adds:
             return 1.0
         return 2 * x if x < 1 and not self.adds else x / 2
@@ -133,8 +139,8 @@ def _more(what: str) -> Change:
     return Change(what, tuple(2.0**k for k in range(LEAST, MOST + 1)), adds=True)
 
 
-# What a change is called: a slower or faster response, more or less damping, and the standard form
-# in place of the direct one.
+# Names of changes: a slower or faster response, more or less damping, and the standard form in
+# place of the direct form.
 SOLREF, ROW_DAMPING, STANDARD = "solref", "damping of solref", "standard form of solref"
 
 GAINS, ARMATURE, DAMPING = _both("kp and kv"), _more("armature"), _more("more damping")
@@ -143,7 +149,7 @@ CHAIN = _more("armature of the whole chain")
 ROWS = (
     _both(SOLREF),
     _both(ROW_DAMPING),
-    # At x = 1 another form of the same stiffness.
+    # At x = 1 the form changes and the stiffness does not.
     Change(STANDARD, (1.0, *_less(STANDARD).xs)),
 )
 CHANGES: dict[str, tuple[Change, ...]] = {
@@ -165,9 +171,12 @@ CHANGES: dict[str, tuple[Change, ...]] = {
 def changed(
     model: Model, elements: Sequence[ElementLimits], change: Change, x: float, dt: float
 ) -> tuple[Scene, list[NewValue]]:
-    """A copy of the model's scene with `change` made to some elements, and its new values.
+    """Return a copy of the model's scene with `change` made to some elements, and its new values.
 
-    dt [s]: the step that is to be stable.
+    model: the unchanged model.
+    elements: the elements to change.
+    change, x: the change and its number.
+    dt [s]: the step that must become stable.
     """
     scene = copy.deepcopy(model.scene)
     layout = Layout(scene)
@@ -185,7 +194,7 @@ def changed(
                 continue
             own = layout.joints.index(driven)
             joints = _chain(model, layout, own) if change is CHAIN else [own]
-            # A joint with a spring and a servo, or of a chain, is changed once.
+            # A joint that several elements share is changed once.
             fresh = [joint for joint in joints if joint not in done]
             done |= set(fresh)
             for joint in fresh:
@@ -194,7 +203,7 @@ def changed(
             for field in ("kp", "kv") if change is GAINS else (change.what,):
                 values += _scaled(model, layout, element, field, x)
     if change is CHAIN and len(values) < 2:
-        # One joint: that is the change of its armature.
+        # A chain of one joint is the same change as ARMATURE.
         return scene, []
     return scene, values
 
@@ -202,7 +211,7 @@ def changed(
 def _scaled(
     model: Model, layout: Layout, limits: ElementLimits, name: str, x: float
 ) -> list[NewValue]:
-    """A gain of the element times x; a kv of 0 grows from nothing."""
+    """Multiply a gain of the element by x; a kv of 0 becomes a part of the critical damping."""
     element, joint = limits.element, _joint(layout, limits)
     if element.kind == "actuator":
         servo = layout.scene.actuators[element.index]
@@ -229,7 +238,7 @@ def _scaled(
 
 
 def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> list[NewValue]:
-    """The feedback of a general actuator: biasprm[1], with its gain, or biasprm[2]."""
+    """Scale the feedback of a general actuator: biasprm[1] with its gain, or biasprm[2]."""
     bias = servo.biasprm or (0.0, 0.0, 0.0)
     at = 1 if field == "kp" else 2
     if bias[at] == 0:
@@ -249,7 +258,7 @@ def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> l
 def _added(
     model: Model, layout: Layout, index: int, change: Change, x: float, element: ElementLimits
 ) -> list[NewValue]:
-    """Armature or damping on a joint, beside the mass that it moves."""
+    """Add armature or damping to a joint, in proportion to the inertia that it moves."""
     joint, mass = layout.joints[index], _mass(model, index)
     field = "damping" if change is DAMPING else "armature"
     added = x * 2 * mass * element.omega if change is DAMPING else x * mass
@@ -264,7 +273,7 @@ def _added(
 
 
 def _damped(x: float, element: ElementLimits) -> float:
-    """The size of a change that adds x times the critical damping to what an element has."""
+    """Return the size of a change that adds x times the critical damping to an element."""
     return math.log1p(x / max(element.ratio, UNDAMPED))
 
 
@@ -275,7 +284,7 @@ def _mass(model: Model, joint: int) -> float:
 
 
 def _chain(model: Model, layout: Layout, joint: int) -> list[int]:
-    """The hinges and slides of the tree that a joint belongs to."""
+    """Return the hinges and slides of the kinematic tree that a joint belongs to."""
     roots = [model.root(int(body)) for body in model.jnt_body]
     return [
         j
@@ -287,7 +296,7 @@ def _chain(model: Model, layout: Layout, joint: int) -> list[int]:
 def _solref(
     model: Model, layout: Layout, element: Element, what: str, x: float, softest: float
 ) -> list[NewValue]:
-    """Another solref of a row; see `new_solref`."""
+    """Change the solref of a row; see `new_solref`."""
     old = solref_of(model, element)
     new = new_solref(what, old, x, softest) if old is not None else None
     if old is None or new is None:
@@ -307,14 +316,17 @@ def _solref(
 
 
 def new_solref(what: str, old: Vec, x: float, softest: float) -> Vec | None:
-    """The solref after a change by x; None where there is no such change.
+    """Return the solref after a change by x, or None if there is no such change.
 
     A solref of the standard form, (tc, ζ), has the stiffness 1/(tc ζ)² and the damping 2/tc of the
     direct form (−k, −b), both per inertia and for an impedance of 1. Sources: MuJoCo's
     documentation, "Solver parameters", and docs/method.md.
 
-    softest: the time constant [s] below which `refsafe` would soften a row without a word, at the
-    step that is to be stable; 0 without it.
+    what: the name of the change.
+    old: the present solref.
+    x: the factor.
+    softest: the time constant [s] below which `refsafe` would silently soften a row at the step
+        that must become stable; 0 without `refsafe`.
     """
     direct, up = old[0] <= 0, x > 1
     if what == SOLREF:
@@ -328,29 +340,29 @@ def new_solref(what: str, old: Vec, x: float, softest: float) -> Vec | None:
         return old[0], changed
     if not direct or x > 1 or old[0] == 0:
         return None
-    # Critically damped, at x = 1 of the same stiffness, or of the same damping if that is faster.
+    # Critically damped. At x = 1 the stiffness is the same, or the damping if that is faster.
     fastest = min(1 / math.sqrt(-old[0]), 2 / -old[1] if old[1] < 0 else math.inf)
     constant = max(fastest / x, softest)
     return rounded(constant, up=True), 1.0
 
 
 def size_of(old: Vec, new: Vec) -> float:
-    """|log| of the factor by which stiffness or damping changes, the larger of both."""
+    """Return |log| of the factor by which stiffness or damping changes, the larger of both."""
     (k, b), (stiffness, damping) = _direct(old), _direct(new)
     return max(ratio(k, stiffness), ratio(b, damping))
 
 
 def _direct(solref: Vec) -> tuple[float, float]:
-    """Stiffness [1/s²] and damping [1/s] per inertia."""
+    """Return the stiffness [1/s²] and damping [1/s] of a solref, per inertia."""
     first, second = solref[0], solref[1]
     if first <= 0:
         return -first, -second
-    # Divided in turn: no square leaves its range.
+    # Successive divisions avoid the overflow of a square.
     return 1 / first / first / second / second, 2 / first
 
 
 def _joint(layout: Layout, limits: ElementLimits) -> Joint | None:
-    """The joint that an element acts on; None for one that acts on several."""
+    """Return the joint that an element acts on, or None for an element that acts on several."""
     index = limits.element.index
     if limits.element.kind.startswith("tendon"):
         return None

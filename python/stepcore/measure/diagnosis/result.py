@@ -1,4 +1,4 @@
-"""`Diagnosis`: what `diagnose` returns, with its sentences, tables and data."""
+"""`Diagnosis`: the result of `diagnose`, with its sentences, tables and data."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from stepcore.report.table import Table
 from stepcore.report.units import counted, seconds, times
 
 DT = "largest stable dt [s]"
-# The elements that are printed unless all are asked for.
+# Number of elements printed by default.
 PRINTED = 6
-# A stability margin from which accuracy, and no longer stability, is what limits dt.
+# From this stability margin on, accuracy and not stability limits dt.
 AMPLE = 10.0
-# Slower growth, by less than e to this power over the horizon, is not called an explosion.
+# Growth by less than e to this power over the horizon is called slow, not an explosion.
 SLOW = 10.0
 
 
@@ -37,28 +37,28 @@ class Diagnosis(Result):
     """Which element limits the time step of a scene; `stepcore.diagnose` returns it.
 
     name: the name of the scene.
-    settings: the settings of the scene, with rows solved to rounding.
+    settings: the settings of the scene, with constraint rows solved to rounding.
     motion: the motion along which the states lie; see `diagnose`.
-    wanted: the time step asked about [s].
+    wanted: the time step to judge [s].
     states: the states at which the step was linearised.
-    limits: the largest stable dt by integrator.
+    limits: the largest stable dt, by integrator.
     element_shares: by integrator, each element's share in the mode that sets the limit, or in the
         fastest motion if nothing sets a limit.
-    limiters: by integrator, the elements that limit dt; several where none does by itself.
-    rows: the elements on their own, the stiffest first.
+    limiters: by integrator, the elements that limit dt; several where no single element does.
+    rows: the elements, each on its own, the stiffest first.
     advice: changes that make the wanted step stable.
-    notes: remarks on the limits of the diagnosis.
+    notes: remarks on the validity of the diagnosis.
     physical: the fastest growth of the motion itself [1/s].
     rate: the growth at the wanted step that the integrator causes [1/s]; None if the step is
         stable.
-    observed: what the motion did at the wanted step; None where that is too long to tell.
+    observed: the outcome of the motion at the wanted step; None if that step is too long to judge.
     saturations: servos that chatter at the ends of their force ranges at the wanted step.
-    lasting: when a growth that is the integrator's explodes after the horizon [s]; None where none
-        was seen in ten horizons.
-    runaway: that the motion blows up at every step that was tried; None where it does not.
-    ran: what motion was run, in words.
+    lasting: the time [s], after the horizon, at which growth caused by the integrator explodes;
+        None if there is none within ten horizons.
+    runaway: how the motion blows up at every step tried; None if it does not.
+    ran: a description of the motion that was run.
     longest_period: the longest stable control period at the wanted step [s], inf beyond the
-        horizon; None without a control function and a period of its own.
+        horizon; None without a control function and a control_dt.
     """
 
     kind = "diagnosis"
@@ -97,19 +97,20 @@ class Diagnosis(Result):
         return self.motion.horizon or 0.0
 
     def limit(self, integrator: str | None = None) -> float:
-        """The largest stable dt [s] under an integrator (default: the scene's).
+        """Return the largest stable dt [s] under an integrator (default: the scene's).
 
-        inf where nothing limits it, 0 where no step is stable. An integrator that was not
-        diagnosed is a ValueError.
+        The value is inf if nothing limits dt, and 0 if no step is stable. Raises ValueError for an
+        integrator that was not diagnosed.
         """
         return self.limits[self._known(integrator)].dt
 
     def stiffest(self, integrator: str | None = None) -> str:
-        """What limits dt under an integrator (default: the scene's), by name.
+        """Return the name of the element that limits dt under an integrator (default: the scene's).
 
-        It shares the mode that sets the limit, and softened it raises the limit most; equal
-        elements that do so only together are named together (`together`). Where nothing limits dt
-        it has the largest share in the fastest motion. "" where no element has a share in it.
+        This element has a share in the mode that sets the limit, and softening it raises the limit
+        most. Equal elements that limit dt only as a group are named as a group (`together`). If
+        nothing limits dt, the name is that of the element with the largest share in the fastest
+        motion. It is "" if no element has a share.
         """
         return words.named(self._stiffest(self._known(integrator)))
 
@@ -118,10 +119,7 @@ class Diagnosis(Result):
         return [element.name for element in self._stiffest(self._known(integrator))]
 
     def limiting(self, integrator: str | None = None) -> ElementLimits | None:
-        """Frequency, damping and limits of the element that `stiffest` names, on its own.
-
-        Of several, those of the stiffest.
-        """
+        """Return the limits of the element that `stiffest` names, on its own, or None."""
         elements = self._stiffest(self._known(integrator))
         return next((row for row in self.rows if row.element in elements), None)
 
@@ -147,12 +145,12 @@ class Diagnosis(Result):
         return name
 
     def element(self, name: str) -> ElementLimits | None:
-        """An element on its own, by its name; None where no such element acts."""
+        """Return the limits of the element with this name, on its own, or None if it never acts."""
         return next((row for row in self.rows if row.name == name), None)
 
     @property
     def shares(self) -> dict[str, dict[str, float]]:
-        """`element_shares` by the elements' names."""
+        """`element_shares` with the elements' names as keys."""
         return {
             integrator: {element.name: share for element, share in shares.items()}
             for integrator, shares in self.element_shares.items()
@@ -162,17 +160,17 @@ class Diagnosis(Result):
 
     @property
     def title(self) -> str:
-        """What was measured, in a few words."""
+        """The title of the report."""
         return f"{self.name}: what limits the time step"
 
     @property
     def head(self) -> str:
-        """Nothing: the answer comes first, and what motion was run stands among the sentences."""
+        """An empty string: the answer comes first, and a sentence describes the motion."""
         return ""
 
     @property
     def sentences(self) -> list[str]:
-        """The answer, the advice, and the state that decides."""
+        """The answer, the advice, and the limiting state, one sentence each."""
         return list(self._sentences())
 
     def _sentences(self) -> Iterator[str]:
@@ -196,7 +194,7 @@ class Diagnosis(Result):
             yield f"The limiting state is {state.label}{where}."
 
     def _answer(self, limit: Limit) -> str:
-        """Whether the wanted dt is stable, and which element limits it."""
+        """Return whether the wanted dt is stable, and which element limits dt."""
         own, step = limit.integrator, f"A step of {seconds(self.wanted)}"
         elements, limiting = self._stiffest(own), self.limiting(own)
         traits = words.traits_of(limiting, len(elements) > 1) if limiting else ""
@@ -226,22 +224,22 @@ class Diagnosis(Result):
         )
 
     def _failure(self, limit: Limit, limiting: ElementLimits | None) -> str:
-        """What happens beyond the limit."""
+        """Return the verb phrase for the failure beyond the limit."""
         if limit.outcome == "explodes" and self.observed is not None:
             return f"explodes after {seconds(self.observed.time)}"
         kind = limiting.element.kind if limiting else ""
         if limit.outcome == "chatters" or kind in words.FRICTION:
-            # The force of a friction loss is bounded.
+            # The force of a friction loss is bounded, so the motion cannot explode.
             return "chatters"
         if kind in words.OPEN:
-            # What opens may come to rest again, and open again.
+            # A contact or limit that opens may close again at rest.
             return "explodes or rattles"
         if self.rate is None or not self.rate * self.horizon < SLOW:
             return "explodes"
         return f"slowly gains energy from the integrator (e-fold in {seconds(1 / self.rate)})"
 
     def _advised(self, limit: Limit) -> Iterator[str]:
-        """The changes that were tried, and the step that is stable without one."""
+        """Yield the changes that were tried, and the step that is stable without any change."""
         met = [advice.text for advice in self.advice if advice.met]
         failed = [advice.text for advice in self.advice if not advice.met]
         wanted = seconds(self.wanted)
@@ -267,9 +265,10 @@ class Diagnosis(Result):
     # --- tables and data --------------------------------------------------------------------------
 
     def text(self, width: int | None = None, full: bool = False) -> str:
-        """The report, which begins with the answer; `full`: with every element on its own.
+        """Return the report, which begins with the answer.
 
         width: as in `Result.text`.
+        full: whether to list every element on its own.
         """
         return dataclasses.replace(self.report(full), title="").text(width, full)
 
@@ -277,10 +276,11 @@ class Diagnosis(Result):
     def table(self) -> Table:
         """The elements on their own, the stiffest first.
 
-        frequency [Hz], omega [rad/s], ratio (damping ratio), rate (its own damping over the mass
-        that it moves [1/s]), share (in the mode that limits the scene's integrator), the largest
-        stable dt [s] in a column for each integrator, softened (the dt [s] from which refsafe
-        softens it), state (where it is stiffest), kind and index (the element as data).
+        The columns are: frequency [Hz], omega [rad/s], ratio (damping ratio), rate (the element's
+        damping over the mass that it moves [1/s]), share (in the mode that limits the scene's
+        integrator), the largest stable dt [s] in a column for each integrator, softened (the dt [s]
+        above which refsafe softens the element), state (at which the element is stiffest), kind and
+        index (the element as data).
         """
         return Table([self._record(row) for row in self.rows], columns=self._columns())
 
@@ -307,7 +307,10 @@ class Diagnosis(Result):
         return record | {name: row.limits[name] for name in self.limits}
 
     def tables(self, full: bool) -> list[Table]:
-        """All elements together by integrator, and the stiffest on their own (`full`: each)."""
+        """Return the limits of all elements combined, and those of each element on its own.
+
+        full: whether to list every element and integrator, not only the stiffest elements.
+        """
         own = self.settings.integrator
         together = Table(
             (self._limit_record(name, limit) for name, limit in self.limits.items()),
@@ -321,7 +324,7 @@ class Diagnosis(Result):
         left = len(self.rows) - len(rows)
         softer = f"{counted(left, 'softer element')}, and " if left else ""
         more = f"Not shown: {softer}the other integrators (--all; in Python text(full=True))."
-        # A name is never cut: columns are left out first.
+        # Names are never truncated: a narrow report drops columns first.
         formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
         columns = self._columns() if full else ["element", "frequency", "ratio", "share", own]
         shown = [row.limits[name] for row in rows for name in columns if name in row.limits]
@@ -338,7 +341,7 @@ class Diagnosis(Result):
         return [together, alone]
 
     def _extremes(self, limits: Iterable[float]) -> str:
-        """What limits of 0 and inf mean, if there are any."""
+        """Return the meanings of limits of 0 and inf, if there are any."""
         limits, meanings = list(limits), []
         if any(limit <= 0 for limit in limits):
             shortest = self.limits[self.settings.integrator].shortest
@@ -349,7 +352,7 @@ class Diagnosis(Result):
 
     def _limit_record(self, name: str, limit: Limit) -> dict[str, Any]:
         limited = math.isfinite(limit.dt)
-        # Found in the motion itself, or at a state.
+        # The limit may come from a run of the motion instead of a state.
         at = self.states[limit.state].label if limit.state >= 0 else ""
         return {
             "integrator": name + (" *" if name == self.settings.integrator else ""),
@@ -360,7 +363,7 @@ class Diagnosis(Result):
         }
 
     def details(self) -> dict[str, Any]:
-        """The limits with their shares, the states, the advice and what the motion did."""
+        """Return the limits with their shares, the states, the advice and the motion's outcome."""
         limits = {
             name: {
                 "dt": limit.dt,
@@ -386,7 +389,7 @@ class Diagnosis(Result):
 
 
 def _shortly(failed: Sequence[str]) -> list[str]:
-    """The changes that failed; two gains that also failed together are "both".
+    """Return the changes that failed; two gains that also failed as a pair become "both".
 
     >>> _shortly(["kp", "kv", "kp and kv", "armature"])
     ['kp', 'kv', 'both', 'armature']
@@ -396,7 +399,7 @@ def _shortly(failed: Sequence[str]) -> list[str]:
 
 
 def round_below(value: float) -> float:
-    """The largest round number that is not above a value > 0.
+    """Return the largest of 1, 2 and 5 times a power of ten that is not above a value > 0.
 
     >>> round_below(0.00071), round_below(0.0199), round_below(0.001)
     (0.0005, 0.01, 0.001)
