@@ -1,7 +1,7 @@
-"""`Contents`: what a scene holds, its elements and settings, and the methods that add to them.
+"""`Contents`: the methods of a scene that add elements.
 
-`Scene` stands on it and reads, writes and compiles them. What reads and fills scenes, such as
-`Layout` and the MJCF reader, needs only this.
+`Scene` derives from `Contents` and adds reading, writing and compiling. Code that reads and fills
+scenes, such as `Layout` and the MJCF reader, needs `Contents` alone.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 E = TypeVar("E", bound=Element)
 
-# By kind: the list that holds the elements that sensors look at.
+# By kind of element that a sensor can observe: the scene's list of these elements.
 _LISTS = {
     **{"site": "sites", "body": "bodies", "geom": "geoms", "joint": "joints"},
     **{"tendon": "tendons", "actuator": "actuators"},
@@ -70,19 +70,20 @@ class Contents(Holdings):
         mocap: bool = False,
         sleep: str = "auto",
     ) -> Body:
-        """Adds a body.
+        """Add a body.
 
         name: unique among bodies, or "".
-        parent: the body that carries it, as a name or a `Body`.
-        pos, quat: its position [m] and orientation (w x y z) in the parent's frame.
-        mass: [kg]; without it, mass, centre of mass and inertia come from the body's geoms.
+        parent: the parent body, as a name or a `Body`.
+        pos, quat: position [m] and orientation (w x y z) in the parent's frame.
+        mass: [kg]; None takes mass, centre of mass and inertia from the body's geoms.
         ipos: centre of mass in the body's frame [m].
         inertia: about the centre of mass, in body axes [kg·m²]: xx yy zz, or xx yy zz xy xz yz.
             A mass without an inertia is a point mass.
-        iquat: orientation of the principal axes of the inertia; without it they are found.
-        gravcomp: share of its weight that a force at its centre of mass holds up.
+        iquat: orientation of the principal axes of the inertia; None computes the axes.
+        gravcomp: fraction of the body's weight that a force at the centre of mass compensates.
         mocap: True for a body whose pose is an input.
-        sleep: of the root of a tree, whether it may sleep: "auto", "never", "allowed" or "init".
+        sleep: whether the tree may sleep, for the root of a tree: "auto", "never", "allowed" or
+            "init".
         """
         weight = {"inertia": inertia, "ipos": ipos, "iquat": iquat}
         fields: dict[str, Any] = {f: value for f, value in weight.items() if value is not None}
@@ -98,9 +99,9 @@ class Contents(Holdings):
     def add_joint(
         self, body: str | Body, type: str = "hinge", **fields: Unpack[of.JointFields]
     ) -> Joint:
-        """Adds a joint between a body and its parent.
+        """Add a joint between a body and its parent.
 
-        body: the body that it moves, as a name or a `Body`.
+        body: the body that the joint moves, as a name or a `Body`.
         type: "hinge", "slide", "ball" or "free".
         fields: of `Joint`: name, pos [m], axis, range [rad or m], ref, stiffness [N·m/rad or N/m],
             damping [N·m·s/rad or N·s/m], armature [kg·m² or kg], frictionloss [N·m or N], …
@@ -118,15 +119,16 @@ class Contents(Holdings):
         hfield: str | HField | None = None,
         **fields: Unpack[of.GeomFields],
     ) -> Geom:
-        """Adds a shape to a body.
+        """Add a shape to a body.
 
-        body: the body that it is fixed to, as a name or a `Body`.
+        body: the body that the geom is fixed to, as a name or a `Body`.
         type: "plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box" or "mesh".
         size: [m], up to 3 numbers whose meaning depends on the type; see `Geom`.
         fromto: both end points of a capsule, cylinder, box or ellipsoid [m], shape (6,), in place
             of pos, quat and every size but the first.
-        mesh: of a mesh, or of a primitive that is fitted to one: a name or a `Mesh`.
-        hfield: of a height field: a name or an `HField`.
+        mesh: the mesh of a geom of type "mesh", or the mesh that a primitive is fitted to: a name
+            or a `Mesh`.
+        hfield: the height field of a geom of type "hfield": a name or an `HField`.
         fields: of `Geom`: name, pos [m], quat, mass [kg], density [kg/m³], friction, condim,
             solref, solimp, …
         """
@@ -150,12 +152,14 @@ class Contents(Holdings):
         file: str | os.PathLike[str] | None = None,
         **fields: Unpack[of.MeshFields],
     ) -> Mesh:
-        """Adds a mesh, which geoms then refer to; only its convex hull collides.
+        """Add a mesh that geoms can refer to. Only the convex hull of a mesh collides.
 
-        name: unique among meshes; without it, that of the file.
-        vertices: [m], shape (n, 3). faces: indices of vertices, counter-clockwise from outside,
-            shape (m, 3); without them, the convex hull.
-        file: in place of both: an STL (binary or text), OBJ or MSH file, which is read at once.
+        name: unique among meshes; "" takes the name of the file.
+        vertices: [m], shape (n, 3).
+        faces: indices of vertices, counter-clockwise from outside, shape (m, 3); None takes the
+            faces of the convex hull.
+        file: in place of vertices and faces, an STL (binary or text), OBJ or MSH file. The file is
+            read at once.
         fields: of `Mesh`: scale, refpos [m], refquat, inertia, maxhullvert.
 
         Raises ValueError for a file that is damaged, is no regular file or has more than 256 MiB,
@@ -184,9 +188,9 @@ class Contents(Holdings):
         size: Vector,
         file: str | os.PathLike[str] | None = None,
     ) -> HField:
-        """Adds a height field, which geoms of fixed bodies then refer to.
+        """Add a height field that geoms of fixed bodies can refer to.
 
-        name: unique among height fields; without it, that of the file.
+        name: unique among height fields; "" takes the name of the file.
         elevation: heights of any scale, shape (rows, columns), the first row at the largest y.
         size: half sizes along x and y, height of the highest point, depth of the base [m].
         file: in place of the elevation: a PNG image (read with pillow), or MuJoCo's binary format.
@@ -206,8 +210,9 @@ class Contents(Holdings):
         return self._add(self.hfields, HField, {}, name=name, size=size, **given)
 
     def add_site(self, body: str | Body = "world", **fields: Unpack[of.SiteFields]) -> Site:
-        """Adds a site, a named place on a body.
+        """Add a site, a named frame on a body.
 
+        body: the body that the site is fixed to, as a name or a `Body`.
         fields: of `Site`: name, pos [m], quat, type, size [m].
         """
         return self._add(self.sites, Site, fields, body=self.body(body))
@@ -219,12 +224,13 @@ class Contents(Holdings):
         joints: Mapping[str | Joint, float] | None = None,
         **fields: Unpack[of.TendonFields],
     ) -> Tendon:
-        """Adds a tendon: over joints (fixed), or through sites and round geoms (spatial).
+        """Add a fixed tendon over joints, or a spatial tendon through sites and around geoms.
 
-        joints: of a fixed tendon, its joints and their coefficients.
-        path: in place of these, of a spatial tendon, what it passes: a site; (a geom, a side site
-            or None) for a sphere or cylinder; a `Pulley`, which starts a branch. Sites and geoms
-            by name or as `Site` and `Geom`; a name alone is a site's.
+        name: unique among tendons, or "".
+        joints: the joints of a fixed tendon, with their coefficients.
+        path: in place of joints, the stops of a spatial tendon: a site; (a geom, a side site or
+            None) for a sphere or cylinder; a `Pulley`, which starts a branch. Sites and geoms are
+            names or `Site` and `Geom` objects; a name alone means a site.
         fields: of `Tendon`: range, stiffness [N/m], damping [N·s/m], springlength, frictionloss
             [N], armature [kg], …
 
@@ -244,7 +250,7 @@ class Contents(Holdings):
         return self._add(self.tendons, Tendon, fields, name=name, path=stops)
 
     def _stop(self, stop: Any) -> Any:
-        """A stop of a tendon, with elements in place of names."""
+        """Return a stop of a tendon's path with names replaced by elements."""
         match stop:
             case str():
                 return self.site(stop)
@@ -259,13 +265,13 @@ class Contents(Holdings):
         reference: str | Element | None = None,
         **fields: Unpack[of.SensorFields],
     ) -> Sensor:
-        """Adds a sensor.
+        """Add a sensor.
 
         type: "accelerometer", "touch", "jointpos", "framepos", "contact" and so on; docs/sensors.md
-            lists them.
-        object: what it looks at, by name or as an element: a site, body, geom, joint or actuator,
-            as the type needs.
-        reference: the frame of reference, or the second end of a distance or a contact.
+            lists the types.
+        object: the observed element, as a name or an object: a site, body, geom, joint, tendon or
+            actuator, as the type needs.
+        reference: the reference frame, or the second end of a distance or a contact.
         fields: of `Sensor`: name, cutoff, objtype, reftype, data, reduce, num, noise.
         """
         checks.one_of(*OBJECTS)("Sensor", "type", type)
@@ -274,10 +280,10 @@ class Contents(Holdings):
         return self._add(self.sensors, Sensor, fields, type=type, **ends)
 
     def _end(self, kinds: Sequence[str], what: str, name: object) -> Element | None:
-        """The element of these kinds that has this name, or the element that is given.
+        """Return the element of these kinds with this name; return an element unchanged.
 
-        Raises ValueError for an unknown name, with the nearest, and for a name that several kinds
-        have.
+        Raises ValueError for an unknown name, with the nearest names, and for a name that elements
+        of several kinds have.
         """
         if name is None or isinstance(name, Element):
             return name
@@ -314,13 +320,14 @@ class Contents(Holdings):
         feeds: str | Actuator | None = None,
         **fields: Unpack[of.ActuatorFields],
     ) -> Actuator:
-        """Adds an actuator on a joint, or on something else.
+        """Add an actuator on a joint or another transmission target.
 
         joint: a name or a `Joint`.
         type: "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle",
-            "adhesion", "pid", "dcmotor", "input" or "general".
+            "adhesion", "pid", "dcmotor", "input", "orientation" or "general".
         jointinparent, tendon, site and refsite, cranksite and slidersite, body: in place of the
-            joint, by name or as elements; see `Actuator`. feeds: of an "input", the pid or dcmotor.
+            joint, as names or elements; see `Actuator`.
+        feeds: the pid, dcmotor or orientation that an "input" feeds.
         fields: of `Actuator`: name, gear, kp, kv, dampratio, ctrlrange, forcerange [N or N·m], …
         """
         ends = self._ends(
@@ -352,14 +359,16 @@ class Contents(Holdings):
         tendon2: str | Tendon | None = None,
         **fields: Unpack[of.EqualityFields],
     ) -> Equality:
-        """Adds a constraint that ties two bodies, two joints or two tendons together.
+        """Add a constraint between two bodies, two joints or two tendons.
 
-        type: "connect" (bodies share a point), "weld" (they share a frame), "joint" (a hinge or
-            slide follows a polynomial of another, or stays) or "tendon" (a tendon does).
-        body1, body2: names or `Body` objects of a connect or weld; without body2, the world.
+        type: "connect" (two bodies share a point), "weld" (two bodies share a frame), "joint" (the
+            position of a hinge or slide is a polynomial of another's, or constant) or "tendon" (the
+            same for lengths of tendons).
+        body1, body2: names or `Body` objects of a connect or weld; None for body2 is the world.
         anchor: the shared point [m], shape (3,); see `Equality`.
-        site1, site2: two sites in place of bodies and anchor. joint1, joint2,
-            tendon1, tendon2: of equalities of joints and of tendons.
+        site1, site2: two sites in place of bodies and anchor.
+        joint1, joint2, tendon1, tendon2: the joints of a joint equality, the tendons of a tendon
+            equality.
         fields: of `Equality`: name, active, relpose, torquescale, polycoef, solref, solimp.
         """
         ends = self._ends(
@@ -376,8 +385,9 @@ class Contents(Holdings):
         return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **ends)
 
     def add_key(self, name: str = "", **fields: Unpack[of.KeyFields]) -> Key:
-        """Adds a keyframe, a named state.
+        """Add a keyframe, a named state.
 
+        name: unique among keyframes, or "".
         fields: of `Key`: time [s], qpos, qvel, act and ctrl in the compiled model's order.
         """
         return self._add(self.keys, Key, fields, name=name)
@@ -385,9 +395,9 @@ class Contents(Holdings):
     def add_pair(
         self, geom1: str | Geom, geom2: str | Geom, **fields: Unpack[of.PairFields]
     ) -> Pair:
-        """Adds a pair of geoms that can collide, with contact parameters of their own.
+        """Add a pair of geoms that can collide, with contact parameters of the pair's own.
 
-        geom1, geom2: names or `Geom` objects. What excludes pairs does not concern them.
+        geom1, geom2: names or `Geom` objects. Masks and `exclude` do not apply to the pair.
         fields: of `Pair`: name, condim, friction, solref, solimp, solreffriction, margin [m], gap
             [m].
         """
@@ -395,11 +405,11 @@ class Contents(Holdings):
         return self._add(self.pairs, Pair, fields, **ends)
 
     def exclude(self, body1: str | Body, body2: str | Body) -> None:
-        """Excludes collisions between the geoms of two bodies, but for those of explicit pairs."""
+        """Exclude collisions between the geoms of two bodies, except for explicit pairs."""
         self.excludes.append((self.body(body1), self.body(body2)))
 
     def _ends(self, kind: type[Element], **ends: str | Element | None) -> dict[str, Any]:
-        """The elements that fields refer to, by name or as given; without those that are None."""
+        """Return the elements for these reference fields, with names resolved and None left out."""
         rows = table(kind)
         return {
             field: getattr(self, rows[field].type.refers[0].lower())(end)
@@ -409,7 +419,7 @@ class Contents(Holdings):
 
     @contextlib.contextmanager
     def _naming(self) -> Iterator[None]:
-        """Makes errors about an element name it as errors of the whole scene do."""
+        """Re-raise errors about an element with the name that the whole scene gives the element."""
         try:
             yield
         except checks.ElementError as error:
@@ -419,7 +429,7 @@ class Contents(Holdings):
         return named(self, error)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """The elements of a copy belong to the copy."""
+        """Restore a copy, and register the copy as the owner of the copied elements."""
         self.__dict__.update(state)
         for elements in state.values():
             if isinstance(elements, list):
@@ -444,7 +454,7 @@ class Contents(Holdings):
 
 
 def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
-    """Gives a geom the size and the pose of its two end points."""
+    """Set a geom's size and pose from its two end points."""
     both = [field for field in ("pos", "quat") if field in fields]
     if both:
         raise checks.ElementError(geom, f"{both[0]} and fromto are both given")
@@ -456,12 +466,12 @@ def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
 
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-    """A new element; a field that it does not have is a ValueError with the nearest name."""
+    """Return a new element; raise ValueError with the nearest name for an unknown field."""
     known = fields_of(kind)
     for field in fields:
         if field not in known:
             near = checks.nearest(field, known)
             raise ValueError(f"a {kind.__name__.lower()} has no field {checks.quoted(field)}{near}")
     if own.keys() & fields.keys():
-        return kind(**own, **fields)  # which says what is there twice
+        return kind(**own, **fields)  # Raises a TypeError that names the repeated field.
     return made(kind, {**own, **fields})

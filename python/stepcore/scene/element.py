@@ -1,8 +1,8 @@
-"""`Element`: a record whose fields are checked whenever they are assigned.
+"""`Element`: a record whose fields are checked on every assignment.
 
-The annotations of an element class are the table of its attributes (`table`). The reader and the
-writer of MJCF, value paths, the records for the engine, the types of keyword arguments and
-docs/mjcf_attributes.md are all made from this table.
+The annotations of an element class are the table of its attributes (`table`). The MJCF reader and
+writer, value paths, the records for the engine, the types of keyword arguments and
+docs/mjcf_attributes.md all follow from this table.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _CONSTANT = frozenset((str, int, float, bool, tuple, type(None)))
 
 @dataclasses.dataclass(frozen=True)
 class FieldType:
-    """What a field holds.
+    """The type of a field.
 
-    check: makes a given value the field's, or refuses it.
-    given: the type of what may be assigned, for type checkers; "" for a reference.
-    attribute: the notation of MJCF's attribute (`stepcore.mjcf.schema`); None: MJCF has none.
-    read, write: convert an attribute's value to the field's, and back.
+    check: converts an assigned value to the stored value, or raises.
+    given: the type of assigned values, for type checkers; "" for a reference.
+    attribute: the notation of MJCF's attribute (`stepcore.mjcf.schema`); None if MJCF has none.
+    read, write: convert the value of an MJCF attribute to the value of the field, and back.
     refers: the classes of elements that the field refers to.
     """
 
@@ -46,8 +46,9 @@ class FieldType:
 class Row:
     """A field of an element class, as a row of the table.
 
-    unit: "" for a pure number and for what is no number. checked: the default as the check returns
-    it. poly: the field with the higher coefficients of the same polynomial, or "".
+    unit: "" for a pure number and for other types than numbers.
+    checked: the default as the check returns it.
+    poly: the field with the higher coefficients of the same polynomial, or "".
     """
 
     name: str
@@ -59,7 +60,7 @@ class Row:
 
 
 class Places(typing.Protocol):
-    """Where the elements of a scene stand in the compiled model: a `Layout`."""
+    """The indices of a scene's elements in the compiled model; `Layout` implements it."""
 
     bodies: list[Any]
 
@@ -69,22 +70,22 @@ class Places(typing.Protocol):
 
 
 _TABLES: dict[type, dict[str, Row]] = {}
-# By class: the check of each field, its default, and what the check makes of the default.
+# By class and field: the check, the default, and the default as the check returns it.
 _CHECKS: dict[type, dict[str, tuple[checks.Check, object, object]]] = {}
 E = typing.TypeVar("E", bound="Element")
-# How often an element was renamed.
+# The number of renamings so far.
 _renamed = [0]
-# The scene that holds each element.
+# The scene of each element.
 _SCENES: weakref.WeakKeyDictionary[Element, weakref.ref[Any]] = weakref.WeakKeyDictionary()
 
 
 def renamed() -> int:
-    """A number that grows whenever an element is renamed."""
+    """Return a counter that grows with every renaming of an element."""
     return _renamed[0]
 
 
 def belongs(element: Element, scene: Any) -> None:
-    """Remembers which scene holds an element, so that errors name it as the scene does."""
+    """Register the scene of an element, so that errors name the element as the scene does."""
     _SCENES[element] = weakref.ref(scene)
 
 
@@ -96,7 +97,7 @@ def _named(element: Element, error: checks.ElementError) -> checks.ElementError:
 
 
 def table(kind: type[Element]) -> dict[str, Row]:
-    """The fields of an element class by name, in order."""
+    """Return the fields of an element class by name, in order."""
     if kind not in _TABLES:
         hints = typing.get_type_hints(kind, include_extras=True)
         rows = {}
@@ -127,9 +128,9 @@ ENGINE_NAMES = {
 
 
 class Element:
-    """Base of all elements: checked assignment, a label for messages, a short ``repr``."""
+    """Base class of all elements: checked assignment, a label for messages, a short ``repr``."""
 
-    # Its place in the file that it was read from, "file:line"; set by the reader.
+    # "file:line" in the source file; set by the reader.
     place: ClassVar[str] = ""
 
     def __setattr__(self, field: str, value: object) -> None:
@@ -153,14 +154,14 @@ class Element:
         memo[id(self)] = result
         own = result.__dict__
         for field, value in self.__dict__.items():
-            # Numbers, texts and tuples of numbers never change: a copy may share them.
+            # Numbers, strings and tuples of numbers are immutable: copies can share them.
             own[field] = value if type(value) in _CONSTANT else copy.deepcopy(value, memo)
         return result
 
     def values(self) -> dict[str, Any]:
-        """The fields as MJCF's attributes hold them, each under its name.
+        """Return the fields by name, with values as in MJCF's attributes.
 
-        The coefficients of a polynomial stand together, if there are any beyond the first.
+        The coefficients of a polynomial form one tuple if any beyond the first differs from 0.
         """
         own, values = self.__dict__, {}
         for name, poly in _value_plan(type(self)):  # type: ignore[arg-type]
@@ -169,10 +170,10 @@ class Element:
         return values
 
     def record(self, *skip: str) -> dict[str, Any]:
-        """The fields as the engine reads them, but for those to `skip`.
+        """Return the fields as the engine reads them, except those to `skip`.
 
-        Tuples become lists, the coefficients of a polynomial one list, and each pair of solref and
-        solimp a dict.
+        Tuples become lists, the coefficients of a polynomial become one list, and each pair of
+        solref and solimp becomes a dict.
         """
         own, record = self.__dict__, {}
         for name, engine_name, poly, solimp in _record_plan(type(self), skip):  # type: ignore[arg-type]
@@ -187,9 +188,9 @@ class Element:
         return record
 
     def plain(self, places: Places) -> dict[str, Any]:
-        """The element as the engine reads it: its record, with indices for references.
+        """Return the element as the engine reads it: its record, with indices for references.
 
-        −1 stands for an element that the scene does not have.
+        The index of an element that is not in the scene is −1.
         """
         ends = _references(type(self))  # type: ignore[arg-type]
         record = self.record(*ends)
@@ -219,7 +220,7 @@ class Element:
 
 @functools.cache
 def _value_plan(kind: type[Element]) -> list[tuple[str, str]]:
-    """The fields that are attributes by themselves, each with its higher coefficients."""
+    """Return (field, field of its higher coefficients or "") for `Element.values`."""
     rows = table(kind)
     higher = {row.poly for row in rows.values()}
     return [(name, row.poly) for name, row in rows.items() if name not in higher]
@@ -227,7 +228,7 @@ def _value_plan(kind: type[Element]) -> list[tuple[str, str]]:
 
 @functools.cache
 def _record_plan(kind: type[Element], skip: tuple[str, ...]) -> list[tuple[str, str, str, str]]:
-    """The fields of a record: name, the engine's name, and those that stand with it."""
+    """Return (field, engine's name, higher coefficients or "", solimp or "") for a record."""
     rows = table(kind)
     plan, inside = [], {*skip, *(row.poly for row in rows.values())}
     for name, row in rows.items():
@@ -248,13 +249,13 @@ def _references(kind: type[Element]) -> tuple[str, ...]:
 
 
 def place_of(places: Places, element: Element) -> int:
-    """The index of an element among those of its kind; −1 if the scene does not have it."""
+    """Return the index of an element among those of its kind; −1 if it is not in the scene."""
     place = places.place(element)
     return -1 if place is None else place
 
 
 def made(kind: type[E], values: Mapping[str, Any]) -> E:
-    """`kind(**values)`, faster: fields that keep their defaults are not checked again."""
+    """Return `kind(**values)`, faster: fields that keep their defaults are not checked again."""
     element = object.__new__(kind)
     own = element.__dict__
     for field, (check, default, checked) in (_CHECKS.get(kind) or _checks_of(kind)).items():
@@ -262,12 +263,12 @@ def made(kind: type[E], values: Mapping[str, Any]) -> E:
             value = values[field]
             own[field] = checked if value is default else check(element, field, value)
         elif default is dataclasses.MISSING:
-            return kind(**values)  # which says what is missing
+            return kind(**values)  # Raises a TypeError that names the missing field.
         else:
             own[field] = checked
     return element
 
 
 def fields_of(kind: type[Element]) -> tuple[str, ...]:
-    """The names of the fields of an element class, in order."""
+    """Return the names of the fields of an element class, in order."""
     return tuple(table(kind))

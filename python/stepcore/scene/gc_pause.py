@@ -9,10 +9,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def paused() -> Iterator[None]:
-    """Garbage is not searched for in between.
+    """Pause the garbage collector inside a ``with`` block.
 
-    Python searches whenever some hundred more objects were made than freed: that is a third of the
-    time in which a scene of thousands of bodies is read and compiled.
+    Python collects whenever some hundred more objects were allocated than freed, which takes a
+    third of the time to read and compile a scene of thousands of bodies.
     """
     searches = gc.isenabled()
     gc.disable()

@@ -1,4 +1,4 @@
-"""`Holdings`: the lists of what a scene holds, how it is computed, and finding things by name."""
+"""`Holdings`: a scene's lists of elements, its settings, and look-up of elements by name."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ MAGNETIC: frames.Vec = (0.0, -0.5, 0.0)
 
 
 class _Checked(Generic[T]):
-    """A value of the whole scene, checked when it is assigned."""
+    """A descriptor of a value of the whole scene that is checked on assignment."""
 
     def __init__(self, check: checks.Check, doc: str) -> None:
         self._check, self.__doc__ = check, doc
@@ -108,11 +108,11 @@ class Holdings(checks.KnownNames):
         self.notes: list[str] = []
         self.without: list[str] = []
         self.fused: dict[str, str] = {}
-        # The text that the scene was read from, so that saving can keep it.
+        # The MJCF source text, so that saving can keep it.
         self._source: Source | None = None
-        # What was compiled last, with a hash of the scene then; `Model` keeps and uses it.
+        # The last compiled model and the hash of its scene: a cache of `Model`.
         self._compiled: tuple[bytes, _core.Model] | None = None
-        # An index of each list, so that building a large scene does not search it.
+        # An index of each list: building a large scene needs no linear searches.
         self._names: dict[str, Names] = {}
 
     gravity = _Checked[frames.Vec](
@@ -133,61 +133,61 @@ class Holdings(checks.KnownNames):
 
     @property
     def world(self) -> Body:
-        """The world: the body that everything stands on, which does not move."""
+        """The world: the root of the body tree, which does not move."""
         return self.bodies[0]
 
-    # What is in the scene.
+    # Look-up by name.
 
     def body(self, name: str | Body) -> Body:
-        """Returns the body of this name; ValueError with the nearest names if there is none."""
+        """Return the body with this name; raise ValueError with the nearest names otherwise."""
         return self._find(self.bodies, "body", name)
 
     def joint(self, name: str | Joint) -> Joint:
-        """Returns the joint of this name."""
+        """Return the joint with this name."""
         return self._find(self.joints, "joint", name)
 
     def geom(self, name: str | Geom) -> Geom:
-        """Returns the geom of this name."""
+        """Return the geom with this name."""
         return self._find(self.geoms, "geom", name)
 
     def mesh(self, name: str | Mesh) -> Mesh:
-        """Returns the mesh of this name."""
+        """Return the mesh with this name."""
         return self._find(self.meshes, "mesh", name)
 
     def hfield(self, name: str | HField) -> HField:
-        """Returns the height field of this name."""
+        """Return the height field with this name."""
         return self._find(self.hfields, "hfield", name)
 
     def site(self, name: str | Site) -> Site:
-        """Returns the site of this name."""
+        """Return the site with this name."""
         return self._find(self.sites, "site", name)
 
     def tendon(self, name: str | Tendon) -> Tendon:
-        """Returns the tendon of this name."""
+        """Return the tendon with this name."""
         return self._find(self.tendons, "tendon", name)
 
     def sensor(self, name: str | Sensor) -> Sensor:
-        """Returns the sensor of this name."""
+        """Return the sensor with this name."""
         return self._find(self.sensors, "sensor", name)
 
     def actuator(self, name: str | Actuator) -> Actuator:
-        """Returns the actuator of this name."""
+        """Return the actuator with this name."""
         return self._find(self.actuators, "actuator", name)
 
     def equality(self, name: str | Equality) -> Equality:
-        """Returns the equality of this name."""
+        """Return the equality with this name."""
         return self._find(self.equalities, "equality", name)
 
     def pair(self, name: str | Pair) -> Pair:
-        """Returns the explicit pair of this name."""
+        """Return the explicit pair with this name."""
         return self._find(self.pairs, "pair", name)
 
     def key(self, name: str | Key) -> Key:
-        """Returns the keyframe of this name."""
+        """Return the keyframe with this name."""
         return self._find(self.keys, "key", name)
 
     def _find(self, elements: Sequence[E], kind: str, name: object) -> E:
-        """The element of this name, or the given element if it is in the list."""
+        """Return the element with this name, or the given element if the list contains it."""
         found: E | None = self._names_of(kind).find(elements, name)
         if found is None:
             raise self._unknown(elements, kind, name)
@@ -203,7 +203,10 @@ class Holdings(checks.KnownNames):
         return ValueError(f"{kind} = {checks.shown(name)}: must be {limit}")
 
     def _no_such(self, what: str, name: str, names: Sequence[str]) -> str:
-        """The text about an unknown name: of a fused body its new owner, else the nearest names."""
+        """Return the error text for an unknown name: the nearest names.
+
+        For the name of a fused body the text names the body that contains it now.
+        """
         said = f"no {what} is named {checks.quoted(name)}"
         if "body" not in what.split() or name not in self.fused:
             return said + checks.nearest(name, names)
@@ -217,16 +220,16 @@ class Holdings(checks.KnownNames):
     def _names_of(self, kind: str) -> Names:
         return self._names.setdefault(kind, Names())
 
-    # How it is computed.
+    # Settings.
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_compiled": None}
 
     @property
     def settings(self) -> Settings:
-        """The scene's `Settings`: its `options`, and defaults for the rest.
+        """The scene's `Settings`: its `options`, and defaults for all other fields.
 
-        Raises ValueError for an option that is not a field of `Settings` or is outside its limit.
+        Raises ValueError for an option that is not a field of `Settings`, or is out of range.
         """
         from stepcore._core import Settings
 
@@ -245,12 +248,12 @@ class Holdings(checks.KnownNames):
         settings: Settings | Mapping[str, Any] | None = None,
         **fields: Unpack[SettingsFields],
     ) -> Self:
-        """Returns a copy of the scene with other settings.
+        """Return a copy of the scene with other settings.
 
-        settings: a `Settings`, which replaces them all, or a dict of fields.
+        settings: a `Settings`, which replaces all fields, or a dict of fields.
         fields: single fields of `Settings`.
 
-        Raises ValueError for a field that settings do not have, or a value outside its limits.
+        Raises ValueError for an unknown field, or a value outside its limits.
         """
         scene = copy.deepcopy(self)
         if settings is not None:
@@ -262,5 +265,5 @@ class Holdings(checks.KnownNames):
                 limit = "Settings, or a dict of their fields"
                 raise ValueError(f"settings = {checks.shown(settings)}: must be {limit}")
         scene.options.update(fields)
-        _ = scene.settings  # Raises for what settings do not take.
+        _ = scene.settings  # Raises for unknown fields and bad values.
         return scene

@@ -1,6 +1,6 @@
 """The order of a scene's elements in the compiled model.
 
-Bodies stand depth first, and joints, geoms and sites body by body: MuJoCo's order.
+As in MuJoCo, bodies are ordered depth first, and joints, geoms and sites body by body.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 QPOS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "plane": 0}
-# The sizes of these are those of their assets.
+# These take their sizes from their assets.
 SIZES |= {"mesh": 0, "hfield": 0}
 
 
@@ -36,14 +36,14 @@ class Layout:
         self.joints_of: dict[int, list[Joint]] = {}
         for joint in self.joints:
             self.joints_of.setdefault(id(joint.body), []).append(joint)
-        # By kind: where the elements stand, by their ``id``.
+        # By kind and ``id`` of the element: its index.
         self._places: dict[str, dict[int, int]] = {"body": self.index}
 
     def _by_body(self, elements: Iterable[Any]) -> list[Any]:
         return sorted(elements, key=lambda e: self.body(e, e.body))
 
     def body(self, owner: Element | str, body: Body) -> int:
-        """The index of a body; an error about `owner`, which refers to it, if it has none."""
+        """Return the index of a body that `owner` refers to; raise if it is not in the scene."""
         index = self.index.get(id(body))
         if index is None:
             raise checks.ElementError(owner, f"refers to {body}, which is not in this scene")
@@ -67,7 +67,7 @@ class Layout:
         }
 
     def body_called(self, body: Body) -> str:
-        """What an error calls a body: "body 'leg'", or "body 3" without a name."""
+        """Return the label of a body in errors: "body 'leg'", or "body 3" without a name."""
         if body is self.bodies[0]:
             return "the world"
         return f"body '{body.name}'" if body.name else f"body {self.body(body, body)}"
@@ -86,7 +86,7 @@ class Layout:
         return sum(actuator.law.states for actuator in self.scene.actuators)
 
     def place(self, element: Element) -> int | None:
-        """The index of an element among those of its kind; None if it is not in the scene."""
+        """Return the index of an element among those of its kind; None if not in the scene."""
         kind = type(element).__name__.lower()
         if kind not in self._places:
             assets: dict[str, Sequence[Element]] = {
@@ -99,19 +99,20 @@ class Layout:
 
     @cached_property
     def _moving(self) -> set[int]:
-        """The bodies that move; a body comes after the one that carries it."""
+        """The ids of the bodies that can move."""
         moving: set[int] = set()
+        # Parents precede their children.
         for body in self.bodies:
             if id(body) in self.joints_of or id(body.parent) in moving:
                 moving.add(id(body))
         return moving
 
     def moving(self, body: Body | None) -> bool:
-        """Whether there is a joint between this body and the world."""
+        """Return whether there is a joint between this body and the world."""
         return id(body) in self._moving
 
     def qpos0(self) -> list[float]:
-        """The positions in the pose in which the scene is described, length nq."""
+        """Return qpos in the scene's initial pose, length nq."""
         qpos: list[float] = []
         for joint in self.joints:
             if joint.type == "free":
@@ -123,7 +124,7 @@ class Layout:
         return qpos
 
     def unit_quaternions(self, qpos: Iterable[float]) -> list[float]:
-        """`qpos` with its quaternions at unit length; a zero quaternion becomes the identity."""
+        """Return `qpos` with normalised quaternions; a zero quaternion becomes the identity."""
         result = list(qpos)
         at = 0
         for joint in self.joints:
@@ -160,9 +161,9 @@ def _depth_first(bodies: list[Body]) -> list[Body]:
 
 
 def called(scene: Holdings, element: object) -> str:
-    """What an error calls an element, as the engine does: "joint 3 of body 'leg'" without a name.
+    """Return the engine's label of an element: "joint 3 of body 'leg'" without a name.
 
-    An element that is not in the scene yet has the index that it would get.
+    The label of an element that is not yet in the scene has the index that it would get.
     """
     kind = type(element).__name__.lower()
     try:
@@ -175,12 +176,12 @@ def called(scene: Holdings, element: object) -> str:
         whose = f" of {layout.body_called(body)}" if isinstance(body, Body) else ""
         return f"{kind} {index}{whose}"
     except checks.ElementError:
-        # The scene refers to an element that it does not hold.
+        # The scene refers to an element that is not in the scene.
         return str(element)
 
 
 def named(scene: Holdings, error: checks.ElementError) -> checks.ElementError:
-    """The same error, with the element named as the engine names it."""
+    """Return the error with the element named as the engine names it."""
     again = checks.ElementError(called(scene, error.owner), error.text)
     again.owner = error.owner
     return again

@@ -1,4 +1,4 @@
-"""`Names`: an index of a list of elements, so that scenes of thousands are built quickly."""
+"""`Names`: an index of a list of elements, so that large scenes are built quickly."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from stepcore.scene.element import Element, renamed
 
 
 class Names:
-    """Where the elements of a list stand, by name and by identity.
+    """An index of a list of elements by name and by identity.
 
-    The list belongs to the scene, and anybody may change it. The index is rebuilt where the length
-    of the list or the name of an element has changed, and each answer is compared with the list.
+    The list belongs to the scene, and any code may change the list. The index is rebuilt after the
+    length of the list or the name of an element has changed. Each result is verified in the list.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class Names:
         self._last: Any = None
 
     def find(self, elements: Sequence[Any], name: object) -> Any:
-        """The element of this name, or the element itself if it is in the list; else None."""
+        """Return the element with this name, or the given element if listed; None otherwise."""
         self._read(elements)
         if isinstance(name, Element):
             at = self._by_id.get(id(name), -1)
@@ -33,22 +33,23 @@ class Names:
             element = elements[at]
             if element is name or element.name == name:
                 return element
-        # An entry of the list may have been replaced since the index was built.
+        # An entry of the list may have been replaced after the index was built.
         for element in elements:
             if element is name or (name and element.name == name):
                 return element
         return None
 
     def taken(self, elements: Sequence[Any], name: str) -> bool:
-        """Whether an element has this name.
+        """Return whether an element has this name.
 
-        An element that replaced another in place may be missed; compiling finds it.
+        The index may miss an element that replaced another in place; compiling then detects a
+        repeated name.
         """
         self._read(elements)
         return name in self._by_name and self.find(elements, name) is not None
 
     def added(self, elements: Sequence[Any], element: Any) -> None:
-        """Notes that the last element of the list is new."""
+        """Add the last element of the list to the index."""
         if self._elements is elements and self._count == len(elements) - 1:
             self._note(element)
 
@@ -62,7 +63,7 @@ class Names:
         now = renamed()
         if self._elements is elements and (self._count, self._renamed) == (len(elements), now):
             return
-        # Elements appended to a list leave the index of the others valid.
+        # The index of the other elements stays valid when elements are appended.
         grown = self._elements is elements and self._renamed == now
         grown = (
             grown and 0 < self._count < len(elements) and elements[self._count - 1] is self._last
@@ -74,5 +75,5 @@ class Names:
             self._note(elements[at])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # A copy of the scene has other elements.
+        # A copy of the scene has other elements, so it starts with an empty index.
         return Names, ()

@@ -1,4 +1,4 @@
-"""`Scene`: what is modelled; built by hand or read from MJCF by `stepcore.load`."""
+"""`Scene`: the model to simulate, built by hand or read from MJCF by `stepcore.load`."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ if TYPE_CHECKING:
 
 
 class Scene(Contents):
-    """Describes bodies, joints, geoms and what acts on them, in SI units.
+    """A description of bodies, joints, geoms and forces, in SI units.
 
     gravity: acceleration [m/s²], shape (3,).
     name: any text.
 
-    Elements are added by the ``add_…`` methods, in any order, and refer to each other by name or
-    by the object that ``add_…`` returned. Their fields can be read and assigned. Names, defaults
-    and conventions are MuJoCo's; `Body`, `Joint`, `Geom`, `Mesh`, `HField`, `Site`, `Tendon`,
+    The ``add_…`` methods add elements in any order. Elements refer to each other by name or by the
+    object that ``add_…`` returned. Their fields can be read and assigned. Names, defaults and
+    conventions are MuJoCo's; `Body`, `Joint`, `Geom`, `Mesh`, `HField`, `Site`, `Tendon`,
     `Actuator`, `Equality`, `Pair` and `Key` document the fields with their units.
 
-    Every value is checked when it is given. A bad value raises a ValueError that names the element,
-    the field, the value and the limit; an unknown name raises one that lists the nearest names.
+    Every assignment is checked. A bad value raises a ValueError that names the element, the field,
+    the value and the limit. An unknown name raises a ValueError that lists the nearest names.
 
     bodies, joints, geoms, meshes, hfields, sites, tendons, sensors, actuators, equalities, pairs,
         keys: lists of the elements; ``bodies[0]`` is the world.
-    excludes: pairs of bodies that do not collide, but for geoms in `pairs`.
+    excludes: pairs of bodies that do not collide, except for geoms in `pairs`.
     contact_override: contact parameters that replace those of every contact (`ContactOverride`).
-    mass_rules: how masses are made from geoms (`MassRules`: MJCF's ``<compiler>``).
-    lengthrange: how ranges of lengths are found for muscles that give none (`LengthRange`: MJCF's
-        ``<lengthrange>``); the simulation that finds them is a part of `compile`.
-    features: what the model takes into account (`Features`: MJCF's ``<flag>``).
+    mass_rules: how body masses follow from geoms (`MassRules`: MJCF's ``<compiler>``).
+    lengthrange: how `compile` finds the length range of muscles that do not give a range
+        (`LengthRange`: MJCF's ``<lengthrange>``); `compile` runs a simulation for this.
+    features: the physical effects that the model includes (`Features`: MJCF's ``<flag>``).
     options: the fields of `Settings` that the scene sets; see `settings`.
     ignored: elements of the file that cannot change the motion, one line each.
-    notes: what the reader translated, one line each.
-    without: kinds of elements of the file that were left out on purpose, with how many; see
+    notes: translations made by the reader, one line each.
+    without: kinds of elements that were left out of the file on purpose, with their number; see
         `stepcore.load`.
-    fused: the names of bodies of the file that reading it made part of another (fixed links of a
-        URDF, MJCF's ``fusestatic``), each with the name of that body; see `stepcore.load`.
+    fused: name of each body of the file that the reader merged into another body (fixed links of a
+        URDF, MJCF's ``fusestatic``), with the name of that other body; see `stepcore.load`.
 
     >>> scene = Scene()
     >>> ball = scene.add_body("ball", pos=(0, 0, 1))
@@ -61,24 +61,24 @@ class Scene(Contents):
     """
 
     def compile(self) -> Model:
-        """Compiles the scene.
+        """Compile the scene to a `Model`.
 
-        Raises ValueError, naming the element, if it cannot be compiled, and naming what asks for
-        most if the memory does not hold the model and a world of it.
+        Raises ValueError for a scene that cannot be compiled, and names the element. Raises
+        ValueError if the model and one world do not fit into memory, and names the largest demand.
         """
         from stepcore.engine.model import Model
 
         return Model(self)
 
     def view(self, *, host: str = "localhost", port: int = 8080, wait: bool | None = None) -> View:
-        """Opens a live view of the scene, from its first keyframe; see `Sim.view`.
+        """Open a live view of the scene, from its first keyframe; see `Sim.view`.
 
         Raises what `compile` raises.
         """
         return self._begun().view(host=host, port=port, wait=wait)
 
     def _begun(self) -> Sim:
-        """A world of it, at its first keyframe if it has one."""
+        """Return a `Sim` of the scene, at the first keyframe if the scene has one."""
         from stepcore.engine.sim import Sim
 
         sim = Sim(self)
@@ -87,10 +87,10 @@ class Scene(Contents):
         return sim
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns the scene as the engine reads it: plain data, with indices for references.
+        """Return the scene as plain data for the engine, with indices for references.
 
-        Raises ValueError for errors that only the whole scene shows: a range on a free joint, a
-        plane on a moving body, a key of the wrong length, a name used twice.
+        Raises ValueError for errors that need the whole scene to be detected: a range on a free
+        joint, a plane on a moving body, a key of the wrong length, a name used twice.
         """
         layout = Layout(self)
         check(layout)
@@ -99,14 +99,15 @@ class Scene(Contents):
         return data
 
     def to_mjcf(self) -> str:
-        """Returns the scene, with its settings, as an MJCF text.
+        """Return the scene, with its settings, as an MJCF text.
 
         Angles are in radians, numbers are exact and defaults are left out. Settings that MJCF lacks
-        stand in ``<custom>``, which `stepcore.loads` reads: ``loads(scene.to_mjcf()) == scene``.
-        Elements of the scene's file that only draw or sense are not written; a comment counts them.
+        are written to ``<custom>``, which `stepcore.loads` reads: ``loads(scene.to_mjcf()) ==
+        scene``. Elements of the scene's file that only draw or sense are not written; a comment
+        counts them.
 
-        Raises ValueError for a scene that MJCF cannot express: one that cannot be compiled, a world
-        with a mass or another name, a name with control characters.
+        Raises ValueError for a scene that MJCF cannot express: a scene that cannot be compiled, a
+        world with a mass or another name, a name with control characters.
 
         >>> scene = Scene(gravity=(0, 0, -1.62))
         >>> ball = scene.add_body("ball", pos=(0, 0, 1))
@@ -134,12 +135,12 @@ class Scene(Contents):
         return written(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the scene to an MJCF file, so that ``load(path) == scene``.
+        """Write the scene to an MJCF file, so that ``load(path) == scene``.
 
-        If the scene was read from a file and only its settings or its name have changed, the file's
-        own text is kept, with its includes, comments and meshes; only ``<option>``, ``<flag>`` and
+        A scene that was read from a file, and whose settings or name alone have changed, keeps the
+        file's own text with includes, comments and meshes; only ``<option>``, ``<flag>`` and
         ``<custom>`` are edited. (If the text names other files, `path` must be in their folder.)
-        Otherwise the text is that of `to_mjcf`.
+        Every other scene is written as by `to_mjcf`.
 
         Raises what `to_mjcf` raises, and OSError.
         """
@@ -178,7 +179,7 @@ class Scene(Contents):
             "key": self.keys,
         }
         counts += [(len(elements), word, "") for word, elements in rest.items() if elements]
-        # Only what is printed needs words.
+        # Imported here because only printing needs it.
         from stepcore.report.units import counted
 
         parts = [f"{counted(n, word)}{more}" for n, word, more in counts]
@@ -187,7 +188,7 @@ class Scene(Contents):
         return f"<Scene{name}: {', '.join(parts)}{'; ' + ', '.join(options) if options else ''}>"
 
     def _repr_html_(self) -> str | None:
-        """The scene as a notebook shows it, with its picture where one can be drawn."""
+        """Return HTML for a notebook, with a picture of the scene if a picture can be drawn."""
         from stepcore.viewing.notebook import shown
 
         return shown(self, len(self.geoms), self._begun)
