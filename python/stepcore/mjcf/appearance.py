@@ -1,8 +1,8 @@
-"""What only draws: a file's visual geoms, colours and lights, read when a scene is looked at.
+"""Read the visual geoms, colours and lights of a file when a scene is drawn.
 
-Nothing here reaches the physics: the text of a scene is read a second time, with the geoms that
-the reader leaves out (`Scene.ignored`) and with the files of their meshes. MuJoCo documentation,
-XML reference, asset/material, asset/texture, geom/rgba, body/light and visual/headlight.
+Nothing here affects the physics. The source text of a scene is read a second time, with the geoms
+that the reader leaves out (`Scene.ignored`) and with their mesh files. MuJoCo documentation, XML
+reference, asset/material, asset/texture, geom/rgba, body/light and visual/headlight.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.urdf.translate import DrawnLink, to_mjcf
 
-# MuJoCo's colour of a geom that has none.
+# MuJoCo's default colour of a geom.
 GREY = (0.5, 0.5, 0.5, 1.0)
 WHITE = (1.0, 1.0, 1.0, 1.0)
-# The colour of one of a cube's sides, and of an image that cannot be read.
+# The colour in place of a cube texture, or of an image that cannot be read.
 LIGHT_GREY = (0.8, 0.8, 0.8, 1.0)
 DOWN = (0.0, 0.0, -1.0)
 
 
 class Look(NamedTuple):
-    """rgba: the colour of a geom. squares: the two colours of its squares, of a checker texture."""
+    """The colours of a geom. rgba: the mean. squares: the two colours of a checker texture."""
 
     rgba: Vec
     squares: tuple[Vec, Vec] | None = None
 
     def times(self, rgba: Vec) -> Look:
-        """The same look under a colour."""
+        """Return this look, multiplied by a colour."""
         squares = self.squares and (
             _product(self.squares[0], rgba),
             _product(self.squares[1], rgba),
@@ -60,11 +60,15 @@ def _product(colour: Vec, other: Vec) -> Vec:
 
 @dataclass(frozen=True)
 class Light:
-    """A light that a body carries.
+    """A light attached to a body.
 
-    pos: [m], and dir: where it shines, in the body's frame. diffuse: its colour.
-    kind: "directional" shines everywhere along dir, "spot" from pos within `cutoff` of dir
-    [degrees], and "point" from pos to all sides.
+    body: the index of the body.
+    pos: the position in the body's frame [m].
+    dir: the direction of the light in the body's frame, a unit vector.
+    diffuse: the colour.
+    kind: "directional" (parallel light along dir), "spot" (from pos, within `cutoff` of dir), or
+        "point" (from pos in all directions).
+    cutoff: the half angle of a spot light [degrees].
     """
 
     body: int
@@ -77,7 +81,7 @@ class Light:
 
 @dataclass(frozen=True)
 class Headlight:
-    """The light at the camera. ambient, diffuse: its colours."""
+    """The light at the camera. ambient, diffuse: the colours of the light."""
 
     ambient: Vec = (0.1, 0.1, 0.1)
     diffuse: Vec = (0.4, 0.4, 0.4)
@@ -85,14 +89,14 @@ class Headlight:
 
 @dataclass
 class Looks:
-    """How the file of a scene says that it looks.
+    """The appearance of a scene according to its file.
 
-    colours: of each geom of the scene, in the order of the compiled model.
-    geoms: those that only draw, with the index of their body and their colours.
-    covered: geoms of the scene that are not shown, because they collide on a link of a URDF that
-        has others that only draw.
-    lights: those of the file. headlight: the one at the camera.
-    notes: what could not be read, one line each.
+    colours: the look of each geom of the scene, in the order of the compiled model.
+    geoms: (body index, geom, look) of each geom that only draws.
+    covered: indices of collision geoms that are not shown: their URDF link has visual geoms.
+    lights: the lights of the file.
+    headlight: the light at the camera.
+    notes: a line for each asset or light that could not be read.
     """
 
     colours: list[Look] = field(default_factory=list)
@@ -104,7 +108,7 @@ class Looks:
 
 
 class _DrawnAssets(Assets):
-    """Keeps what only draws, and goes on without the files that cannot be read."""
+    """Assets for drawing: geoms that only draw stay, and unreadable files are skipped."""
 
     drawn = True
 
@@ -117,19 +121,19 @@ class _DrawnAssets(Assets):
             super()._fill(scene, node, asset)
         except (ValueError, OSError) as error:
             self.unread[id(asset)] = str(error)
-            # It stays empty, so that the geoms that refer to it can be told apart.
+            # The empty asset stays, so that geoms that refer to it can be recognised.
             held: list[Any] = scene.meshes if isinstance(asset, Mesh) else scene.hfields
             held.append(asset)
 
     def place_of_texture(self, node: Node) -> str | None:
-        """The path of the image of a texture; None in a text without a folder."""
+        """Return the path of a texture's image; None in a text without a folder."""
         return self._place(node, node.attrs["file"], "texturedir")
 
 
 def read_looks(scene: Contents) -> Looks | None:
-    """The looks of a scene by the file or text that it was read from.
+    """Return the appearance of a scene according to its source file or text.
 
-    None where it was built by hand, or changed since so that geoms and bodies are others.
+    The result is None for a scene built in code, or one whose bodies or geoms have changed since.
     """
     source = scene._source
     if source is None or not (source.data or source.urdf):
@@ -176,15 +180,15 @@ def read_looks(scene: Contents) -> Looks | None:
 
 
 class _Surfaces:
-    """The looks of geoms by their materials: a colour times the mean colour of the texture.
+    """The looks of geoms by material: the colour times the mean colour of the texture.
 
-    unread: images and materials that could not be read, a line each.
+    unread: a line for each image or material that could not be read.
     """
 
     def __init__(self, model: Model, assets: _DrawnAssets) -> None:
         self.assets = assets
         self.unread: list[str] = []
-        # Textures under the names that their files give those without one.
+        # Textures by name; a texture without a name is named after its file.
         self.textures: dict[str, Node] = {}
         self.materials: dict[str, tuple[Vec, Look]] = {}
         nodes = inside(model.root, "asset")
@@ -202,7 +206,7 @@ class _Surfaces:
                     self.unread.append(str(error))
 
     def of(self, values: dict[str, Any]) -> Look:
-        """The look of a geom with these attributes; its own colour goes before its material's."""
+        """Return the look of a geom. The geom's own colour overrides that of its material."""
         colour = values.get("rgba", GREY)
         if values.get("material") not in self.materials:
             return Look(colour)
@@ -210,7 +214,7 @@ class _Surfaces:
         return texture.times(rgba if colour == GREY else colour)
 
     def _look(self, node: Node, values: dict[str, Any]) -> Look:
-        """The look of a material's texture; white without one."""
+        """Return the look of a material's texture, or white without a texture."""
         layers = [
             layer.attrs.get("texture", "")
             for layer in node.children
@@ -231,7 +235,7 @@ class _Surfaces:
         return Look(mean, both if builtin == "checker" else None)
 
     def _mean(self, texture: Node) -> Vec:
-        """The mean colour of an image."""
+        """Return the mean colour of a texture's image, or light grey if it cannot be read."""
         if "file" not in texture.attrs:
             return LIGHT_GREY
         try:
@@ -244,24 +248,24 @@ class _Surfaces:
 
 
 def _mean_colour(path: str) -> Vec:
-    """The mean colour of the image in a file; ValueError for what is none, or far too large."""
+    """Return the mean colour of an image file; raise ValueError if it is invalid or too large."""
     from PIL import Image, ImageStat
 
     data = files.read(path, "an image")
     try:
         with warnings.catch_warnings():
-            # Pillow warns of more pixels than any texture has, and then reads them.
+            # Pillow only warns of oversized images; treat the warning as an error.
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data)) as image:
                 mean = ImageStat.Stat(image.convert("RGB")).mean
     except Exception as error:
-        # Whatever a reader of images finds wrong, the surface is drawn grey.
+        # After any error of the image reader, the surface is drawn grey.
         raise ValueError(f"not a whole image: {checks.cut(checks.one_line(error), 200)}") from None
     return (*(value / 255 for value in mean), 1.0)
 
 
 class _Place(NamedTuple):
-    """The body that holds an element, the pose of its frame there, and its childclass."""
+    """The place of an element: body index, pose of its frame in that body, and childclass."""
 
     body: int = 0
     pose: tuple[Vec, Vec] = AT_ORIGIN
@@ -269,10 +273,11 @@ class _Place(NamedTuple):
 
 
 def _lights(model: Model, bodies: Mapping[int, int], notes: list[str]) -> list[Light]:
-    """The lights that are on.
+    """Return the lights that are on.
 
-    bodies: the index of a body by the id of its node. notes: gets a line for each light that cannot
-    be read. One that follows or looks at a body (`mode`) stands in the body that holds it.
+    A light that tracks a body (`mode`) is fixed in its parent body instead.
+    bodies: the index of each body by the ``id`` of its node.
+    notes: receives a line for each light that cannot be read.
     """
     lights = []
     pending = [(node, _Place()) for node in sections(model.root, "worldbody")]
@@ -317,7 +322,7 @@ def _light(node: Node, values: dict[str, Any], place: _Place) -> Light:
 
 
 def _headlight(root: Node, notes: list[str]) -> Headlight:
-    """The light at the camera. notes: gets a line for each that cannot be read."""
+    """Return the light at the camera. notes: receives a line for each unreadable headlight."""
     headlight = Headlight()
     for node in inside(root, "visual"):
         if node.tag == "headlight":

@@ -1,7 +1,7 @@
-"""The section `<asset>`: meshes and height fields that the motion needs; all others only draw.
+"""The section `<asset>`: the meshes and height fields that affect the motion.
 
-A file is opened only once a geom needs it that collides or gives its body mass. MuJoCo
-documentation, XML reference, asset/mesh, asset/hfield and compiler/meshdir.
+A file is opened only if a geom that collides or has mass uses it; all other assets only draw.
+MuJoCo documentation, XML reference, asset/mesh, asset/hfield and compiler/meshdir.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from stepcore.scene.elements import HField, Mesh
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
-# Until it is known that an asset is needed.
+# The placeholder until an asset is read.
 _UNREAD = np.zeros((4, 3))
 _FIELDS = ("scale", "refpos", "refquat", "inertia", "maxhullvert")
 
 
 class Assets:
-    """The meshes and height fields of a file by name; `read_used` fills those that geoms use.
+    """The meshes and height fields of a file by name; `read_used` reads those that geoms use.
 
-    drawn: geoms that only draw stay in the scene, as `stepcore.mjcf.appearance` wants them.
-    clear: by name of each material, whether its opacity is 0.
+    drawn: whether geoms that only draw stay in the scene, for `stepcore.mjcf.appearance`.
+    clear: for each material by name, whether its opacity is 0.
     """
 
     drawn = False
@@ -45,9 +45,9 @@ class Assets:
         self.clear: dict[str, bool] = {}
         self.nodes: dict[str, dict[str, Node]] = {"mesh": {}, "hfield": {}}
         self.known: dict[tuple[str, str], Mesh | HField] = {}
-        # By path and content type, the first asset that holds the numbers of that file.
+        # The first asset read from each file, by path and content type.
         self.read: dict[tuple[str, str], Mesh | HField] = {}
-        # Of the files that are read: their sizes [bytes], and their names in the text.
+        # The files that were read: sizes by path [bytes], and names as in the text.
         self.sizes: dict[str, int] = {}
         self.named: set[str] = set()
         for node in (node for section in sections for node in section.children):
@@ -65,14 +65,14 @@ class Assets:
                 self.nodes[node.tag][name] = node
 
     def unseen(self, values: Mapping[str, Any]) -> bool:
-        """Whether the material of a geom with these attributes, or its colour, has opacity 0."""
+        """Return whether a geom's material, or else its colour, has opacity 0."""
         if "material" in values:
             return self.clear.get(values["material"], False)
         rgba = values.get("rgba", ())
         return len(rgba) > 3 and rgba[3] == 0
 
     def of(self, scene: Contents, node: Node, kind: str, name: str) -> Any:
-        """The mesh or height field that a geom names, still empty."""
+        """Return the mesh or height field that a geom names; its data is read later."""
         if name not in self.nodes[kind]:
             near = nearest(name, sorted(self.nodes[kind]))
             raise node.error(f'<{node.tag}> {kind}="{name}": no such {kind}{near}')
@@ -87,7 +87,7 @@ class Assets:
         return self.known[kind, name]
 
     def read_used(self, scene: Contents) -> None:
-        """Reads what the geoms of the scene use, in the order of the file, and lists the rest."""
+        """Read the assets that geoms use, in document order; list the others as ignored."""
         used = {id(asset) for geom in scene.geoms for asset in (geom.mesh, geom.hfield)}
         scene.meshes, scene.hfields = [], []
         for kind, nodes in self.nodes.items():
@@ -101,7 +101,7 @@ class Assets:
         self._note(scene)
 
     def _fill(self, scene: Contents, node: Node, asset: Mesh | HField) -> None:
-        """Fills an asset; what is wrong with its file has the line that names the file."""
+        """Fill an asset; errors of its file name the line of the asset."""
         try:
             if isinstance(asset, Mesh):
                 self._mesh(scene, node, asset)
@@ -166,7 +166,7 @@ class Assets:
     def _from_file(
         self, scene: Contents, node: Node, asset: Mesh | HField, values: Mapping[str, Any]
     ) -> None:
-        """Reads the file of an asset; assets of one file share its arrays, which are constant."""
+        """Read the file of an asset; assets of the same file share its read-only arrays."""
         path = self._path(scene, node, values["file"])
         key = path, values.get("content_type", "")
         first = self.read.get(key)
@@ -187,7 +187,7 @@ class Assets:
         self.named.add(node.attrs["file"])
 
     def _path(self, scene: Contents, node: Node, name: str) -> str:
-        """Where a file of this name lies; a note if that is outside the folder of the model."""
+        """Return the path of a file; add a note if it is outside the folder of the main file."""
         if not name or "\0" in name:
             raise bad(node, "file", name, "the name of a file")
         path = self._place(node, name)
@@ -202,9 +202,9 @@ class Assets:
         return path
 
     def _place(self, node: Node, name: str, folder: str = "meshdir") -> str | None:
-        """The path that a file's name means; None in a text without a folder.
+        """Return the path for a file name; None in a text without a folder.
 
-        folder: the attribute of the compiler that names the folder of such files.
+        folder: the compiler attribute that gives the folder of such files.
         """
         compiler = node.compiler or self.compiler
         values, directory = compiler.values, compiler.directory
@@ -215,12 +215,12 @@ class Assets:
             name = name.rpartition("/")[2]
         if directory is None and not os.path.isabs(os.path.join(within, name)):
             return None
-        # With strippath the folder of an included file does not count either.
+        # With strippath, the folder of an included file is not searched either.
         path = os.path.join(directory or "", within, name)
         return os.path.normpath(path if stripped else compiler.path(node, name, within))
 
     def _note(self, scene: Contents) -> None:
-        """Notes which files were read and which not; the scene's source knows them too."""
+        """Add a note on which files were read, and record them in the scene's source."""
         files = [
             node for nodes in self.nodes.values() for node in nodes.values() if "file" in node.attrs
         ]

@@ -1,10 +1,10 @@
-"""`<attach>`: bodies of another model, or of this one, with all that belongs to them.
+"""`<attach>`: bodies of another model or of the same model, with all elements that refer to them.
 
 MuJoCo documentation, XML reference, body/attach and asset/model; Model editing, Attribute merging.
-As there, an element outside of the tree comes along if all that it refers to does; all assets,
-default classes and keyframes of the other model come along; names get the prefix; the other
-model's elements keep its compiler settings and default classes; and its options follow the
-compiler's attribute "conflict".
+As in MuJoCo: an element outside the tree is attached if all its references are attached. All
+assets, default classes and keyframes of the other model are attached. Names get the prefix. The
+attached elements keep the compiler settings and default classes of their own model. The compiler
+attribute "conflict" decides between options of the two models.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from stepcore.mjcf.nodes import Node, below, inside, sections
 from stepcore.mjcf.schema import FLAGS, ROOT
 from stepcore.scene.layout import DOFS, QPOS
 
-# Bodies and frames by tag and name, each with the childclass around it.
+# Bodies and frames by tag and name, each with the childclass inherited at its position.
 Places = dict[tuple[str, str], tuple[Node, str]]
-# Of two options the smaller, or the larger, counts if conflicts are merged.
+# Merging takes the smaller value of the options in MINIMUM, the larger of those in MAXIMUM.
 MINIMUM = (
     *("timestep", "tolerance", "ls_tolerance", "noslip_tolerance", "ccd_tolerance"),
     "sleep_tolerance",
@@ -52,7 +52,7 @@ UNION = "actuatorgroupdisable"
 
 @dataclass
 class Model:
-    """A model whose own <attach> and <replicate> elements are replaced."""
+    """A model whose own <attach> and <replicate> elements are expanded."""
 
     root: Node
     compiler: Compiler
@@ -60,12 +60,12 @@ class Model:
 
     @cached_property
     def places(self) -> Places:
-        """Its bodies and frames."""
+        """The model's bodies and frames."""
         return _add_places({}, inside(self.root, "worldbody"), MAIN)
 
     @cached_property
     def assets(self) -> list[Node]:
-        """Its assets, under the names that their files give those without one."""
+        """The model's assets; an asset without a name is named after its file."""
         assets = [node for node in inside(self.root, "asset") if node.tag != "model"]
         for node in assets:
             if node.asset_name():
@@ -74,19 +74,20 @@ class Model:
 
     @cached_property
     def keys(self) -> list[Node]:
-        """Its keyframes, whose vectors are split among the elements of the whole model."""
+        """The model's keyframes, with their vectors split by element."""
         return _split_keys(self.root, self.defaults)
 
     @cached_property
     def referring(self) -> Referring:
-        """What refers to its tree, as it is when first asked."""
+        """The references to the model's tree, indexed at the first access."""
         return Referring(self.root)
 
 
 class Attacher:
-    """Replaces the <attach> elements of a model.
+    """The expansion of a model's <attach> elements.
 
-    load: gives the model that an <asset><model> names. notes: on options of attached models.
+    load: returns the model that an <asset><model> names.
+    notes: lines about elements left out and options not used.
     """
 
     def __init__(self, model: Model, load: Callable[[Node], Model], copies: Copies) -> None:
@@ -95,10 +96,10 @@ class Attacher:
         self.copies = copies
         self.notes: list[str] = []
         self.assets: dict[str, Node] = {}
-        # If the model attaches parts of itself: these, and what refers to them, as they grow.
+        # Used only if the model attaches parts of itself; both grow with each attachment.
         self.places: Places = {}
         self.referring: Referring | None = None
-        # By tag, what comes along with what is attached.
+        # The sections added for attached elements, by tag.
         self.sections: dict[str, Node] = {}
         for node in inside(model.root, "asset"):
             if node.tag == "model":
@@ -108,7 +109,7 @@ class Attacher:
                 self.assets[name] = node
 
     def run(self) -> None:
-        """Replaces every <attach>, in the order of the file."""
+        """Expand every <attach>, in document order."""
         attachments = []
         pending = inside(self.model.root, "worldbody")[::-1]
         while pending:
@@ -123,7 +124,7 @@ class Attacher:
             self._attach(node)
 
     def _attach(self, node: Node) -> None:
-        """Makes an <attach> the frame that holds what it attaches."""
+        """Turn an <attach> into a frame that contains the attached elements."""
         other = self._other(node)
         own = other is self.model
         if not own:
@@ -149,7 +150,7 @@ class Attacher:
             here = self.model.defaults.adopt(other.defaults, prefix)
             _rename_classes(along, made, here)
             childclass = here.get(childclass, childclass)
-            # Its elements are read with its own compiler settings.
+            # Attached elements are read with the compiler settings of their own model.
             for twin in made.values():
                 twin.compiler = twin.compiler or other.compiler
         self._add(along, names, prefix)
@@ -162,7 +163,7 @@ class Attacher:
             _add_places(self.places, twins, childclass)
 
     def _other(self, node: Node) -> Model:
-        """The model that an <attach> takes from."""
+        """Return the model whose elements an <attach> copies."""
         if "body" in node.attrs and "frame" in node.attrs:
             raise node.error("<attach> has both body and frame")
         name = node.attrs.get("model")
@@ -176,11 +177,11 @@ class Attacher:
         return self.load(self.assets[name])
 
     def _add(self, parts: list[Part], names: Names, prefix: str) -> None:
-        """Adds what comes along to the sections of this model, renamed."""
+        """Rename the elements and add them to this model's sections."""
         for tag, node in parts:
             rename(node, names, prefix)
             if tag == "keyframe":
-                # A keyframe has the prefix even where it has no name.
+                # An unnamed keyframe gets the prefix as its name.
                 name = node.attrs.get("name", prefix).removeprefix(prefix)
                 node.attrs["name"] = node.values["name"] = prefix + name
             if tag in self.sections:
@@ -193,7 +194,7 @@ class Attacher:
 
 
 def _add_places(places: Places, nodes: list[Node], childclass: str) -> Places:
-    """Adds the bodies and frames among these nodes and below them."""
+    """Add the bodies and frames among these nodes and their descendants."""
     pending = [(node, childclass) for node in reversed(nodes)]
     while pending:
         node, around = pending.pop()
@@ -205,7 +206,7 @@ def _add_places(places: Places, nodes: list[Node], childclass: str) -> Places:
 
 
 def _tree(node: Node, root: Node, places: Places, own: bool) -> tuple[list[Node], str]:
-    """The nodes that are attached, and the childclass under which they stand."""
+    """Return the attached nodes and the childclass that they inherit."""
     kind = next((word for word in ("body", "frame") if word in node.attrs), "")
     if not kind:
         return inside(root, "worldbody"), MAIN
@@ -220,9 +221,11 @@ def _tree(node: Node, root: Node, places: Places, own: bool) -> tuple[list[Node]
 
 
 def _rename_classes(parts: list[Part], made: dict[int, Node], here: dict[str, str]) -> None:
-    """Gives references to the other model's classes the names that these have in this model.
+    """Replace the names of the other model's default classes with their names in this model.
 
-    parts: what stands outside of the tree; an element without a class there has the outermost.
+    parts: attached elements outside the tree; those without a class get the main class.
+    made: all copied nodes.
+    here: for each class of the other model, its name in this model.
     """
     for tag, node in parts:
         if tag in (*SECTIONS, "asset") and "class" in ROOT.children[tag].children[node.tag].attrs:
@@ -237,14 +240,14 @@ def _rename_classes(parts: list[Part], made: dict[int, Node], here: dict[str, st
 def _resolved(
     referring: Referring, attached: list[Node], own: bool
 ) -> tuple[Names, list[Part], list[str]]:
-    """What comes along with what is attached, because it refers to nothing else.
+    """Find the elements to attach along with a tree: those that refer only to attached elements.
 
-    Returns the names of all that is attached, what comes along, and words about elements that
-    refer both to something attached and to something that is not.
+    Returns the names of all attached elements, the found elements, and a description of each
+    element that refers both to attached elements and to others.
     """
     names = names_in(attached)
     names.setdefault("body", set()).add("world")
-    # Of this model only what refers to the tree comes along.
+    # Within the same model, only elements that refer to the tree are copied.
     parts = referring.to(names, free=not own)
     needs = [list(named_by(node)) for _, node in parts]
     users: dict[tuple[str, str], list[int]] = {}
@@ -272,7 +275,7 @@ def _missing(needs: list[tuple[str, str]], names: Names) -> list[tuple[str, str]
 
 
 def _torn(node: Node, needs: list[tuple[str, str]], names: Names) -> str:
-    """Words about an element that is left out although it refers to something attached, or ""."""
+    """Describe an element that refers to attached elements but is left out; "" for others."""
     missing = _missing(needs, names)
     if not {*needs} - {*missing, ("body", "world")}:
         return ""
@@ -282,7 +285,7 @@ def _torn(node: Node, needs: list[tuple[str, str]], names: Names) -> str:
 
 
 def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str]:
-    """Merges the options of `child` into those of `root` by `policy`; returns notes.
+    """Merge the options of `child` into those of `root` by `policy`; return notes.
 
     node: the <attach>. Raises MJCFError for a conflict that the policy does not allow.
     """
@@ -310,7 +313,7 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
     if policy == "warning":
         names = [name for here, there in both for name in there if here.get(name) != there[name]]
         return note(names, "not used")
-    # An option section at the end replaces the values of earlier ones.
+    # An option section at the end overrides earlier sections.
     section = Node("option", {}, node.file, node.line)
     for name, there in theirs.items():
         here = mine.get(name, there)
@@ -322,7 +325,7 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
             section.values[name] = tuple(dict.fromkeys((*here, *there)))
         else:
             section.values[name] = check(name, here, there)
-    # A flag that one of them turns from its default is turned.
+    # A flag differs from its default if either model changes it.
     turned = {name: word for name, word in their_flags.items() if _turns(name, word)}
     if turned:
         inner = Node("flag", {}, node.file, node.line)
@@ -334,7 +337,7 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
 
 
 def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The options and the flags that a model's file gives."""
+    """Return the options and the flags in a model's file."""
     options: dict[str, Any] = {}
     flags: dict[str, Any] = {}
     for section in root.children:
@@ -346,13 +349,16 @@ def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _turns(name: str, word: str) -> bool:
-    """Whether a flag is turned from its default; those after "override" are off by default."""
+    """Return whether a flag differs from its default.
+
+    The flag "override" and those after it are off by default.
+    """
     flags = FLAGS.split()
     return word == ("enable" if name in flags[flags.index("override") :] else "disable")
 
 
 def _split_keys(root: Node, defaults: Defaults) -> list[Node]:
-    """The keyframes of a model, whose vectors become `parts` by the element they belong to."""
+    """Return the keyframes of a model, with each vector split by element in `parts`."""
     keys = inside(root, "keyframe")
     if not keys:
         return []
@@ -384,7 +390,7 @@ def _split_keys(root: Node, defaults: Defaults) -> list[Node]:
 
 
 def _copied_key(key: Node, made: dict[int, Node]) -> Node:
-    """A copy of a keyframe for copied elements; made: these by the originals' ``id``."""
+    """Copy a keyframe for copied elements. made: the copies by the ``id`` of the original."""
     copy = copied(key)
     copy.parts = {
         name: [(made[id(node)], numbers) for node, numbers in parts if id(node) in made]
@@ -394,9 +400,9 @@ def _copied_key(key: Node, made: dict[int, Node]) -> Node:
 
 
 def _joints_and_mocaps(root: Node, defaults: Defaults) -> tuple[list[Part], list[Node]]:
-    """The joints, each after its type, and the mocap bodies, in the model's order.
+    """Return the joints as (type, node), and the mocap bodies, both in model order.
 
-    The content of a frame is that of the body which holds the frame.
+    The content of a frame belongs to the body around the frame.
     """
     joints: list[Part] = []
     mocaps: list[Node] = []

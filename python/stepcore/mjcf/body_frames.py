@@ -20,26 +20,26 @@ if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import Shape, WorldReader
 
 Pose = tuple[Vec, Vec]
-# Rules under which the bodies alone and the fused one would not weigh the same.
+# Rules under which the mass of a fused body would differ from the sum of its parts.
 BOUNDS = ("boundmass", "boundinertia", "balanceinertia")
 
 
 def fuse(world: WorldReader) -> None:
-    """Makes bodies that cannot move against their parent part of it, from the world outwards."""
+    """Fuse bodies that cannot move relative to their parent with it, from the world outwards."""
     scene, root = world.scene, world.root
     jointed = {id(joint.body) for joint in scene.joints}
-    # What any element refers to by name stays a body.
+    # A body that an element refers to by name is not fused.
     named = {name for node in below(root) for _, kind, name in references(node) if kind == "body"}
-    # So does what a sensor of forces measures, which act between a body and its parent.
+    # Nor is a body with a force or torque sensor, which measures the load from the parent.
     sensors = inside(root, "sensor")
     measured = {node.attrs.get("site") for node in sensors if node.tag in ("force", "torque")}
     measured_on = {id(site.body) for site in scene.sites if site.name and site.name in measured}
     options = [section.values for section in sections(root, "option")]
     fluid = any(o.get(name, 0.0) > 0 for o in options for name in ("density", "viscosity"))
     layout = Layout(scene)
-    # Found for the first body that is not on the world.
+    # Computed at the first body whose parent is not the world.
     known: dict[int, Weight] = {}
-    # Of a fused body: the body that it is part of, and its pose there.
+    # For each fused body: the body that it joins, and its pose in that body.
     whole: dict[int, Body] = {}
     poses: dict[int, Pose] = {}
     for body in layout.bodies[1:]:
@@ -67,7 +67,7 @@ def fuse(world: WorldReader) -> None:
             element.pos, element.quat = frames.composed(poses[key], element.pos, element.quat)
             element.body = whole[key]
     scene.bodies = [body for body in layout.bodies if id(body) not in whole]
-    # The elements of a body come before those of the bodies that are part of it.
+    # A body's own elements come before those of the bodies fused with it.
     scene.geoms, scene.sites = layout.geoms, layout.sites
     if scene.fused:
         names = cut(", ".join(scene.fused), 200)
@@ -80,7 +80,7 @@ def fuse(world: WorldReader) -> None:
 def _may_fuse(
     world: WorldReader, body: Body, carrier: Body, known: dict[int, Weight], fluid: bool
 ) -> bool:
-    """Whether the body's own attributes, and the fluid, let it be part of the carrier."""
+    """Return whether the body's attributes and the fluid allow fusing it with the carrier."""
     values = world.nodes[id(body)].values
     if values.get("mocap") or values.get("fuse") is False or "sleep" in values:
         return False
@@ -91,7 +91,7 @@ def _may_fuse(
 
 
 def _add_weight(world: WorldReader, body: Body, carrier: Body, known: dict[int, Weight]) -> None:
-    """Gives the carrier the weight of both, unless it comes from the geoms of both anyway."""
+    """Give the carrier the summed mass and inertia, unless its geoms determine them anyway."""
     rules = world.scene.mass_rules
     both = known[id(carrier)] + known[id(body)].seen_from(body.pos, body.quat)
     bounded = any(getattr(rules, name) for name in BOUNDS)
@@ -110,10 +110,10 @@ def _add_weight(world: WorldReader, body: Body, carrier: Body, known: dict[int, 
 
 
 def align(world: WorldReader) -> None:
-    """Gives free bodies for which the file asks for it the frame of their inertia.
+    """Align the frames of free bodies with their principal axes of inertia where `align` is set.
 
-    As in MuJoCo, only a body that carries no other is aligned, and what is given elsewhere in its
-    frame (anchors of equalities, keyframes) is not changed.
+    As in MuJoCo, only a body without child bodies is aligned. Values in the body's frame that other
+    elements give (anchors of equalities, keyframes) are not changed.
     """
     scene = world.scene
     parents = {id(body.parent) for body in scene.bodies}
@@ -132,7 +132,7 @@ def align(world: WorldReader) -> None:
         shapes.setdefault(id(shape.geom.body), []).append(shape)
     for body in bodies:
         weight = known[id(body)]
-        # A rule for masses that makes moments equal would make these axes any.
+        # balanceinertia makes the moments equal, and so the computed axes arbitrary.
         quat = _written_axes(world, body, shapes.get(id(body), [])) or weight.iquat
         assert quat is not None
         pose = (tuple(map(float, weight.ipos)), quat)
@@ -147,7 +147,7 @@ def align(world: WorldReader) -> None:
 
 
 def _is_aligned(world: WorldReader, joint: Joint) -> bool:
-    """Whether the file asks for it: at the joint, or for all free joints of its model."""
+    """Return whether the joint's `align` or its model's `alignfree` requests alignment."""
     node = world.nodes[id(joint)]
     asked = node.values.get("align", "auto")
     alignfree = (node.compiler or world.main).values.get("alignfree")
@@ -155,13 +155,13 @@ def _is_aligned(world: WorldReader, joint: Joint) -> bool:
 
 
 def _written_axes(world: WorldReader, body: Body, shapes: list[Shape]) -> Vec | None:
-    """The axes that the file itself gives an inertia: its own, or those of an only geom."""
+    """Return the principal axes that the file gives: of the inertial, or of a body's only geom."""
     rules = world.rules_of(body)
     if body.mass is not None and rules.inertiafromgeom is not True:
         return body.iquat
     low, high = rules.inertiagrouprange
     geoms = [shape.geom for shape in shapes if shape.heavy and low <= shape.geom.group <= high]
-    # A mesh has axes of its own.
+    # The principal axes of a mesh are computed.
     return geoms[0].quat if len(geoms) == 1 and geoms[0].mesh is None else None
 
 

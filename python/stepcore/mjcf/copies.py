@@ -1,4 +1,4 @@
-"""Copies of elements under new names, with what refers to them: for replicate and attach."""
+"""Copy and rename elements, with the elements that refer to them, for replicate and attach."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from stepcore.mjcf.nodes import Node, below
 
-# The kind of element that an attribute names.
+# The kind of element that each attribute names.
 REFERENCES = {
     **{
         name: name
@@ -22,22 +22,22 @@ REFERENCES = {
     **dict.fromkeys(("tendon1", "tendon2"), "tendon"),
     **dict.fromkeys(("class", "childclass"), "default"),
 }
-# Attributes that name an object, and those that give its kind.
+# Attributes that name an object, and the attributes that give its kind.
 OBJECTS = {"objname": "objtype", "refname": "reftype"}
 # Sections whose elements refer to the tree and to each other.
 SECTIONS = ("contact", "tendon", "equality", "actuator", "sensor")
 # Sections whose elements share one set of names.
 _ONE_KIND = ("tendon", "actuator", "sensor", "equality", "keyframe")
-# The most elements that the copies of one load may have together.
+# The maximum number of copied elements in one load.
 MOST = 1_000_000
 
-# Names by kind of element; a section and an element of it.
+# `Names`: names by kind of element. `Part`: a section's tag and an element of that section.
 Names = dict[str, set[str]]
 Part = tuple[str, Node]
 
 
 def kind_of(node: Node) -> str:
-    """The kind by which others refer to an element: "joint", "tendon", "mesh", …"""
+    """Return the kind by which references name an element: "joint", "tendon", "mesh", …"""
     section, _, tag = node.path.partition("/")
     if section in _ONE_KIND or not tag:
         return section
@@ -45,7 +45,7 @@ def kind_of(node: Node) -> str:
 
 
 def references(node: Node) -> Iterator[tuple[str, str, str]]:
-    """(attribute, kind, name) of each reference in the element's own attributes."""
+    """Yield (attribute, kind, name) of each reference in the element's own attributes."""
     for attribute, name in node.attrs.items():
         kind = REFERENCES.get(attribute, "")
         if attribute in OBJECTS:
@@ -55,7 +55,10 @@ def references(node: Node) -> Iterator[tuple[str, str, str]]:
 
 
 def named_by(node: Node) -> Iterator[tuple[str, str]]:
-    """(kind, name) of what an element or its content refers to, except classes and materials."""
+    """Yield (kind, name) of each reference in an element or its descendants.
+
+    References to classes and materials are skipped.
+    """
     for inner in below(node):
         for _, kind, name in references(inner):
             if kind not in ("default", "material"):
@@ -63,13 +66,13 @@ def named_by(node: Node) -> Iterator[tuple[str, str]]:
 
 
 def add_name(names: Names, node: Node) -> None:
-    """Adds the name of an element, if it has one."""
+    """Add the name of an element, if it has one."""
     if node.attrs.get("name"):
         names.setdefault(kind_of(node), set()).add(node.attrs["name"])
 
 
 def names_in(nodes: Iterable[Node]) -> Names:
-    """The names of elements and of their content."""
+    """Return the names of elements and their descendants."""
     names: Names = {}
     for node in nodes:
         for inner in below(node):
@@ -78,7 +81,10 @@ def names_in(nodes: Iterable[Node]) -> Names:
 
 
 def copied(node: Node, made: dict[int, Node] | None = None) -> Node:
-    """A copy of an element with its content; made: gets the copies by the originals' ``id``."""
+    """Copy an element with its descendants.
+
+    made: receives the copies by the ``id`` of the original.
+    """
     whole = _alone(node)
     pending = [(node, whole)]
     while pending:
@@ -91,7 +97,7 @@ def copied(node: Node, made: dict[int, Node] | None = None) -> Node:
 
 
 def _alone(node: Node) -> Node:
-    """A copy of an element without its content."""
+    """Copy an element without its children."""
     copy = Node(node.tag, dict(node.attrs), node.file, node.line)
     copy.values, copy.path, copy.compiler = dict(node.values), node.path, node.compiler
     copy.parts = node.parts
@@ -99,7 +105,7 @@ def _alone(node: Node) -> Node:
 
 
 def rename(node: Node, names: Names, prefix: str = "", suffix: str = "") -> None:
-    """Changes the names of an element and of its content; references to `names` follow."""
+    """Rename an element and its descendants, and update their references to `names`."""
     for inner in below(node):
         changed = {a: name for a, kind, name in references(inner) if name in names.get(kind, ())}
         if inner.attrs.get("name"):
@@ -110,22 +116,25 @@ def rename(node: Node, names: Names, prefix: str = "", suffix: str = "") -> None
 
 
 def section_of(tag: str, nodes: list[Node]) -> Node:
-    """A section that holds these elements."""
+    """Return a new section with these elements."""
     section = Node(tag, {}, nodes[0].file, nodes[0].line)
     section.children = nodes
     return section
 
 
 class Copies:
-    """Counts the elements that all replicates and attachments of one load copy."""
+    """The counter of elements copied by all replicates and attachments of one load."""
 
     def __init__(self) -> None:
         self.made = 0
 
     def take(self, node: Node, nodes: Iterable[Node], count: int, more: int = 0) -> None:
-        """Counts copies of these elements and of their content before they are made.
+        """Count the copies of these elements and their descendants before copying.
 
-        node: asks for the copies. more: what each copy takes beside. Raises MJCFError.
+        Raises MJCFError above the limit.
+        node: the element that makes the copies.
+        count: the number of copies.
+        more: the number of additional elements per copy.
         """
         size = more + sum(1 for outer in nodes for _ in below(outer))
         if self.made + count * size > MOST:
@@ -137,26 +146,26 @@ class Copies:
 
 
 class Referring:
-    """Finds elements of a model's sections by what they refer to.
+    """An index of a model's section elements by the names that they refer to.
 
-    A search takes time for what it finds alone; with many copied trees, searches through all
-    sections would take time squared.
+    The cost of a search is proportional to its result. With many copied trees, searches through all
+    sections would take quadratic time.
     """
 
     def __init__(self, root: Node) -> None:
         self.root = root
         self._sections = [section for section in root.children if section.tag in SECTIONS]
-        # All elements in order; None stands for one that was taken.
+        # All elements in order; None replaces a removed element.
         self._parts: list[Part | None] = []
         self._by_name: dict[tuple[str, str], list[int]] = {}
-        # Elements that refer to nothing.
+        # Indices of elements without references.
         self._free: list[int] = []
         self.append((section.tag, node) for section in self._sections for node in section.children)
         self._given = len(self._parts)
         self._changed = False
 
     def append(self, parts: Iterable[Part]) -> None:
-        """Adds elements, which then stand behind all others of their sections."""
+        """Add elements at the end of their sections."""
         for tag, node in parts:
             names = set(named_by(node))
             for name in names:
@@ -166,9 +175,9 @@ class Referring:
             self._parts.append((tag, node))
 
     def to(self, names: Names, free: bool = False) -> list[Part]:
-        """The elements that refer to these names, directly or through each other.
+        """Return the elements that refer to these names, directly or through each other.
 
-        free: those that refer to nothing count too.
+        free: whether to include elements without references.
         """
         return [part for _, part in self._referring(names, free)]
 
@@ -189,7 +198,7 @@ class Referring:
         return sorted(reached.items())
 
     def take(self, names: Names) -> list[Part]:
-        """Removes what `to` finds, and adds the names of these elements to `names`."""
+        """Remove the elements that `to` finds, and add their names to `names`."""
         taken = self._referring(names, False)
         for number, (_, node) in taken:
             self._parts[number] = None
@@ -198,7 +207,7 @@ class Referring:
         return [part for _, part in taken]
 
     def put_back(self) -> None:
-        """Gives the sections these elements; added ones get sections of their own at the end."""
+        """Write the elements back to the model; added elements go to new sections at the end."""
         if not self._changed:
             return
         kept = {id(part[1]) for part in self._parts[: self._given] if part is not None}

@@ -16,12 +16,16 @@ DEPTH = 500
 
 
 class MJCFError(ValueError):
-    """An MJCF file or text that cannot be read; the message begins with ``file:line: ``.
+    """The error for an MJCF file or text that cannot be read.
 
-    file: the name of the file as it was given. line: counted from 1. text: the message without
-    them. kind: of a thing that is not built yet, what `stepcore.load` can leave out ("" for other
-    errors). errors: what is wrong with the file (elements are read until 100 are
-    wrong), this one first, where there is more.
+    The message begins with ``file:line: ``.
+
+    file: the name of the file as the caller gave it.
+    line: the line number, counted from 1.
+    text: the message without file and line.
+    kind: for a feature that is not built yet, the kind that ``stepcore.load(without=[kind])``
+        leaves out; "" for other errors.
+    errors: all errors of the file, this one first. Reading ends after 100 errors.
     """
 
     def __init__(self, file: str, line: int, text: str, kind: str = "") -> None:
@@ -39,7 +43,7 @@ class MJCFError(ValueError):
         return str(self), self.errors[1:]
 
     def with_others(self, errors: tuple[MJCFError, ...], message: str) -> MJCFError:
-        """This error with all errors of the file, and a message that lists them."""
+        """Return this error with the other errors of the file and a message that lists all."""
         self.errors = (self, *errors)
         self.args = (message,)
         return self
@@ -53,21 +57,23 @@ def _again(
     what: str,
     more: tuple[str, tuple[MJCFError, ...]],
 ) -> MJCFError:
-    """Unpickles an error."""
+    """Unpickle an error."""
     message, others = more
     return kind(file, line, text, what).with_others(others, message)
 
 
 @dataclass(frozen=True)
 class Source:
-    """The text that a scene was read from.
+    """The source text of a scene.
 
-    data: the text. urdf: that of a URDF, which leaves `data` empty. directory: the folder of its
-    includes. fuse: the argument `fuse` of `stepcore.load`.
-    files: the files that were read, the main one first.
-    unread: files that the text names but that only draw; they are never opened.
-    read_bytes: the size of the files of meshes and height fields that were read, and asset_bytes:
-        of all of them that are there.
+    data: the MJCF text; empty for a URDF.
+    directory: the folder of the main file, in which includes are found.
+    urdf: the text of a URDF.
+    fuse: the argument `fuse` of `stepcore.load`.
+    files: the files that were read, the main file first.
+    unread: files that the text names only for drawing; the reader does not open them.
+    read_bytes: the total size of the mesh and height field files that were read [bytes].
+    asset_bytes: the total size of all mesh and height field files that exist [bytes].
     without: the kinds that are left out.
     """
 
@@ -82,7 +88,7 @@ class Source:
     without: tuple[str, ...] = ()
 
     def of(self, root: Node) -> Source:
-        """This source with the files of a model whose includes are expanded."""
+        """Return this source with the file names of a model whose includes are expanded."""
         files, unread = [root.file], []
         pending = [root]
         while pending:
@@ -94,11 +100,12 @@ class Source:
 
 
 class Node:
-    """One XML element.
+    """An XML element.
 
-    values: its attributes as numbers and words, and path: its section and tag, "sensor/touch";
-    `validate` sets both. compiler: the compiler sections of an attached model that it is from.
-    parts: the vectors of a keyframe of such a model, as (element, its numbers).
+    values: the attributes as numbers and words; `validate` sets them.
+    path: section and tag, such as "sensor/touch"; `validate` sets it.
+    compiler: for an element of an attached model, the compiler settings of that model.
+    parts: for a keyframe of an attached model, each vector as (element, numbers of the element).
     """
 
     __slots__ = (
@@ -118,17 +125,17 @@ class Node:
         self.parts: dict[str, list[tuple[Node, tuple[float, ...]]]] | None = None
 
     def error(self, text: str) -> MJCFError:
-        """Returns the error about this element, with its file and line."""
+        """Return the error about this element, with its file and line."""
         return MJCFError(self.file, self.line, text)
 
     def missing(self, error: FileNotFoundError) -> FileNotFoundError:
-        """Returns the error about a file that this element names, with the element's place."""
+        """Return the error about a missing file that this element names, with file and line."""
         return FileNotFoundError(f"{brief(self.file)}:{self.line}: {error}")
 
     def unbuilt(self, what: str, attribute: str = "") -> MJCFError:
-        """Returns the error for a feature that would change the motion and is not built yet.
+        """Return the error for a feature that would change the motion and is not built yet.
 
-        attribute: that asks for it, where the element without it could be read.
+        attribute: the attribute that selects the feature, if the element is readable without it.
         """
         kind = f"{self.tag}/{attribute}" if attribute else self.path
         does = effect(kind)
@@ -137,19 +144,19 @@ class Node:
         )
 
     def asset_name(self) -> str:
-        """The name of an asset: its own, or that of its file without folder and ending."""
+        """Return the asset's name, or by default its file name without folder and extension."""
         file = self.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
         return self.attrs.get("name", file.rpartition(".")[0] or file)
 
     def listed(self, why: str) -> str:
-        """Returns the line about this element in `Scene.ignored`."""
+        """Return the line about this element for `Scene.ignored`."""
         name = self.attrs.get("name", "")
         label = f'<{self.tag}> "{name}"' if name else f"<{self.tag}>"
         return f"{self.file}:{self.line}: {label} ({why})"
 
 
 def below(node: Node) -> Iterator[Node]:
-    """A node and all that it holds."""
+    """Yield a node and all its descendants."""
     pending = [node]
     while pending:
         node = pending.pop()
@@ -158,19 +165,19 @@ def below(node: Node) -> Iterator[Node]:
 
 
 def sections(root: Node, tag: str) -> list[Node]:
-    """The sections of this tag."""
+    """Return the sections with this tag."""
     return [node for node in root.children if node.tag == tag]
 
 
 def inside(root: Node, tag: str) -> list[Node]:
-    """The elements of all sections of this tag."""
+    """Return the elements of all sections with this tag."""
     return [node for section in sections(root, tag) for node in section.children]
 
 
 def parse(data: str | bytes, file: str) -> Node:
-    """Returns the root of an XML document; MJCFError if it is not well-formed.
+    """Return the root of an XML document; raise MJCFError if the text is not well-formed.
 
-    What MuJoCo's parser lets pass in a comment, in a text or before the document is read too.
+    Texts that only MuJoCo's parser accepts are repaired first (`lenient_xml`).
     """
     try:
         return _parse(data, file)

@@ -1,10 +1,9 @@
-"""The MJCF reader: fills an empty `Scene` from a file or a text; a URDF is translated first.
+"""Read an MJCF file or text into an empty `Scene`; a URDF is translated first.
 
-The reader is strict. An element, attribute, keyword or reference that does not exist is an error
-with file, line and the nearest name. A feature that would change the motion and is not built yet
-is refused by name, unless its kind is left out on purpose. All errors of a file are listed at once.
-`Scene.ignored` lists elements that only draw or sense, and `Scene.notes` what
-was translated.
+The reader is strict. An unknown element, attribute, keyword or reference is an error with file,
+line and the nearest known name. A feature that would change the motion and is not built yet is an
+error, unless the user leaves out its kind (``without``). All errors of a file are reported
+together. `Scene.ignored` lists elements that only draw or sense; `Scene.notes`, translations.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ from stepcore.urdf import translate
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
-# The sections that are read after the tree, in the order in which they refer to one another.
+# The sections read after the tree, each after the sections that it refers to.
 SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
     "contact": section_readers.contact,
     "tendon": section_readers.tendon,
@@ -58,24 +57,27 @@ SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
 }
 
 
-# The most models that may attach one another in a chain.
+# The maximum nesting depth of attached models.
 MOST_NESTED = 50
 
 
 class Models:
-    """Checks models and replaces their <attach> and <replicate>, those that are attached first."""
+    """The models of one load: it validates each and expands <attach> and <replicate>."""
 
     def __init__(self, scene: Contents, refusals: Refusals, exclusions: Exclusions) -> None:
         self.scene = scene
         self.refusals = refusals
         self.exclusions = exclusions
-        # The files of the models that are open, the outermost first, and the finished ones.
+        # `open`: the files of the models being read, the outermost first. `made`: finished models.
         self.open: list[str] = []
         self.made: dict[str, Model] = {}
         self.copies = Copies()
 
     def prepared(self, root: Node, directory: str | None) -> Model:
-        """The model of a root whose includes are expanded; directory: of its main file."""
+        """Return the model of a root whose includes are expanded.
+
+        directory: the folder of the model's main file.
+        """
         self.scene.ignored += validate(root, self.refusals, self.exclusions)
         compiler = Compiler(sections(root, "compiler"), directory, root.file)
         model = Model(root, compiler, Defaults(sections(root, "default")))
@@ -86,7 +88,7 @@ class Models:
         return model
 
     def _load(self, node: Node, compiler: Compiler) -> Model:
-        """The model that an <asset><model> names."""
+        """Return the model that an <asset><model> names."""
         name = node.values["file"]
         if not name or "\0" in name:
             raise node.error('<model> needs a file="…"')
@@ -116,7 +118,7 @@ def read_file(
     without: Iterable[str] = (),
     fuse: bool | None = None,
 ) -> None:
-    """Fills an empty scene from an MJCF file; see `stepcore.load`."""
+    """Fill an empty scene from an MJCF file; see `stepcore.load`."""
     shown = os.fsdecode(path)
     main = Path(shown)
     data = read_main(shown)
@@ -135,7 +137,7 @@ def read_text(
     without: Iterable[str] = (),
     fuse: bool | None = None,
 ) -> None:
-    """Fills an empty scene from an MJCF text; see `stepcore.loads`."""
+    """Fill an empty scene from an MJCF text; see `stepcore.loads`."""
     if not isinstance(text, (str, bytes)):
         raise MJCFError(checks.word("name", name), 1, "an MJCF text must be a str or bytes")
     if base is not None:
@@ -148,7 +150,7 @@ def read_text(
 
 
 def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -> None:
-    """Fills the scene from a whole model whose includes are expanded."""
+    """Fill the scene from a model whose includes are expanded."""
     if source.fuse is not None:
         flag("load", "fuse", source.fuse)
     if root.tag == "robot":
@@ -156,7 +158,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
         root = urdf.tree
         scene.ignored += urdf.ignored
         scene.notes += urdf.notes
-        # The text is no MJCF that could be kept when the scene is saved.
+        # A URDF text cannot be kept when the scene is saved as MJCF.
         source = replace(source, data=b"", urdf=source.data)
     scene.name = root.attrs.get("model", "")
     refusals, exclusions = Refusals(), Exclusions(without)
@@ -173,7 +175,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     try:
         finish(world, source.fuse)
     except ElementError as error:
-        # The check of the whole scene names an element, whose line is known.
+        # The check of the whole scene names the element: add its file and line.
         node = world.nodes.get(id(error.owner), root)
         raise node.error(str(named(scene, error))) from None
     except MJCFError:
@@ -188,7 +190,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
 def read_sections(
     scene: Contents, model: Model, refusals: Refusals, kind: type[Assets] = Assets
 ) -> WorldReader:
-    """Reads what can be read without the files of assets; errors are added to `refusals`."""
+    """Read all sections without opening asset files; collect errors in `refusals`."""
     root, compiler, defaults = model.root, model.compiler, model.defaults
     assets = kind(sections(root, "asset"), compiler, defaults)
     world = WorldReader(scene, root, compiler, defaults, assets, refusals)
@@ -206,9 +208,9 @@ def read_sections(
 
 
 def finish(world: WorldReader, chosen: bool | None) -> None:
-    """Makes the scene whole by `PASSES`, once all elements of the file are in it.
+    """Complete the scene with `PASSES`, after all elements of the file are in it.
 
-    chosen: whether bodies that cannot move against their parent are fused; None: as the file says.
+    chosen: whether to fuse bodies that cannot move relative to their parent; None: as in the file.
     """
     if chosen is not None:
         world.main.values["fusestatic"] = chosen
@@ -227,7 +229,7 @@ def _read_keyframes(world: WorldReader) -> None:
 
 
 def _check_references(world: WorldReader) -> None:
-    """Checks that the elements exist that sensors, cameras, lights and materials refer to."""
+    """Check that the references of sensors, cameras, lights and materials exist."""
     scene = world.scene
     known = {
         **world.names,
@@ -274,31 +276,31 @@ def _check(world: WorldReader) -> None:
     check(Layout(world.scene))
 
 
-# What makes a scene of the elements of a file, each with why it stands where it does.
+# The passes that complete a scene, each with the reason for its position in the order.
 PASSES: tuple[Callable[[WorldReader], None], ...] = (
-    # A keyframe has numbers for the joints and actuators of the file, in the order of its tree.
+    # A keyframe has numbers for all joints and actuators of the file, in the order of its tree.
     _read_keyframes,
-    # The names in sensors and materials are those of the file, before any body or geom leaves.
+    # Sensors and materials may name bodies and geoms that later passes remove.
     _check_references,
-    # A file is not opened if only a geom that leaves here needs it.
+    # A file that only the removed geoms use is then not opened.
     leave_out_visual_geoms,
-    # Every pass below finds masses, which come from meshes too.
+    # Every pass below computes masses, which need the meshes.
     _read_assets,
-    # A body without mass gets the place of its inertia before a rule makes a mass of it.
+    # A massless body needs the pose of its inertia before a rule (boundmass) gives it mass.
     place_weightless,
-    # The passes below know one set of rules for masses.
+    # The passes below use one set of mass rules.
     settle_masses,
-    # A body keeps the mass of a geom that leaves, and hands it on if it is fused.
+    # A body keeps the mass of a removed geom, and passes it on when the body is fused.
     _discard_visual,
-    # A fused body weighs what its parts weigh by now.
+    # The mass of a fused body is the sum of the masses computed above.
     _fuse,
-    # A free body is aligned with the inertia that it has with all bodies that were fused with it.
+    # A free body is aligned with its inertia after fusing.
     align,
-    # Free joints that a keyframe of an attached model leaves out start where their bodies are now.
+    # Free joints that a keyframe of an attached model omits take the final poses of their bodies.
     keyframes.follow_bodies,
-    # It takes away names by which the passes above find elements.
+    # This pass removes names by which the passes above find elements.
     _read_own_text,
-    # Nothing changes after the check of the whole scene.
+    # The check comes last, because nothing may change after it.
     _check,
 )
 

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
 T = TypeVar("T")
-# Fields of a joint and of a geom that are no copies of attributes.
+# Fields of a joint and of a geom that are not copied from attributes.
 _OF_JOINT = ("name", "type", "pos", "axis", "range", "actuatorfrcrange", "ref", "springref")
 _OF_GEOM = ("name", "type", "size", "pos", "quat", "mesh", "hfield")
 AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
 
 
 class EmptyRange(str):
-    """The note on a range of the file that limits nothing: its first number is not the smaller."""
+    """The note on an empty range of the file: its lower bound is not below its upper bound."""
 
     where: str
     field: str
@@ -39,7 +39,7 @@ class EmptyRange(str):
 
     @classmethod
     def of(cls, where: str, field: str, bounds: tuple[float, ...]) -> EmptyRange:
-        """The note, with where the range stands in the file."""
+        """Return the note about a range. where: the range's ``file:line``."""
         note = cls(f"{where}: {field} = {bounds[0]:g} {bounds[1]:g} is empty: no limit")
         note.where, note.field, note.bounds = where, field, bounds
         return note
@@ -47,7 +47,7 @@ class EmptyRange(str):
 
 @dataclass(frozen=True)
 class Place:
-    """The place of an element: its body, the pose of its frame there, and its childclass."""
+    """The place of an element: its body, the pose of its frame in that body, and its childclass."""
 
     body: Body
     pose: tuple[Vec, Vec] = AT_ORIGIN
@@ -58,8 +58,9 @@ class Place:
 class Shape:
     """A geom of the file.
 
-    heavy: it gives mass to a body that has none of its own. fluid: it has a shape in a fluid.
-    values: its attributes, those of its class included.
+    heavy: whether the geom gives mass to a body without an inertial.
+    fluid: whether the geom has a fluid shape.
+    values: the attributes, completed from the default class.
     """
 
     node: Node
@@ -71,20 +72,21 @@ class Shape:
 
 
 class WorldReader:
-    """Reads the kinematic tree into a scene, and keeps what later sections and passes ask of it.
+    """The reader of the kinematic tree, with the records that later sections and passes need.
 
-    An element is known by its ``id``, as is a node.
+    Elements and nodes are identified by their ``id``.
 
-    nodes: of an element, its node; elements: of a node, its element.
+    nodes: the node of each element.
+    elements: the element of each node.
     names: the names that later sections can refer to, by kind.
-    references: (node, kind, name) of materials and meshes that are named.
-    shapes: the geoms with what decides whether they are needed.
-    written: of a body in frames, the pose that the file writes for it.
-    ranges: of a joint or tendon, the range that servos can inherit, whether it is limited or not.
-    mesh_sites: the names of sites whose volume is that of a mesh.
-    open_keys: keyframes of attached models, with the joints whose positions they hold.
-    only_drawn: geoms that only draw, where they are kept to be drawn (`Assets.drawn`).
-    settled: whether one set of rules makes the masses of all bodies (`masses.settle_masses`).
+    references: (node, kind, name) of each reference to a material or mesh.
+    shapes: the geoms, with the data that decides whether they are needed.
+    written: for each body inside a frame, the pose that the file gives.
+    ranges: for each joint or tendon, limited or not, the range that servos can inherit.
+    mesh_sites: the names of sites whose volume is a mesh.
+    open_keys: keyframes of attached models, with the joints whose positions they give.
+    only_drawn: geoms that only draw, if they are kept for drawing (`Assets.drawn`).
+    settled: whether one set of mass rules applies to all bodies (`masses.settle_masses`).
     """
 
     def __init__(
@@ -113,14 +115,14 @@ class WorldReader:
         self.open_keys: list[tuple[Key, set[int]]] = []
         self.only_drawn: set[int] = set()
         self.settled = False
-        # Geoms of explicit pairs collide whatever their masks say.
+        # Geoms of explicit pairs collide regardless of their masks.
         pairs = [node for node in inside(root, "contact") if node.tag == "pair"]
         self.paired = {pair.attrs.get(end, "") for pair in pairs for end in ("geom1", "geom2")}
         options = {k: v for section in sections(root, "option") for k, v in section.values.items()}
         self.disabled_groups = frozenset(options.get("actuatorgroupdisable", ()))
 
     def read(self, world: Node) -> None:
-        """Reads a worldbody section in document order, without recursion."""
+        """Read a worldbody section in document order, without recursion."""
         pending = [(child, Place(self.scene.world)) for child in reversed(world.children)]
         while pending:
             node, place = pending.pop()
@@ -129,18 +131,18 @@ class WorldReader:
                 pending += [(child, inner) for child in reversed(node.children)]
 
     def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
-        """Reads an element with the compiler settings of its own model; errors are kept."""
+        """Read an element with the compiler settings of its own model, and collect its errors."""
         self.compiler = node.compiler or self.main
         return self.refusals.at(node, read)
 
     def rules_of(self, body: Body) -> MassRules:
-        """How the body's mass is made: by the compiler settings of its own model."""
+        """Return the mass rules of a body: the compiler settings of the model that defines it."""
         node = self.nodes.get(id(body))
         compiler = None if node is None or self.settled else node.compiler
         return self.scene.mass_rules if compiler is None else compiler.mass_rules()
 
     def _element(self, place: Place, node: Node) -> Place | None:
-        """Reads an element; returns the place of its children if they are to be read."""
+        """Read an element; return the place of its children, or None to skip them."""
         name = node.attrs.get("name", "")
         if place.body is self.scene.world and node.tag in NOT_IN_WORLD:
             raise node.error(f"<{node.tag}> cannot be in the world")
@@ -161,14 +163,14 @@ class WorldReader:
         return None
 
     def keep(self, node: Node, element: Element) -> None:
-        """Records the node of an element, for error messages, and for keyframes."""
+        """Record the node of an element, for error messages and keyframes."""
         self.nodes[id(element)] = node
         self.elements[id(node)] = element
-        # Not by setattr, which checks fields: the place is no field.
+        # setattr would refuse `place`, because it is not a field.
         element.__dict__["place"] = f"{node.file}:{node.line}"
 
     def _pose(self, node: Node, values: dict[str, Any], place: Place) -> tuple[Vec, Vec]:
-        """The pose of an element in its body, through the frames that hold it."""
+        """Return the pose of an element in its body, composed with the frames around it."""
         pos = values.get("pos", frames.ORIGIN)
         return _within(place.pose, pos, self.compiler.orientation(node, values))
 
@@ -205,7 +207,7 @@ class WorldReader:
         inertia, axes = values.get("fullinertia"), None
         if inertia is None:
             xx, yy, zz = values.get("diaginertia", frames.ORIGIN)
-            # The axes that the engine finds put the largest moment first.
+            # The engine's own principal axes put the largest moment first.
             axes = None if turn == frames.IDENTITY and xx >= yy >= zz else turn
             inertia = (xx, yy, zz, 0.0, 0.0, 0.0)
         place.body.inertia = frames.turned_inertia(turn, inertia)
@@ -247,7 +249,7 @@ class WorldReader:
     def limits(
         self, node: Node, values: dict[str, Any], switch: str, field: str, lo_free: bool = True
     ) -> tuple[float, ...] | None:
-        """The range `field` if `switch` or the compiler's autolimits turns it on."""
+        """Return the range `field` if `switch` or autolimits enables it, else None."""
         state = values.get(switch, "auto")
         bounds: tuple[float, ...] | None = values.get(field)
         if state is False:
@@ -263,7 +265,7 @@ class WorldReader:
                     self.scene.notes.append(EmptyRange.of(where, field, bounds))
                 return None
         bounds = bounds or (0.0, 0.0)
-        # A ball may be held at no angle at all.
+        # A ball joint may be limited to angle 0.
         if bounds[0] >= bounds[1] and (lo_free or tuple(bounds) != (0.0, 0.0)):
             raise bad(node, field, bounds, f'two numbers, the first smaller, with {switch}="true"')
         if not lo_free and bounds[0] != 0:
@@ -290,7 +292,7 @@ class WorldReader:
             if word in values
         }
         if kind != "hfield":
-            # As in MuJoCo, other geoms ignore the attribute.
+            # As in MuJoCo, only geoms of type hfield use the attribute.
             assets.pop("hfield", None)
         if assets and "fromto" in values:
             raise node.error(f"<geom> has both {next(iter(assets))} and fromto")
@@ -298,7 +300,7 @@ class WorldReader:
         size, pose = self._shape(node, values, kind, place)
         if assets:
             size = frames.ORIGIN
-        # Only what is fitted to a mesh looks at the scale.
+        # Only a primitive fitted to a mesh uses the scale.
         fields = given(Geom, values, *_OF_GEOM, *(() if assets else ("fitscale",)))
         if self.assets.unseen(values):
             fields["hidden"] = True
@@ -313,7 +315,7 @@ class WorldReader:
     def _shape(
         self, node: Node, values: dict[str, Any], kind: str, place: Place
     ) -> tuple[Vec, tuple[Vec, Vec]]:
-        """(size, pose) of a primitive geom; unused sizes are 0."""
+        """Return (size, pose) of a primitive geom; unused sizes are 0."""
         size = values.get("size", (0.0,))
         if "fromto" in values:
             if any(values.get("pos", ())):
