@@ -278,7 +278,7 @@ def _damped(x: float, element: ElementLimits) -> float:
 
 
 def _mass(model: Model, joint: int) -> float:
-    """The inertia that a torque on a joint moves, the others free [kg·m² or kg]; 0 if none."""
+    """Return the inertia that a force on a joint moves [kg·m² or kg], the others free, or 0."""
     weight = float(model.dof_invweight0[model.jnt_dofadr[joint]])
     return 1 / weight if weight > 0 else 0.0
 

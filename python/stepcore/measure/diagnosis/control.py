@@ -1,22 +1,23 @@
-"""A user's control function in the linearised step: its linear law, its elements, its hold.
+"""Linearise a user's control function: its law, its elements, and steps with held controls.
 
-The law is found by calling the function, a black box that may remember. Its answers to a change of
-each position and velocity, for one sample, are read over the samples that follow. From this impulse
-response the memory is realised as by Ho and Kalman (1966): the Hankel matrix of the response is
-split by its singular values. A function that remembers nothing has the response zero after the
-first sample, which two random changes show; its gain is then the central difference of two calls.
+The law is found by calling the function, which is a black box and may have memory. The probe
+changes each position and velocity for one sample and reads the responses over the samples that
+follow. The memory is realised from this impulse response by the method of Ho and Kalman (1966), a
+singular value decomposition of the response's Hankel matrix. A function without memory has a
+response of zero after the first sample, which two random changes show. Its gain is then the central
+difference of two calls.
 
-A function may count its calls or look at the time between them. So every response begins with the
-memory that the function has at the state, and with as many calls without a change, at times one
-period apart; it is read as a difference to the last of them. What no copy reaches, such as an
-integral in a closure, falls out of the difference of both signs.
+A function may count its calls or read the time between them. Every response therefore begins with
+the memory that the function has at the state, and with equally many calls without a change, at
+times one period apart. The response is the difference to the last of these calls. Memory that no
+copy reaches, such as an integral in a closure, cancels in the difference of both signs.
 
-A control u = D x (+ C z) of an actuator with the force b u on the dofs is an element with
-K = −b D_q and D = −b D_v, "control of motor `ankle`". Unlike a spring it is held: in every stage of
-a step, and in all steps of a control period, its force is that of the sample. With a period T that
-was asked for, a step dt < T is stable if the step itself is, with the controls sampled at every
-step, and if the map over T is, with its controls held. The motion itself has the controls at every
-instant, so what grows because they are held belongs to the control.
+A control u = D x (+ C z) of an actuator with the force b u on the dofs is an element with K = −b
+D_q and D = −b D_v, "control of motor `ankle`". Unlike a spring it is held: in every stage of a
+step, and in all steps of a control period, its force is that of the sample. With a control period
+T, a step dt < T is stable if two maps are stable: the step with controls sampled at every step, and
+the map over T with controls held. The motion itself has continuous controls, so growth that is due
+to the hold belongs to the control.
 """
 
 from __future__ import annotations
@@ -46,16 +47,16 @@ from stepcore.measure.diagnosis.growth import (
 from stepcore.measure.diagnosis.linear_step import TINY_STEP, State, closed_step, sim_at
 
 KIND = "control"
-# Changes of a position or velocity: the smaller, unless the answers are too coarse for it (a
-# network in single precision); they are if the answers to both differ by more than this share.
+# Changes of a position or velocity. The larger one serves functions whose answers are coarse, such
+# as a network in single precision: answers to both changes then differ by more than this share.
 SMALL, LARGE, COARSE = 1e-5, 1e-3, 1e-2
-# Samples of a response. Delays of up to half as many are found.
+# Samples of a response; delays of up to half this number are found.
 SAMPLES = 32
-# A smaller part of a response, or singular value, is rounding.
+# A smaller part of a response, or a smaller singular value, counts as rounding.
 NOTHING = 1e-4
-# Models of more dofs have the memory that is found at the first state at every state.
+# Models with more dofs have the memory found at the first state at every state.
 MOST_DOFS = 10
-# An eigenvalue of this size is an explosion whatever the motion does.
+# An eigenvalue of this size is an explosion, even where the motion itself grows.
 CLEAR = 1.5
 
 
@@ -70,15 +71,19 @@ def with_feedback(
     horizon: float,
     period: float | None = None,
 ) -> list[State]:
-    """The states with the control function linearised at each, and its controls there.
+    """Return the states with the control function linearised at each, and its controls there.
 
-    dt: the time between two calls [s]. horizon: of the motion [s]; the function is not called at it
-    or beyond. period: of each `Feedback`.
+    model, states: the model and the states.
+    control: the user's control function.
+    dt: the time between two calls [s].
+    horizon: the length of the motion [s]; the function is never called at or beyond this time.
+    period: the control period [s] of each `Feedback`; None for one step.
     """
     made: list[State] = []
     first: Feedback | None = None
     for state in states:
-        # As it was when the run came by; before the first sample, as it begins.
+        # The run's copy has the memory of that moment. Without a copy the function is as at the
+        # start.
         control = control if state.control is None else state.control
         probe = _Probe(model, state, control, dt, horizon)
         if first is None or (first.order and model.nv <= MOST_DOFS):
@@ -94,7 +99,7 @@ def with_feedback(
 
 
 class _Probe:
-    """Calls a control function at changed states."""
+    """A control function, called at changed states."""
 
     def __init__(
         self, model: Model, state: State, control: Control, dt: float, horizon: float
@@ -102,7 +107,7 @@ class _Probe:
         self.model, self.state, self.dt = model, state, dt
         self.begun = self.control = control
         self.last = max(0.0, horizon - dt)
-        # Where the samples around it lie within the motion.
+        # The samples around this time lie within the motion.
         around = SAMPLES * dt
         self.middle = max(min(state.time, self.last - around), around)
         self.sim = sim_at(model, state)
@@ -110,7 +115,11 @@ class _Probe:
         self.small = SMALL
 
     def answer(self, change: Floats | None, sample: int | None = None) -> Floats:
-        """The controls at the state changed by [dq, dv]; sample: of a response, 0 in its middle."""
+        """Return the controls at the state changed by [dq, dv].
+
+        change: shape (2 nv,); None for no change.
+        sample: the index in a response, 0 in its middle; None for the state's own time.
+        """
         sim, n = self.sim, self.model.nv
         qpos, qvel = self.state.qpos, self.state.qvel
         if change is not None:
@@ -122,27 +131,30 @@ class _Probe:
         return controls(self.control, sim)
 
     def now(self) -> Floats:
-        """The controls at the state."""
+        """Return the controls at the state."""
         self.control = fresh(self.begun)
         return self.answer(None)
 
     def slope(self, answer: Callable[[Floats], Floats], direction: Floats) -> Floats:
-        """The derivative of an answer along a change."""
+        """Return the derivative of an answer along a change."""
         change, answers = self.small * direction, []
         for signed in (change, -change):
-            # Both begin with the same memory.
+            # Both signs begin with the same memory.
             self.control = fresh(self.begun)
             answers.append(answer(signed))
         slope: Floats = (answers[0] - answers[1]) / (2 * self.small)
         return slope
 
     def gain(self) -> Floats:
-        """D of a function that remembers nothing, shape (nu, 2 nv)."""
+        """Return D of a function without memory, shape (nu, 2 nv)."""
         columns = [self.slope(self.answer, unit) for unit in np.eye(2 * self.model.nv)]
         return np.array(columns).T.reshape(self.model.nu, 2 * self.model.nv)
 
     def response(self, change: Floats) -> Floats:
-        """Answers to a change of one sample, less the last before it, shape (SAMPLES, nu)."""
+        """Return the answers to a change of one sample, shape (SAMPLES, nu).
+
+        The last answer before the change is subtracted.
+        """
         for sample in range(-SAMPLES, 0):
             before = self.answer(None, sample)
         answers = [self.answer(change, 0)]
@@ -150,7 +162,7 @@ class _Probe:
         return np.array(answers) - before
 
     def feedback(self) -> Feedback:
-        """The function with what it remembers."""
+        """Return the linearised function with its memory."""
         rng = np.random.default_rng(0)
         directions = rng.choice([-1.0, 1.0], (2, 2 * self.model.nv))
         fine = [self.slope(self.response, direction) for direction in directions]
@@ -167,7 +179,7 @@ class _Probe:
 
 
 def realised(control: Control, response: Floats) -> Feedback:
-    """The least memory that has an impulse response, shape (samples, nu, 2 nv)."""
+    """Return the feedback of least memory with this impulse response, shape (samples, nu, 2 nv)."""
     count, nu, width = response.shape
     half = count // 2
     later = response[1:]
@@ -182,7 +194,7 @@ def realised(control: Control, response: Floats) -> Feedback:
     a = (left.T @ shifted @ right.T) / root[:, None] / root[None, :]
     b = root[:, None] * right[:, :width]
     c = left[:nu] * root[None, :]
-    # What an integral keeps for ever is no delay.
+    # An integral keeps its value for ever and is no delay.
     kept = response[-1] if np.any(np.abs(np.linalg.eigvals(a)) > 0.99) else 0.0 * response[-1]
     settled = response[0] - kept + (later - kept).sum(axis=0)
     return Feedback(control, None, response[0], settled, a, b, c)
@@ -192,7 +204,7 @@ def realised(control: Control, response: Floats) -> Feedback:
 
 
 def control_inputs(model: Model, state: State, mass: Floats) -> Floats:
-    """The force on the dofs of a unit of each control, shape (nv, nu)."""
+    """Return the force on the dofs per unit of each control, shape (nv, nu)."""
     sim = sim_at(model, state, integrator="explicit", dt=TINY_STEP, refsafe=False)
     inputs: Floats = mass @ sim.linearize().B[model.nv : 2 * model.nv] / TINY_STEP
     return inputs
@@ -201,7 +213,7 @@ def control_inputs(model: Model, state: State, mass: Floats) -> Floats:
 def control_matrices(
     model: Model, feedback: Feedback, inputs: Floats
 ) -> dict[Element, ElementSlopes]:
-    """Stiffness and damping of every control that depends on the state, its delays over."""
+    """Return stiffness and damping of every control that depends on the state, after its delays."""
     n = model.nv
     matrices = {}
     for actuator, gain in enumerate(feedback.settled):
@@ -226,11 +238,17 @@ def held_step(
     feedback: Feedback,
     inputs: Floats,
 ) -> Any:
-    """The map of (x, z) over `hold` steps of dt [s] times a block, the controls of the first held.
+    """Return the map of (x, z) over `hold` steps times a block, the first step's controls held.
 
-    rates: J without the controls. after: the accelerations in it that `midpoint` adds after its
-    implicit step, shape (nv, 2 nv). implicit, stiff: implicit damping and stiffness. inputs: force
-    of each control, shape (nv, nu).
+    integrator, dt: the integrator and its step [s].
+    hold: the number of steps.
+    block: the block of (x, z), shape (2 nv + m, …).
+    rates: J without the controls.
+    after: the accelerations in J that `midpoint` adds after its implicit step, shape (nv, 2 nv).
+    mass: the mass matrix, shape (nv, nv).
+    implicit, stiff: implicit damping and stiffness, shape (nv, nv) each.
+    feedback: the control law.
+    inputs: the force of each control, shape (nv, nu).
     """
     n = len(mass)
     x, z = block[: 2 * n], block[2 * n :]
@@ -253,10 +271,13 @@ def held_step(
 def control_dt(
     omega: float, damping: float, implicit: float, integrator: str, horizon: float, longest: float
 ) -> float:
-    """The largest stable period [s] of a control alone on a unit mass, one step a period.
+    """Return the largest stable period [s] of a control alone on a unit mass, one step a period.
 
-    omega² and damping: its gains on position [1/s²] and velocity [1/s]. implicit: damping of the
-    joint that the integrator treats implicitly [1/s].
+    omega, damping: the square root of the gain on position [rad/s], and the gain on velocity [1/s].
+    implicit: damping of the joint that the integrator treats implicitly [1/s].
+    integrator: the integrator.
+    horizon: see `growth` [s].
+    longest: the longest period to try [s].
     """
     pull = np.array([[-omega * omega, -damping]])
     rates = np.linalg.eigvals(np.vstack([[0.0, 1.0], pull]))
@@ -280,9 +301,9 @@ def control_dt(
 
 
 def steps_held(state: State, dt: float) -> tuple[int, float]:
-    """How many steps of at most dt [s] a control of a state is held for, and how long they are.
+    """Return the number and size [s] of the steps, of at most dt [s], over which a control is held.
 
-    (1, dt) where the control is sampled at every step.
+    The result is (1, dt) if the control is sampled at every step.
     """
     period = state.feedback.period if state.feedback is not None else None
     if period is None or dt >= period * (1 - 1e-9):
@@ -292,7 +313,7 @@ def steps_held(state: State, dt: float) -> tuple[int, float]:
 
 
 def folded(rates: Any, period: float) -> Any:
-    """Rates [1/s] as they are seen once a period [s]: turns by whole circles are not."""
+    """Return rates [1/s] as sampled once a period [s]: frequencies are folded, as in aliasing."""
     turns = np.round(rates.imag * period / (2 * math.pi))
     return rates - 2j * math.pi * turns / period
 
@@ -306,9 +327,12 @@ def growth_when_held(
     horizon: float,
     period: float | None = None,
 ) -> StepGrowth | None:
-    """The worst growth over a control period at a state; None where controls are held for a step.
+    """Return the worst growth over a control period at a state, or None for single steps.
 
-    rates: those of the motion there [1/s]. period: [s], in place of the one that was asked for.
+    model, state, integrator, dt: the step.
+    rates: the rates of the motion there [1/s].
+    horizon: see `growth` [s].
+    period: a control period [s] in place of the state's own.
     """
     if state.feedback is None:
         return None

@@ -1,8 +1,8 @@
-"""What to change about a user's control function that limits dt: its gains, its period, a servo.
+"""Search for changes of a control function that limits dt: its gains, its period, or a servo.
 
-A gain of a black box is changed about the state: its own derivative is added to what the function
-returns, in proportion to the way from there. Every change leaves a margin of the step, or of the
-period that was asked for, and a run of the real step confirms it, as in `advice`.
+A gain of a black box is changed about the state: the advised function adds the gain's derivative
+times the displacement from the state to the function's answer. Every change leaves a margin of the
+step or of the control period. A run of the real step confirms each change, as in `advice`.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from stepcore.measure.diagnosis.motion_runs import stays_bounded
 from stepcore.report.units import seconds, unit_of
 from stepcore.scene.layout import Layout
 
-# How far gains are changed, in octaves: down, and up where one gain is changed alone.
+# The range of gain factors in octaves: down, and up for a single gain.
 LESS, GREATER = 12, 6
-# A control is a servo of its own joint if all it does elsewhere is below this share.
+# A control acts as a servo of its joint if its gains elsewhere are below this share.
 ELSEWHERE = 0.05
-# Of the ways to change gains: which of the gains on position and velocity, by x.
+# Whether each change scales the gain on position and that on velocity.
 WAYS = {
     "gains": (True, True),
     "gain on position": (True, False),
@@ -49,23 +49,27 @@ WAYS = {
 def advise_control(
     here: StepStability, elements: Sequence[Element], wanted: float, worst: int
 ) -> list[Advice]:
-    """Ways to make the wanted dt [s] stable where controls limit it.
+    """Return changes of the controls that make the wanted dt [s] stable, and those that fail.
 
-    elements: those that limit dt, of kind "control". worst: the state that decides.
+    here: the stability of the unchanged model.
+    elements: the elements that limit dt; those of kind "control" are changed.
+    wanted: the wanted dt [s].
+    worst: the index of the state that decides.
     """
     controls = [element for element in elements if element.kind == KIND]
     search = _ControlSearch(here, controls, wanted, max(worst, 0))
     gains = [search.gain(what) for what in WAYS]
     if any(advice.met for advice in gains[1:]):
-        # One gain is less change than both.
+        # A single sufficient gain is a smaller change than both gains.
         gains = gains[1:]
     return [*gains, *search.period(), *search.servo()]
 
 
 def longest_period(here: StepStability, integrator: str, dt: float, longest: float) -> float:
-    """The longest control period [s] that is stable at every state in steps of about dt [s].
+    """Return the longest control period [s] that is stable at every state in steps of about dt [s].
 
-    0 where one step is too long, inf beyond `longest` [s].
+    The result is 0 if a single step is too long, and inf if every period up to `longest` [s] is
+    stable.
     """
     stable = partial(_held, here, integrator, dt)
     if not stable(dt):
@@ -79,7 +83,7 @@ def longest_period(here: StepStability, integrator: str, dt: float, longest: flo
 
 
 def _held(here: StepStability, integrator: str, dt: float, period: float) -> bool:
-    """Whether controls can be held for a period [s] in steps of at most dt [s]."""
+    """Return whether controls can be held for a period [s] in steps of at most dt [s]."""
     for state, rates in zip(here.states, here.rates, strict=True):
         model = here.model_at(state)
         growth = growth_when_held(model, state, rates, integrator, dt, here.horizon, period)
@@ -90,7 +94,11 @@ def _held(here: StepStability, integrator: str, dt: float, period: float) -> boo
 
 @dataclass
 class _ControlSearch:
-    """Changes of the controls of some actuators. wanted [s]; worst: the state that decides."""
+    """A search for changes of the controls of some actuators.
+
+    wanted: the wanted dt [s].
+    worst: the index of the state that decides.
+    """
 
     here: StepStability
     elements: Sequence[Element]
@@ -99,12 +107,12 @@ class _ControlSearch:
 
     def __post_init__(self) -> None:
         periods = [s.feedback.period for s in self.here.states if s.feedback is not None]
-        # The control period that was asked for [s].
+        # The control period [s]; None if controls are sampled at every step.
         self.asked = periods[0] if periods else None
         self.rows = [element.index for element in self.elements]
 
     def stable(self, states: Sequence[State], model: Model) -> bool:
-        """Whether states with changed controls are stable, with a margin."""
+        """Return whether states with changed controls are stable, with a margin."""
         made, own = step_stability(model, states, self.here.horizon), model.settings.integrator
         if not made.stable(own, self.wanted):
             return False
@@ -113,13 +121,13 @@ class _ControlSearch:
         return made.stable(own, MARGIN * self.wanted)
 
     def bounded(self, states: Sequence[State], model: Model) -> bool:
-        """Whether runs of the real step from the first state and the worst one stay bounded."""
+        """Return whether runs from the first state and the worst one stay bounded."""
         own, horizon = model.settings.integrator, self.here.horizon
         starts = [states[k] for k in {0, self.worst} if k < len(states)]
         return all(stays_bounded(model, s, own, self.wanted, horizon) for s in starts)
 
     def gain(self, what: str) -> Advice:
-        """The least change of some gains that is enough."""
+        """Return the least sufficient change of some gains."""
         model, (position, velocity) = self.here.model, WAYS[what]
 
         def scaled(x: float) -> list[State]:
@@ -140,7 +148,7 @@ class _ControlSearch:
         return Advice(f"control {what}", (), {}, False, f"{what} of the control")
 
     def _gain(self, what: str, x: float) -> Advice:
-        """The change in words: the gains on each joint's own position and velocity."""
+        """Describe the change by the gains on each joint's own position and velocity."""
         values = []
         for element in self.elements:
             servo = _servo_gains(self.here, element) or (0.0, 0.0)
@@ -159,7 +167,7 @@ class _ControlSearch:
         return Advice(f"control {what}", tuple(values), {}, True, text, abs(math.log(x)))
 
     def period(self) -> Iterator[Advice]:
-        """A shorter control period, where one was asked for that is longer than a step."""
+        """Yield a shorter control period, if the present one is longer than a step."""
         asked, wanted = self.asked, self.wanted
         if asked is None or asked <= wanted:
             return
@@ -173,7 +181,7 @@ class _ControlSearch:
         yield Advice("control_dt", (), {}, True, text, ratio(asked, count * wanted))
 
     def servo(self) -> Iterator[Advice]:
-        """A servo in place of the control, whose damping `implicitfast` treats implicitly."""
+        """Yield a servo in place of the control, whose damping `implicitfast` treats implicitly."""
         found = [_servo_gains(self.here, element) for element in self.elements]
         if not found or any(gains is None or not gains[0] > 0 for gains in found):
             return
@@ -234,7 +242,7 @@ class _Adjusted:
 
 
 def _rescaled(model: Model, state: State, rows: Sequence[int], by: tuple[float, float]) -> State:
-    """The state with gains of some actuators on position and velocity multiplied."""
+    """Return the state with the position and velocity gains of some actuators multiplied."""
     old, n, coordinates = state.feedback, model.nv, Coordinates(model)
     if old is None:
         return state
@@ -246,7 +254,7 @@ def _rescaled(model: Model, state: State, rows: Sequence[int], by: tuple[float, 
         way = np.concatenate([coordinates.change(state.qpos, sim.qpos), sim.qvel - state.qvel])
         return ctrl + more @ way
 
-    # What is remembered is one loop for all gains: it scales as the settled gain does.
+    # One memory serves all gains, so a single factor scales its output.
     c = old.c.copy()
     if old.order:
         c[rows] *= by[0] if by[0] == by[1] else float(np.sqrt(by[0] * by[1]))
@@ -256,7 +264,7 @@ def _rescaled(model: Model, state: State, rows: Sequence[int], by: tuple[float, 
 
 
 def _as_servo(model: Model, state: State, rows: Sequence[int]) -> State:
-    """The state with the controls of some actuators constant: those of servos at rest there."""
+    """Return the state with constant controls, those of resting servos, for some actuators."""
     old = state.feedback
     if old is None:
         return state
@@ -276,9 +284,10 @@ def _as_servo(model: Model, state: State, rows: Sequence[int]) -> State:
 
 
 def _servo_gains(here: StepStability, element: Element) -> tuple[float, float] | None:
-    """kp and kv [SI, at the joint] of a control that is a servo of its own hinge or slide.
+    """Return kp and kv [SI, at the joint] of a control that acts as a servo of its hinge or slide.
 
-    At the state where it is stiffest; None for a control of another form.
+    The gains are those at the state where the control is stiffest. The result is None for any other
+    control.
     """
     model = here.model
     joint = int(model.actuator_joint[element.index])

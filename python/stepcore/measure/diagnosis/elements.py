@@ -1,4 +1,4 @@
-"""Which elements act at a state, and how stiff each is."""
+"""Find the elements that act at a state, and the solref from which a row's stiffness comes."""
 
 from __future__ import annotations
 
@@ -12,31 +12,34 @@ from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Joint, Tendon
 from stepcore.scene.frames import Vec
 
-# The elements that a diagnosis names. What the others do (gravity, a fluid, applied forces) counts
-# with the inertial forces.
+# The elements that a diagnosis names. All other forces (gravity, fluid, applied forces) count with
+# the inertial forces.
 NAMED = ("spring", "damper", "actuator", "tendon spring", "tendon damper", "spin", *ROWS)
 
 
 def named_slopes(sim: Sim) -> dict[Element, ElementSlopes]:
-    """Stiffness and damping at the present state of a Sim, of every element that is named."""
+    """Return stiffness and damping of every named element at the present state of a Sim."""
     return {e: slopes for e, slopes in sim.element_slopes().items() if e.kind in NAMED}
 
 
 def row_elements(sim: Sim) -> Iterator[Element]:
-    """The element of every row of the last solve, in order."""
+    """Yield the element of every row of the last solve, in order."""
     for kind, index in zip(sim.rows["kind"].tolist(), sim.rows["index"].tolist(), strict=True):
         yield Element.of(sim.model, kind, index)
 
 
 def acting_elements(sim: Sim) -> tuple[Element, ...]:
-    """The elements whose rows act: equalities, friction losses; limits and contacts that push."""
+    """Return the elements whose rows act at the present state.
+
+    Equalities and friction losses always act; limits and contacts act if they push.
+    """
     rows = zip(row_elements(sim), (sim.rows["impulse"] != 0).tolist(), strict=True)
     always = (*EQUALITIES, *FRICTION_LOSSES)
     return tuple(dict.fromkeys(e for e, pushes in rows if pushes or e.kind in always))
 
 
 def slipping_elements(sim: Sim) -> frozenset[Element]:
-    """The friction losses whose rows are at the ends of their range, where nothing is stiff."""
+    """Return the friction losses that give their full force, where they have no stiffness."""
     rows = sim.rows
     ends = (rows["impulse"] <= rows["lo"]) | (rows["impulse"] >= rows["hi"])
     both = zip(row_elements(sim), ends.tolist(), strict=True)
@@ -44,7 +47,7 @@ def slipping_elements(sim: Sim) -> frozenset[Element]:
 
 
 def penalised_contacts(sim: Sim) -> tuple[Element, ...]:
-    """The contacts that overlap under the law `penalty`, where they have no rows."""
+    """Return the contacts that overlap under the law `penalty`, which gives them no rows."""
     if sim.settings.law != "penalty" or sim.overlap <= 0:
         return ()
     contacts = sim.contacts
@@ -53,7 +56,7 @@ def penalised_contacts(sim: Sim) -> tuple[Element, ...]:
 
 
 def solref_of(model: Model, element: Element) -> Vec | None:
-    """The solref of an element; None for one that is not a row with a solref under the law."""
+    """Return the solref of an element, or None if its law gives it no row with a solref."""
     limit = element.kind in ("limit", "tendon limit") and model.settings.law == "penalty"
     if model.settings.law != "solref" and not limit:
         return None
@@ -64,37 +67,37 @@ def solref_of(model: Model, element: Element) -> Vec | None:
 
 
 def may_limit_dt(solref: Vec, refsafe: bool) -> bool:
-    """Whether a row with this solref could limit dt.
+    """Return whether a row with this solref could limit dt.
 
-    refsafe keeps rows of the standard form stable, h²/(tc ζ)² + 4h/tc < 4 at h = tc/2, if
-    ζ > 1/√8.
+    For ζ > 1/√8, refsafe keeps rows of the standard form stable: h²/(tc ζ)² + 4h/tc < 4 at h =
+    tc/2.
     """
     return not refsafe or solref[0] <= 0 or solref[1] < math.sqrt(1 / 8)
 
 
 def softened_from(model: Model, element: Element) -> float:
-    """The dt [s] from which `refsafe` softens an element; inf where it never does."""
+    """Return the dt [s] above which `refsafe` softens an element; inf if none."""
     solref = solref_of(model, element)
     return math.inf if solref is None else softened_dt(solref, model.settings.refsafe)
 
 
 def softened_dt(solref: Vec, refsafe: bool) -> float:
-    """The dt [s] from which `refsafe` softens a row with this solref; inf where it never does."""
+    """Return the dt [s] above which `refsafe` softens a row with this solref; inf if none."""
     return solref[0] / 2 if refsafe and solref[0] > 0 else math.inf
 
 
 def first_softened(model: Model) -> float:
-    """The least dt [s] from which `refsafe` softens any row; inf where it softens none."""
+    """Return the least dt [s] above which `refsafe` softens any row; inf if it softens none."""
     scene, law = model.scene, model.settings.law
     solrefs = [solref for _, solref in solrefs_of(scene, law)]
     if law == "solref":
-        # What is mixed of two geoms lies between theirs.
+        # A pair's solref is a mixture and lies between those of its geoms.
         solrefs += [g.solref for g in scene.geoms] if model.is_heap else model.pair_solref.tolist()
     return min((softened_dt(s, model.settings.refsafe) for s in solrefs), default=math.inf)
 
 
 def solrefs_of(scene: Contents, law: str) -> Iterator[tuple[str, Vec]]:
-    """Kind and solref of all limits, friction losses and equalities that a law gives rows."""
+    """Yield kind and solref of all limits, friction losses and equalities with rows under a law."""
     features = scene.features
     if not features.constraint or law not in ("solref", "penalty"):
         return

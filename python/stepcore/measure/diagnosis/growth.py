@@ -1,8 +1,8 @@
-"""Growth that the integrator causes, told apart from growth of the motion itself.
+"""Separate the growth that an integrator causes from the growth of the motion itself.
 
 An eigenvalue μ of the linearised step grows at the rate Re log(μ)/dt. It belongs to the physical
 rate s (an eigenvalue of J, see `linear_step`) that is nearest to log(μ)/dt. The step is stable if
-its growth does not exceed what that rate allows:
+its growth does not exceed the growth that s allows:
 
 - a motion that grows by itself (Re s > 0, such as an inverted pendulum): 1.5 times its own growth;
 - a motion that decays (damping ratio above `DAMPED`): none, |μ| ≤ 1;
@@ -25,9 +25,9 @@ from stepcore.engine.arrays import Floats
 DAMPED = 1e-3
 PER_RADIAN = 0.05
 FASTER = 1.5
-# |log μ| that may be rounding: an error ε moves a double eigenvalue of 1 by √ε.
+# Rounding may cause |log μ| of this size: an error ε moves a double eigenvalue of 1 by √ε.
 UNRESOLVED = 1e-4
-# |μ| − 1 of any other eigenvalue that may be rounding.
+# Rounding may cause |μ| − 1 of this size for any other eigenvalue.
 ROUNDING = 1e-9
 
 # An eigenvalue at a smaller angle [rad] may belong to any slow motion.
@@ -41,8 +41,10 @@ FACTOR, FINE = 1.5, 1e-3
 class StepGrowth:
     """The worst eigenvalue of a step.
 
-    value: μ. rate: its growth [1/s]. excess: the growth above what is allowed [1/s], stable if
-    <= 0. own: the rate s of the motion itself that it belongs to [1/s].
+    value: μ.
+    rate: the growth of μ [1/s].
+    excess: the growth above the allowed growth [1/s]; the step is stable if it is <= 0.
+    own: the rate s of the motion itself that μ belongs to [1/s].
     """
 
     value: complex
@@ -52,12 +54,12 @@ class StepGrowth:
 
     @property
     def stable(self) -> bool:
-        """Whether nothing grows faster than the motion itself allows."""
+        """Whether no eigenvalue grows faster than the motion itself allows."""
         return self.excess <= 0
 
 
 def allowed_growth(rates: Any, horizon: float) -> Floats:
-    """The growth [1/s] that a step may show where the motion itself has these rates [1/s]."""
+    """Return the growth [1/s] allowed for a step of a motion with these rates [1/s]."""
     size = np.abs(rates)
     decaying = rates.real < -DAMPED * size
     growing = FASTER * np.maximum(rates.real, 0)
@@ -65,14 +67,18 @@ def allowed_growth(rates: Any, horizon: float) -> Floats:
 
 
 def neutral_growth(omega: Any, horizon: float) -> Any:
-    """The growth [1/s] allowed for a motion of frequency ω [rad/s] that does neither by itself."""
+    """Return the growth [1/s] allowed at a frequency ω [rad/s] without physical growth or decay."""
     return np.minimum(1 / horizon, PER_RADIAN * np.maximum(omega, 1 / horizon))
 
 
 def step_growth(matrix: Floats | None, dt: float, rates: Any, horizon: float) -> StepGrowth:
-    """The worst growth of a step's matrix; infinite for None, a step that does not stay finite.
+    """Return the worst growth of a step's matrix.
 
-    rates: those of the motion itself [1/s]; None where they are not known.
+    matrix: the matrix of the step; None for a step that does not stay finite, whose growth is
+        infinite.
+    dt: the step [s].
+    rates: the rates of the motion itself [1/s]; None if they are unknown.
+    horizon: the time in which neutral growth counts [s].
     """
     values = eigenvalues(matrix)
     if values is None or rates is None:
@@ -81,9 +87,12 @@ def step_growth(matrix: Floats | None, dt: float, rates: Any, horizon: float) ->
 
 
 def worst_growth(values: Any, dt: float, rates: Any, horizon: float) -> StepGrowth:
-    """The eigenvalue of a step that exceeds the allowed growth most.
+    """Return the growth of the eigenvalue that exceeds the allowed growth most.
 
-    values: the eigenvalues of the step of dt [s]; rates: those of the motion itself [1/s].
+    values: the eigenvalues of the step.
+    dt: the step [s].
+    rates: the rates of the motion itself [1/s].
+    horizon: the time in which neutral growth counts [s].
     """
     with np.errstate(all="ignore"):
         log = _log(values) / dt
@@ -101,11 +110,16 @@ def worst_growth(values: Any, dt: float, rates: Any, horizon: float) -> StepGrow
 def growth_beyond_motion(
     growth: StepGrowth, shorter: Floats, dt: float, horizon: float
 ) -> StepGrowth:
-    """The same growth, compared with what the motion does over dt in shorter steps.
+    """Return the growth, compared with the motion over dt in shorter steps.
 
-    shorter: the matrix of these shorter steps over dt [s]. Growth that an integrator causes falls
-    with its step; growth of the motion does not. A physical decay that the shorter steps do not
-    show either (the state moves, and its rates with it) is no measure of growth.
+    Growth that an integrator causes falls with its step; growth of the motion does not. A physical
+    decay that the shorter steps do not show is no measure of growth: there the state moves, and its
+    rates with it.
+
+    growth: the growth in one step of dt.
+    shorter: the matrix of the shorter steps over dt.
+    dt: the step [s].
+    horizon: the time in which neutral growth counts [s].
     """
     values = eigenvalues(shorter)
     if values is None:
@@ -122,7 +136,7 @@ def growth_beyond_motion(
 
 
 def _log(values: Any) -> Any:
-    """The logarithm of eigenvalues; one of zero decays at once."""
+    """Return the logarithm of eigenvalues; an eigenvalue of zero decays at once."""
     values = values.astype(complex)
     return np.log(np.where(values == 0, 1e-300, values))
 
@@ -130,9 +144,11 @@ def _log(values: Any) -> Any:
 def largest_stable(
     stable: Callable[[float], bool], low: float, high: float, fine: float = FINE
 ) -> float:
-    """The dt [s] below which all steps are stable; 0 where none is, inf where all are.
+    """Return the dt [s] below which all steps are stable; 0 if none is, inf if all are.
 
-    stable: whether a step is; asked of steps from `low` to `high`, then by bisection.
+    stable: whether a step is stable.
+    low, high: the shortest and the longest step to try [s], in a geometric series.
+    fine: the relative resolution of the bisection that follows.
     """
     count = max(2, math.ceil(math.log(high / low) / math.log(FACTOR)) + 1)
     below = 0.0
@@ -144,9 +160,11 @@ def largest_stable(
 
 
 def bisected(stable: Callable[[float], bool], good: float, bad: float, fine: float = FINE) -> float:
-    """The number nearest to `bad` that is stable, between one that is and one that is not.
+    """Return the stable number nearest to `bad`, by bisection.
 
-    fine: to this relative resolution.
+    stable: whether a number is stable.
+    good, bad: a stable and an unstable number.
+    fine: the relative resolution.
     """
     while max(good / bad, bad / good) > 1 + fine:
         middle = math.sqrt(good * bad)
@@ -155,10 +173,9 @@ def bisected(stable: Callable[[float], bool], good: float, bad: float, fine: flo
 
 
 def eigenvalues(matrix: Any) -> Any:
-    """The eigenvalues of a matrix, shape (n,), complex; None where they cannot be computed.
+    """Return the eigenvalues of a matrix, shape (n,), complex, or None if they are not computable.
 
-    That is where an entry is not finite, or the iteration leaves the range of numbers or does not
-    converge.
+    They are not if an entry is not finite, if the iteration overflows, or if it does not converge.
     """
     if matrix is None or not np.isfinite(matrix).all():
         return None

@@ -115,7 +115,7 @@ class Diagnosis(Result):
         return words.named(self._stiffest(self._known(integrator)))
 
     def together(self, integrator: str | None = None) -> list[str]:
-        """The names of the elements that limit dt together; in most scenes it is a single one."""
+        """Return the names of the elements that limit dt as a group, usually a single one."""
         return [element.name for element in self._stiffest(self._known(integrator))]
 
     def limiting(self, integrator: str | None = None) -> ElementLimits | None:
