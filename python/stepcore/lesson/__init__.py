@@ -1,4 +1,4 @@
-"""The lesson: its scenes, and all of its tables compared with the reference numbers.
+"""The lesson's scenes, and its tables compared with reference numbers.
 
 >>> from stepcore import lesson
 >>> rows = lesson.run("numpy", sections=(1,))

@@ -1,9 +1,9 @@
-"""The lesson's loop in plain numpy, to be read aloud: place, detect, solve, commit.
+"""The lesson's simulation loop in plain numpy: place, detect, solve, commit.
 
-`Loop` steps masses that slide along one line each: the spring, the ball drop and the stacks of
-`stepcore.lesson`. Its laws are those of the engine, the default `solref` (MuJoCo's) among them; it
-shares no code with it. The velocity of a body is that of its joint, so the mass matrix is
-diagonal, and each row of J has the one or two bodies of a contact.
+`Loop` steps bodies that each slide along one line: the spring, the ball drop and the stacks of
+`stepcore.lesson`. `Loop` has the engine's contact laws, with MuJoCo's `solref` as the default, but
+shares no code with the engine. A body's velocity equals its joint's velocity. The mass matrix is
+therefore diagonal, and a row of J has nonzeros only at the one or two bodies of the contact.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ Array = NDArray[np.float64]
 
 
 class Loop:
-    """One world of a lesson scene; `qpos` [m] and `qvel` [m/s] have one entry a body.
+    """One world of a lesson scene.
 
-    impulse: of each row of the last step [N·s].
+    qpos [m], qvel [m/s], qacc [m/s²]: one entry per body.
+    impulse: the impulse of each row in the last step [N·s].
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -35,13 +36,16 @@ class Loop:
         self.weight = self.mass * [np.dot(scene.gravity, joint.axis) for joint in joints]
         self.stiffness = np.array([joint.stiffness for joint in joints])
         self.damping = np.array([joint.damping for joint in joints])
-        # Gap i is between ball i and what is below it: the floor, or ball i - 1.
+        # Gap i lies below ball i, above the floor or ball i - 1.
         n = len(bodies)
         self.J = (np.eye(n) - np.eye(n, k=-1))[: n if scene.geoms else 0]
         self.reset()
 
     def reset(self, key: str = "start") -> None:
-        """Puts the bodies at the scene's keyframe, at rest."""
+        """Set the positions to those of a keyframe, and the velocities to 0.
+
+        key: the name of the keyframe.
+        """
         self.qpos = np.array(self.scene.key(key).qpos, dtype=float)
         self.qvel = np.zeros_like(self.qpos)
         self.qacc = np.zeros_like(self.qpos)
@@ -49,17 +53,17 @@ class Loop:
 
     @property
     def rows(self) -> dict[str, Array]:
-        """The rows of the last solve: their impulses [N·s]."""
+        """Impulses of the rows of the last solve [N·s], under the key "impulse"."""
         return {"impulse": self.impulse}
 
     def step(self, count: int = 1) -> None:
-        """Takes `count` steps."""
+        """Make `count` steps."""
         for _ in range(count):
             mean, last = self.forward()
             self.commit(mean, last)
 
     def forward(self) -> tuple[Array, Array]:
-        """Place, detect and solve; returns the mean velocity of the step and its last one."""
+        """Place, detect and solve; return the mean and the final velocity of the step [m/s]."""
         mean, last = self.place()
         J, target, c, denominator = self.detect(mean)
         solved = self.solve(mean, J, target, c, denominator)
@@ -68,7 +72,7 @@ class Loop:
         return solved, last
 
     def place(self) -> tuple[Array, Array]:
-        """The motion without rows: the mean velocity of the step, and the last one."""
+        """Return the mean and the final velocity of the step without constraint rows [m/s]."""
         dt, q, v, a = self.settings.dt, self.qpos, self.qvel, self.acceleration
         integrator = self.settings.integrator
         if integrator in ("explicit", "semi-implicit"):
@@ -93,7 +97,10 @@ class Loop:
         raise ValueError(f"integrator = '{integrator}': the numpy loop does not have it")
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """M⁻¹ f of gravity, springs, dampers and, under the law `penalty`, contacts [m/s²]."""
+        """Return M⁻¹ f [m/s²] of gravity, springs, dampers and, under `penalty`, contacts.
+
+        q: positions [m]. v: velocities [m/s].
+        """
         force = self.weight - self.stiffness * q - self.damping * v
         if self.settings.law == "penalty":
             k, ratio = self.settings.penalty_stiffness, self.settings.penalty_damping_ratio
@@ -104,9 +111,10 @@ class Loop:
         return np.asarray(force / self.mass)
 
     def detect(self, guess: Array) -> tuple[Array, Array, Array, Array]:
-        """The rows: J, the target velocity t, the regulariser c and the denominator s.
+        """Return J, target velocity t, regulariser c and denominator s of the active rows.
 
-        Each law says when a row exists and what its t, c and s are (docs/method/rows.md).
+        The contact law decides which rows exist, and their t, c and s (docs/method/rows.md).
+        guess: the mean velocity without rows [m/s].
         """
         law, dt, beta = self.settings.law, self.settings.dt, self.settings.beta
         phi, soft = self.J @ self.qpos, self.settings.softness
@@ -127,10 +135,12 @@ class Loop:
         return self.J[exists], target[exists], c[exists], s[exists]
 
     def solref(self, phi: Array, A: Array) -> tuple[Array, Array]:
-        """MuJoCo's soft contact: t = J v + dt a_ref and c = R, with its default solref, solimp.
+        """Return t = J v + dt a_ref and c = R of MuJoCo's contacts, with default solref and solimp.
 
-        a_ref = -b J v - K d φ; R = (1 - d)/d · A, where the impedance d rises from 0.9 at the
-        surface to 0.95 at a depth of 1 mm.
+        a_ref = -b J v - K d φ and R = (1 - d)/d · A. The impedance d rises from 0.9 at the surface
+        to 0.95 at a depth of 1 mm.
+
+        phi: gaps φ [m]. A: diagonal of J M⁻¹ Jᵀ [1/kg].
         """
         dt, (time, ratio), (d0, dw, width, mid, power) = (
             self.settings.dt,
@@ -147,7 +157,10 @@ class Loop:
         return u + dt * (-b * u - K * d * phi), (1 - d) / d * A
 
     def solve(self, guess: Array, J: Array, target: Array, c: Array, s: Array) -> Array:
-        """Projected Gauss-Seidel: one row after the other, each impulse at least 0."""
+        """Solve the rows by projected Gauss-Seidel with impulses >= 0; return velocities [m/s].
+
+        guess: velocities without rows [m/s]. J, target, c, s: the rows; see `detect`.
+        """
         v, self.impulse = guess.copy(), np.zeros(len(J))
         for _ in range(self.settings.sweeps):
             for i, row in enumerate(J):
@@ -158,7 +171,10 @@ class Loop:
         return v
 
     def commit(self, mean: Array, last: Array) -> None:
-        """Advances the state; `explicit` moves positions by the velocity before the step."""
+        """Advance positions by the mean velocity, and set the velocities to the final ones.
+
+        The integrator `explicit` advances positions by the velocity before the step.
+        """
         moved_by = self.qvel if self.settings.integrator == "explicit" else mean
         self.qpos = self.qpos + self.settings.dt * moved_by
         self.qvel = last

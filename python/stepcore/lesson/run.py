@@ -1,4 +1,4 @@
-"""Runs every table of the lesson on an engine and compares each figure with its reference."""
+"""Run every table of the lesson on an engine, and compare each figure with its reference."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from stepcore.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: its value, its reference and the tolerance of their difference, in `unit`.
+    """One figure of the lesson, and its reference.
 
-    A reference of None is not checked. section: the title of the table.
+    section: the title of the table. name: the name of the figure.
+    value, reference: in `unit`; a figure with reference None is not checked.
+    tolerance: the largest difference of value and reference that is accepted, in `unit`.
     """
 
     section: str
@@ -26,13 +28,13 @@ class Row:
 
     @property
     def ok(self) -> bool:
-        """Whether the figure is within the tolerance of its reference."""
+        """Whether value and reference agree within the tolerance."""
         if self.reference is None or isinstance(self.value, str):
             return self.reference is None or self.value == self.reference
         return abs(self.value - float(self.reference)) <= self.tolerance
 
     def to_dict(self) -> dict[str, Any]:
-        """The figure as plain data, with "ok"."""
+        """Return the figure as plain data, with "ok"."""
         names = ("section", "name", "value", "reference", "tolerance", "unit", "ok")
         return {name: getattr(self, name) for name in names}
 
@@ -41,8 +43,10 @@ Make = Callable[[Scene], Any]
 
 
 def maker(engine: str) -> Make:
-    """A function that makes a Sim of a scene at its key "start": the engine's ("rust"), or the
-    `Loop` in plain numpy ("numpy")."""
+    """Return a function that makes a Sim of a scene, at key "start".
+
+    engine: "rust" for the engine's `Sim`, or "numpy" for the `Loop` in plain numpy.
+    """
 
     def rust(scene: Scene) -> Any:
         from stepcore.engine.sim import Sim, unwatched
@@ -71,10 +75,12 @@ def run(
     sections: Sequence[int] | None = None,
     progress: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Computes the figures of some sections, by default of all, on "rust" or "numpy".
+    """Compute the figures of the lesson.
 
-    The numpy loop has bodies on slides, so section 5, the grasp, needs "rust". progress: is called
-    with each figure.
+    engine: "rust" or "numpy". The numpy loop supports only bodies on slides, so section 5, the
+        grasp, needs "rust".
+    sections: the numbers of the sections; by default all that the engine supports.
+    progress: a function that is called with each figure.
     """
     make = maker(engine)
     if sections is None:
@@ -90,7 +96,7 @@ def run(
 
 
 def integrators(make: Make) -> Iterator[Row]:
-    """Section 1: a mass on a spring for 20 s at dt 10 ms: final energy over initial energy."""
+    """Yield section 1: final over initial energy of a mass on a spring, 20 s at dt 10 ms."""
     title = "1. integrators: energy of a mass on a spring after 20 s"
     for name, reference, tolerance in (
         ("explicit", 439286205.05, 0.05),
@@ -104,7 +110,7 @@ def integrators(make: Make) -> Iterator[Row]:
 
 
 PENALTY = (
-    # k [N/m], deepest [mm], verdict, in flight, with the spring, rebound [m]
+    # k [N/m], deepest [mm], verdict by height, energy in flight, energy with spring, rebound [m]
     (1e3, 74.873, "stable", 1.000, 1.000, 0.140),
     (1e4, 21.812, "stable", 1.000, 1.021, 0.154),
     (1e5, 6.756, "stable", 1.000, 1.279, 0.188),
@@ -114,11 +120,11 @@ PENALTY = (
 
 
 def penalty(make: Make) -> Iterator[Row]:
-    """Section 2: contact as a penalty spring, from soft to exploding."""
+    """Yield section 2: contact as a penalty spring, from soft to unstable."""
     title = "2. contact as a force"
     for k, deepest, verdict, flight, counted, rebound in PENALTY:
         at, got = f"k {k:.0e}: ", measure.bounce(make, k)
-        loose = flight > 2  # here the reference has fewer digits
+        loose = flight > 2  # the reference has fewer digits here
         yield Row(title, at + "deepest", got.deepest * 1e3, deepest, 5.1e-4, "mm")
         yield Row(title, at + "verdict by height", got.verdict_by_height, verdict, 0)
         by_energy = "gains energy" if flight > 1.001 else "stable"
@@ -137,7 +143,7 @@ def penalty(make: Make) -> Iterator[Row]:
 
 
 def constraint(make: Make) -> Iterator[Row]:
-    """Section 3: resting height of a ball under the law `lesson`, for several settings."""
+    """Yield section 3: resting height of a ball under the law `lesson`, for several settings."""
     title = "3. contact as a constraint: resting height after 2 s"
     for name, time, changes, reference, tolerance in (
         ("dt 2 ms", 2, {}, -98.1, 1e-6),
@@ -163,13 +169,13 @@ SWEEPS = (1, 2, 5, 10, 20)
 
 
 def two_contacts(make: Make) -> Iterator[Row]:
-    """Section 4: a ball on a ball on a floor: depth and error by sweeps."""
+    """Yield section 4: depth and error of stacked balls by the number of sweeps."""
     title = "4. two contacts: depth of the lower one after 2 s"
     for law, softness, depths in STACK:
         for sweeps, reference in zip(SWEEPS, depths, strict=True):
             name = f"{law}, softness {softness:g}, {sweeps} sweep{'s' * (sweeps > 1)}"
             value = measure.stack_depths(make, 2, sweeps, law, softness)[0] * 1e6
-            # Without softness one sweep leaves a row on the edge of acting: rounding decides.
+            # Without softness and after one sweep, rounding decides whether a row acts.
             edge = softness == 0 and sweeps == 1
             yield Row(title, name, value, reference, 11.8 if edge else 5.1e-4, "um")
     upper = measure.stack_depths(make, 2, 20, "lesson", 0.5)[1] * 1e6
@@ -186,7 +192,7 @@ def two_contacts(make: Make) -> Iterator[Row]:
 
 
 def grasp(make: Make) -> Iterator[Row]:
-    """Section 5: a cube between two fingers, with the wrist at its stop."""
+    """Yield section 5: a cube between two fingers, with the wrist at its limit."""
     title = "5. a grasp: slip of the cube after 10 000 steps"
     rows, held = measure.hold(make, 10000)
     yield Row(title, "rows: pushes, slidings, limits", rows, "2 2 1", 0)
@@ -196,9 +202,10 @@ def grasp(make: Make) -> Iterator[Row]:
 
 
 def report(rows: Iterable[Row], full: bool = False) -> str:
-    """The figures as text: how many agree first, then those that do not.
+    """Return the figures as text: first the number that agree, then those that disagree.
 
-    full: every figure beside its reference, one table a section.
+    rows: the figures. full: whether to print every figure with its reference, one table per
+    section.
     """
     rows = list(rows)
     titles = list(dict.fromkeys(row.section for row in rows))
@@ -218,7 +225,7 @@ def report(rows: Iterable[Row], full: bool = False) -> str:
 
 
 def _agreeing(rows: Iterable[Row]) -> str:
-    """How many of the figures that have a reference agree with it."""
+    """Count the figures that agree with their references, as "n of m"."""
     checked = [row for row in rows if row.reference is not None]
     return f"{sum(row.ok for row in checked)} of {len(checked)}"
 

@@ -1,6 +1,6 @@
-"""The lesson's scenes. Each has its settings (`scene.options`) and its start (key "start").
+"""The lesson's scenes, with their settings (`scene.options`) and start (key "start").
 
-Inputs that the lesson does not state were found by reproducing its results.
+Parameters that the lesson does not state were chosen so that its results are reproduced.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Any
 from stepcore.scene.scene import Scene
 
 G = 9.81  # [m/s²]
-HEIGHT = 0.3  # of the drop [m]
-RADIUS = 0.1  # of every ball [m]
+HEIGHT = 0.3  # drop height [m]
+RADIUS = 0.1  # radius of every ball [m]
 
-# The lesson's own solver: one pass over the rows, nothing carried over from step to step.
+# The lesson's solver: one sweep per step, no warm start.
 PLAIN: dict[str, Any] = {
     "solver": "pgs",
     "acceleration": "none",
@@ -27,7 +27,10 @@ PLAIN: dict[str, Any] = {
 
 
 def spring(k: float = 100.0, m: float = 1.0, damping: float = 0.0, **settings: Any) -> Scene:
-    """A mass m [kg] on a spring k [N/m] along x without gravity, stretched by 1 m."""
+    """Return a scene with a mass on a spring along x, stretched by 1 m, without gravity.
+
+    k: stiffness [N/m]. m: mass [kg]. damping: [N·s/m]. settings: fields of `Settings`.
+    """
     scene = Scene(gravity=(0, 0, 0), name="spring")
     body = scene.add_body("mass", mass=m, inertia=(m, m, m))
     scene.add_joint(body, "slide", name="spring", axis=(1, 0, 0), stiffness=k, damping=damping)
@@ -35,7 +38,10 @@ def spring(k: float = 100.0, m: float = 1.0, damping: float = 0.0, **settings: A
 
 
 def tower(masses: Sequence[float], radius: float = RADIUS, gravity: float = G) -> Scene:
-    """Balls of these masses [kg], stacked on a floor, each on a vertical slide, just touching."""
+    """Return a scene with balls stacked on a floor, each on a vertical slide, just touching.
+
+    masses: from the floor up [kg]. radius: of every ball [m]. gravity: downwards [m/s²].
+    """
     scene = Scene(gravity=(0, 0, -gravity), name="tower")
     scene.add_geom("world", "plane", name="floor", condim=1)
     for i, mass in enumerate(masses):
@@ -46,7 +52,10 @@ def tower(masses: Sequence[float], radius: float = RADIUS, gravity: float = G) -
 
 
 def drop(law: str = "lesson", m: float = 1.0, **settings: Any) -> Scene:
-    """A ball of m [kg] 0.3 m above a floor; qpos is its height [m]."""
+    """Return a scene with a ball 0.3 m above a floor; qpos is the ball's height [m].
+
+    law: the contact law. m: mass [kg]. settings: fields of `Settings`.
+    """
     chosen = {"law": law, "dt": 0.002, "softness": 0.5}
     return _ready(tower([m]), [HEIGHT], chosen, settings)
 
@@ -54,17 +63,26 @@ def drop(law: str = "lesson", m: float = 1.0, **settings: Any) -> Scene:
 def stack(
     sweeps: int = 1, law: str = "relaxed", masses: Sequence[float] = (1.0, 1.0), **settings: Any
 ) -> Scene:
-    """Balls stacked on a floor, starting in contact; rows in the order floor, ball on ball."""
+    """Return a scene with balls stacked on a floor, in contact at the start.
+
+    The rows have the order of the contacts from the floor up.
+
+    sweeps: of the solver. law: the contact law. masses: from the floor up [kg]. settings: fields of
+    `Settings`.
+    """
     chosen = {"law": law, "dt": 0.002, "softness": 0.5, "sweeps": sweeps}
     return _ready(tower(masses), [0.0] * len(masses), chosen, settings)
 
 
 def grasp(grip: float = 3.0, **settings: Any) -> Scene:
-    """A cube between two fingers on an arm whose wrist rests against its stop: five rows.
+    """Return a scene with a cube between two fingers on an arm at its wrist limit: five rows.
 
-    The wrist is a hinge about y; the weight turns it into its upper limit. The fingers slide along
-    the same axis; each is a pad (a ball) that a motor pushes inwards with `grip` [N]. They are not
-    equally heavy, and hold the cube of 100 g 2 mm above its centre, by friction alone.
+    The wrist is a hinge about y; the weight of the arm turns it into its upper limit. The fingers
+    slide along the same axis. Each finger is a pad (a ball) that a motor pushes inwards with the
+    force `grip`. The two fingers differ in mass. They grip the 100 g cube 2 mm above its centre, by
+    friction alone.
+
+    grip: force of each motor [N]. settings: fields of `Settings`.
     """
     scene = Scene(gravity=(0, 0, -G), name="grasp")
     arm = scene.add_body("arm", mass=0.5, ipos=(0.1, 0, 0), inertia=(1e-3, 2e-3, 2e-3))
@@ -72,7 +90,7 @@ def grasp(grip: float = 3.0, **settings: Any) -> Scene:
     half, pad, above = 0.02, 0.01, 0.002
     for name, side, mass in (("left", 1.0, 0.05), ("right", -1.0, 0.08)):
         finger = scene.add_body(name, arm, pos=(0.2, side * (half + pad), 0))
-        # The damper models the gearbox: nothing else keeps the pair of fingers in place.
+        # The damper models the gearbox; without it the two fingers could drift together along y.
         slide = scene.add_joint(
             finger, "slide", name=f"{name}_slide", axis=(0, -side, 0), damping=5.0
         )
@@ -88,9 +106,12 @@ def grasp(grip: float = 3.0, **settings: Any) -> Scene:
 
 
 def slip(sim: Any, start: Any) -> float:
-    """How far the cube of `grasp` has moved between the pads since the qpos `start` [m].
+    """Return the slip of the cube of `grasp` between the pads since the start [m].
 
-    In the arm's frame: the displacement of the cube's centre less the mean travel of the pads.
+    The slip is the displacement of the cube's centre in the arm's frame, minus the mean
+    displacement of the pads.
+
+    sim: the `Sim` of a grasp. start: the initial qpos.
     """
     import numpy as np
 

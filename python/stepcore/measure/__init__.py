@@ -1,1 +1,1 @@
-"""The measurements: each answers one question about the same experiment."""
+"""The measurements: each module answers one question about an experiment."""

@@ -1,4 +1,4 @@
-"""`plan`: what a step of a scene does, what it leaves out, and why."""
+"""`plan`: the work of one step of a scene, and the work that the engine leaves out."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from stepcore.scene.scene import Scene
 def plan(
     model: Model | Scene | str | os.PathLike[str], *, sim: Sim | None = None, time: bool = False
 ) -> Plan:
-    """Lists what a step computes (terms, pairs, kinds of rows, files), and what it leaves out and
-    why.
+    """List the terms, pairs, kinds of rows and files of a step; say why others are left out.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    sim: a Sim of this model; the work of a step is counted at its state and settings. By default
-        that is the first keyframe or the initial pose.
-    time: whether to measure times [µs] as well.
+    sim: a Sim of this model. The work of a step is counted at the state and settings of this Sim.
+        By default the state is the first keyframe, or the initial pose.
+    time: whether to measure computing times [µs] as well.
 
     Raises ValueError for a Sim of another model.
 

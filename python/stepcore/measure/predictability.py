@@ -1,4 +1,4 @@
-"""`predict`: how long the motion of a scene can be predicted at all."""
+"""`predict`: the time over which the motion of a scene can be predicted."""
 
 from __future__ import annotations
 
@@ -30,10 +30,12 @@ HORIZON = 10.0
 
 @dataclass(frozen=True)
 class StartGrowth:
-    """Growth of a perturbation from one start, relative to its initial size.
+    """The growth of perturbations from one start, relative to their initial size.
 
+    start: the index of the start.
     predictable: how long the motion can be predicted [s]; inf beyond the horizon.
-    growth: at the end; largest: at any time.
+    growth: the growth at the end of the run.
+    largest: the largest growth at any time.
     """
 
     start: int
@@ -44,9 +46,9 @@ class StartGrowth:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictability(Result):
-    """How long a scene can be predicted; `stepcore.predict` returns it.
+    """The result of `stepcore.predict`: how long a scene can be predicted.
 
-    name, settings: those of the scene.
+    name, settings: the name and the settings of the scene.
     motion: the motion that was run, over `horizon` [s] in steps of `dt` [s] under `integrator`.
     growth: the growth of the perturbations; see `stepcore.experiment.growth.Growth`.
     """
@@ -67,22 +69,22 @@ class Predictability(Result):
 
     @property
     def time(self) -> float:
-        """How long the motion can be predicted from every start [s]; inf beyond the horizon."""
+        """Time over which the motion from every start is predictable [s]; inf beyond horizon."""
         return self.growth.overall
 
     @property
     def limit(self) -> float:
-        """The growth of a perturbation from which a motion cannot be predicted."""
+        """Growth of a perturbation above which a motion counts as unpredictable."""
         return GROWTH
 
     @property
     def title(self) -> str:
-        """What was measured, in a few words."""
+        """Title of the report."""
         return f"{self.name}: how long it can be predicted"
 
     @property
     def rows(self) -> list[StartGrowth]:
-        """One for each start."""
+        """The growth from each start."""
         starts = zip(self.growth.ends, self.growth.factor, strict=True)
         return [
             StartGrowth(start, float(end), float(factor[-1]), float(factor.max()))
@@ -91,12 +93,12 @@ class Predictability(Result):
 
     @property
     def table(self) -> Table:
-        """The starts; see `StartGrowth`."""
+        """Table with one row for each start; see `StartGrowth`."""
         return Table(map(vars, self.rows))
 
     @property
     def setup(self) -> str:
-        """How it was measured, in a line."""
+        """The method of the measurement, in one line."""
         return (
             f"Run under {self.integrator}, dt {seconds(self.dt)}. Each start runs again from "
             f"{DIRECTIONS} perturbed states, {compact(NEARBY)} of the scene's size away; it can be "
@@ -105,7 +107,7 @@ class Predictability(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """How long the motion can be predicted."""
+        """The predictable time, in words."""
         over = seconds(self.horizon)
         if math.isinf(self.time):
             most = float(self.growth.factor.max())
@@ -127,7 +129,7 @@ class Predictability(Result):
         return said
 
     def tables(self, full: bool) -> list[Table]:
-        """The starts."""
+        """Return the table of the starts."""
         heading = (
             "For each start: how long the motion can be predicted [s]; the growth of the "
             "perturbation at the end, and the largest"
@@ -135,7 +137,7 @@ class Predictability(Result):
         return [Table(self.table, heading=heading)]
 
     def details(self) -> dict[str, Any]:
-        """The growth over time."""
+        """Return the numbers of the result, with the growth over time."""
         return {
             "horizon": self.horizon,
             "dt": self.dt,
@@ -162,18 +164,19 @@ def predict(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Predictability:
-    """Measures how long a scene can be predicted: until perturbed runs separate.
+    """Measure how long the motion of a scene can be predicted.
 
-    Each start runs again from three perturbed states, 1e-9 of the scene's size away. The runs use
-    rk4 at a 16th of the shipped time step (a quarter of that, or another integrator, if that
-    fails), with rows solved to rounding. The motion can be predicted until these runs are 1e3 times
-    as far apart as they began. Beyond that only statistics of the motion are meaningful.
+    Each start runs again from three perturbed states, 1e-9 of the scene's size away. The motion
+    counts as predictable until the distance between these runs has grown by a factor of 1e3. After
+    that, only statistics of the motion are meaningful. The runs use rk4 at a 16th of the shipped
+    time step, with rows solved to rounding. If such a run fails, a quarter of that step or another
+    integrator is used.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
     threads: the number of runs at the same time (default: one per core).
     executor: any concurrent.futures executor, used in place of threads.
-    progress: False for no bar, or a function of (label, done, total).
+    progress: False for no progress bar, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, or if the scene cannot be run.
 
@@ -198,7 +201,7 @@ def predict(
     steps, period = time_steps(own, None, motion.period(own), horizon)
     runner = Runner(model, scheduled(motion, model, period))
     runner.check_repeatable()
-    # Bodies that sleep would hide how perturbations grow.
+    # Sleeping bodies would hide the growth of perturbations.
     runs = ReferenceRuns(runner, model.settings.replace(sleep=False), min(steps), 0.0, workers)
     with workers.bar("predictability", (2 + DIRECTIONS) * runs.starts) as bar:
         level, growth = runs.growth(bar)

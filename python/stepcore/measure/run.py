@@ -1,4 +1,4 @@
-"""`run`: one simulation of a scene, and what it shows."""
+"""`run`: one simulation of a scene, with findings about contacts, limits and servos."""
 
 from __future__ import annotations
 
@@ -36,27 +36,31 @@ from stepcore.report.units import computing, counted, seconds, times
 if TYPE_CHECKING:
     from typing import Unpack
 
-# Simulated time where nobody says it [s].
+# The default horizon [s].
 HORIZON = 1.0
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
-# So many coordinates are printed unless all are asked for.
+# The number of rows of the final state that are printed by default.
 ROWS = 36
 CLEAN = "Nothing found: no contact creeps or sinks in, and limits and servos hold."
 
 
 @dataclass(repr=False, kw_only=True)
 class SimulationRun(Result):
-    """One simulation of a scene, and what it shows; `stepcore.run` returns it.
+    """The result of `stepcore.run`: one simulation of a scene, and the problems in it.
 
-    motion: what was run. settings: under which settings. steps: the number of steps made.
-    sim: the `Sim` in its final state; of a run that failed, the last finite state.
-    findings: what went wrong, the most severe first: contacts that creep, joints beyond their
-    limits, servos that do not hold.
-    us_per_step: computing time of a step [µs]; None where none was timed.
-    trajectory: what was recorded, None without `record`.
-    error: the `SimulationError` of a run that failed, whose `replay` runs it again; else None.
-    interrupted: whether Ctrl-C ended a run of the command line, which then says what it showed.
+    name: the name of the scene.
+    motion: the motion that was run; ran: the same in words.
+    settings: the settings of the run.
+    steps: the number of steps made.
+    sim: the `Sim` in its final state; if the run failed, in the last finite state.
+    findings: the problems in the run, the most severe first: contacts that creep, joints beyond
+        their limits, servos that do not reach their targets.
+    us_per_step: computing time of a step [µs]; None if no step was timed.
+    notes: remarks on the scene and on the length of the run.
+    trajectory: the recorded arrays; None without `record`.
+    error: the `SimulationError` of a run that failed; `error.replay` repeats the run. Else None.
+    interrupted: whether Ctrl-C ended the run (command line only); the result covers the steps made.
 
     >>> from stepcore import lesson, run
     >>> fallen = run(lesson.drop(), horizon=0.5)
@@ -81,7 +85,7 @@ class SimulationRun(Result):
 
     @property
     def success(self) -> bool:
-        """Whether the run came to its end."""
+        """Whether the run reached its end."""
         return self.error is None and not self.interrupted
 
     @property
@@ -113,7 +117,7 @@ class SimulationRun(Result):
 
     @property
     def table(self) -> Table:
-        """The final state: positions by coordinate, velocities by dof."""
+        """Table of the final state: positions by coordinate, velocities by dof."""
         rows = []
         for array in ("qpos", "qvel"):
             values = getattr(self.sim, array)
@@ -152,9 +156,11 @@ class SimulationRun(Result):
         }
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """The plot of what was recorded; see `Trajectory.plot`.
+        """Plot the recorded arrays; see `Trajectory.plot`.
 
-        Raises ValueError where nothing was, and ImportError without matplotlib.
+        path: the file to write; by default none.
+
+        Raises ValueError if nothing was recorded, and ImportError without matplotlib.
         """
         if self.trajectory is None:
             raise ValueError('nothing was recorded: run(…, record=("energy", "overlap"))')
@@ -176,23 +182,23 @@ def run(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> SimulationRun:
-    """Simulates a scene once, and says what the run shows.
+    """Simulate a scene once, and list the problems that occur in the run.
 
-    model: a Model, a Scene, or what `stepcore.load` takes.
-    motion: what to run, or its fields as arguments: horizon, key, control, ctrl, control_dt; by
-        default 1 s from the first keyframe, which also gives the controls. ctrl="sines" runs
-        the controls of a measurement; `seed` is theirs.
+    model: a Model, a Scene, or any argument of `stepcore.load`.
+    motion: a `Motion`, or its fields as arguments: horizon, key, control, ctrl, control_dt. By
+        default 1 s from the first keyframe, with the controls of that keyframe. ctrl="sines" uses
+        the default controls of the measurements, which `seed` determines.
     pushes: forces on bodies, such as "torso:50,0,0@1" (50 N along x from 1 s on, for 0.1 s),
         "torso:50,0,0@1+0.3", or (body, force, start, duration).
-    record: what is recorded at every step, such as ("qpos", "energy"); see `Sim.run`.
-    ledger: balances the energy of each step, which explains a failure in full and costs a few
-        percent.
-    threads: as of a `Sim`.
-    progress: as in `stepcore.trade`.
+    record: the arrays to record at every step, such as ("qpos", "energy"); see `Sim.run`.
+    ledger: whether to balance the energy of each step. The balance explains a failure in full and
+        costs a few percent of the time.
+    threads: the number of threads; see `Sim`.
+    progress: see `stepcore.trade`.
 
-    A run that fails is a result too: `success` is False, and `error` is the SimulationError.
+    A run that fails also returns a result: `success` is False, and `error` is the SimulationError.
 
-    Raises ValueError for arguments outside their limits, and what the control raises.
+    Raises ValueError for an argument outside its limits, and any exception of the control function.
 
     >>> from stepcore import lesson
     >>> result = run(lesson.spring(), horizon=0.1, record="energy")
@@ -217,10 +223,11 @@ def simulated(
     progress: Choice,
     interruptible: bool = False,
 ) -> SimulationRun:
-    """Runs a Sim from the start of a motion.
+    """Run a Sim from the start of a motion, and return the result.
 
-    settings: those that were asked for. horizon: [s], may be 0. interruptible: Ctrl-C ends the run
-    and keeps what it showed.
+    settings: the settings for the result (those of the Sim may differ in `ledger`).
+    horizon: simulated time [s]; may be 0.
+    interruptible: whether Ctrl-C ends the run with a result, and not with KeyboardInterrupt.
     """
     model, dt = sim.model, sim.settings.dt
     sim.reset(key=0 if motion.key is None and model.keys else motion.key)
@@ -278,9 +285,9 @@ def simulated(
 
 
 def _driven(sim: Sim, motion: Motion, horizon: float) -> tuple[Control | None, float | None, str]:
-    """The control function and its period [s], and how actuators are driven, in words.
+    """Return the control function, its period [s], and the drive of the actuators in words.
 
-    Controls that never change are set, and have no function.
+    Constant controls are written to the Sim; the function is then None.
     """
     model, dt, held = sim.model, sim.settings.dt, np.array(sim.ctrl)
     if motion.ctrl is None and motion.control is None:
@@ -306,7 +313,7 @@ def _driven(sim: Sim, motion: Motion, horizon: float) -> tuple[Control | None, f
 
 
 def _player(rows: np.ndarray, period: float, sim: Sim) -> Callable[[float, Sim], np.ndarray]:
-    """A row each period [s], from now on; the last is held."""
+    """Return a control function that plays one row per period [s], and then keeps the last row."""
     begin = sim.time
 
     def control(time: float, sim: Sim) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""`sweep`: one measurement at every point of a grid of settings or values."""
+"""`sweep`: a measurement at every point of a grid of settings or model values."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from stepcore.scene.value_paths import WHOLE, find, is_path
 Point = dict[str, Any]
 Measure = Callable[[Any], Any]
 
-# A process of an executor measures at most this many points at a time.
+# The largest number of points in one batch on an executor.
 SHARE = 256
 
 
@@ -43,30 +43,32 @@ def sweep(
     executor: Executor | None = None,
     progress: Choice = None,
 ) -> Table:
-    """Measures at every point of a grid of settings or values, in the order of the grid.
+    """Measure at every point of a grid; return a table with one row for each point.
 
     make_or_model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The keys of
-        the grid are then `Settings` fields or, with a "/" in them, paths as in
-        `Model.with_values`. Or a function that is called with the values of a point by keyword,
-        and returns what is measured; a Scene or Model becomes a Sim first.
-    grid: the values of each key; every combination is a point, and the last key varies fastest.
-    measure: called with the Sim; returns a number (column "value") or a mapping of columns.
-    batch: True measures the points of equal settings together: `measure` is called with a `Batch`
-        that has a point in each world (its `param` holds their values), and returns an array with
-        an entry for each world, or a mapping of such arrays. The numbers equal those of single Sims
-        bit for bit, and a world that fails does not stop the others. A batch has all points, or up
-        to 256 with an executor. It needs a model, not a function that makes one.
-    threads: how many measurements run at once (default: one per core). Python's lock is released
-        while a Sim steps.
-    executor: any `concurrent.futures` executor in place of threads. Where it uses processes,
-        everything must pickle.
-    progress: False for no bar, or a function of (label, done, total).
+        the grid are then `Settings` fields or, if they contain a "/", paths as in
+        `Model.with_values`. Or a function that takes the values of a point as keyword arguments
+        and returns the argument of `measure`; a returned Scene or Model is made into a Sim.
+    grid: the values of each key. Every combination is a point; the last key varies fastest.
+    measure: a function of the Sim that returns a number (column "value") or a mapping of columns.
+    batch: True measures all points with equal settings in one `Batch`, one point in each world.
+        `measure` is then a function of the Batch, whose `param` has the values of the points. It
+        returns an array with an entry for each world, or a mapping of such arrays. The numbers are
+        bit-identical to those of single Sims, and a world that fails does not stop the others. A
+        batch has all points, or up to 256 with an executor. batch=True needs a model, not a
+        function that makes one.
+    threads: the number of measurements at the same time (default: one per core). A Sim releases
+        Python's global interpreter lock while it steps.
+    executor: any `concurrent.futures` executor, used in place of threads. If the executor uses
+        processes, all arguments and results must be picklable.
+    progress: False for no progress bar, or a function of (label, done, total).
 
-    A measurement that fails (SimulationError, or a ValueError of a setting) keeps its row, and the
-    column "failure" says why. Any other exception is raised.
+    A measurement that fails (SimulationError, or ValueError for a setting) keeps its row, and the
+    column "failure" gives the reason. Any other exception is raised.
 
     Raises ValueError for an unknown setting in the grid, an axis that is not a list of at least
-    one value, and threads < 1; TypeError for a measure of a batch that returns something else.
+    one value, and threads < 1. Raises TypeError if `measure` returns arrays of a wrong shape for a
+    batch.
 
     >>> from stepcore import lesson
     >>> def height(sim):
@@ -117,7 +119,7 @@ def sweep(
 
 
 def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
-    """Raises ValueError for a misspelt name, once and not at every point."""
+    """Raise ValueError for an unknown name in the grid, before any point is measured."""
     fields = model.settings.as_dict()
     for name in axes:
         if is_path(name):
@@ -131,13 +133,13 @@ def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
 
 
 def _settings_and_values(point: Point) -> tuple[Point, Point]:
-    """The settings of a point, and its values by path."""
+    """Return the settings of a point, and its model values by path."""
     values = {name: value for name, value in point.items() if is_path(name)}
     return {name: value for name, value in point.items() if name not in values}, values
 
 
 def _record(measured: Any) -> Point:
-    """The columns that a measurement gives."""
+    """Return the result of a measurement as a dict of columns."""
     return dict(measured) if isinstance(measured, Mapping) else {"value": measured}
 
 
@@ -146,7 +148,7 @@ def _failure(error: Exception) -> Point:
 
 
 def at_point(source: Any, measure: Measure, point: Point) -> Point:
-    """One measurement as a record, or the reason why it failed."""
+    """Measure at one point; return the columns, or the reason of a failure."""
     try:
         if isinstance(source, Model):
             settings, values = _settings_and_values(point)
@@ -162,7 +164,7 @@ def at_point(source: Any, measure: Measure, point: Point) -> Point:
 def _in_batches(
     model: Model, measure: Measure, points: Sequence[Point], workers: Workers
 ) -> list[Point]:
-    """The record of each point; those of equal settings are worlds of one batch."""
+    """Return the columns of each point; points with equal settings are worlds of one batch."""
     alike: dict[str, list[int]] = {}
     for index, point in enumerate(points):
         alike.setdefault(repr(_settings_and_values(point)[0]), []).append(index)
@@ -172,7 +174,7 @@ def _in_batches(
         group[at : at + size] for group in alike.values() for at in range(0, len(group), size)
     ]
     job = partial(_batch_of, model, measure, workers.threads if here else 1)
-    # In this process the batches follow each other, and each has all threads.
+    # In this process, batches run one after the other, and each uses all threads.
     crew = Workers(1, workers.executor, workers.progress)
     results = crew.each(job, [[points[index] for index in share] for share in shares], "sweep")
     records = dict(zip(itertools.chain(*shares), itertools.chain(*results), strict=True))
@@ -180,7 +182,7 @@ def _in_batches(
 
 
 def _batch_of(model: Model, measure: Measure, threads: int, points: Sequence[Point]) -> list[Point]:
-    """Records of points with the same settings."""
+    """Measure points with equal settings as one batch; return the columns of each."""
     settings, values = _settings_and_values(points[0])
     try:
         base = model.with_settings(**settings)
@@ -198,7 +200,7 @@ def _batch_of(model: Model, measure: Measure, threads: int, points: Sequence[Poi
 def _worlds(
     model: Model, columns: Mapping[str, Floats], worlds: list[int], measure: Measure, threads: int
 ) -> list[Point]:
-    """Records of the points whose values the model accepts."""
+    """Measure the points whose values the model accepts; return the columns of each."""
     n = len(worlds)
     batch = unwatched_batch(Batch(model, n, threads=min(threads, n), on_failure="go on"))
     if columns:
@@ -220,7 +222,7 @@ def _worlds(
 
 
 def _column(path: str, values: list[Any]) -> Floats:
-    """The values of a path as an array over the points."""
+    """Return the values of a path as an array over the points."""
     try:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
