@@ -1,4 +1,4 @@
-"""`trade`: one scene under many settings against its own converged motion."""
+"""`trade`: runs one scene under many settings and compares each with its converged motion."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from stepcore.report.progress import Choice
 
 __all__ = ["Trade", "TradeRow", "trade"]
 
-# What the reference may cost, in steps × (dofs + 2): some seconds on one core.
+# Default limit on the cost of the reference, in steps × (dofs + 2): some seconds on one core.
 EFFORT = 6e6
-# The further starts are drawn by a seed this far from the search's own.
+# Offset between the seed of the search's starts and the seed of the further starts.
 APART = 1_000_003
 
 
@@ -61,26 +61,26 @@ def trade(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Trade:
-    """Measures what speed costs in accuracy: runs a scene under many settings, and recommends some.
+    """Measure accuracy against cost over many settings of a scene, and recommend settings.
 
     Every setting runs the same motion and is compared with the scene's own converged motion, whose
-    error is stated. `Errors` lists what is measured; `stepcore.measure.trade.search` describes how
-    the settings are found.
+    error is reported. `Errors` lists the measured errors; `stepcore.measure.trade.search` describes
+    the search.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name", see
         `stepcore.loading`). Its settings are the shipped ones.
     motion: the `Motion` that every setting runs; or write its fields as arguments. By default the
         horizon is 1 s, or a whole number of samples near it; there are 8 starts; the control period
         is the largest time step tried, and with `control` or `ctrl` the shipped one.
-    error: the error that the recommended settings may have in every start (RMS position error over
-        bodies and time): metres, "1mm", or "0.1%" of the scene's size. The cheapest are
+    error: the largest allowed error in every start (RMS position error over bodies and time):
+        metres, "1mm", or "0.1%" of the scene's size. The cheapest settings within this error are
         recommended.
-    budget: the cost that the recommended settings may have: "20us/step" (of computing per shipped
+    budget: the largest allowed cost: "20us/step" (of computing per shipped
         time step simulated), "5ms/s" (per simulated second), "100x" (times real time), or µs per
-        simulated second; "2kflop/step" and the like if `by` is "flops". The most accurate are
-        recommended.
+        simulated second; "2kflop/step" and similar units if `by` is "flops". The most accurate
+        settings within the budget are recommended.
     further: the number of further starts, not used by the search, that must confirm a
-        recommendation; 0 for none.
+        recommendation; 0 for no confirmation.
     search: "frugal", or "grid" for every combination of the axes. The default is "frugal", unless
         an axis is given.
     dts [s], integrators, solvers, sweeps, precisions: the axes, with the values to try. The shipped
@@ -89,7 +89,7 @@ def trade(
         operations. With "flops" nothing is timed, and the same seed gives the same result on any
         machine.
     mujoco: whether to run MuJoCo on the scene too (needs the package mujoco); see `Trade.mujoco`.
-    effort: the most that the reference may cost, in steps × (dofs + 2); a step that takes more
+    effort: the largest cost of the reference, in steps × (dofs + 2); a step that takes more
         operations than 1500 × (dofs + 2), as with many contacts, counts in proportion. Time steps
         that the reference cannot judge are not searched, and a note says which.
     threads: the number of runs at the same time (default: one per core).
@@ -139,7 +139,7 @@ def trade(
     experiment = Experiment(model, scheduled(motion, model, period), workers)
     runner, schedule = experiment.runner, experiment.schedule
     runner.check_repeatable()
-    # What sleep changes is an error like another: no body sleeps in the reference.
+    # No body sleeps in the reference, so that the effect of sleep counts as an error.
     awake = shipped.replace(sleep=False)
     cache = RunCache(experiment, experiment.reference(min(steps), effort, awake))
     made = experiment.reference_runs
@@ -214,13 +214,13 @@ def trade(
 
 
 def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
-    """Whether a full grid is wanted; checks the axes given."""
+    """Return whether to search the full grid; raise ValueError for an invalid axis."""
     checks.one_of("frugal", "grid", None)("trade", "search", search)
     given = {name: values for name, values in axes.items() if values is not None}
     for name, values in given.items():
         checks.several(name, values)
         for value in values:
-            # Each is refused at once that a Settings refuses, also where it would not be tried.
+            # Check every value now, including values that would never be tried.
             if name == "dts":
                 checks.real(above=0)("trade", name, value)
             else:
@@ -231,7 +231,7 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
 
 
 def _refine(cache: RunCache, tried: Sequence[Settings]) -> None:
-    """Halves the reference's step until its error is a tenth of the smallest in the table."""
+    """Halve the reference's step until its error is a tenth of the smallest error in the table."""
     whole = [cache.full[setting] for setting in tried if not cache.failure(setting)]
     while whole and cache.can_refine:
         each = [cache.experiment.errors(runs, cache.reference).high for runs in whole]
@@ -243,8 +243,7 @@ def _refine(cache: RunCache, tried: Sequence[Settings]) -> None:
 def _with_statistics(
     frontier: Frontier, made: ReferenceRuns, reference: Reference, motion: Motion
 ) -> Frontier:
-    """The frontier with statistics of its shipped and best rows, where some of the horizon is
-    beyond prediction."""
+    """Add statistics to the shipped and best rows if the motion becomes unpredictable."""
     schedule = made.runner.schedule
     if not (schedule.times > reference.growth.overall).any():
         return frontier
@@ -265,7 +264,7 @@ def _with_statistics(
 
 
 def _recommends(frontier: Frontier, target: float | None, budget: float | None) -> bool:
-    """Whether some row meets what was asked for."""
+    """Return whether some row meets the request."""
     try:
         if target is not None:
             frontier.cheapest(target)

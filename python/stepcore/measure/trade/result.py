@@ -1,4 +1,4 @@
-"""`Trade`: what `trade` returns: rows, a recommendation, and both in sentences, tables and data."""
+"""`Trade`: the rows and the recommendation of `trade`, in sentences, tables and data."""
 
 from __future__ import annotations
 
@@ -30,34 +30,34 @@ from stepcore.report.units import counted, length, metres, seconds
 if TYPE_CHECKING:
     from stepcore.viewing.live import View
 
-# The error that `Trade.best` keeps to by default [m].
+# Default error of `Trade.best` [m].
 ERROR = 1e-3
-# A cheaper row that misses the error on at most this share of the starts is worth naming.
+# Largest share of starts on which a cheaper row may exceed the error and still be named.
 FEW = 0.1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trade(Result):
-    """What speed costs in accuracy for one scene; `stepcore.trade` returns it.
+    """The trade-off between cost and accuracy for one scene; `stepcore.trade` returns it.
 
     name: the name of the scene.
     motion: the motion that every setting ran.
-    frontier: every setting that ran from all starts, and every one that failed.
+    frontier: every setting that ran from all starts, and every setting that failed.
     reference: the converged motion, with its error.
     horizon: the simulated time [s].
     notes: remarks on the reference, the motion and the failures.
-    target, budget: the error [m] or the budget that was asked for.
+    target, budget: the requested error [m] or the requested budget.
     size: the size of the scene [m].
-    mujoco: MuJoCo's points, if they were asked for.
-    in_batch: what the settings that the answer names cost as worlds of a batch, in both precisions;
-        nothing where costs are counted or a Python function gives the controls.
-    screened: the number of settings that were tried at all.
-    runs: the number of runs they took.
+    mujoco: MuJoCo's points, if MuJoCo was requested.
+    in_batch: the cost of the named settings as worlds of a batch, in both precisions; empty if
+        costs are counted or a Python function gives the controls.
+    screened: the number of settings that were tried.
+    runs: the number of runs that the trade made.
     chosen: the row for `target` that further starts confirmed.
     ran: the motion in words.
-    batches: what making runs as batches saved.
-    findings: what the shipped settings show from the first start, such as creep; see `Finding`.
-    runner: makes the runs of the trade again, to be seen.
+    batches: the time saved by running in batches.
+    findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
+    runner: repeats runs of the trade for viewing.
     """
 
     kind = "trade"
@@ -89,7 +89,7 @@ class Trade(Result):
             state["runner"] = Runner(runner.model, schedule)
         return state
 
-    # The rows, and what they answer.
+    # Rows and recommendations.
 
     @property
     def rows(self) -> list[TradeRow]:
@@ -98,7 +98,7 @@ class Trade(Result):
 
     @property
     def starts(self) -> int:
-        """From how many starts every setting ran."""
+        """The number of starts that every setting ran from."""
         return len(self.reference.runs)
 
     @property
@@ -107,48 +107,48 @@ class Trade(Result):
         return self.frontier.by
 
     def error(self, row: TradeRow) -> float:
-        """The error that a row can claim [m]: inf if it failed.
+        """Return the error that a row can claim [m]; inf if the row failed.
 
-        The RMS position error of the worst start, further ones among them; not below the
-        reference's own.
+        This is the RMS position error of the worst start, further starts included. It is never
+        below the reference's own error.
         """
         return self.frontier.error(row)
 
     def price(self, row: TradeRow) -> float:
-        """What a row costs per simulated second: µs, or operations if that is the metric."""
+        """Return the cost of a row per simulated second: µs, or operations with `by="flops"`."""
         return self.frontier.price(row)
 
     @property
     def shipped(self) -> TradeRow:
-        """The settings that came with the scene."""
+        """The row of the scene's own settings."""
         return self.frontier.shipped
 
     @property
     def settings(self) -> Settings:
-        """The settings that came with the scene."""
+        """The scene's own settings."""
         return self.shipped.settings
 
     @property
     def orders(self) -> dict[str, float]:
-        """The order of accuracy that each integrator shows in the worst start."""
+        """The observed order of accuracy of each integrator in the worst start."""
         return observed_orders(self.rows, self.reference)
 
     @property
     def predictable(self) -> float:
-        """When the first of the starts can no longer be predicted [s]; inf beyond the horizon.
+        """The time when the first start becomes unpredictable [s]; inf if none does.
 
-        Trajectory errors are those before it; see `stepcore.predict`.
+        Trajectory errors are measured before this time; see `stepcore.predict`.
         """
         return self.reference.growth.overall
 
     @property
     def failures(self) -> list[TradeRow]:
-        """The rows that failed; `TradeRow.failure` says why."""
+        """The rows that failed; `TradeRow.failure` gives the reason."""
         return [row for row in self.rows if row.failure]
 
     @property
     def recommended(self) -> TradeRow | None:
-        """The row for the error or budget that was asked for; None where no row is, or no ask."""
+        """The row for the requested error or budget; None without a request or a matching row."""
         if self.chosen is not None:
             return self.chosen
         try:
@@ -160,10 +160,11 @@ class Trade(Result):
 
     @property
     def passed_over(self) -> TradeRow | None:
-        """A row that costs notably less than the recommended one and all but meets the error.
+        """A notably cheaper row than the recommended row that almost meets the error.
 
-        It meets the error asked for, but not the share of it that a recommendation keeps to; or it
-        misses it on few of the starts (one of ten at most). Of several the one that misses least.
+        The row meets the requested error without the safety margin of a recommendation, or exceeds
+        the error on at most a tenth of the starts. Of several such rows, this is the row with the
+        fewest misses.
         """
         chosen = self.recommended
         if chosen is None or self.target is None:
@@ -180,7 +181,7 @@ class Trade(Result):
 
     @property
     def offered(self) -> list[TradeRow]:
-        """The rows that the answer compares with: half the error, and the same one for less."""
+        """The rows compared in the answer: half the error, and the same error at a lower cost."""
         if (chosen := self.recommended) is not None:
             rows = [self.passed_over, self.frontier.halving(chosen)]
         elif self.shipped.errors is not None and not math.isnan(self.price(self.shipped)):
@@ -192,20 +193,23 @@ class Trade(Result):
 
     @property
     def kept(self) -> float:
-        """The error that a recommendation keeps to on every start that ran [m]; NaN without one."""
+        """The error limit of a recommendation [m]: `target` less a safety margin; NaN without a
+        target.
+        """
         return math.nan if self.target is None else MARGIN * self.target
 
     def misses(self, row: TradeRow) -> tuple[int, int]:
-        """On how many starts a row exceeds the error asked for, and of how many that it ran."""
+        """Return on how many starts a row exceeds the requested error, and from how many it ran."""
         return row.misses(self.target or math.inf)
 
     def best(self, error: float | str | None = None) -> Settings:
-        """The cheapest Settings that keep to an error in every start.
+        """Return the cheapest Settings whose error in every start is at most `error`.
 
-        error: metres, "1mm", or "0.1%" of the scene's size; by default what the trade was made
-            for (an error or a budget), else 1 mm.
+        error: metres, "1mm", or "0.1%" of the scene's size. The default is the error that `trade`
+            was called with. After a call with a budget, the most accurate settings within the
+            budget are returned. After a call with neither, the default is 1 mm.
 
-        Raises ValueError, naming the smallest error there is, if none is that good.
+        Raises ValueError, naming the smallest error reached, if no row is accurate enough.
         """
         if error is None and self.target is None and self.budget is not None:
             return self.most_accurate(self.budget).settings
@@ -214,10 +218,11 @@ class Trade(Result):
         return self.cheapest(error).settings
 
     def next_better(self, error: float | str | None = None) -> TradeRow | None:
-        """The cheapest row with at most half of that error; None if there is none.
+        """Return the cheapest row with at most half of an error; None if there is no such row.
 
-        error: as in `best`; by default that of the recommended row, which is compared in the starts
-        of the search, because no other row need have run from the further ones.
+        error: as in `best`. The default is the error of the recommended row. That error is compared
+            on the starts of the search, because other rows need not have run from the further
+            starts.
         """
         if error is None and self.recommended is not None:
             return self.frontier.halving(self.recommended)
@@ -227,7 +232,7 @@ class Trade(Result):
             return None
 
     def cheapest(self, error: float | str | None = None) -> TradeRow:
-        """The row of the lowest price whose error is at most `error`, as in `best`."""
+        """Return the row with the lowest price whose error is at most `error`; see `best`."""
         return self.frontier.cheapest(self._length(error))
 
     def _length(self, error: float | str | None) -> float:
@@ -236,22 +241,22 @@ class Trade(Result):
         return length("best", "error", error, self.size)
 
     def most_accurate(self, budget: float) -> TradeRow:
-        """The row with the smallest error whose price is at most `budget`.
+        """Return the row with the smallest error whose price is at most `budget`.
 
-        Raises ValueError, naming the lowest price there is, if none is that cheap.
+        Raises ValueError, naming the lowest price, if no row is cheap enough.
         """
         return self.frontier.most_accurate(budget)
 
-    # The answer in words.
+    # Sentences.
 
     @property
     def title(self) -> str:
-        """What was measured, in a few words."""
+        """The quantity measured, in a few words."""
         return f"{self.name}: position error against cost"
 
     @property
     def setup(self) -> str:
-        """How it was measured, in a line."""
+        """The settings tried and the reference, in one line."""
         ref, tried = self.reference, ""
         if self.screened > len(self.rows):
             tried = f", of {self.screened} tried in {self.runs} runs"
@@ -265,7 +270,7 @@ class Trade(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """What is recommended, how wrong the shipped settings are, what less error would cost."""
+        """The recommendation, the error of the shipped settings, and the cost of less error."""
         frontier, asked = self.frontier, (self.target, self.budget)
         words = Words(
             frontier, self.reference, *asked, self.recommended, self.passed_over, self.horizon
@@ -276,7 +281,7 @@ class Trade(Result):
         said += words.in_a_batch(self.in_batch)
         return said + [finding.text for finding in self.findings]
 
-    # As tables, data and motions.
+    # Tables, data and motions.
 
     @property
     def table(self) -> Table:
@@ -284,9 +289,9 @@ class Trade(Result):
         return Table(row.record() for row in self.rows)
 
     def tables(self, full: bool) -> list[Table]:
-        """The settings that matter, and means after the motion is unpredictable.
+        """Return the table of the main settings, and the means after the motion is unpredictable.
 
-        `full`: all settings, and what those of the answer cost in a batch.
+        full: whether to include all settings, and the batch cost of the recommended ones.
         """
         chosen, frontier = self.recommended, self.frontier
         named = [row for row in (self.shipped, chosen, *self.offered) if row is not None]
@@ -297,7 +302,7 @@ class Trade(Result):
         ]
 
     def details(self) -> dict[str, Any]:
-        """The reference, what was asked for and is recommended, and MuJoCo's points."""
+        """Return the reference, the request, the recommendation and MuJoCo's points as data."""
         chosen = self.recommended
         return {
             "horizon": self.horizon,
@@ -341,11 +346,11 @@ class Trade(Result):
         }
 
     def seen(self, row: TradeRow | None = None) -> list[Trajectory]:
-        """The converged motion and that of a row, from the start where the row is worst.
+        """Return the converged motion and the motion of a row, from the row's worst start.
 
-        row: by default the recommended one, else the shipped settings.
+        row: by default the recommended row, or the shipped settings without a recommendation.
 
-        The runs are made again; what fails ends where it failed.
+        The runs are repeated. A run that fails ends at its failure.
         """
         if self.runner is None:
             raise ValueError("this trade does not hold its runs, so that they cannot be made again")
@@ -364,9 +369,10 @@ class Trade(Result):
         port: int = 8080,
         wait: bool | None = None,
     ) -> View:
-        """Opens a page with the motion of a row over the converged one, and their distance.
+        """Open a page with the motion of a row, the converged motion, and their distance.
 
-        row: by default the recommended one, else the shipped settings; from its worst start.
+        row: by default the recommended row, or the shipped settings without a recommendation. The
+            motion is that of the row's worst start.
         host, port, wait: see `stepcore.view`. Needs the extra "view".
         """
         from stepcore.viewing.live import view
@@ -376,7 +382,7 @@ class Trade(Result):
         return view(self.seen(row), labels=["converged", named], host=host, port=port, wait=wait)
 
     def to_pandas(self) -> Any:
-        """The table as a pandas DataFrame."""
+        """Return the table as a pandas DataFrame."""
         return self.table.to_pandas()
 
     def __repr__(self) -> str:
@@ -385,7 +391,7 @@ class Trade(Result):
 
 
 def run_again(runner: Runner, settings: Settings, start: int) -> Trajectory:
-    """The motion from one start, to be looked at; what fails ends where it failed."""
+    """Repeat the run from one start for viewing; a run that fails ends at its failure."""
     sim, states = runner.sim(settings), _States(settings.dt)
     with contextlib.suppress(SimulationError):
         runner.follow(sim, start, [states])
@@ -394,7 +400,7 @@ def run_again(runner: Runner, settings: Settings, start: int) -> Trajectory:
 
 
 class _States(Probe):
-    """Keeps whole states of a run, with the inputs of the step that follows each."""
+    """A probe that records whole states of a run, each with the inputs of the following step."""
 
     def __init__(self, dt: float) -> None:
         self.apart = max(1, round(1 / (RATE * dt)))
@@ -416,7 +422,7 @@ class _States(Probe):
 
     def _keep(self, sim: Any) -> None:
         if self.times and sim.time == self.times[-1]:
-            # The same instant, now with its controls.
+            # Replace the state of the same instant by the state that has the new controls.
             self.states[-1] = sim.state()
         elif not self.times or sim.time - self.times[-1] >= self.least:
             self.times.append(sim.time)

@@ -1,4 +1,4 @@
-"""`TradeRow`: one setting of a trade. `Frontier`: all rows, and the best of them."""
+"""`TradeRow`: one setting of a trade. `Frontier`: all rows, with the best ones marked."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from stepcore.experiment.errors import Errors, moved, pareto
 from stepcore.experiment.reference import FINER, Reference
 from stepcore.measure.trade.statistics import QUANTITIES, Statistics
 
-# Everything tried is held to this share of the error asked for, because further starts differ.
+# Recommended settings must stay within this share of the requested error, because further starts
+# may be harder.
 MARGIN = 0.9
-# A saving below this is within what timing can tell.
+# Cost ratios above this are within the uncertainty of timing.
 NOTABLE = 0.9
-# An error above this share of how far bodies move no longer falls as a power of dt.
+# An error above this share of the bodies' displacement no longer falls as a power of dt.
 SATURATED = 0.1
-# The slope of a line is an order within this share of it; that of two neighbours within twice it.
+# Relative tolerance of a line's slope as an order; the slope between two neighbours has twice this.
 CLOSE = 0.15
 
 FIELDS = (
@@ -51,7 +52,7 @@ ERRORS = {
     "anisotropy": "rad",
     "residual": "m/s",
 }
-# Of all that `TradeRow.record` has.
+# Units of the fields of `TradeRow.record`.
 UNITS = {
     **ERRORS,
     "dt": "s",
@@ -66,11 +67,12 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Further:
-    """Results of a setting on starts that the search had not used.
+    """The results of a setting on starts that the search has not used.
 
-    starts: how many; held: on how many of them the error stayed within the one asked for.
+    starts: the number of these starts.
+    held: the number of these starts on which the error was within the requested error.
     high: the RMS position error of the worst start [m].
-    failure: why the first failing start failed.
+    failure: the reason why the first failing start failed.
     """
 
     starts: int
@@ -84,17 +86,17 @@ class TradeRow:
     """One setting of a trade.
 
     settings: the setting.
-    errors: its errors; None if it failed.
+    errors: the errors of the setting; None if a run failed.
     cost: computing time [µs per simulated second].
     flops, row_updates: floating-point operations and row updates [per simulated second].
-    nbytes: memory of the state and the working space.
-    further: its results on further starts, if it was tried there.
-    after: differences of means once the motion can no longer be predicted, if they were measured.
+    nbytes: memory of the state and the working space [bytes].
+    further: the results on further starts, if the setting ran there.
+    after: differences of means after the motion becomes unpredictable, if they were measured.
     shipped: whether these are the shipped settings.
     clamped: whether refsafe softens rows at this dt.
     below, below_max: whether the error and the largest error are below the reference's own.
     best: whether no other setting is cheaper and at least as accurate.
-    failure: why it failed.
+    failure: the reason why a run failed.
     """
 
     settings: Settings
@@ -113,7 +115,7 @@ class TradeRow:
     after: Statistics | None = None
 
     def misses(self, error: float) -> tuple[int, int]:
-        """On how many starts it exceeds an error [m], and of how many that it ran."""
+        """Return on how many starts the row exceeds an error [m], and from how many it ran."""
         each = () if self.errors is None else self.errors.each
         held, count = sum(wrong <= error for wrong in each), len(each)
         if self.further is not None:
@@ -121,7 +123,7 @@ class TradeRow:
         return count - held, count
 
     def record(self) -> dict[str, Any]:
-        """The row as plain data.
+        """Return the row as plain data.
 
         `below` and `below_max` mark an error and a largest error below the reference's own.
         """
@@ -157,8 +159,9 @@ def _known(value: float) -> float | None:
 
 @dataclass(frozen=True)
 class Frontier:
-    """Rows, coarsest step first. by: the cost metric, "time" or "flops".
+    """The rows of a trade, coarsest step first.
 
+    by: the cost metric, "time" or "flops".
     known, known_max: the reference's own error and largest error [m]; no row can claim less.
     """
 
@@ -169,12 +172,12 @@ class Frontier:
 
     @property
     def shipped(self) -> TradeRow:
-        """The settings that came with the scene."""
+        """The row of the scene's own settings."""
         return next(row for row in self.rows if row.shipped)
 
     @classmethod
     def of(cls, rows: Iterable[TradeRow], known: float, known_max: float, by: str) -> Frontier:
-        """The rows with their marks."""
+        """Return the frontier of some rows, with the best rows marked."""
         plain = cls(tuple(sorted(rows, key=lambda row: -row.settings.dt)), known, known_max, by)
         best = pareto(
             [plain.price(row) for row in plain.rows], [plain.error(row) for row in plain.rows]
@@ -189,7 +192,7 @@ class Frontier:
         return dataclasses.replace(plain, rows=tuple(marked))
 
     def updated(self, row: TradeRow) -> Frontier:
-        """The frontier with this row in place of that of the same settings, or added."""
+        """Return the frontier with a row added; the row replaces that of the same settings."""
         others = [other for other in self.rows if other.settings != row.settings]
         if len(others) == len(self.rows):
             return self.of([*self.rows, row], self.known, self.known_max, self.by)
@@ -200,36 +203,36 @@ class Frontier:
         return any(row.settings == settings for row in self.rows)
 
     def error(self, row: TradeRow) -> float:
-        """The error that a row can claim [m]: inf if it failed."""
+        """Return the error that a row can claim [m]; inf if the row failed."""
         if row.errors is None:
             return math.inf
         further = 0.0 if row.further is None else row.further.high
         return max(row.errors.high, self.known, further)
 
     def searched(self, row: TradeRow) -> float:
-        """The error of a row in the starts of the search, from which every row ran [m]."""
+        """Return the error of a row on the starts of the search, from which every row ran [m]."""
         return math.inf if row.errors is None else max(row.errors.high, self.known)
 
     def halving(self, row: TradeRow) -> TradeRow | None:
-        """The cheapest row with at most half the error of this one; None if there is none, or if
-        there is no error to halve.
+        """Return the cheapest row with at most half the error of a row, or None.
 
-        Both in the starts of the search: further ones, from which few rows ran, may be harder.
+        None means that no row is as accurate, or that the error is already 0. Both errors are those
+        on the starts of the search: further starts, from which few rows ran, may be harder.
         """
         half = self.searched(row) / 2
         good = [r for r in self.rows if self.searched(r) <= half and not math.isnan(self.price(r))]
         return self._cheapest_of(good) if good and half > 0 else None
 
     def price(self, row: TradeRow) -> float:
-        """What a row costs per simulated second: µs, or operations if that is the metric."""
+        """Return the cost of a row per simulated second: µs, or operations with `by="flops"`."""
         return row.flops if self.by == "flops" else row.cost
 
     def cheapest(self, error: float) -> TradeRow:
-        """The row of the lowest price whose error is at most `error` [m].
+        """Return the row with the lowest price whose error is at most `error` [m].
 
-        In double precision where single saves no more than timing can tell.
+        A row in single precision must save more than the uncertainty of timing.
 
-        Raises ValueError, naming the smallest error there is, if none is that good.
+        Raises ValueError, naming the smallest error reached, if no row is accurate enough.
         """
         good = [r for r in self.rows if self.error(r) <= error and not math.isnan(self.price(r))]
         if not good:
@@ -244,9 +247,9 @@ class Frontier:
         return twin if NOTABLE * self.price(twin) <= self.price(least) else least
 
     def most_accurate(self, budget: float) -> TradeRow:
-        """The row with the smallest error whose price is at most `budget`.
+        """Return the row with the smallest error whose price is at most `budget`.
 
-        Raises ValueError, naming the lowest price there is, if none is that cheap.
+        Raises ValueError, naming the lowest price, if no row is cheap enough.
         """
         checks.real(above=0)("most_accurate", "budget", budget)
         done = [row for row in self.rows if not row.failure]
@@ -258,21 +261,21 @@ class Frontier:
 
 
 def observed_orders(rows: Sequence[TradeRow], reference: Reference) -> dict[str, float]:
-    """The orders from errors ten times the reference's and below a tenth of how far bodies move."""
+    """Return each integrator's order from errors well above the reference's and not saturated."""
     return orders(rows, FINER * reference.high, SATURATED * moved(reference.runs))
 
 
 def orders(rows: Sequence[TradeRow], least: float, most: float = np.inf) -> dict[str, float]:
-    """The order that each integrator shows in a table: log of errors over log of steps.
+    """Return the observed order of each integrator: the slope of log(error) over log(dt).
 
-    The slope of a line through three or more runs that differ in dt alone, by a factor of four or
-    more, in double precision, whose worst start is further from the truth than `least` [m] and
-    nearer than `most` (beyond it errors no longer grow with dt), and whose model is the shipped
-    one, not made softer by refsafe; the median, where an integrator has several such lines.
+    The slope is fitted to a line of three or more runs in double precision that differ in dt alone,
+    by a factor of four or more. The error of each run's worst start must be above `least` and below
+    `most` [m]; beyond `most`, errors no longer grow with dt. Runs that refsafe softens are left
+    out. If an integrator has several such lines, the order is the median of their slopes.
 
-    A slope is an order only where it is one: the line's, and that between each two neighbours, are
-    near the same whole order that a method can have. Elsewhere contacts that begin and end, not
-    the method, make the error, and an integrator has none.
+    A slope counts as an order only if the slope of the line and the slopes between neighbours are
+    all near one whole number that is a possible order. Otherwise contacts that begin and end
+    dominate the error, and the integrator has no order.
     """
     slopes: dict[str, list[float]] = {}
     kinds: dict[Settings, list[tuple[float, float]]] = {}
@@ -291,7 +294,7 @@ def orders(rows: Sequence[TradeRow], least: float, most: float = np.inf) -> dict
 
 
 def _is_order(slope: float, dts: np.ndarray, errors: np.ndarray) -> bool:
-    """Whether the whole line and each part of it that spans some 40 % of dt show one order."""
+    """Return whether the whole line, and each part that spans some 40 % of dt, show one order."""
     order = min(ORDERS, key=lambda p: abs(np.log(max(slope, 1e-9) / p)))
     wide = np.diff(dts) > np.log(1.4)
     local = np.diff(errors)[wide] / np.diff(dts)[wide]

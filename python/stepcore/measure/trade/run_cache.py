@@ -1,6 +1,7 @@
-"""Every setting that was run so far: its runs and its work; and the rows that are made of them.
+"""The runs and the work of every setting tried so far, and the rows made from them.
 
-The search only records positions; settings that it chooses are run again and fully recorded.
+The search records positions only. Settings that the search chooses are run again and fully
+recorded.
 """
 
 from __future__ import annotations
@@ -25,16 +26,17 @@ from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.measure.trade.rows import TradeRow
 
-# Runs of a setting, and the work of the first.
+# The runs of a setting, and the work of the first run.
 Ran = tuple[list[Run], Work]
-# A setting, the first start of its runs and the one after the last.
+# A setting, its first start, and the start after the last.
 Job = tuple[Settings, int, int]
 
 
 class PricedError(NamedTuple):
-    """price: floating-point operations per simulated second. error: RMS of the worst start [m].
+    """The price and the error of a setting; both are infinite for a failure.
 
-    Both infinite for a failure.
+    price: floating-point operations per simulated second.
+    error: RMS position error of the worst start [m].
     """
 
     price: float
@@ -42,10 +44,12 @@ class PricedError(NamedTuple):
 
 
 class RunCache:
-    """Runs under settings, kept, so that nothing is run twice.
+    """The runs made so far, stored so that no run is repeated.
 
-    screened: runs of which positions are recorded, from the first starts. full: those of which
-    everything is, from all starts. work: by setting. count: how many runs were made.
+    screened: runs from the first starts, with positions recorded.
+    full: fully recorded runs from all starts.
+    work: the work of each setting.
+    count: the number of runs made.
     """
 
     def __init__(self, experiment: Experiment, reference: Reference) -> None:
@@ -56,7 +60,9 @@ class RunCache:
         self.count = 0
 
     def screen(self, settings: Sequence[Settings], starts: int, label: str) -> None:
-        """Runs what is missing; a setting that failed from one start is not run from others."""
+        """Run settings from the first starts; a setting that fails from one start is not run from
+        the next.
+        """
         jobs = []
         for setting in dict.fromkeys(settings):
             done = self.screened.get(setting, [])
@@ -70,7 +76,7 @@ class RunCache:
                 self.work[setting] = work
 
     def _screened(self, jobs: Sequence[Job], label: str) -> list[Ran]:
-        """The runs of jobs; of fewer jobs than threads the starts run at the same time."""
+        """Run jobs in parallel; with fewer jobs than threads, the starts run in parallel too."""
         runner, workers = self.experiment.runner, self.experiment.workers
         if workers.executor is not None or len(jobs) >= workers.threads:
             return workers.each(partial(screen_starts, runner, workers.inside), jobs, label)
@@ -82,16 +88,16 @@ class RunCache:
         return ran
 
     def run(self, settings: Sequence[Settings], label: str = "errors") -> None:
-        """Runs settings from every start, fully recorded.
+        """Run settings from every start, fully recorded.
 
-        What has been run is not run again, and what failed in the search is not run to fail again.
+        Settings that have run, and settings that failed in the search, are not run again.
         """
         for setting in settings:
             done = self.screened.get(setting)
             if done and setting not in self.full and self.why_failed(done):
                 self.full[setting] = done
         missing = [setting for setting in dict.fromkeys(settings) if setting not in self.full]
-        # The dearest first, so that all threads end together.
+        # Start with the most expensive settings, so that all threads finish together.
         missing.sort(key=lambda setting: setting.dt)
         job = partial(all_starts, self.experiment.runner)
         ran = self.experiment.workers.each(job, missing, label)
@@ -100,7 +106,7 @@ class RunCache:
             self.count += len(runs)
 
     def score(self, settings: Settings, starts: int) -> PricedError:
-        """The price and the error of a setting, by its positions from the first starts alone."""
+        """Return the price and the error of a setting, from the positions of the first starts."""
         runs = self.screened[settings][:starts]
         if self.why_failed(runs):
             return PricedError(math.inf, math.inf)
@@ -108,21 +114,21 @@ class RunCache:
         return PricedError(self.work[settings].flops, WORST_START(errors))
 
     def failure(self, settings: Settings) -> str | None:
-        """Why a setting that was run from all starts failed, or None."""
+        """Return why a setting failed that was run from all starts, or None."""
         return self.why_failed(self.full[settings])
 
     def why_failed(self, runs: Sequence[Run]) -> str | None:
-        """Why runs from the first starts failed, or None."""
+        """Return why runs from the first starts failed, or None."""
         return self.experiment.failure(runs, self.reference)
 
     @property
     def can_refine(self) -> bool:
-        """Whether a further halving of the reference is affordable and would improve it."""
+        """Whether halving the reference's step again is affordable and would reduce its error."""
         made = self.experiment.reference_runs
         return made is not None and made.can_refine(self.reference)
 
     def refine(self) -> bool:
-        """Halves the reference's step once more; False where that is of no use."""
+        """Halve the reference's step once more; return False if that would not help."""
         made = self.experiment.reference_runs
         if made is None or not made.can_refine(self.reference):
             return False
@@ -134,7 +140,7 @@ class RunCache:
 
 
 def screen_starts(runner: Runner, workers: Workers, job: Job) -> Ran:
-    """Positions under one setting from start `first` to before `last`, until one fails."""
+    """Run one setting from start `first` to before `last`, until a run fails; record positions."""
     settings, first, last = job
     if first == 0:
         return priced(runner, settings, range(last), workers)
@@ -142,7 +148,7 @@ def screen_starts(runner: Runner, workers: Workers, job: Job) -> Ran:
 
 
 def all_starts(runner: Runner, settings: Settings) -> Ran:
-    """Recorded runs of one setting from every start, until one fails; and the work."""
+    """Run one setting from every start, until a run fails; return the runs and the work."""
     runs = runner.runs(settings)
     return runs, UNKNOWN if runs[-1].failure else priced(runner, settings, [0], Workers())[1]
 
@@ -150,19 +156,20 @@ def all_starts(runner: Runner, settings: Settings) -> Ran:
 class RowMaker:
     """Makes rows of settings that ran from all starts: their errors, costs and failures.
 
-    tau: the time constant that refsafe guards [s], or None. by: "flops" times nothing.
+    tau: the time constant that refsafe guards [s], or None.
+    by: the cost metric; with "flops" nothing is timed.
     """
 
     def __init__(self, cache: RunCache, split: ErrorSplit, tau: float | None, by: str) -> None:
         self.cache, self.split, self.tau, self.by = cache, split, tau, by
 
     def row(self, settings: Settings) -> TradeRow:
-        """The row of a setting, which is run from all starts first."""
+        """Run a setting from all starts, and return its row."""
         self.cache.run([settings])
         return self.rows([settings])[0]
 
     def rows(self, settings: Sequence[Settings], others: Sequence[TimedRun] = ()) -> list[TradeRow]:
-        """Rows of settings that have been run, timed in turn with one another and with others."""
+        """Return the rows of settings that have run; settings and `others` are timed in turn."""
         failed = {setting for setting in settings if self.cache.failure(setting)}
         for setting in settings:
             if setting not in failed:
