@@ -70,7 +70,7 @@ class _Parser(argparse.ArgumentParser):
         super()._print_message(printable(message), file)
 
     def refuse(self, unknown: Sequence[str]) -> NoReturn:
-        """Says which arguments the command does not take, and what the first may have meant."""
+        """Say which arguments the command does not take, and what the first may have meant."""
         option = next((arg.partition("=")[0] for arg in unknown if arg.startswith("-")), None)
         if option is None:
             self.error(f"unexpected argument '{unknown[0]}'")
@@ -91,7 +91,7 @@ class _Version(argparse.Action):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command; returns the exit status."""
+    """Run one command; returns the exit status."""
     debug = False
     print_what_can_be_printed()
     try:
@@ -157,7 +157,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _failed(error: Exception) -> int:
-    """Prints the error in one line and returns its exit status."""
+    """Print the error in one line and returns its exit status."""
     say(reason(error))
     return 2 if isinstance(error, (ValueError, OSError)) else 1
 
@@ -170,7 +170,7 @@ def _warned(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Prints a warning in one line, without the code that raised it."""
+    """Print a warning in one line, without the code that raised it."""
     say(" ".join(str(message).split()))
 
 

@@ -74,7 +74,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
-    """Adds the model that a command works on."""
+    """Add the model that a command works on."""
     words = "path, package:name or lesson:name"
     command.add_argument("file", metavar="FILE", help=words + default.pop("words", ""), **default)
     command.add_argument(
@@ -96,14 +96,14 @@ def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
 
 
 def add_key(command: argparse.ArgumentParser) -> None:
-    """Adds the option of the keyframe to start from."""
+    """Add the option of the keyframe to start from."""
     command.add_argument("--key", **OPTIONS["key"])
 
 
 def add_motion(
     command: argparse.ArgumentParser, fields: Collection[str] = tuple(OPTIONS), **default: Any
 ) -> None:
-    """Adds the options of the motion, and the number of threads.
+    """Add the options of the motion, and the number of threads.
 
     fields: those of `Motion` that the measurement takes. default: what it takes for those that are
     not given, which the help names.
@@ -253,7 +253,7 @@ def _module(name: str) -> ModuleType:
 
 
 def _file(path: str) -> ModuleType:
-    """Imports a file as a module, even if another module has its name.
+    """Import a file as a module, even if another module has its name.
 
     It can import the files beside it.
     """

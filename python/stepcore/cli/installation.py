@@ -36,7 +36,7 @@ WIDTH = 16
 
 
 def add(command: argparse.ArgumentParser, name: str) -> None:
-    """Adds the options of a command."""
+    """Add the options of a command."""
     if name == "lesson":
         command.add_argument(
             "--engine",
@@ -51,7 +51,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 
 
 def call(args: argparse.Namespace, name: str) -> int:
-    """Runs a command; returns its exit status."""
+    """Run a command; returns its exit status."""
     return _lesson(args) if name == "lesson" else _info(args)
 
 

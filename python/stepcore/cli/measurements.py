@@ -63,7 +63,7 @@ def _function(name: str) -> Callable[..., Any]:
 
 
 def add(command: argparse.ArgumentParser, name: str) -> None:
-    """Adds the options of a command; their defaults are those of its function."""
+    """Add the options of a command; their defaults are those of its function."""
     measurement, function = MEASUREMENTS[name], _function(name)
     takes = inspect.signature(function).parameters
     add_file(command, **(measurement.model or {}))
@@ -89,7 +89,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 
 
 def call(args: argparse.Namespace, name: str) -> Result:
-    """Measures what a command was asked for."""
+    """Measure what a command was asked for."""
     measurement, function = MEASUREMENTS[name], _function(name)
     model = model_of(args, warn=measurement.warn)
     takes = inspect.signature(function).parameters

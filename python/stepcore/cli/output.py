@@ -55,7 +55,7 @@ def add_json(command: argparse.ArgumentParser) -> None:
 
 
 def check_output(args: argparse.Namespace) -> None:
-    """Checks before the run that every output can be written after it."""
+    """Check before the run that every output can be written after it."""
     outputs = list(_outputs(args))
     files.outputs.clear()
     for option, out in outputs:
@@ -81,7 +81,7 @@ def _outputs(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
 
 
 def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
-    """Refuses to write over a file that the command reads, now or later."""
+    """Refuse to write over a file that the command reads, now or later."""
     control = getattr(args, "control", None) or ""
     inputs = (getattr(args, "file", None), getattr(args, "ctrl", None), control.rpartition(":")[0])
     for given in inputs:
@@ -102,7 +102,7 @@ def _same(one: str, other: str) -> bool:
 
 
 def _check_path(out: str, option: str) -> None:
-    """Refuses a path that is a folder or whose folder does not exist."""
+    """Refuse a path that is a folder or whose folder does not exist."""
     path = Path(out).resolve()
     if path.is_dir():
         raise Usage(f"{option} {out}: is a folder, not a file")
@@ -111,7 +111,7 @@ def _check_path(out: str, option: str) -> None:
 
 
 def deliver(result: Result, args: argparse.Namespace) -> None:
-    """Writes and prints a result as `add_output` was asked."""
+    """Write and prints a result as `add_output` was asked."""
     writes: Writes = []
     if args.plot is not None:
         writes.append((args.plot, lambda: result.plot(args.plot)))
@@ -130,7 +130,7 @@ def _write(out: str, text: str) -> None:
 
 
 def attempted(writes: Writes) -> list[Exception]:
-    """Writes files; returns the errors, so that the result is printed before they are raised."""
+    """Write files; returns the errors, so that the result is printed before they are raised."""
     failed: list[Exception] = []
     for out, write in writes:
         try:

@@ -52,7 +52,7 @@ Example:
 
 
 def add(command: argparse.ArgumentParser, name: str) -> None:
-    """Adds the options of a command."""
+    """Add the options of a command."""
     if name == "replay":
         command.add_argument("file", metavar="FILE", help="a replay file (.replay.json)")
         add_output(command)
@@ -112,7 +112,7 @@ def add_inputs(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace, name: str) -> Result | int:
-    """Runs a command; returns its result or its exit status."""
+    """Run a command; returns its result or its exit status."""
     return replay(args.file) if name == "replay" else _run(args)
 
 
@@ -198,7 +198,7 @@ def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
 
 
 def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | None) -> None:
-    """Saves the replay of a failure, and what the run did until then."""
+    """Save the replay of a failure, and what the run did until then."""
     path = args.replay or _replay_name(error)
     failed = attempted([(path, lambda: error.replay.save(path))])
     if failed:

@@ -38,7 +38,7 @@ def _plain(error: UnicodeError) -> tuple[str, int]:
 
 
 def print_what_can_be_printed() -> None:
-    """Replaces characters that the output cannot encode instead of failing."""
+    """Replace characters that the output cannot encode instead of failing."""
     codecs.register_error(ERRORS, _plain)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
@@ -49,12 +49,12 @@ def print_what_can_be_printed() -> None:
 
 
 def say(text: str, end: str = "\n") -> None:
-    """Writes a line to the error stream."""
+    """Write a line to the error stream."""
     put(f"stepcore: {text}", end, sys.stderr)
 
 
 def put(text: str, end: str = "\n", stream: TextIO | None = None) -> None:
-    """Prints a text; control characters in names are escaped."""
+    """Print a text; control characters in names are escaped."""
     print(printable(text), end=end, file=stream or sys.stdout, flush=stream is not None)
 
 

@@ -33,7 +33,7 @@ DURATION = 5.0
 
 
 def add(command: argparse.ArgumentParser, name: str) -> None:
-    """Adds the options of the command."""
+    """Add the options of the command."""
     add_file(command)
     add_key(command)
     command.add_argument(
@@ -57,7 +57,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 
 
 def call(args: argparse.Namespace, name: str) -> int:
-    """Shows the model, or writes the page; returns the exit status."""
+    """Show the model, or writes the page; returns the exit status."""
     if args.page is not None:
         need("trimesh", f"--html {args.page}")
     elif args.duration is not None:

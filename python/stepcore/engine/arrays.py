@@ -1,4 +1,4 @@
-"""Arrays as attributes: the state, written and checked; readouts and constants, read-only."""
+"""Array attributes: writable, checked state arrays, and read-only readouts and constants."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class StateArray:
 
 
 class ReadOnlyArray:
-    """An array that can be read but not assigned, known to the engine by the attribute's name."""
+    """An array that can be read but not assigned; the engine uses the attribute's name."""
 
     def __init__(self, doc: str) -> None:
         self.__doc__ = doc
@@ -49,9 +49,9 @@ class ReadOnlyArray:
 
 
 class Readout(ReadOnlyArray):
-    """What a `Sim` or a `Batch` computes from its state or keeps of its last solve.
+    """A read-only array computed from the state or kept from the last solve.
 
-    of: the readout that an attribute under MuJoCo's name gives.
+    of: the readout that an alias with MuJoCo's name returns.
     """
 
     def __init__(self, doc: str, of: str | None = None) -> None:
@@ -80,7 +80,7 @@ class ModelArray(ReadOnlyArray):
 
 
 class Names:
-    """The names of a model's elements of one kind, which the attribute names."""
+    """The names of a model's elements of one kind; the attribute's name gives the kind."""
 
     def __init__(self, doc: str) -> None:
         self.__doc__ = doc
@@ -108,10 +108,11 @@ class Count:
 
 
 def fill(array: Floats, name: str, value: ArrayLike) -> None:
-    """Overwrites an array; ValueError if `value` is not real numbers of its shape.
+    """Overwrite an array in place; raise ValueError unless `value` is real numbers of its shape.
 
-    One number fills all of it, and what lacks the leading axes is the same along them. An axis of
-    one entry is not stretched: it would be a state of too few numbers, or vanish in an empty array.
+    A single number fills the whole array, and missing leading axes are broadcast. An axis of length
+    1 is not broadcast, because a state of too few numbers would then be accepted, and values would
+    vanish in an empty array.
     """
     table = numbers(name, value)
     own = array.shape[array.ndim - table.ndim :]
@@ -125,7 +126,7 @@ def fill(array: Floats, name: str, value: ArrayLike) -> None:
 
 
 def indices_of(worlds: ArrayLike, n: int) -> NDArray[np.intp]:
-    """The indices of some of n worlds, which are given as a mask or as indices."""
+    """Return the indices of some of n worlds, given as a mask or as indices."""
     given = np.asarray(worlds)
     if given.dtype == bool and given.shape == (n,):
         return np.flatnonzero(given)
@@ -137,7 +138,7 @@ def indices_of(worlds: ArrayLike, n: int) -> NDArray[np.intp]:
 
 
 def snapshot(value: object, part: Any) -> bytes:
-    """`part` of the snapshot `value` as bytes; ValueError if it has no bytes."""
+    """Return `part` of the snapshot `value` as bytes; raise ValueError if this is impossible."""
     try:
         return bytes(memoryview(part))
     except TypeError:
@@ -146,7 +147,7 @@ def snapshot(value: object, part: Any) -> bytes:
 
 
 def numbers(name: str, value: ArrayLike) -> Floats:
-    """`value` as a contiguous array of float64; ValueError if it is not real numbers."""
+    """Return a contiguous float64 array; raise ValueError unless `value` is real numbers."""
     try:
         table = np.asarray(value)
     except (TypeError, ValueError) as error:
@@ -159,5 +160,5 @@ def numbers(name: str, value: ArrayLike) -> Floats:
 
 
 def digest(qpos: Floats, qvel: Floats) -> str:
-    """A hash of a state; two states with the same hash have the same bits."""
+    """Return a hash of a state; states with equal hashes are bit-identical."""
     return hashlib.sha256(qpos.tobytes() + qvel.tobytes()).hexdigest()

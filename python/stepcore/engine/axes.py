@@ -1,4 +1,4 @@
-"""The axes of a recorded array after time, with the names of their entries."""
+"""Axes of a recorded array after time, with the names of their entries."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ UNITS = {
 XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 QUATERNION, TURNING = ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")
-# Of joints with several coordinates or dofs.
+# Names of coordinates and dofs, for joints that have several.
 COORDINATES = {"free": (*XYZ, *QUATERNION), "ball": QUATERNION}
 DOFS = {"free": ("vx", "vy", "vz", *TURNING), "ball": TURNING}
-# The axes of each array; where an array has more, the rest are numbered.
+# The named axes of each array; further axes are numbered.
 AXES = {
     **dict.fromkeys(("qvel", "qacc", "qfrc_applied", "bias", "passive"), ("dof",)),
     **dict.fromkeys(("constraint_force", "qfrc_constraint"), ("dof",)),
@@ -48,14 +48,14 @@ AXES = {
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of a recorded array. name: such as "body"; entries: what it has, by name."""
+    """An axis of a recorded array. name: such as "body"; entries: the names of the entries."""
 
     name: str
     entries: tuple[str, ...]
 
 
 def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis, ...]:
-    """The axes of an array after time; without a model, or a name for them, they are numbered."""
+    """Return the axes of an array after time; axes without names are numbered."""
     known = AXES.get(array, ()) if model is not None else ()
     axes = []
     for k, length in enumerate(shape):
@@ -82,7 +82,7 @@ def _entries(model: Model, axis: str) -> Sequence[str]:
 
 
 def _of_joints(model: Model, parts: Mapping[str, Sequence[str]]) -> list[str]:
-    """The entries of joints: "knee", or "root.x" and so on of a joint of several."""
+    """Return an entry for each coordinate: "knee", or "root.x", … for several coordinates."""
     entries: list[str] = []
     for k, name in enumerate(model.called("joint")):
         own = parts.get(model.jnt_type[k], ())

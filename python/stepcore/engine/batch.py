@@ -34,42 +34,41 @@ if TYPE_CHECKING:
     from stepcore.signatures import SettingsFields
 
 
-# A batch of fewer worlds × dofs than this is stepped faster by one thread than by several, because
-# waking a thread takes some 20 µs a step (measured: 64 worlds of a half cheetah lose 25 %, 512 gain
-# 40 % on two cores).
+# Below this number of worlds × dofs one thread is faster than several: waking a thread costs about
+# 20 µs a step (measured on two cores: 64 worlds of a half cheetah lose 25 %, 512 gain 40 %).
 WORTH_THREADS = 2000
 
-# What happens to the other worlds when one fails.
+# Treatment of the other worlds when one world fails.
 ON_FAILURE = ("stop", "go on")
 
 
 class Batch(World):
-    """Simulates many worlds of a model. Its arrays are those of a `Sim` with a leading world axis.
+    """A simulation of many worlds of a model.
 
-    An array whose documentation says shape (nq,) has shape (n, nq) here, and so on.
+    The arrays are those of a `Sim` with a leading world axis: an array documented with shape (nq,)
+    has shape (n, nq) here, and so on.
 
-    model: a `Model`, a `Scene`, which is compiled, or what `stepcore.load` takes, such as the path
-        of an MJCF file.
+    model: a `Model`, a `Scene`, which is compiled, or any argument of `stepcore.load`, such as the
+        path of an MJCF file.
     n: the number of worlds.
     settings: a `Settings` that replaces the model's own.
-    threads: how many threads step them; by default one a core, or one in all for a batch so small
-        that waking threads costs more than it gains.
-    lanes: True steps eight worlds at a time in the processor's vector registers, sixteen in
-        single precision, False one by one. "auto" does what takes less time: now and then, and
-        ever more rarely, it takes a step the other way and times it. Where worlds touch different
-        things, a register does the work of all of them, so walkers in contact may be quicker one by
-        one.
-    on_failure: what happens if a world fails as in `Sim.step`. With "stop", SimulationError names
-        it and all worlds are left before the first step in which one failed. With "go on", the
-        others continue with the same bits; the failed world stays in its last finite state, its
-        error is in `failures`, and it moves again once its qpos or qvel is written, or after
-        `reset` or `restore`.
+    threads: the number of threads. The default is one per core, or a single thread for a batch that
+        is too small to repay the cost of waking threads.
+    lanes: True steps eight worlds (sixteen in single precision) at a time in the processor's vector
+        registers; False steps them one by one. "auto" chooses the faster way: at increasing
+        intervals, a step is taken the other way and timed. Where worlds have different contacts, a
+        register does the work of all its worlds, so walkers in contact may be faster one by one.
+    on_failure: the treatment of a world that fails as in `Sim.step`. With "stop", SimulationError
+        names the world, and all worlds keep the state before the first step in which a world
+        failed. With "go on", the other worlds continue bit-identically. The failed world keeps its
+        last finite state, and its error is in `failures`; it moves again once its qpos or qvel is
+        written, or after `reset` or `restore`.
     fields: single fields of `Settings` to change, such as ``dt=0.005``.
 
-    The results are the same bits with any number of threads, with and without lanes, and in a
-    `Sim`. All worlds share one `time`, and one model but for what `param` gives each. Of the last
+    The results are bit-identical with any number of threads, with and without lanes, and in a
+    `Sim`. All worlds share one `time`, and one model except for the values in `param`. Of the last
     solve a batch keeps only `qacc`: reading `contacts`, `rows`, `residual`, `constraint_force` or
-    `actuator_force` computes it again, over the batch's threads.
+    `actuator_force` solves again, on the batch's threads.
 
     >>> from stepcore import Batch, Scene
     >>> scene = Scene()
@@ -106,11 +105,11 @@ class Batch(World):
         how = (self._threads, None if self._lanes == "auto" else self._lanes, goes_on)
         self._own(_core.Batch(self._model.core, own, n, *how))
         self._param = Parameters(self._model, self._core, len(self))
-        # Of worlds that were reset by themselves: the batch's time then, and their own.
+        # Worlds that were reset individually: the batch's time at the reset, and the world's time.
         self._reset_at, self._reset_to = np.full((2, len(self)), np.nan)
 
     def __len__(self) -> int:
-        """The number of worlds."""
+        """Return the number of worlds."""
         return len(self.qpos)
 
     @property
@@ -126,7 +125,7 @@ class Batch(World):
         return self._param
 
     def model_of(self, world: int) -> Model:
-        """Returns the model of a world: `model` with the values of `param` there."""
+        """Return the model of a world: `model` with this world's values of `param`."""
         index = checks.count("world", world, 0)
         if index >= len(self):
             raise ValueError(f"world = {checks.shown(world)}: must be below {len(self)}")
@@ -136,39 +135,40 @@ class Batch(World):
         return self._param.model_of(world)
 
     def step(self, n: int = 1, *, progress: Choice = None) -> None:
-        """Takes n steps in every world, with the GIL released; raises what `Sim.step` raises.
+        """Take n steps in every world, with the GIL released; raise the same errors as `Sim.step`.
 
-        progress: a function of (label, done, total), called some fifty times a second and at the
-            end; False for no bar. None is a bar where somebody watches, once the call has taken
-            two seconds.
+        progress: a function of (label, done, total), called about fifty times a second and at the
+            end; False for no bar. None shows a bar in a terminal or a notebook, once the call has
+            taken two seconds.
 
-        Ctrl-C is noticed between steps, as is what `progress` raises; the steps until then count.
-        Warns (`UnsolvedWarning`) once if a world's residual is more than gravity gives in a step at
-        three looks in a row; it looks after 64, 128, 256, … steps. Warns (`EnergyWarning`) once if
-        one of about 32 worlds, evenly spread, has far more energy than it can have gained.
+        Ctrl-C, or an error raised by `progress`, interrupts between steps; steps already taken are
+        kept. The residuals are checked after 64, 128, 256, … steps. The batch warns once
+        (`UnsolvedWarning`) if a world's residual exceeds the speed that gravity adds in one step at
+        three consecutive checks. The batch warns once (`EnergyWarning`) if one of about 32 evenly
+        spread worlds has far more energy than it can have gained.
         """
         with self._long(n, progress) as told:
             self._core.step(n, told)
         self._told(n)
 
     def forward(self) -> None:
-        """Computes poses, contacts and forces at the present states, without taking a step."""
+        """Compute poses, contacts and forces at the present states, without taking a step."""
         with self._explained():
             self._core.forward()
 
     def rollout(
         self, ctrl: ArrayLike, record: Sequence[str] = (), *, progress: Choice = None
     ) -> Rollout:
-        """Steps with given controls and returns every state.
+        """Step with given controls and return every state.
 
         ctrl: shape (n, steps, nu), one row for each step; the last row stays in `ctrl`.
-        record: names of what else is kept of each state, such as "sensordata" or "energy": the
-            attributes that `Sim.run` records, but for counts of one world's solve and momentum.
-            Each is read after each step, which may solve that state's forces once more.
+        record: names of further quantities to record, such as "sensordata" or "energy": those that
+            `Sim.run` records, except momentum and the counts of one world's solve. Each quantity is
+            read after each step, which may require one more solve.
         progress: as in `step`.
 
         Raises ValueError for controls of another shape, numbers that are not finite and names that
-        cannot be recorded, all before the first step; and what `step` raises.
+        cannot be recorded, all before the first step; and the same errors as `step`.
 
         >>> from stepcore import Batch
         >>> import numpy as np
@@ -192,11 +192,11 @@ class Batch(World):
         return states
 
     def _told(self, steps: int) -> None:
-        """Warns of rows that stay unsolved; skipped while another thread uses the batch."""
+        """Warn of rows that stay unsolved, unless another thread is using the batch."""
         try:
             text = self._residuals.step(self, steps)
         except RuntimeError as error:
-            # The steps are made and count.
+            # The steps were taken; only the check of the residuals is skipped.
             if "busy in another thread" not in str(error):
                 raise
             return
@@ -205,15 +205,15 @@ class Batch(World):
 
     @contextmanager
     def _long(self, steps: int, progress: Choice) -> Iterator[Callable[[int], None] | None]:
-        """Shows the progress of a long call; errors within get their replay."""
+        """Show the progress of a long call; errors raised within get their replay."""
         checks.progress("Batch", progress)
         with self._explained():
-            # What is no number of steps, the engine refuses.
+            # The engine rejects an invalid number of steps.
             total = steps if isinstance(steps, (int, np.integer)) else 0
             if total <= (1 if progress is None else 0):
                 yield None
                 return
-            # Only long calls need the bar.
+            # Imported here because only long calls need the bar.
             from stepcore.report.progress import BEGUN, Progress
 
             with Progress("steps", total, progress, after=BEGUN) as bar:
@@ -221,7 +221,7 @@ class Batch(World):
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
-        """Adds its `replay` to an error that is raised within."""
+        """Attach a `replay` to a SimulationError raised within."""
         try:
             yield
         except SimulationError as error:
@@ -230,7 +230,7 @@ class Batch(World):
 
     @property
     def time(self) -> float:
-        """Time [s] that all worlds share; see `Sim.time`, and `times` for that of each."""
+        """Time [s] that all worlds share; see `Sim.time`. `times` has the time of each world."""
         time: float = self._core.time
         return time
 
@@ -241,9 +241,10 @@ class Batch(World):
 
     @property
     def times(self) -> Floats:
-        """Time of each world [s], shape (n,): that of a `Sim` which was reset when the world was.
+        """Time of each world [s], shape (n,), counted from the world's own last reset.
 
-        It differs from `time` where `reset` was called with `worlds`; `restore` sets both alike.
+        The times differ from `time` where `reset` was called with `worlds`; `restore` makes them
+        equal.
         """
         dt = self.settings.dt
         own = self._reset_to + np.rint((self.time - self._reset_at) / dt) * dt
@@ -251,16 +252,16 @@ class Batch(World):
 
     @property
     def nbytes(self) -> int:
-        """Memory of all worlds, their arrays and the threads' working space [bytes].
+        """Memory of all worlds, their arrays and the threads' workspace [bytes].
 
-        The model, which they share, is not in it.
+        The memory of the shared model is not included.
         """
         size: int = self._core.nbytes
         return size + self._reset_at.nbytes + self._reset_to.nbytes
 
     @property
     def in_lanes(self) -> bool:
-        """Whether worlds are stepped side by side in vector registers now; "auto" may change it."""
+        """Whether worlds are stepped in vector lanes at present; "auto" may change this."""
         stepped: bool = self._core.in_lanes
         return stepped
 
@@ -287,17 +288,17 @@ class Batch(World):
         qpos: ArrayLike | None = None,
         qvel: ArrayLike | None = None,
     ) -> None:
-        """Resets all worlds, or some of them; see `Sim.reset`.
+        """Reset all worlds, or some of them; see `Sim.reset`.
 
-        worlds: which are reset, as a mask of shape (n,) or as indices; None for all. Reset worlds
-            go on with the bits of a new `Sim`, the others with theirs. `time` is that of all
-            worlds and goes on unless all are reset by None; `times` has each world's own. Worlds
-            that failed and are not reset try again from where they stand.
-        qpos, qvel: what the reset worlds have instead of the initial or the keyframe's, shape (nq,)
-            or (k, nq) and (nv,) or (k, nv) for k worlds.
+        worlds: the worlds to reset, as a mask of shape (n,) or as indices; None means all. Reset
+            worlds continue bit-identically to a new `Sim`, and the other worlds are unaffected.
+            `time` is reset only with None, else it continues; `times` has the time of each world.
+            Worlds that failed and are not reset try again from their present state.
+        qpos, qvel: values that replace those of the initial state or the keyframe in the reset
+            worlds, shape (nq,) or (k, nq) and (nv,) or (k, nv) for k worlds.
 
-        Raises ValueError for an unknown keyframe, for worlds that do not exist or are named twice
-        and for arrays of another shape; nothing changes then.
+        Raises ValueError for an unknown keyframe, for worlds that do not exist or occur twice, and
+        for arrays of another shape; nothing changes then.
 
         >>> from stepcore import Batch, lesson
         >>> batch = Batch(lesson.drop(), 3, dt=0.01)
@@ -317,7 +318,7 @@ class Batch(World):
             self._core.forget(chosen.tolist())
             self._reset_at[chosen], self._reset_to[chosen] = self.time, time
         own = {name: values.pop(name) for name in ("qpos", "qvel") if np.ndim(values[name]) > 1}
-        # A slice is written much sooner than indices.
+        # Writing a slice is much faster than writing indices.
         where: Any = slice(None) if worlds is None else chosen
         self._write(values, where)
         if key is None:
@@ -326,12 +327,12 @@ class Batch(World):
             self._arrays[name][where] = rows
 
     def _write_own_initial(self, chosen: NDArray[np.intp]) -> None:
-        """Writes the initial arrays that parameters change, in the chosen worlds."""
+        """Write the initial arrays that parameters change into the chosen worlds."""
         for worlds, values in self._param.initial():
             self._write(values, np.intersect1d(worlds, chosen))
 
     def _rows(self, name: str, given: ArrayLike, k: int) -> Floats:
-        """One row for each of k worlds, finite and of the array's width."""
+        """Return a finite table with one row for each of k worlds and the array's width."""
         table, width = numbers(name, given), self._arrays[name].shape[1]
         if table.shape not in ((width,), (k, width)):
             limit = f"({width},) or ({k}, {width})"
@@ -341,13 +342,13 @@ class Batch(World):
         return np.broadcast_to(table, (k, width))
 
     def state(self) -> tuple[bytes, ...]:
-        """Returns a complete snapshot of every world; each is also one of a `Sim`."""
+        """Return a complete snapshot of every world; each is also a snapshot of a `Sim`."""
         return tuple(self._core.state())
 
     def restore(self, state: tuple[bytes, ...]) -> None:
-        """Restores a snapshot from `state`; continuing from it gives the same bits.
+        """Restore a snapshot from `state`; the motion then continues bit-identically.
 
-        Raises ValueError for anything else, and changes nothing then.
+        Raises ValueError for any other argument; nothing changes then.
         """
         try:
             worlds = list(state)
@@ -357,7 +358,7 @@ class Batch(World):
         self._reset_at[:] = np.nan
 
     def copy(self) -> Batch:
-        """Returns another batch of the same worlds: both go on with the same bits."""
+        """Return another batch of the same worlds; both continue bit-identically."""
         return copy.deepcopy(self)
 
     # The present states.
@@ -377,7 +378,7 @@ class Batch(World):
         return [contact_table(names, *table) for table in self._core.contacts()]
 
     def contacts_of(self, body: str | int) -> list[NDArray[Any]]:
-        """Contacts of a body in each world, a list of n; see `Sim.contacts_of`."""
+        """Return the contacts of a body in each world, a list of n; see `Sim.contacts_of`."""
         return [contacts_of_body(table, self._model, body) for table in self.contacts]
 
     @property
@@ -398,7 +399,7 @@ class Batch(World):
 
     @property
     def unrecovered_overlap(self) -> Floats:
-        """Overlap that the recovery limit left [m], shape (n,); see `Sim.unrecovered_overlap`."""
+        """Overlap left by the recovery limit [m], shape (n,); see `Sim.unrecovered_overlap`."""
         return self._core.unrecovered
 
     @property
@@ -408,7 +409,7 @@ class Batch(World):
 
     @property
     def overlap(self) -> Floats:
-        """The deepest overlap of two geoms that can collide [m], shape (n,)."""
+        """The deepest overlap of two collidable geoms [m], shape (n,)."""
         return self._core.readout("overlap")
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -423,14 +424,14 @@ class Batch(World):
 
 
 def unwatched(batch: Batch) -> Batch:
-    """The batch without warnings, for measurements that judge its motion themselves."""
+    """Disable the warnings of a batch whose motion the caller judges, and return the batch."""
     batch._residuals.told = True
     batch._core.unwatch()
     return batch
 
 
 def _threads(threads: int | None, n: int, nv: int) -> int:
-    """The number of threads; None: one a core, or a single one where waking more costs too much."""
+    """Return the number of threads; None means one per core, or one for a small batch."""
     if threads is None and checks.number(n) is not None and n * nv < WORTH_THREADS:
         return 1
     return checks.threads(threads)

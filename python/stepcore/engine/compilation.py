@@ -1,4 +1,4 @@
-"""Compiling a scene: once for each state of it, once in a process for the scenes sent to it."""
+"""Compilation of scenes: once per edited state, and once per process for models sent to it."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
     from stepcore.scene.scene import Scene
 
-# Compiled scenes that a process keeps for the models sent to it.
+# The number of compiled scenes that a process caches for the models sent to it.
 KEPT = 16
 
 
 def bare(scene: Scene) -> bytes:
-    """A pickle of the scene without its file's own text, which no step needs."""
+    """Return a pickle of the scene without the text of its file, which no step needs."""
     scene = copy.copy(scene)
     scene._source = None
     return pickle.dumps(scene)
 
 
 def compiled_once(scene: Scene, copied: Scene) -> _core.Model:
-    """The engine's model of a scene, which is kept with it until the scene is edited.
+    """Return the engine's model of a scene, cached on the scene until the scene is edited.
 
-    `stepcore.load` compiles most scenes to warn of their time step, before anybody else does.
+    `stepcore.load` compiles most scenes first, in order to warn of their time step.
     """
     try:
         key = hashlib.blake2b(bare(scene), digest_size=16).digest()
-    except Exception:  # what the pickling of a user's own data raises is of any type
+    except Exception:  # pickling a user's own data can raise any error
         return compiled(copied)
     if scene._compiled is None or scene._compiled[0] != key:
         scene._compiled = key, compiled(copied)
@@ -45,7 +45,7 @@ def compiled_once(scene: Scene, copied: Scene) -> _core.Model:
 
 
 def compiled(scene: Scene) -> _core.Model:
-    """The engine's model of a scene."""
+    """Return the engine's model of a scene."""
     try:
         data: dict[str, Any] | ValueError = scene.to_dict()
     except ValueError as error:
@@ -54,7 +54,7 @@ def compiled(scene: Scene) -> _core.Model:
 
 
 def compile_data(scene: Contents, data: dict[str, Any] | ValueError) -> _core.Model:
-    """The engine's model; an error about an element of a file gets its file and line."""
+    """Return the engine's model; add file and line to an error about an element of a file."""
     try:
         if isinstance(data, ValueError):
             raise data
@@ -69,10 +69,10 @@ def compile_data(scene: Contents, data: dict[str, Any] | ValueError) -> _core.Mo
 
 
 class CompiledScenes:
-    """The last scenes that this process compiled for models sent to it, by their pickle.
+    """A cache of the scenes that this process compiled last, by their pickle.
 
-    Compiling is deterministic and takes longer than unpickling: a worker that gets a model again
-    and again, under whatever settings, compiles it once.
+    Compilation is deterministic and takes longer than unpickling. A worker that receives a model
+    repeatedly, with any settings, compiles the model once.
     """
 
     def __init__(self) -> None:
@@ -80,7 +80,7 @@ class CompiledScenes:
         self._models: OrderedDict[bytes, _core.Model] = OrderedDict()
 
     def get(self, pickled: bytes, scene: Scene) -> _core.Model:
-        """The compiled model of a scene, which is what was pickled."""
+        """Return the compiled model of a scene, whose pickle is the key."""
         key = hashlib.blake2b(pickled, digest_size=16).digest()
         with self._lock:
             if key in self._models:
@@ -98,10 +98,11 @@ compiled_scenes = CompiledScenes()
 
 
 def _with_file_lines(error: ValueError, layout: Layout) -> ValueError:
-    """The error with file and line of the elements that it names, where a file has them.
+    """Add file and line to the elements that an error names, where they come from a file.
 
-    The engine knows an element by its kind and index; a user has a file with lines. The place of
-    the first element comes in front; an element without a name gets that of its body.
+    The engine knows an element by its kind and index, but a user needs its line in the file. The
+    error begins with the place of the first element. An element without a name is described by its
+    body.
     """
     text = str(error)
     first = ""

@@ -1,4 +1,4 @@
-"""A user's control function: the check of what it returns, and its name in words."""
+"""Check of a user's control function, and the function's name in sentences."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ SomeWorld = TypeVar("SomeWorld", bound="World")
 
 
 class ControlError(ValueError):
-    """A control function that no settings can run: what it returned, raised or did."""
+    """A control function failed for a reason that no settings can avoid."""
 
 
 def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) -> Floats:
-    """What a control function returns at the present state of a Sim, shape (nu,).
+    """Return the result of a control function at the present state of a Sim, shape (nu,).
 
-    Raises ControlError for anything but nu real numbers, for numbers that are not finite where a
-    run begins, for a function that steps or resets its Sim, and for a ValueError of its own: these
-    are no fault of the settings. Raises ValueError for numbers that are not finite later, where the
-    motion may have diverged.
+    Raises ControlError for anything but nu real numbers, for non-finite numbers at the beginning of
+    a run, for a function that steps or resets its Sim, and for a ValueError raised by the function:
+    the settings cannot cause these errors. Raises ValueError for non-finite numbers later in the
+    run, where the motion may have diverged.
     """
     name, time, nu = control_name(function), sim.time, sim.model.nu
     try:
@@ -45,7 +45,7 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
         text = f"{type(error).__name__}: {checks.one_line(error)}"
         raise ControlError(f"{name} raised {text} (at time {time:g} s)") from error
     if sim.time != time:
-        # A recording of such a run would be one of something else.
+        # The recorded times would not match the motion.
         raise ControlError(
             f"{name} must not step, reset or restore the Sim (time went from {time:g} s to "
             f"{sim.time:g} s)"
@@ -75,18 +75,19 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
 
 
 def fresh(function: Control) -> Control:
-    """The function for one run: an object that can be called is copied as it is now.
+    """Return the function for one run; a callable object is copied.
 
-    What it remembers of earlier calls then belongs to that run. A plain function is returned.
+    The state that the object keeps between calls then belongs to that run. A plain function is
+    returned unchanged.
     """
     try:
         return copy.deepcopy(function)
-    except Exception:  # what an object's own copying raises is of any type
+    except Exception:  # copying a user's own object can raise any error
         return function
 
 
 def control_name(function: Callable[..., Any]) -> str:
-    """A control function in words, with its file.
+    """Return the name of a control function for sentences, with its file.
 
     >>> control_name(lambda time, sim: [])  # doctest: +ELLIPSIS
     'the control function `<lambda>, line ...`'

@@ -1,6 +1,6 @@
-"""`Element`: what pushes, holds or constrains in a model, as the engine tells it apart.
+"""`Element`: a force or constraint element of a model, as the engine distinguishes them.
 
-`Elements`: several of them, which know how they are named in a sentence.
+`Elements`: several elements, with their name in a sentence.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ EQUALITIES = ("connect", "weld", "joint equality", "tendon equality")
 FRICTION_LOSSES = ("friction loss", "tendon friction loss")
 ROWS = ("contact", "limit", "tendon limit", *EQUALITIES, *FRICTION_LOSSES)
 
-# By kind of element: whose fields set what it does, and which.
+# For each kind of element: the part of the scene that parametrises the element, and its fields.
 _LIMIT, _LOSS = ("solreflimit", "solimplimit", "range"), ("solreffriction", "solimpfriction")
 FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "spring": ("joint", ("stiffness",)),
@@ -41,7 +41,7 @@ FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 OVERRIDE = "contact_override"
 
-# The most names in a list.
+# The maximum number of names in a list.
 NAMES = 4
 
 
@@ -50,10 +50,10 @@ class Element:
     """One element of a model.
 
     kind: "spring", "damper", "actuator", "limit", "contact", "tendon spring" and so on, as in
-    `Sim.rows` and `Sim.element_forces`; "spin" is the gyroscopic torque of a body, "control" what
-    the user's control function makes of an actuator. index: of its joint, tendon, actuator,
-    equality, body or pair of geoms. part: which part of it, -1 for the whole. name: what a user
-    calls it. noun, owner, label: the parts of the name, as in "spring", "joint", "`knee`".
+    `Sim.rows` and `Sim.element_forces`; "spin" is the gyroscopic torque of a body, "control" an
+    actuator driven by the user's control function. index: of the joint, tendon, actuator, equality,
+    body or pair of geoms. part: the number of the part, -1 for the whole. name: the full name.
+    noun, owner, label: the parts of the name, as in "spring", "joint", "`knee`".
     """
 
     kind: str
@@ -66,7 +66,7 @@ class Element:
 
     @classmethod
     def of(cls, model: Model, kind: str, index: int, part: int = -1) -> Element:
-        """The element of a kind with its name."""
+        """Create the element of a kind, with its name."""
         known = "actuator" if kind == "control" else kind
         noun, owner, label = model.element_words(known, index, part)
         if kind == "control":
@@ -75,9 +75,10 @@ class Element:
         return cls(kind, index, part, f"{words} {label}".rstrip(), noun, owner, label)
 
     def fields(self, model: Model) -> tuple[SceneField, ...]:
-        """The values of the scene that a user can change to change this element.
+        """Return the scene fields that parametrise this element.
 
-        Of a contact: those of its pair or of both its geoms, or of the override that replaces them.
+        The fields of a contact are those of its explicit pair or of both its geoms, or of the
+        override that replaces them.
         """
         scene, layout = model.scene, Layout(model.scene)
         if self.kind == "contact":
@@ -91,11 +92,11 @@ class Element:
 
 @dataclass(frozen=True)
 class SceneField:
-    """A value of a scene, which sets what an element does.
+    """A field of a scene that parametrises an element.
 
-    kind, index: whose it is, in the order of the compiled model. name: its name there. value,
-    default, unit: the present value, that of a new scene, and the unit of both ("" for none). path:
-    as `Model.with_values` takes it; "" where its owner has no name.
+    kind, index: the owner of the field, in the order of the compiled model. name: the field's name.
+    value, default, unit: the present value, that of a new scene, and the unit of both ("" for
+    none). path: the argument of `Model.with_values`; "" where the owner has no name.
     """
 
     kind: str
@@ -108,7 +109,7 @@ class SceneField:
 
     @classmethod
     def of(cls, layout: Layout, kind: str, index: int, name: str) -> SceneField:
-        """The field of the element of a kind with this index."""
+        """Return the field of the element of this kind and index."""
         owner = _owner(layout, kind, index)
         joint, default = owner, getattr(type(owner), name, None)
         value = getattr(owner, name)
@@ -122,12 +123,12 @@ class SceneField:
         return cls(kind, index, name, value, default, unit, path)
 
     def assign(self, layout: Layout, value: Any) -> None:
-        """Gives this field a value in a scene of this layout, a copy of the one that it is of."""
+        """Set this field in the scene of `layout`, a copy of the field's own scene."""
         setattr(_owner(layout, self.kind, self.index), self.name, value)
 
 
 def _owner(layout: Layout, kind: str, index: int) -> Any:
-    """The part of the scene that has a field."""
+    """Return the part of the scene that has a field."""
     scene: Any = layout.scene
     return scene.contact_override if kind == OVERRIDE else layout.elements[kind][index]
 
@@ -148,7 +149,7 @@ def _contact_fields(model: Model, layout: Layout, index: int) -> tuple[SceneFiel
     )
 
 
-# What no element accounts for: Coriolis and centrifugal forces, and gravity.
+# Coriolis, centrifugal and gravity forces, which belong to no element.
 INERTIAL = Element("inertial forces", 0, -1, "inertial forces", "inertial forces")
 
 
@@ -167,12 +168,12 @@ class Elements(tuple[Element, ...]):
 
     @property
     def several(self) -> bool:
-        """Whether their name is that of several things, as the verb after it must be."""
+        """Whether the name is a plural, which needs a plural verb."""
         return len(self) > 1 or self == (INERTIAL,)
 
     @property
     def name(self) -> str:
-        """One element by its name; elements of one kind as what they are."""
+        """The name of a single element; several elements of one kind share a noun."""
         if len(self) < 2:
             return "".join(element.name for element in self)
         nouns = {(element.noun, element.owner) for element in self}
@@ -184,12 +185,12 @@ class Elements(tuple[Element, ...]):
 
     @property
     def together(self) -> str:
-        """Their name as that of what does something together."""
+        """The name as the subject of a joint action."""
         return self.name + (" together" if len(self) > 1 else "")
 
     @property
     def summary(self) -> str:
-        """A few elements by name; more of them by how many there are of each noun."""
+        """Names of a few elements; for more elements, the count of each noun."""
         if len(self) <= NAMES:
             return listed([element.name for element in self])
         counts = [counted(n, noun) for noun, n in Counter(e.noun for e in self).items()]
@@ -197,7 +198,7 @@ class Elements(tuple[Element, ...]):
 
 
 def listed(names: Iterable[str]) -> str:
-    """The first names, and how many more there are."""
+    """Join the first names, and add the number of names left out."""
     every = list(names)
     more = len(every) - NAMES
     return ", ".join(every[:NAMES]) + (f" and {more} more" if more > 0 else "")
@@ -205,11 +206,11 @@ def listed(names: Iterable[str]) -> str:
 
 @dataclass(frozen=True)
 class ElementSlopes:
-    """What an element does at a state, and how that changes.
+    """The force and energy of an element at a state, and the derivatives of the force.
 
-    stiffness [N/m or N·m/rad], damping: minus the derivatives of its generalised force by position
-    (in the coordinates of qvel) and velocity, shape (nv, nv) each. force: shape (nv,) [N or N·m].
-    energy: what it stores [J].
+    stiffness [N/m or N·m/rad], damping: minus the derivatives of the generalised force by position
+    (in the coordinates of qvel) and velocity, shape (nv, nv) each. force: the generalised force,
+    shape (nv,) [N or N·m]. energy: the stored energy [J].
     """
 
     stiffness: Floats
@@ -219,17 +220,17 @@ class ElementSlopes:
 
     @classmethod
     def of(cls, stiffness: Floats, damping: Floats) -> ElementSlopes:
-        """Those of what pushes with no force of its own at the state."""
+        """Create the slopes of an element without force or energy at the state."""
         return cls(stiffness, damping, np.zeros(len(stiffness)))
 
     def change(self, x: Floats) -> Floats:
-        """How the force changes, −K dq − D dv, for a block of x = [dq, dv]; shape (nv, …)."""
+        """Return the force change −K dq − D dv for a block of x = [dq, dv], shape (nv, …)."""
         n = len(self.stiffness)
         return -(self.stiffness @ x[:n] + self.damping @ x[n:])
 
 
 def element_slopes(model: Model, core: CoreSim) -> dict[Element, ElementSlopes]:
-    """Those of every element that acts at the present state; see `Sim.element_slopes`."""
+    """Return the slopes of every element active at the state; see `Sim.element_slopes`."""
     ids, forces, energies, entries = core.element_slopes()
     matrices = np.zeros((len(ids), 2, model.nv, model.nv))
     nth, i, j = entries[:, :3].astype(int).T

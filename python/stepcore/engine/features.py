@@ -1,4 +1,4 @@
-"""The features of a model that can be removed one at a time: each removal is a list of edits.
+"""Removable features of a model; each removal is a list of edits of the scene.
 
 A removal never deletes a body, a joint or an actuator, so states and controls keep their meaning.
 Edits name elements by their index in the scene's lists, so a removal can be sent to another process
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
     from stepcore.scene.elements import Geom
 
-# With more pairs of bodies in contact than this, pairs are removed body by body.
+# Above this number of body pairs in contact, pairs are removed body by body.
 MAX_PAIRS = 30
 SomeScene = TypeVar("SomeScene", bound="Contents")
 Edit = tuple[str, Any]
@@ -29,9 +29,9 @@ Edit = tuple[str, Any]
 
 @dataclass(frozen=True)
 class Removal:
-    """One feature removed.
+    """The removal of one feature.
 
-    kind: the kind of feature. name: which one it is.
+    kind: the kind of feature. name: the name of the feature.
     edits: the changes of the scene; see `without`.
     """
 
@@ -41,13 +41,13 @@ class Removal:
 
     @property
     def label(self) -> str:
-        """Kind and name in a few words."""
+        """Short label made of kind and name."""
         return f"{self.kind}: {self.name}" if self.name else self.kind
 
 
 @dataclass(frozen=True)
 class MotionUsage:
-    """What a motion used: the pairs of bodies that touched, the joints that reached a limit.
+    """The pairs of bodies that touched and the joints that reached a limit during a motion.
 
     Bodies and joints are indices in the order of the compiled model.
     """
@@ -57,7 +57,7 @@ class MotionUsage:
 
 
 def without(scene: SomeScene, removals: Iterable[Removal]) -> SomeScene:
-    """A copy of the scene with these features removed."""
+    """Return a copy of the scene with these features removed."""
     scene = copy.deepcopy(scene)
     for removal in removals:
         for edit, value in removal.edits:
@@ -71,10 +71,10 @@ def _feature(scene: Contents, name: str) -> None:
 
 def _exclude(scene: Contents, pairs: Iterable[tuple[int, int]]) -> None:
     for a, b in pairs:
-        # Not by `Scene.exclude`, which searches all bodies for the two.
+        # Faster than `Scene.exclude`, which searches all bodies.
         scene.excludes.append((scene.bodies[a], scene.bodies[b]))
         ends = {id(scene.bodies[a]), id(scene.bodies[b])}
-        # An explicit pair would collide all the same.
+        # Excludes do not apply to explicit pairs.
         scene.pairs = [
             pair for pair in scene.pairs if {id(pair.geom1.body), id(pair.geom2.body)} != ends
         ]
@@ -114,7 +114,7 @@ def _inactive(scene: Contents, equalities: Iterable[int]) -> None:
 
 
 def _cleared(scene: Contents, value: tuple[str, tuple[int, ...], tuple[str, ...]]) -> None:
-    """Fields of some elements of a list back at their defaults."""
+    """Reset fields of some elements to their defaults."""
     elements, indices, fields = value
     for index in indices:
         element = getattr(scene, elements)[index]
@@ -141,7 +141,7 @@ _EDITS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Has:
-    """What joints and tendons can both have: whether one has it, its fields, and in words."""
+    """A feature common to joints and tendons: its test, its fields and its name."""
 
     test: Callable[[Any], bool]
     fields: tuple[str, ...]
@@ -157,20 +157,20 @@ HAS = {
 
 
 def is_belt(geom: Geom) -> bool:
-    """Whether its surface moves."""
+    """Return whether the geom's surface moves."""
     return any(geom.surfacevel)
 
 
 def is_sticky(geom: Geom) -> bool:
-    """Whether its contacts pull."""
+    """Return whether the geom's contacts are adhesive."""
     return geom.adhesion > 0
 
 
 class RemovableFeatures:
-    """The features of a model that can be removed.
+    """The removable features of a model.
 
-    plan: the engine's data of what a step does; pairs: of geoms, in the model's order. body, joint,
-    geom: by index in the compiled model, the index in the scene's lists.
+    plan: the engine's data on the work of a step. pairs: pairs of geoms, in the model's order.
+    body, joint, geom: for each index in the compiled model, the index in the scene's lists.
     """
 
     def __init__(self, model: Model) -> None:
@@ -183,7 +183,7 @@ class RemovableFeatures:
         self.geom = _positions(layout.geoms, self.scene.geoms)
 
     def removals(self, usage: MotionUsage, settings: Settings) -> list[Removal]:
-        """Every feature that can be removed, one at a time."""
+        """Return the removal of every feature, one at a time."""
         return [
             *self.cone(settings),
             *self.friction(),
@@ -195,7 +195,7 @@ class RemovableFeatures:
         ]
 
     def cone(self, settings: Settings) -> list[Removal]:
-        """The other friction cone, where there is friction."""
+        """Return the change to the other friction cone, if there is friction."""
         if not self.geoms_with_friction():
             return []
         other = "pyramidal" if settings.cone == "elliptic" else "elliptic"
@@ -203,7 +203,7 @@ class RemovableFeatures:
         return [Removal("cone", f"{settings.cone} → {other}", (edit,))]
 
     def friction(self) -> list[Removal]:
-        """Contacts without friction, and with sliding friction only."""
+        """Return the removals of all friction, and of torsional and rolling friction."""
         geoms, turning = self.geoms_with_friction(), self.geoms_with_friction(3)
         removals = [Removal("friction", "condim 1", (("frictionless", geoms),))] if geoms else []
         if turning:
@@ -212,13 +212,13 @@ class RemovableFeatures:
         return removals
 
     def geoms_with_friction(self, above: int = 1) -> tuple[int, ...]:
-        """Geoms of the pairs of a condim above this, by index in the scene."""
+        """Return the geoms of pairs with condim > `above`, by index in the scene."""
         pairs = zip(self.pairs, self.plan["condim"], strict=True)
         geoms = {self.geom[g] for pair, condim in pairs if condim > above for g in pair}
         return tuple(sorted(geoms))
 
     def terms(self) -> list[Removal]:
-        """Smooth forces, armature and friction loss."""
+        """Return the removals of smooth forces, armature and friction loss."""
         scene, features = self.scene, self.scene.features
         removals: list[Removal] = []
         if features.frictionloss and features.constraint:
@@ -247,13 +247,13 @@ class RemovableFeatures:
         return removals
 
     def belts(self) -> list[Removal]:
-        """Surfaces that move, of all geoms that collide."""
+        """Return the removal of all moving surfaces of geoms that collide."""
         own = tuple(self.geom[i] for i in self.split(is_belt)[0])
         edit = ("cleared", ("geoms", own, ("surfacevel",)))
         return [Removal("moving surfaces", counted(len(own), "geom"), (edit,))] if own else []
 
     def adhesion(self) -> list[Removal]:
-        """Adhesion of geoms that collide and of explicit pairs."""
+        """Return the removal of the adhesion of colliding geoms and explicit pairs."""
         scene = self.scene
         geoms = tuple(self.geom[i] for i in self.split(is_sticky)[0])
         pairs = tuple(i for i, pair in enumerate(scene.pairs) if pair.adhesion > 0)
@@ -263,13 +263,13 @@ class RemovableFeatures:
         return [Removal("adhesion", " and ".join(words), made)] if made else []
 
     def split(self, has: Callable[[Geom], bool]) -> tuple[list[int], list[int]]:
-        """Geoms that have something: those that collide, and the others, by index in the model."""
+        """Return the geoms that pass a test, colliding and other, by index in the model."""
         own = [i for i, index in enumerate(self.geom) if has(self.scene.geoms[index])]
         collides = self.plan["collides"]
         return [i for i in own if collides[i]], [i for i in own if not collides[i]]
 
     def _term(self, kind: str, feature: str) -> list[Removal]:
-        """A feature of joints: switched off, or cleared where tendons have it too."""
+        """Return the removal of a joint feature, which keeps the same feature of tendons."""
         has = HAS[feature]
         joints = [j for j, joint in enumerate(self.scene.joints) if has.test(joint)]
         if not joints:
@@ -280,7 +280,7 @@ class RemovableFeatures:
         return [Removal(kind, counted(len(joints), "joint"), (edit,))]
 
     def tendons(self) -> list[Removal]:
-        """Springs, damping, friction loss and armature of all tendons, and each one's limit."""
+        """Return the removals of spring, damping, friction loss, armature and each limit."""
         features, tendons = self.scene.features, self.scene.tendons
         rows = features.constraint
         on = {
@@ -305,7 +305,7 @@ class RemovableFeatures:
         return removals
 
     def limits(self, usage: MotionUsage) -> list[Removal]:
-        """All limits that the motion never reached, together; each that it reached, alone."""
+        """Return the removals of all unreached limits together, and of each reached limit."""
         features = self.scene.features
         if not (features.limit and features.constraint):
             return []
@@ -320,7 +320,7 @@ class RemovableFeatures:
         return [*removals, *own]
 
     def colliders(self, usage: MotionUsage) -> list[Removal]:
-        """Pairs of bodies that never met, each that did, self-collision, groups of geoms."""
+        """Return the removals of body pairs, self-collision and groups of geoms."""
         pairs = self.body_pairs()
         removals = []
         unused = [pair for pair in pairs if pair not in usage.touched]
@@ -341,7 +341,7 @@ class RemovableFeatures:
         return removals + self._groups()
 
     def body_pairs(self) -> dict[tuple[int, int], list[tuple[int, int]]]:
-        """Pairs of geoms by their pair of bodies, the smaller index first."""
+        """Return the pairs of geoms by pair of bodies, the smaller index first."""
         pairs: dict[tuple[int, int], list[tuple[int, int]]] = {}
         owner = self.model.geom_body.tolist()
         for a, b in self.pairs:
@@ -350,9 +350,10 @@ class RemovableFeatures:
         return pairs
 
     def reduced(self, removal: Removal, usage: MotionUsage) -> Removal | None:
-        """A removal of unused limits or pairs, without those that another motion used.
+        """Restrict a removal of unused limits or pairs to those that another motion did not use
+        either.
 
-        None if nothing is left of it; other removals stay as they are.
+        The result is None if nothing is left of the removal. Other removals are returned unchanged.
         """
         if removal.kind not in ("limits", "colliders"):
             return removal
@@ -370,7 +371,7 @@ class RemovableFeatures:
         return Removal(kind, name, (("exclude", value),))
 
     def _groups(self) -> list[Removal]:
-        """Each group of geoms, where several groups collide."""
+        """Return the removal of each group of geoms, where several groups collide."""
         geoms = self.scene.geoms
         solid = [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
         groups = sorted({geoms[i].group for i in solid})
@@ -382,7 +383,7 @@ class RemovableFeatures:
         return removals
 
     def equalities(self) -> list[Removal]:
-        """Each active equality."""
+        """Return the removal of each active equality."""
         features = self.scene.features
         if not (features.equality and features.constraint):
             return []
@@ -394,7 +395,7 @@ class RemovableFeatures:
         ]
 
     def warm_start(self, settings: Settings) -> list[Removal]:
-        """Every solve begins from zero impulses."""
+        """Return the removal of warm starts: every solve begins from zero impulses."""
         if not settings.warm_start:
             return []
         return [Removal("warm start", "", (("settings", (("warm_start", False),)),))]
@@ -411,13 +412,13 @@ class RemovableFeatures:
 
 
 def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:
-    """The index in the scene's list of each element, in the order of the compiled model."""
+    """Map compiled elements, in model order, to their indices in the scene's list."""
     index = {id(element): i for i, element in enumerate(listed)}
     return [index[id(element)] for element in compiled]
 
 
 def _no_range(joints: Iterable[int]) -> Edit:
-    """The edit that removes the limits of joints."""
+    """Return the edit that removes the limits of joints."""
     return "cleared", ("joints", tuple(joints), ("range",))
 
 

@@ -30,7 +30,7 @@ INTEGRATORS = (
     *("explicit", "semi-implicit", "euler", "implicitfast"),
     *("implicit", "discrete", "midpoint", "rk4"),
 )
-# Those that treat (some) damping implicitly, and those that do so with stiffness.
+# Integrators that treat (some) damping implicitly, and integrators that treat stiffness implicitly.
 DAMPING_IMPLICIT = ("euler", "implicitfast", "implicit", "discrete")
 STIFFNESS_IMPLICIT = ("discrete",)
 
@@ -39,9 +39,9 @@ Product = Callable[[Any], Any]
 
 
 def implicit_kinds(integrator: str, eulerdamp: bool) -> tuple[str, ...]:
-    """The kinds of elements whose damping an integrator treats implicitly.
+    """Return the kinds of elements whose damping an integrator treats implicitly.
 
-    eulerdamp: whether `euler` does so at all (MJCF's flag).
+    eulerdamp: whether `euler` treats damping implicitly (MJCF's flag).
     """
     if integrator == "euler":
         return ("damper",) if eulerdamp else ()
@@ -51,9 +51,10 @@ def implicit_kinds(integrator: str, eulerdamp: bool) -> tuple[str, ...]:
 
 
 def amplification(integrator: str, z: Any) -> Any:
-    """The factor by which one step multiplies a mode of rate s, with z = dt·s (a number or array).
+    """Return the factor by which one step multiplies a mode of rate s, with z = dt·s.
 
-    None for integrators whose step is not a function of dt·J.
+    z is a number or an array. The result is None for integrators whose step is not a function of
+    dt·J.
     """
     if integrator == "explicit":
         return 1 + z
@@ -75,13 +76,14 @@ def stepped(
     after: Product | None = None,
     stiff: Floats | None = None,
 ) -> Any:
-    """A x of one step of dt [s], shape of x.
+    """Compute A x of one step of dt [s]; the result has the shape of x.
 
     rates: J times a block. mass: M, shape (n, n). implicit: D̂ of the integrators in
-    `DAMPING_IMPLICIT`, shape (n, n); others ignore it. after: the accelerations of a block, shape
-    (n, …), that `midpoint` adds to the velocities explicitly after its implicit step (rows of the
-    law `solref`), and half of which moves the positions; they are part of `rates` too. stiff: K̂ of
-    the integrators in `STIFFNESS_IMPLICIT`, shape (n, n); none without it.
+    `DAMPING_IMPLICIT`, shape (n, n), ignored by the others. after: the accelerations of a block,
+    shape (n, …), that `midpoint` adds to the velocities explicitly after its implicit step (rows of
+    the law `solref`); half of the added velocity moves the positions. These accelerations are part
+    of `rates` too. stiff: K̂ of the integrators in `STIFFNESS_IMPLICIT`, shape (n, n); None means
+    zero.
     """
     n = len(mass)
     if integrator == "explicit":
@@ -100,7 +102,7 @@ def stepped(
         inertia = inertia + dt * dt * stiff
         force = force - dt * stiff @ x[n : 2 * n]
     new = x[n:] + dt * np.linalg.solve(inertia, force)
-    # J_qq q + J_qv v⁺: the change at x, and what the new velocity adds to it.
+    # J_qq q + J_qv v⁺.
     moving = rates(np.concatenate([x[:n], new]))[:n]
     return np.concatenate([x[:n] + dt * moving, new])
 
@@ -128,10 +130,11 @@ def step_matrix(
     damping: Floats,
     implicit: Floats,
 ) -> Floats:
-    """A of a system M dv' = −K dq − D dv, shape (2n, 2n).
+    """Compute A of a system M dv' = −K dq − D dv, shape (2n, 2n).
 
     mass, stiffness, damping: M, K and the whole of D, shape (n, n) each; implicit: the part of D
-    that `DAMPING_IMPLICIT` treat implicitly. `discrete` treats all of K so.
+    that the integrators in `DAMPING_IMPLICIT` treat implicitly. `discrete` treats all of K
+    implicitly.
     """
     n = len(mass)
     pull = -np.linalg.solve(mass, np.hstack([stiffness, damping]))

@@ -80,7 +80,7 @@ class Linearization:
         return float(np.abs(self.eigenvalues).max(initial=0.0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns everything as plain data."""
+        """Return everything as plain data."""
         return {
             "A": self.A.tolist(),
             "B": self.B.tolist(),

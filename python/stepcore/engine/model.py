@@ -1,4 +1,4 @@
-"""`Model`: a compiled scene, constant, which a `Sim` or a `Batch` steps."""
+"""`Model`: a compiled scene, immutable, stepped by a `Sim` or a `Batch`."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ if TYPE_CHECKING:
 
 
 class Model:
-    """Compiles a scene.
+    """A compiled scene.
 
     scene: the `Scene`. It is copied: later edits do not change the model.
     settings: a `Settings` that replaces the scene's own.
     fields: single fields of `Settings` to change, such as ``dt=0.005``.
 
-    A model is constant, and many Sims can share it. Its arrays are read-only and stand in
-    MuJoCo's order; the name of an element without one is "".
+    A model is immutable, and many Sims can share it. The arrays of a model are read-only and follow
+    MuJoCo's order. The name of an unnamed element is "".
 
-    Raises ValueError, naming element, field and limit, for a scene that cannot be compiled.
+    Raises ValueError, which names element, field and limit, for a scene that cannot be compiled.
 
     >>> from stepcore import Scene
     >>> scene = Scene()
@@ -71,11 +71,11 @@ class Model:
 
     @property
     def scene(self) -> Scene:
-        """The scene that was compiled. Edits of it do not change the model."""
+        """The scene that was compiled. Editing this scene does not change the model."""
         return self._scene
 
     def plan(self, *, sim: Sim | None = None, time: bool = False) -> Plan:
-        """Lists what a step does and what it leaves out, and why; see `stepcore.plan`."""
+        """List what a step computes, what it omits, and the reasons; see `stepcore.plan`."""
         from stepcore.engine.plan import planned
 
         return planned(self, sim, time)
@@ -89,17 +89,18 @@ class Model:
         precision: Literal["f64", "f32"] = "f64",
         lanes: bool = False,
     ) -> Touches:
-        """Returns where two geoms touch, and how far apart they are, at given positions.
+        """Return the contact points and the signed distance of two geoms at given positions.
 
-        It is the test that a step makes of these two geoms, at every pose asked for and at any
-        distance: nothing is stepped, and margins and exclusions do not count.
+        The collision test is that of a step, evaluated at every given pose and at any distance.
+        Nothing is stepped, and margins and exclusions are ignored.
 
         geom1, geom2: names or indices. The normal points from `geom1` to `geom2`.
         qpos: shape (…, nq), such as (nq,) for one pose or (n, nq) for many.
-        precision: the numbers of the computation, as in `Settings`.
-        lanes: computes eight poses at a time (sixteen in f32), as a `Batch` does; the same bits.
+        precision: the floating-point precision, as in `Settings`.
+        lanes: whether eight poses (sixteen in f32) are computed at a time, as in a `Batch`. The
+            results are bit-identical.
 
-        Raises ValueError for an unknown name, for a pair of shapes that is not built, and for a
+        Raises ValueError for an unknown name, for an unsupported pair of shapes, and for a
         qpos that is not finite or has another shape.
 
         >>> import stepcore as sc
@@ -116,12 +117,12 @@ class Model:
 
     @property
     def settings(self) -> Settings:
-        """The settings that a `Sim` of this model has unless it changes them."""
+        """The default settings of a `Sim` of this model."""
         return self._settings
 
     @property
     def core(self) -> _core.Model:
-        """The engine's own object; for use within stepcore."""
+        """The engine's own object, for use within stepcore."""
         return self._core
 
     # Counts.
@@ -150,21 +151,22 @@ class Model:
 
     @functools.cached_property
     def npair(self) -> int:
-        """The number of pairs of geoms that can meet."""
+        """The number of pairs of geoms that can collide."""
         return sum(self.heap.values()) if self.is_heap else len(self._core.pairs())
 
     @functools.cached_property
     def is_heap(self) -> bool:
-        """Whether pairs of geoms are found as they come near, because too many could meet.
+        """Whether nearby pairs of geoms are found during the run, because too many pairs can
+        collide.
 
-        Up to 2000 pairs are listed when a scene is compiled: `pairs`; up to 20,000 where fewer than
-        eight trees move. Above that a model is a heap.
+        Compilation lists up to 2000 pairs in `pairs`, or up to 20,000 where fewer than eight trees
+        move. A model with more pairs is a heap.
         """
         return self._core.heap() is not None
 
     @functools.cached_property
     def heap(self) -> dict[tuple[str, str], int]:
-        """Of a heap, how many pairs can meet by the types of their geoms; else empty."""
+        """The number of pairs that can collide, by the types of both geoms; empty unless a heap."""
         return {(one, two): count for one, two, count in self._core.heap() or ()}
 
     # Names, in the order of the arrays.
@@ -184,23 +186,31 @@ class Model:
     key_names = Names("Names of the keyframes.")
 
     def element_name(self, kind: str, index: int, part: int = -1) -> str:
-        """What an element is called: "spring of joint `knee`", "contact `floor`/`foot`".
+        """Return the full name of an element: "spring of joint `knee`", "contact `floor`/`foot`".
 
-        kind, index, part: as in `Sim.rows`, `Sim.contacts` and a `SimulationError`; part -1 is
-        the whole element. An unknown kind or an index too large is a ValueError.
+        kind, index, part: as in `Sim.rows`, `Sim.contacts` and a `SimulationError`. A part of -1
+            means the whole element.
+
+        Raises ValueError for an unknown kind or an index that is too large.
         """
         index, part = checks.count("index", index, 0), checks.count("part", part, -1)
         return self._core.element_name(checks.word("kind", kind), index, part)
 
     def element_words(self, kind: str, index: int, part: int = -1) -> tuple[str, str, str]:
-        """The parts of that: noun, owner and label, as in "spring", "joint", "`knee`"."""
+        """Return the parts of `element_name`: noun, owner and label, e.g. "spring", "joint",
+        "`knee`".
+        """
         return self._core.element_words(kind, index, part)
 
     def called(self, kind: str) -> tuple[str, ...]:
-        """What the elements of a kind are called in lists, in their order.
+        """Return the display names of all elements of a kind, in their order.
 
-        Their names; "geom 15 of body `jaw`" for one without, where its body or joint says where it
-        stands in the file. kind: as in `names`. Raises ValueError for an unknown kind.
+        A display name is the element's name. An unnamed element is shown by its position in the
+        file, within its body or joint: "geom 15 of body `jaw`".
+
+        kind: as in `names`.
+
+        Raises ValueError for an unknown kind.
         """
         if checks.word("kind", kind) not in self._called:
             known = checks.nearest(kind, self._called, listed=len(self._called))
@@ -217,10 +227,13 @@ class Model:
     def element_force(
         self, kind: str, ctrl: Floats, act: Floats, qpos: Floats, qvel: Floats
     ) -> Floats:
-        """Generalised force of all elements of one kind at many states, shape (…, nv) [N or N·m].
+        """Compute the total force of all elements of one kind, shape (…, nv) [N or N·m].
 
-        kind: "spring", "damper" or "actuator". ctrl, act, qpos, qvel: shapes (…, nu), (…, na),
-        (…, nq), (…, nv), with the same leading axes.
+        The force is the generalised force at each of many states.
+
+        kind: "spring", "damper" or "actuator".
+        ctrl, act, qpos, qvel: shapes (…, nu), (…, na), (…, nq), (…, nv), with the same leading
+            axes.
         """
         given = {"ctrl": (ctrl, self.nu), "act": (act, self.na), "qpos": (qpos, self.nq)}
         leading = np.shape(numbers("qvel", qvel))[:-1]
@@ -234,17 +247,19 @@ class Model:
         return force.reshape((*leading, self.nv))
 
     def root(self, body: int) -> int:
-        """The index of the body below the world that carries a body; 0 for the world itself."""
+        """Return the index of the child of the world whose subtree contains a body; 0 for the
+        world.
+        """
         parents, body = self.body_parent, self.index("body", body)
         while body and parents[body]:
             body = int(parents[body])
         return body
 
     def index(self, kind: str, name: str | int) -> int:
-        """Returns the index of an element.
+        """Return the index of an element.
 
         kind: "body", "joint", "geom", "site", "tendon", "sensor", "actuator", "equality" or "key".
-        name: its name, or an index, which may be negative.
+        name: the element's name, or an index, which may be negative.
 
         Raises ValueError, with the nearest names, if there is no such element.
         """
@@ -260,7 +275,7 @@ class Model:
             index = range(len(names))[operator.index(name)]
         except (TypeError, IndexError):
             if not names:
-                # Only refusals need it.
+                # Imported here because only errors need it.
                 from stepcore.report.units import plural
 
                 many = plural("keyframe" if kind == "key" else kind)
@@ -297,9 +312,11 @@ class Model:
         return {name: _frozen(array) for name, array in arrays.items()}
 
     def contact_pair(self, index: int) -> ContactPair:
-        """The pair of geoms of a contact, and what its contacts share.
+        """Return the two geoms of a contact pair, and the parameters that their contacts share.
 
-        index: as in `Sim.contacts`. Raises ValueError where no two geoms that can meet have it.
+        index: as in `Sim.contacts`.
+
+        Raises ValueError if no pair has this index.
         """
         first, second, condim, friction, solref, invweight = self._core.pair(
             checks.count("index", index, 0)
@@ -394,12 +411,12 @@ class Model:
         return tuple(self._core.geom_types())
 
     def geom_hull(self, geom: str | int) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Returns the convex hull by which a mesh collides, in the frame of its geom.
+        """Return the convex hull that a mesh collides with, in the frame of its geom.
 
         geom: a name or an index.
 
-        Returns its vertices [m], shape (n, 3), and its triangles as indices of them,
-        counter-clockwise from outside, shape (m, 3). Both are empty for a geom that has none.
+        Returns the vertices [m], shape (n, 3), and the triangles as indices of vertices,
+        counter-clockwise from outside, shape (m, 3). Both are empty for a geom without a hull.
         """
         index = self.index("geom", geom)
         vertices, triangles = self._core.geom_hull(index) or ((), ())
@@ -407,13 +424,13 @@ class Model:
 
     @functools.cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of geoms that can ever collide, each by what it is called (`called`)."""
+        """Pairs of geoms that can ever collide, each geom by its display name (see `called`)."""
         names = self.called("geom")
         return tuple((names[a], names[b]) for a, b in self.pair_geoms.tolist())
 
     @functools.cached_property
     def keys(self) -> tuple[Keyframe, ...]:
-        """The keyframes, with defaults for what they leave open."""
+        """The keyframes. Values that a keyframe omits have their defaults."""
         states = zip(self.key_names, self._core.keys(), strict=True)
         return tuple(
             Keyframe(name, time, *(_frozen(np.array(x, dtype=float)) for x in arrays))
@@ -423,27 +440,27 @@ class Model:
     # Copies.
 
     def with_values(self, values: Mapping[str, Any]) -> Model:
-        """Compiles the scene again with some values changed.
+        """Return a model of the same scene with some values changed, compiled again.
 
         values: a dict from "kind/name/field" to the value, such as ``{"geom/box/friction": 0.4,
-            "body/arm/mass": 2.0, "joint/knee/damping": 1.0}``; "gravity" is a path as well. A
-            single number sets the first entry of a vector. The mass of a body that gets it from
-            its geoms scales those geoms.
+            "body/arm/mass": 2.0, "joint/knee/damping": 1.0}``; "gravity" is also a path. A single
+            number sets the first entry of a vector. Setting the mass of a body that is computed
+            from geoms scales the masses of these geoms.
 
-        Raises ValueError, with the nearest names, for an unknown kind, name or field, and for a bad
-        value.
+        Raises ValueError, with the nearest names, for an unknown kind, name or field, and for an
+        invalid value.
         """
         return Model(changed(self._scene, values, self.masses()), self._settings)
 
     def masses(self) -> dict[str, float]:
-        """The mass of each body [kg], by name."""
+        """Return the mass of each body [kg], by name."""
         return dict(zip(self.body_names, self.body_mass.tolist(), strict=True))
 
     @takes_settings
     def with_settings(
         self, settings: Settings | None = None, **fields: Unpack[SettingsFields]
     ) -> Model:
-        """Returns the same model with other settings, without compiling again."""
+        """Return this model with other settings, without compiling it again."""
         refuse_unknown(self.with_settings, fields)
         other = copy.copy(self)
         other._settings = _merged(self._settings, settings, fields)
@@ -457,7 +474,7 @@ class Model:
         return _unpickled, (self._pickled, self._settings)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Model:
-        # Nothing of a model can change, so a copy may share all of it.
+        # A model is immutable, so a copy can share all its data.
         return copy.copy(self)
 
     def __copy__(self) -> Model:
@@ -473,7 +490,7 @@ class Model:
         return f"<Model{name}: {shown}; {self._settings!r}>"
 
     def _repr_html_(self) -> str | None:
-        """The model as a notebook shows it, with its picture where one can be drawn."""
+        """Return HTML for a notebook, with a picture if possible."""
         from stepcore.engine.sim import Sim
         from stepcore.viewing.notebook import shown
 

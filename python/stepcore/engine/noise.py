@@ -132,7 +132,7 @@ class Noise:
     def uniform(
         self, k: int, low: ArrayLike = 0.0, high: ArrayLike = 1.0, worlds: ArrayLike | None = None
     ) -> Floats:
-        """Returns k numbers from [low, high) for each world, or for some; shape (n, k).
+        """Return k numbers from [low, high) for each world, or for some; shape (n, k).
 
         low, high: finite numbers, or arrays of them that broadcast to that shape; low <= high.
         worlds: a mask of shape (n,) or indices; the others draw nothing. None for all.
@@ -153,7 +153,7 @@ class Noise:
         return result
 
     def normal(self, k: int, scale: ArrayLike = 1.0, worlds: ArrayLike | None = None) -> Floats:
-        """Returns k normal numbers with mean 0 for each world, or for some; shape (n, k).
+        """Return k normal numbers with mean 0 for each world, or for some; shape (n, k).
 
         scale: their standard deviation, a finite number >= 0 or an array of them that broadcasts to
             that shape.
@@ -186,7 +186,7 @@ class Noise:
         return result
 
     def state(self) -> NDArray[np.uint64]:
-        """Returns how many numbers each world has drawn, shape (n,); all a stream remembers."""
+        """Return how many numbers each world has drawn, shape (n,); all a stream remembers."""
         return self._drawn.copy()
 
     def restore(self, state: ArrayLike) -> None:

@@ -1,4 +1,4 @@
-"""Values of a model that differ from world to world of a `Batch`."""
+"""Model values that differ from world to world of a `Batch`."""
 
 from __future__ import annotations
 
@@ -21,39 +21,41 @@ if TYPE_CHECKING:
 
 
 class ModelVariation(Variation):
-    """A model compiled many times with other values of the same paths, as `with_values` does.
+    """A model that is compiled many times with different values of the same paths.
 
-    `data` makes a scene, `compiled` compiles it.
+    `data` creates the plain data of a scene, and `compiled` compiles the data.
     """
 
     def __init__(self, model: Model, paths: Iterable[str]) -> None:
         super().__init__(model.scene, paths, model.masses())
 
     def compiled(self, data: dict[str, Any] | ValueError) -> _core.Model:
-        """The engine's model of `data`; raises the error if it is one. Any thread may ask."""
+        """Compile `data` on any thread; raise the error if `data` is an error."""
         return compile_data(self.scene, data)
 
 
 class Parameters(Mapping[str, Floats]):
-    """Values of a batch's model that differ from world to world, as arrays by path: `Batch.param`.
+    """Model values that differ from world to world of a batch, as arrays by path: `Batch.param`.
 
     Paths are those of `Model.with_values`: "geom/floor/friction", "body/arm/mass",
     "joint/knee/damping", "actuator/motor/gainprm", "gravity". An array has one row for each world:
-    shape (n,) for a number, or for the first entry of a vector, (n, k) for a vector of k entries;
-    a single number is that of all worlds. Assigning compiles the model for every different row, so
-    constants that follow, such as the masses that contacts are weighed with, are those of the
-    world, and a world computes the bits of a `Sim` of ``model.with_values`` with its row.
-    `update` assigns several paths and compiles once. States, controls and impulses stay;
-    what is read of the last step is that of the present state until the next.
+    shape (n,) for a number or for the first entry of a vector, (n, k) for a vector of k entries. A
+    single number applies to all worlds.
 
-    Reading gives the array that was assigned, or the model's own value in every world. Writing into
-    that array changes nothing: assign it. ``del`` and `clear` go back to the model's own values.
-    Iterating lists the paths that were assigned.
+    Assignment compiles the model for every distinct row, so derived constants, such as the inverse
+    masses of contacts, are also those of the world. Each world is bit-identical to a `Sim` of
+    ``model.with_values`` with the world's row. `update` assigns several paths and compiles once.
+    States, controls and impulses do not change. Until the next step, readouts of the last step are
+    those of the present state.
 
-    Worlds of equal rows share vector lanes; a batch most of whose worlds have a row of their own
-    steps them one by one.
+    Reading returns a copy of the assigned array, or the model's own value in every world. Writing
+    into this copy has no effect: assign the array. ``del`` and `clear` restore the model's own
+    values. Iteration yields the assigned paths.
 
-    A value that cannot be is a ValueError that names path, world, value and limit; nothing changes
+    Worlds of equal rows share vector lanes. A batch whose worlds mostly have distinct rows steps
+    them one by one.
+
+    An invalid value raises a ValueError that names path, world, value and limit; nothing changes
     then.
 
     >>> import numpy as np
@@ -93,30 +95,30 @@ class Parameters(Mapping[str, Floats]):
         return path in self._columns
 
     def update(self, values: Mapping[str, ArrayLike]) -> None:
-        """Assigns several paths at once; see the class."""
+        """Assign several paths at once; see `Parameters`."""
         if not isinstance(values, Mapping):
             raise ValueError(f"values = {checks.shown(values)}: must be a dict of paths and arrays")
         new = {path: self._column(path, given) for path, given in values.items()}
         self._take(self._columns | new)
 
     def clear(self) -> None:
-        """Goes back to the model's own values in all worlds."""
+        """Restore the model's own values in all worlds."""
         self._take({})
 
     def model_of(self, world: int) -> Model:
-        """The model of a world."""
+        """Return the model of a world."""
         return self._variants.model(world)
 
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
-        """Worlds whose initial arrays differ from the model's, with these arrays."""
+        """Return the worlds whose initial arrays differ from the model's, with these arrays."""
         return self._variants.initial()
 
     def columns(self) -> dict[str, Floats]:
-        """What was assigned, by path."""
+        """Return the assigned arrays by path."""
         return dict(self._columns)
 
     def _column(self, path: str, given: ArrayLike) -> Floats:
-        """One row for each world, of a shape that the value can have."""
+        """Return a checked array with one row for each world."""
         own, name = _own(self._base, path), f"param[{checks.shown(path)}]"
         table = numbers(name, given)
         if np.ndim(given) == 0:
@@ -146,9 +148,9 @@ class Parameters(Mapping[str, Floats]):
 
 
 class Variants:
-    """A model compiled with the values of each row of a table of parameters.
+    """The models compiled for all distinct rows of a table of parameters.
 
-    models: the different ones, as the engine has them. model_of: the index of each world's.
+    models: the engine's models. model_of: for each world, the index in `models`.
     """
 
     def __init__(self, model: Model, columns: Mapping[str, Floats], n: int) -> None:
@@ -172,13 +174,13 @@ class Variants:
         self._compile(first)
 
     def _compile(self, worlds: list[int]) -> None:
-        """Compiles the model of each of these worlds, several at a time."""
-        # Only parameters need threads of Python.
+        """Compile the models of these worlds, several at a time."""
+        # Imported here because only parameters need Python threads.
         from concurrent.futures import ThreadPoolExecutor
 
         variation = ModelVariation(self._base, self._columns)
         with ThreadPoolExecutor(checks.threads(None)) as pool:
-            # A variation makes one scene after the other; the engine compiles them meanwhile.
+            # Scenes are created one after another, while the engine compiles earlier ones.
             compiled = [
                 pool.submit(variation.compiled, self._data(variation, world)) for world in worlds
             ]
@@ -190,25 +192,25 @@ class Variants:
                     self.models.append(self._base.core)
 
     def _data(self, variation: Any, world: int) -> Any:
-        """The plain data of a world's scene, or why there is none."""
+        """Return the plain data of a world's scene, or the error that prevents it."""
         try:
             return variation.data(self.values(world))
         except ValueError as error:
             return error
 
     def errors(self) -> dict[int, ValueError]:
-        """By world, why its values are refused."""
+        """Return the error of each world whose values are rejected."""
         refused = self._refused
         return {w: refused[index] for w, index in enumerate(self.model_of) if index in refused}
 
     def values(self, world: int) -> dict[str, Any]:
-        """A world's row, as `Model.with_values` takes it."""
+        """Return a world's row as an argument of `Model.with_values`."""
         return {
             path: _value(self._base, path, column[world]) for path, column in self._columns.items()
         }
 
     def model(self, world: int) -> Model:
-        """A world's model."""
+        """Return a world's model."""
         if not self._columns:
             return self._base
         index = self.model_of[world]
@@ -217,7 +219,7 @@ class Variants:
         return self._made[index]
 
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
-        """Worlds whose initial arrays differ from the model's, with these arrays."""
+        """Return the worlds whose initial arrays differ from the model's, with these arrays."""
         own = dict(self._base.core.initial())
         different = {}
         for index, model in enumerate(self.models):
@@ -233,7 +235,7 @@ class Variants:
 
 
 def _own(model: Model, path: str) -> Floats:
-    """The model's value of a path, a number or a vector; ValueError for a path without numbers."""
+    """Return the model's value of a path, a number or a vector; else raise ValueError."""
     scene = model.scene
     if path in WHOLE:
         return np.asarray(getattr(scene, path), dtype=np.float64)
@@ -248,7 +250,7 @@ def _own(model: Model, path: str) -> Floats:
 
 
 def _value(model: Model, path: str, row: Any) -> Any:
-    """A row of an array as the scene takes it."""
+    """Convert a row of an array to a value of the scene."""
     value = row.tolist()
     if path not in WHOLE and isinstance(value, float) and value.is_integer():
         element, field = find(model.scene, path)

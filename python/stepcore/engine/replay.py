@@ -68,7 +68,7 @@ class Replay:
         return scene if isinstance(scene, dict) else self._scene.to_dict()
 
     def run(self) -> PostMortem:
-        """Runs it again; see `stepcore.replay`."""
+        """Run it again; see `stepcore.replay`."""
         return run_again(self)
 
     def to_json(self) -> str:
@@ -86,12 +86,12 @@ class Replay:
         return json.dumps(head | body, indent=1, default=_packed)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the file that `stepcore.replay` and ``stepcore replay FILE`` read."""
+        """Write the file that `stepcore.replay` and ``stepcore replay FILE`` read."""
         Path(files.path("path", path)).write_text(self.to_json() + "\n", encoding="utf-8")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Replay:
-        """Reads a replay file.
+        """Read a replay file.
 
         Raises ValueError, in one line, for a file that is no replay file, was damaged or has
         another version; FileNotFoundError for a missing file, IsADirectoryError for a folder.
@@ -156,7 +156,7 @@ def _check(body: dict[str, Any]) -> str:
 
 
 def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> None:
-    """Gives an error its `replay`. qpos, qvel: the last finite state of the world that failed."""
+    """Give an error its `replay`. qpos, qvel: the last finite state of the world that failed."""
     happened = {name: getattr(error, name) for name in ATTRIBUTES}
     happened |= {"text": str(error), "state": digest(qpos, qvel)}
     private = error.__dict__
@@ -172,7 +172,7 @@ def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> 
 
 
 def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
-    """Runs a failure again, and returns what each element did on the way.
+    """Run a failure again, and returns what each element did on the way.
 
     source: the path of a replay file, or a `Replay` (an error's ``replay``).
 

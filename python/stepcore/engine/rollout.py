@@ -41,7 +41,7 @@ def recorded_rollout(
     names: Sequence[str],
     told: Callable[[int], object] | None,
 ) -> Rollout:
-    """Steps one by one with `roll` and reads the recorded arrays after each step.
+    """Step one by one with `roll` and reads the recorded arrays after each step.
 
     Numbers are refused before the first step.
     """

@@ -1,4 +1,4 @@
-"""`Sim`: one world of a model: its state, its step, and everything that can be read of it."""
+"""`Sim`: one world of a model, with its state, its step and its readouts."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 class Energy(NamedTuple):
     """Kinetic and potential energy [J].
 
-    The potential energy is that of springs and of gravity on every body, fixed bodies
-    included; gravity's is zero at the world's origin.
+    The potential energy is the energy of springs and of gravity on every body, fixed bodies
+    included. Gravitational energy is zero at the world's origin.
     """
 
     kinetic: float
@@ -47,7 +47,7 @@ class Energy(NamedTuple):
 
 
 class Momentum(NamedTuple):
-    """Momentum of all bodies, in world axes.
+    """Total momentum of all bodies, in world axes.
 
     linear: [kg·m/s], shape (3,). angular: about the world's origin [kg·m²/s], shape (3,).
     For a `Batch` both have shape (n, 3).
@@ -58,23 +58,23 @@ class Momentum(NamedTuple):
 
 
 class Sim(World):
-    """Simulates one world of a model.
+    """A simulation of one world of a model.
 
-    model: a `Model`, a `Scene`, which is compiled, or what `stepcore.load` takes, such as the path
-        of an MJCF file.
+    model: a `Model`, a `Scene`, which is compiled, or any argument of `stepcore.load`, such as the
+        path of an MJCF file.
     settings: a `Settings` that replaces the model's own.
-    threads: how many threads share the work of each step, from 1 to 1024. Every number of threads
-        gives the same bits. More than one pay in heaps of hundreds of bodies and more
-        (`Model.is_heap`); all else one thread does, whatever the number.
+    threads: the number of threads that share the work of each step, from 1 to 1024. The results are
+        bit-identical for any number. Several threads speed up heaps of hundreds of bodies or more
+        (`Model.is_heap`); one thread does all other work.
     fields: single fields of `Settings` to change, such as ``dt=0.005, solver="pgs"``.
 
     The state arrays (qpos, qvel, ctrl, qfrc_applied, xfrc_applied) can be written, in place or by
-    assignment. They are float64 at every precision and are checked when they are used: an entry
-    that is not finite raises a ValueError that names it, and nothing is stepped.
+    assignment. They are float64 at every precision and are checked before each step: an entry that
+    is not finite raises a ValueError that names the entry, and nothing is stepped.
 
-    Everything else is read-only. Poses, energy, momentum and matrices belong to the present state
-    and follow when it is written. ``qacc``, ``contacts``, ``rows``, ``residual`` and the forces
-    belong to the last `step` or `forward`.
+    All other attributes are read-only. Poses, energy, momentum and matrices describe the present
+    state and are recomputed when the state is written. ``qacc``, ``contacts``, ``rows``,
+    ``residual`` and the forces describe the last `step` or `forward`.
 
     Raises ValueError for a scene that cannot be compiled, and for settings or threads outside
     their limits.
@@ -107,13 +107,13 @@ class Sim(World):
     # Stepping.
 
     def step(self, n: int = 1) -> None:
-        """Takes n steps, with the GIL released.
+        """Take n steps, with the GIL released.
 
-        Raises ValueError if a state or input is not finite; nothing is stepped then. Raises
-        SimulationError if the motion stops being finite or, with the setting ``ledger``, has more
-        energy than it can have; the last finite state is kept. Without ``ledger`` it warns once
-        (`EnergyWarning`) of energy that is far beyond that. Ctrl-C is noticed between steps, and in
-        a step of many sweeps, which is then not taken.
+        Raises ValueError if a state or input is not finite; no step is taken then. Raises
+        SimulationError if the motion becomes non-finite or, with the setting ``ledger``, has more
+        energy than is physically possible; the last finite state is kept. Without ``ledger``, a
+        large excess of energy gives one warning (`EnergyWarning`). Ctrl-C interrupts between steps,
+        and within a step of many sweeps, which is then discarded.
         """
         try:
             self._core.step(n)
@@ -122,10 +122,11 @@ class Sim(World):
             raise
 
     def balance(self) -> None:
-        """Checks the energy balance that the setting ``ledger`` keeps; does nothing without it.
+        """Check the energy balance that the setting ``ledger`` keeps; do nothing without
+        ``ledger``.
 
-        The balance is also checked every 64 steps, and at the end of `run` and of a `step` with
-        n >= 128. Raises SimulationError if the motion has more energy than it can have.
+        The balance is also checked every 64 steps, and at the end of `run` and of a `step` with n
+        >= 128. Raises SimulationError if the motion has more energy than is physically possible.
         """
         try:
             self._core.balance()
@@ -134,9 +135,9 @@ class Sim(World):
             raise
 
     def forward(self) -> None:
-        """Computes poses, contacts and forces at the present state, without taking a step.
+        """Compute poses, contacts and forces at the present state, without taking a step.
 
-        Raises what `step` raises.
+        Raises the same errors as `step`.
         """
         try:
             self._core.forward()
@@ -145,42 +146,43 @@ class Sim(World):
             raise
 
     def linearize(self) -> Linearization:
-        """Linearises the next step about the present state, without taking it.
+        """Linearise the next step about the present state, without taking the step.
 
-        The derivatives are exact: dual numbers are carried through the step itself, contacts and
-        solver included, with this Sim's settings and in float64. Controls, applied forces and the
-        solver's starting impulses are constant in the map. Where a law switches (a contact that
-        just touches, a limit just reached, a clamped control) the derivatives are one-sided: those
-        of what the step does at this state. `degenerate` of the result names the elements whose
-        rows are exactly at such a place.
+        The derivatives are exact: dual numbers are propagated through the step, contacts and solver
+            included, with the settings of this Sim and in float64. Controls, applied forces and the
+            solver's initial impulses are constant in the map. Where a law switches (a contact that
+            just touches, a limit just reached, a clamped control) the derivatives are one-sided:
+            they describe the branch that the step takes at this state. `degenerate` of the result
+            names the elements whose rows are exactly at such a switch.
 
-        The cost is that of about (2 nv + nu)/4 steps in dual numbers, each a few times a plain
-        step. The GIL is released. See docs/linearize.md.
+        The cost is that of about (2 nv + nu)/4 steps in dual numbers, each a few times as expensive
+        as a plain step. The GIL is released. See docs/linearize.md.
 
-        Raises what `step` raises, and ValueError if the step has an infinite derivative.
+        Raises the same errors as `step`, and ValueError if the step has an infinite derivative.
         """
         return linearized(self._model, self.settings.dt, *self._core.linearize())
 
     def element_slopes(self) -> dict[Element, ElementSlopes]:
-        """Stiffness, damping, force and energy of every element that acts at the present state.
+        """Compute stiffness, damping, force and energy of every element active at the present
+        state.
 
-        Exact, as in `linearize`: dual numbers are carried through the forces and through the solve
-        of the rows, which act as they act at this state. Gravity is an element, and so is the
-        gyroscopic torque of each body that spins, which is a part of `bias`.
+        The derivatives are exact, as in `linearize`: dual numbers are propagated through the forces
+        and through the solve of the constraint rows with the present active set. Gravity is an
+        element, and so is the gyroscopic torque of each spinning body, which is a part of `bias`.
 
-        The cost is that of nv/2 calls of `forward` in dual numbers. Raises what `forward` raises,
-        and ValueError if a force has an infinite derivative.
+        The cost is that of nv/2 calls of `forward` in dual numbers. Raises the same errors as
+        `forward`, and ValueError if a force has an infinite derivative.
         """
         return element_slopes(self._model, self._core)
 
     def count_flops(self, n: int = 1) -> int:
-        """Counts the floating-point operations of the next n steps, without taking them.
+        """Return the number of floating-point operations of the next n steps, without stepping.
 
-        A copy takes these steps in float64 and counts: +, −, ×, ÷ and √ as 1 each; a sine with its
-        cosine, an arctangent or a power as 20; comparisons, signs and copies as 0. The count
-        describes the method, not the compiled code, and is the same on every machine.
+        A copy takes these steps in float64. The operations +, −, ×, ÷ and √ count as 1 each, a sine
+        with its cosine, an arctangent or a power as 20, and comparisons, signs and copies as 0. The
+        count describes the method, not the compiled code, and is the same on every machine.
 
-        Raises what `step` raises.
+        Raises the same errors as `step`.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop(), dt=0.01)
@@ -190,20 +192,20 @@ class Sim(World):
         return sum(count for _, count in self._core.count(n))
 
     def stage_flops(self) -> dict[str, int]:
-        """Counts the floating-point operations of the next step by stage; see `count_flops`.
+        """Return the floating-point operations of the next step by stage; see `count_flops`.
 
         The stages are place/kinematics (poses), place/inertia (mass matrix), place/factor (its
         factorisation), place/bias (Coriolis and gravity forces), place/forces (springs, actuators),
-        place/guess (velocity without rows), detect (contacts), solve/rows (assembly),
+        place/guess (unconstrained velocity), detect (contacts), solve/rows (assembly),
         solve/impulses (sweeps or iterations) and commit (integration).
         """
         return dict(self._core.count(1))
 
     @property
     def nbytes(self) -> int:
-        """Memory of this Sim's state and working space [bytes], without the shared model.
+        """Memory of this Sim's state and workspace [bytes], without the shared model.
 
-        It grows when there are more contacts than ever before.
+        The memory grows when the number of contacts exceeds its previous maximum.
         """
         return self._core.nbytes
 
@@ -212,18 +214,18 @@ class Sim(World):
         self._core.forget()
 
     def state(self) -> bytes:
-        """Returns a complete snapshot: state, inputs, time, step count and warm-start impulses."""
+        """Return a complete snapshot: state, inputs, time, step count and warm-start impulses."""
         return self._core.state()
 
     def restore(self, state: bytes) -> None:
-        """Restores a snapshot from `state`; continuing from it gives the same bits.
+        """Restore a snapshot from `state`; the motion then continues bit-identically.
 
-        Raises ValueError for bytes that are no snapshot of this model, and changes nothing then.
+        Raises ValueError for bytes that are no snapshot of this model; nothing changes then.
         """
         self._core.restore(snapshot(state, state))
 
     def copy(self) -> Sim:
-        """Returns another Sim of the same model, settings and state: both go on with the same bits.
+        """Return another Sim of the same model, settings and state; both continue bit-identically.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop(), dt=0.01)
@@ -241,18 +243,19 @@ class Sim(World):
         control_dt: float | None = None,
         record: Sequence[str] = ("qpos", "qvel"),
     ) -> Trajectory:
-        """Simulates for a time and records quantities at every step.
+        """Simulate for a given duration and record quantities at every step.
 
-        duration: [s], a whole number of steps.
+        duration: the simulated time [s], a whole number of steps.
         control: a function of (time, sim) that returns ctrl, or an array of shape (n, nu) with one
-            row for each control period, the last of which is held to the end. None leaves ctrl
-            as it is.
+            row for each control period. The last row applies until the end. None leaves ctrl
+            unchanged.
         control_dt: the control period [s], a whole number of steps; by default one step.
         record: names of attributes of this Sim, such as "qpos", "energy" or "residual".
 
         Raises ValueError for a duration or period that is not a whole number of steps, a control
-        of the wrong shape, or a name that cannot be recorded; and what `step` raises. Warns
-        (`UnsolvedWarning`) if half of the run has a residual of more than gravity gives in a step.
+        of the wrong shape, or a name that cannot be recorded; and the same errors as `step`. Warns
+        (`UnsolvedWarning`) if, during half of the run, the residual exceeds the speed that gravity
+        adds in one step.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop(), dt=0.01)
@@ -267,12 +270,14 @@ class Sim(World):
         return trajectory
 
     def view(self, *, host: str = "localhost", port: int = 8080, wait: bool | None = None) -> View:
-        """Opens a live view of a copy of this Sim, which goes on from the present state.
+        """Open a live view of a copy of this Sim, which continues from the present state.
 
-        It can be paused, stepped, reset, put to keyframes and taken back in time; controls are
-        sliders; contacts, forces, energy and the residual are shown. This Sim stays as it is.
+        The view can pause, step, reset, load keyframes and go back in time. Sliders set the
+        controls. Contacts, forces, energy and the residual are shown. This Sim is unchanged.
 
-        host, port, wait: see `stepcore.view`. Needs the extra "view".
+        host, port, wait: see `stepcore.view`.
+
+        Needs the extra "view".
         """
         from stepcore.viewing.live import opened, view_sim
 
@@ -282,7 +287,7 @@ class Sim(World):
 
     @property
     def energy(self) -> Energy:
-        """Kinetic and potential energy [J]; gravity and joint springs, but no servos, store it."""
+        """Kinetic and potential energy [J], with gravity and joint springs but without servos."""
         kinetic, potential = self._core.readout("energy")
         return Energy(float(kinetic), float(potential))
 
@@ -294,15 +299,15 @@ class Sim(World):
 
     @property
     def overlap(self) -> float:
-        """The deepest overlap at the present state of two geoms that can collide [m]; 0 if none."""
+        """The deepest overlap of two collidable geoms at the present state [m]; 0 if none."""
         return float(self._core.readout("overlap"))
 
     # The last step or forward().
 
     def element_forces(self) -> dict[tuple[str, int], Floats]:
-        """Returns the generalised force of every element [N or N·m], as of the last solve.
+        """Return the generalised force of every element [N or N·m] in the last solve.
 
-        The keys are (kind, index) as in `rows` and `contacts`, and also of kind "spring",
+        The keys are (kind, index) as in `rows` and `contacts`, with the further kinds "spring",
         "damper", "actuator", "gravity", "qfrc_applied" and "xfrc_applied". The values have shape
         (nv,).
         """
@@ -313,53 +318,53 @@ class Sim(World):
 
     @property
     def contacts(self) -> NDArray[Any]:
-        """Contacts of the last solve, a structured array with the fields below. It is empty after
-        `reset`, until a `step` or `forward`; `overlap` belongs to the present state.
+        """Contacts of the last solve, a structured array with the fields below. The array is empty
+        from a `reset` to the next `step` or `forward`; `overlap` describes the present state.
 
-        - kind ("contact"), index (as `Model.contact_pair` takes it), part (which of its
-          contacts);
+        - kind ("contact"), index (the argument of `Model.contact_pair`), part (the number of the
+          contact within its pair);
         - geom1, geom2: indices; name1, name2: names, or "geom 15 of body `jaw`";
         - dist [m], negative for an overlap; pos [m]; normal, a unit vector from geom 1 to geom 2;
-        - force: on geom 2, in world axes [N]; zero for a contact that has no row;
+        - force: on geom 2, in world axes [N]; zero for a contact without a row;
         - torque: of torsion (condim 4) and rolling (condim 6) on geom 2, in world axes [N·m].
 
-        In the frame of MuJoCo's `mj_contactForce` they are the force and the torque along the
-        normal and the two tangents.
+        MuJoCo's `mj_contactForce` gives the same force and torque along the normal and the two
+        tangents.
         """
         return contact_table(self._model.called("geom"), *self._core.contacts())
 
     def contacts_of(self, body: str | int) -> NDArray[Any]:
-        """The entries of `contacts` in which a geom of this body takes part.
+        """Return the entries of `contacts` in which a geom of this body takes part.
 
-        Bodies fixed to it are others. Raises ValueError for an unknown body.
+        Bodies that are fixed to this body are not included. Raises ValueError for an unknown body.
         """
         return contacts_of_body(self.contacts, self._model, body)
 
     def tendon_path(self, tendon: str | int) -> list[Floats]:
-        """The path of a spatial tendon in the world at the present state [m].
+        """Return the path of a spatial tendon in the world at the present state [m].
 
-        Returns a list with an array of shape (n, 3) for each stretch between two sites that follow
-        each other: the sites, and between them points of the way round a geom where it touches one.
-        The count n of a stretch never changes. Empty for a fixed tendon. Raises ValueError for an
-        unknown tendon.
+        The result is a list with an array of shape (n, 3) for each segment between consecutive
+        sites: the two sites and, where the tendon wraps a geom, points of the wrapped arc. The
+        count n of a segment never changes. The list is empty for a fixed tendon. Raises ValueError
+        for an unknown tendon.
         """
         return self.tendon_paths()[self._model.index("tendon", tendon)]
 
     def tendon_paths(self) -> list[list[Floats]]:
-        """The paths of all tendons at the present state; see `tendon_path`."""
+        """Return the paths of all tendons at the present state; see `tendon_path`."""
         paths = self._core.tendon_paths()
         return [[np.reshape(way, (-1, 3)) for way in path] for path in paths]
 
     @property
     def rows(self) -> NDArray[Any]:
-        """Constraint rows of the last solve in their order, a structured array with the fields
+        """Constraint rows of the last solve in solver order, a structured array with the fields
 
         - kind: "connect", "weld", "joint equality", "friction loss", "limit" or "contact", or
           "tendon friction loss" or "tendon limit";
           index: of the equality, the joint (friction loss, limit) or the pair of geoms; part: the
           dof of the joint, the bound of a limit (0 lower, 1 upper) or the contact of the pair, -1
           for a whole element;
-        - name: `Model.element_name` of these; block: rows with the same number are solved together;
+        - name: `Model.element_name` of the element; block: rows of one block are solved together;
         - impulse [N·s or N·m·s], force (impulse/dt), lo and hi (bounds of the impulse);
         - velocity: J v at the start of the step; target; regulariser;
         - residual: violation of the row's law in the row's unit of velocity.
@@ -367,7 +372,7 @@ class Sim(World):
         return row_table(self.settings.dt, *self._core.rows())
 
     def delassus(self) -> Floats:
-        """Returns the Delassus matrix of the last solve, J M⁻¹ Jᵀ [1/kg], shape (rows, rows).
+        """Return the Delassus matrix of the last solve, J M⁻¹ Jᵀ [1/kg], shape (rows, rows).
 
         Entry (i, j) is the velocity of row i that a unit impulse on row j causes, in the order of
         `rows`, without regularisers.
@@ -392,10 +397,10 @@ class Sim(World):
 
     @property
     def unrecovered_overlap(self) -> float:
-        """Overlap that `max_recovery_speed` kept the last solve from undoing [m].
+        """Overlap that `max_recovery_speed` prevented the last solve from removing [m].
 
-        The largest over all contacts: how much more of its overlap the step would undo without that
-        limit.
+        The value is the maximum over all contacts: the additional overlap that the step would
+        remove without this limit.
         """
         return self._core.unrecovered
 
@@ -438,20 +443,20 @@ class Sim(World):
         return f"<Sim{name}: time {self.time:g} s; {self.settings!r}>"
 
     def _repr_html_(self) -> str | None:
-        """The present state as a notebook shows it, with its picture where one can be drawn."""
+        """Return HTML of the present state for a notebook, with a picture if possible."""
         from stepcore.viewing.notebook import shown
 
         return shown(self, self._model.ngeom, lambda: self)
 
 
 def unwatched(sim: Sim) -> Sim:
-    """The Sim without `EnergyWarning`, for measurements that judge its motion themselves."""
+    """Disable `EnergyWarning` for a Sim whose motion the caller judges, and return the Sim."""
     sim._core.unwatch()
     return sim
 
 
 def touches(sim: Sim) -> tuple[list[tuple[int, int]], Floats]:
-    """Geoms and distance [m] of each contact; quicker than `Sim.contacts`."""
+    """Return the geoms and the distance [m] of each contact; faster than `Sim.contacts`."""
     _, pairs, numbers = sim._core.contacts()
     return pairs, numbers[:, 0]
 

@@ -49,7 +49,7 @@ class Taking:
         self.stride = max(1, round(1 / (RATE * sim.settings.dt)), -(-steps // most))
 
     def look(self, step: int) -> None:
-        """Keeps the present state at the first and last step and at every `stride` steps."""
+        """Keep the present state at the first and last step and at every `stride` steps."""
         if step % self.stride == 0 or step == self.steps:
             self.states.append(self.sim.state())
 

@@ -1,4 +1,4 @@
-"""`Trajectory`: what `Sim.run` recorded, and the loop that records it."""
+"""`Trajectory`: the record of a run by `Sim.run`, and the loop that records the run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SomeWorld = TypeVar("SomeWorld", bound="World")
 Driven = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
 UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
-# Of more snapshots than this a notebook shows no page: 20 s.
+# With more snapshots than this (20 s of motion) a notebook shows no page.
 INLINE = 1200
 
 RECORDED = (
@@ -54,7 +54,7 @@ class Trajectory:
     time: [s], shape (steps + 1,).
     data: recorded arrays by name, shape (steps + 1, …); the first entry is the initial state.
     unsolved: the text of the `UnsolvedWarning` of this run, "" if there was none.
-    snapshots: whole states of the run, at most 60 a second, from which it is looked at.
+    snapshots: complete states of the run, at most 60 a second, from which the run is drawn.
 
     >>> from stepcore import Sim, lesson
     >>> run = Sim(lesson.drop()).run(0.5)
@@ -66,13 +66,13 @@ class Trajectory:
     data: dict[str, NDArray[Any]] = field(default_factory=dict)
     unsolved: str = ""
     snapshots: Snapshots | None = None
-    # Of a run that was read from a file, where no model names them.
+    # Set for a run that was read from a file, because there is no model to name the axes.
     _axes: dict[str, tuple[Axis, ...]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """A recorded array by its name, or "time".
+        """Return a recorded array by its name, or "time".
 
-        Raises KeyError, which names the nearest, for what was not recorded.
+        Raises KeyError, which suggests the nearest name, for an array that was not recorded.
         """
         if name == "time":
             return self.time
@@ -84,14 +84,16 @@ class Trajectory:
     def __contains__(self, name: object) -> bool:
         return name == "time" or name in self.data
 
-    # A run has both instants and arrays: it is not gone through as a list of either.
+    # Iteration would be ambiguous, over instants or over arrays.
     __iter__ = None
 
     def axes(self, name: str) -> tuple[Axis, ...]:
-        """The axes of a recorded array after time, with their names in the model.
+        """Return the axes of a recorded array after time, with the model's names of their entries.
 
-        The axes of "xpos" are "body", with the names of the bodies, and "xyz". Where nothing names
-        an axis its entries are numbered.
+        For example, the axes of "xpos" are "body", with the names of the bodies, and "xyz". The
+        entries of an axis without names are numbered.
+
+        name: the name of the recorded array.
         """
         if name in self._axes:
             return self._axes[name]
@@ -102,7 +104,7 @@ class Trajectory:
         return {name: self.axes(name) for name in self.data}
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        # Looked up only when there is no such attribute; `data` is not there in a copy's making.
+        # Called only for missing attributes. `data` is missing too while a copy is constructed.
         data = self.__dict__.get("data", {})
         if name in data:
             return data[name]
@@ -119,10 +121,13 @@ class Trajectory:
         return f"<Trajectory: {end}, {len(self.time)} instants; {shapes}>"
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Plots the run over time and returns the matplotlib figure.
+        """Plot the run over time and return the matplotlib figure.
 
-        The plot shows energy and deepest overlap if they were recorded, else everything that was.
-        path: a file to save the plot to. Needs matplotlib (the extra "plot").
+        The plot shows energy and deepest overlap if they were recorded, else all recorded arrays.
+
+        path: a file to save the plot to.
+
+        Needs matplotlib (the extra "plot").
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop())
@@ -134,12 +139,15 @@ class Trajectory:
         return plot("trajectory", self, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the recorded arrays and the names of their axes to a file of numpy's (.npz).
+        """Write the recorded arrays and the names of their axes to a numpy file (.npz).
 
-        `Trajectory.load` reads it. It has no snapshots: what is to be looked at later is written
-        by `save_html`, `save_video` or `save_mcap`. For other formats see `to_pandas`.
+        `Trajectory.load` reads the file. The file has no snapshots, so that a loaded run cannot be
+        drawn: use `save_html`, `save_video` or `save_mcap` for this purpose. For other formats see
+        `to_pandas`.
 
-        Raises ValueError for a path that ends as another format does, such as .csv.
+        path: the file to write.
+
+        Raises ValueError for a path with the extension of another format, such as .csv.
 
         >>> from stepcore import Sim, Trajectory, lesson
         >>> Sim(lesson.drop()).run(0.5).save("drop.npz")
@@ -150,35 +158,41 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """Reads what `save` wrote.
+        """Read a file written by `save`.
 
-        Raises ValueError for another file or a damaged one, FileNotFoundError, IsADirectoryError.
+        path: the file to read.
+
+        Raises ValueError for another or a damaged file, FileNotFoundError for a missing file and
+        IsADirectoryError for a folder.
         """
         time, data, unsolved, axes = trajectory_file.read(path)
         return cls(time, data, unsolved, _axes=axes)
 
     def to_pandas(self) -> Any:
-        """The run as a pandas DataFrame: a row for each instant, columns such as "qpos[knee]".
+        """Return the run as a pandas DataFrame: a row for each instant, columns such as
+            "qpos[knee]".
 
         Needs pandas (the extra "data").
         """
         return trajectory_file.to_pandas(self.time, self.data, self._every_axis())
 
     def to_xarray(self) -> Any:
-        """The run as an xarray Dataset: ``dataset.xpos.sel(body="torso", xyz="z")``.
+        """Return the run as an xarray Dataset: ``dataset.xpos.sel(body="torso", xyz="z")``.
 
         Needs xarray (the extra "data").
         """
         return trajectory_file.to_xarray(self.time, self.data, self._every_axis())
 
     def save_mcap(self, path: str | os.PathLike[str]) -> None:
-        """Writes the run as a log that Foxglove opens (MCAP, JSON with schemas).
+        """Write the run as a log for Foxglove (MCAP, JSON with schemas).
 
-        Topics: ``/tf``, where the bodies are (foxglove.FrameTransforms); ``/scene``, what they look
-        like, and ``/contacts``, the forces as arrows (foxglove.SceneUpdate), both at the snapshots;
-        ``/state``, energy, residual and contacts; ``/recorded``, the recorded arrays at every
-        step. Times count from the beginning of simulated time. Needs the extra "mcap". See
-        docs/view.md.
+        Topics: ``/tf``, the poses of the bodies (foxglove.FrameTransforms); ``/scene``, the shapes
+            of the bodies, and ``/contacts``, the contact forces as arrows (foxglove.SceneUpdate),
+            both at the snapshots; ``/state``, energy, residual and contacts; ``/recorded``, the
+            recorded arrays at every step. Time stamps are simulated time, counted from its
+            beginning. Needs the extra "mcap". See docs/view.md.
+
+        path: the file to write.
 
         Raises ValueError for a trajectory without snapshots, and OSError.
         """
@@ -187,7 +201,7 @@ class Trajectory:
         write(self._replayed(), self.time, self.data, path)
 
     def view(self, *, host: str = "localhost", port: int = 8080, wait: bool | None = None) -> View:
-        """Opens a page that replays the run, with a slider for time; see `stepcore.view`."""
+        """Open a page that replays the run, with a slider for time; see `stepcore.view`."""
         from stepcore.viewing.live import opened, view_runs
 
         return opened(view_runs([self._replayed()], host, port), wait)
@@ -198,14 +212,16 @@ class Trajectory:
         over: Sequence[Trajectory] = (),
         labels: Sequence[str] = (),
     ) -> None:
-        """Writes a page that replays the run, which anybody opens without Python or a network.
+        """Write a page that replays the run; the page needs neither Python nor a network.
 
-        It can be paused, turned and moved through in time, at any speed; contacts are points,
-        their forces arrows to scale; energy and the residual stand beside. The run is solved again
-        from its snapshots, at most 60 for each second. Needs the extra "view". See docs/view.md.
+        The page has controls for pause, camera, time and speed. Contacts are points, and contact
+        forces are arrows to scale. Energy and the residual are shown next to the picture. The run
+        is solved again from its snapshots, at most 60 a second. Needs the extra "view". See
+        docs/view.md.
 
-        over: other runs of the same bodies, which are laid over this one, with their distance.
-        labels: what this run and those are called.
+        path: the file to write.
+        over: other runs of the same bodies, drawn over this run, with the distance between them.
+        labels: names of this run and of the other runs.
 
         Raises ValueError for runs of other bodies, and OSError.
 
@@ -229,22 +245,23 @@ class Trajectory:
         height: int = 480,
         renderer: str | None = None,
     ) -> None:
-        """Writes a video of the run, without a window or a graphics card.
+        """Write a video of the run, without a window or a graphics card.
 
-        path: such as "run.mp4"; its ending says the format.
-        fps: pictures per second of the video, 1 to 240. speed: how much faster than the motion.
-        width, height: in points, even numbers.
+        path: such as "run.mp4"; the extension selects the format.
+        fps: pictures per second of the video, 1 to 240.
+        speed: playback speed relative to simulated time.
+        width, height: size of a picture [pixels], even numbers.
         renderer: see `stepcore.picture`.
 
-        The camera goes along with what moves. Needs the extra "video". Raises ValueError for
-        values outside their limits.
+        The camera follows the moving bodies. Needs the extra "video". Raises ValueError for values
+        outside their limits.
         """
         from stepcore.viewing.picture import save_video
 
         save_video(self._replayed(), path, fps, speed, (width, height), renderer)
 
     def _replayed(self, label: str = "") -> Replayed:
-        """The run for drawing, solved again from its snapshots.
+        """Solve the run again from its snapshots, for drawing.
 
         Raises ValueError for a trajectory without snapshots.
         """
@@ -255,7 +272,7 @@ class Trajectory:
         return replayed(self.snapshots, label)
 
     def _repr_html_(self) -> str | None:
-        """The run as a notebook shows it: the page of `save_html`, if it is short."""
+        """Return the page of `save_html` for a notebook, if the run is short."""
         if self.snapshots is None or len(self.snapshots.states) > INLINE:
             return None
         from stepcore.viewing.page import framed, page
@@ -274,7 +291,7 @@ def record_run(
     control_dt: float | None,
     record: Sequence[str],
 ) -> Trajectory:
-    """See `Sim.run`."""
+    """Simulate and record a run; see `Sim.run`."""
     dt = sim.settings.dt
     steps = whole_steps("duration", duration, dt)
     period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
@@ -307,7 +324,7 @@ def record_run(
 
 
 def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
-    """A time [s] in steps of `dt`; ValueError if it is not a whole number of steps."""
+    """Convert a time [s] to steps of `dt`; raise ValueError unless the number is whole."""
     number = checks.number(value)
     if number is None or number < 0:
         raise ValueError(f"{name} = {checks.shown(value)}: must be a finite number of seconds >= 0")
@@ -322,7 +339,7 @@ def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
 
 
 def _ctrl_of(sim: SomeWorld, control: Driven[SomeWorld]) -> Callable[[int], ArrayLike] | None:
-    """A function from the index of a control period to its ctrl."""
+    """Return a function from the index of a control period to its ctrl."""
     if control is None:
         return None
     if callable(control):
@@ -338,7 +355,7 @@ def _ctrl_of(sim: SomeWorld, control: Driven[SomeWorld]) -> Callable[[int], Arra
 
 
 def _check_finite(sim: World, table: NDArray[np.float64], where: str) -> None:
-    """Checks controls before they are written, so that an error leaves ctrl as it was."""
+    """Check controls before they are written, so that an error leaves ctrl unchanged."""
     single = sim.settings.precision == "f32"
     with np.errstate(over="ignore"):
         finite = np.isfinite(table.astype(np.float32) if single else table)
@@ -354,7 +371,7 @@ def _check_finite(sim: World, table: NDArray[np.float64], where: str) -> None:
 
 
 def recordable(record: Sequence[str], known: Sequence[str] = RECORDED) -> tuple[str, ...]:
-    """The names, checked against those that can be recorded."""
+    """Return the names as a tuple, after checking that each can be recorded."""
     names = [record] if isinstance(record, str) else checks.listed(record)
     if names is None or not all(isinstance(name, str) for name in names):
         raise ValueError(f'record = {checks.shown(record)}: must be names, such as ("qpos",)')

@@ -1,4 +1,4 @@
-"""A recorded run as a file of numpy's (.npz), and as frames of pandas and xarray."""
+"""A recorded run as a numpy file (.npz), and as pandas and xarray frames."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from stepcore.engine.axes import UNITS, Axis
 Data = Mapping[str, NDArray[Any]]
 Axes = Mapping[str, tuple[Axis, ...]]
 
-# Goes up when the layout of the file changes.
+# Increases when the layout of the file changes.
 KIND, VERSION = "stepcore trajectory", 1
-# Endings of other formats, which would name a file that nobody can open.
+# Extensions of other formats. Such a file name would be misleading, so it is rejected.
 OTHERS = (".csv", ".tsv", ".txt", ".json", ".xlsx", ".parquet", ".html", ".mcap", ".mp4", ".gif")
 
 
 def write(
     path: str | os.PathLike[str], time: NDArray[Any], data: Data, axes: Axes, unsolved: str
 ) -> None:
-    """See `Trajectory.save`."""
+    """Write a trajectory file; see `Trajectory.save`."""
     target = files.path("path", path)
     if target.lower().endswith(OTHERS):
         limit = "must end in .npz; to_pandas() has the frame that pandas writes in other formats"
@@ -37,7 +37,7 @@ def write(
         arrays[f"data/{name}"] = values
         for k, axis in enumerate(axes[name]):
             arrays[f"axis/{name}/{k}/{axis.name}"] = np.array(axis.entries, dtype=np.str_)
-    # A step loads no reports.
+    # Imported here so that the engine alone does not load the reports.
     from stepcore.report.outputs import MARK
 
     with open(target, "wb") as file:
@@ -49,7 +49,7 @@ def write(
 def read(
     path: str | os.PathLike[str],
 ) -> tuple[NDArray[Any], dict[str, NDArray[Any]], str, dict[str, tuple[Axis, ...]]]:
-    """Time, data, what was not solved, and axes; see `Trajectory.load`."""
+    """Return time, data, the text of the `UnsolvedWarning`, and axes; see `Trajectory.load`."""
     source = files.path("path", path)
     shown = checks.cut(source, 300)
     if os.path.isdir(source):
@@ -75,7 +75,7 @@ def read(
 def _parts(
     arrays: Mapping[str, NDArray[Any]],
 ) -> tuple[NDArray[Any], dict[str, NDArray[Any]], str, dict[str, tuple[Axis, ...]]]:
-    """What `read` returns; ValueError or KeyError where the arrays do not go together."""
+    """Return the values of `read`; raise ValueError or KeyError for inconsistent arrays."""
     time = arrays["time"]
     data = {n.removeprefix("data/"): arrays[n] for n in arrays if n.startswith("data/")}
     if time.ndim != 1 or time.dtype.kind != "f":
@@ -92,7 +92,7 @@ def _parts(
 
 
 def to_pandas(time: NDArray[Any], data: Data, axes: Axes) -> Any:
-    """See `Trajectory.to_pandas`."""
+    """Return a DataFrame; see `Trajectory.to_pandas`."""
     pandas = _needed("pandas", "Trajectory.to_pandas")
     columns: dict[str, NDArray[Any]] = {}
     for name, values in data.items():
@@ -104,7 +104,7 @@ def to_pandas(time: NDArray[Any], data: Data, axes: Axes) -> Any:
 
 
 def to_xarray(time: NDArray[Any], data: Data, axes: Axes) -> Any:
-    """See `Trajectory.to_xarray`."""
+    """Return a Dataset; see `Trajectory.to_xarray`."""
     xarray = _needed("xarray", "Trajectory.to_xarray")
     coordinates: dict[str, Any] = {"time": ("time", time, {"units": UNITS["time"]})}
     variables = {}

@@ -37,7 +37,7 @@ class Residuals:
         self.row = ""
 
     def look(self, sim: Any) -> None:
-        """Notes the residual of a Sim's last solve, and the row that is farthest from its law."""
+        """Note the residual of a Sim's last solve, and the row that is farthest from its law."""
         residual = float(sim.residual)
         self.seen.append(residual)
         if residual > self.large:
@@ -62,7 +62,7 @@ class BatchResiduals:
         self.told = False
 
     def step(self, batch: Any, steps: int) -> str:
-        """Counts steps; returns the sentence, once, if a world's residual has stayed large."""
+        """Count steps; returns the sentence, once, if a world's residual has stayed large."""
         self.steps += steps
         if self.steps < self.next or self.told:
             return ""

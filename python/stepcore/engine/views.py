@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 class Entry:
     """The entry of a view's element in an array of its world.
 
-    axes: how many axes of the entry follow that of the elements. writable: whether it can be
-    assigned, as the array can.
+    axes: the number of array axes after the axis of the elements. writable: whether the entry can
+    be assigned.
     """
 
     def __init__(self, array: str, doc: str, *, axes: int = 1, writable: bool = False) -> None:
@@ -64,7 +64,7 @@ class _View(KnownNames):
         return f'{self.kind} "{self.name}"' if self.name else f"{self.kind} {self.index}"
 
     def _at(self, array: str) -> int | slice:
-        """Where the element stands in an array."""
+        """Return the index or slice of the element in an array."""
         return self._index
 
     def __repr__(self) -> str:
@@ -72,7 +72,7 @@ class _View(KnownNames):
 
 
 class _Point(_View):
-    """What has a frame that moves: its velocity follows from its Jacobian."""
+    """A view of an element with a moving frame; the frame's velocity follows from the Jacobian."""
 
     @property
     def jacobian(self) -> Floats:
@@ -210,7 +210,7 @@ class SensorView(_View):
 
     @property
     def data(self) -> Floats:
-        """Its values, shape (size,); see `Sim.sensordata`. Only this sensor is computed."""
+        """Values of this sensor only, shape (size,); see `Sim.sensordata`."""
         values: Floats = self._sim._core.sensordata(self.index)
         return values
 

@@ -1,4 +1,4 @@
-"""`World`: what a `Sim` and a `Batch` share: state, readouts, views by name, resetting."""
+"""`World`: the common base of `Sim` and `Batch`: state, readouts, named views and reset."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
 
-# The arrays that a keyframe has, in its order.
+# The arrays of a keyframe, in the order of its fields.
 OF_KEYS = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat")
 
 
 def compiled(model: Any) -> Model:
-    """The model, or the compiled model of a scene or of what `stepcore.load` takes."""
+    """Return a model unchanged, or compile a scene or any argument of `stepcore.load`."""
     if isinstance(getattr(model, "core", None), _core.Model):
         given: Model = model
         return given
     if isinstance(model, (str, os.PathLike)) or type(model).__name__ in ("MjModel", "MjSpec"):
-        # The readers stand above the engine; it knows them by their public name alone.
+        # The engine must not import the readers, which are a higher layer.
         model = importlib.import_module("stepcore").load(model)
     if not hasattr(model, "compile") or not hasattr(model, "to_dict"):
         limit = "a stepcore.Model, a stepcore.Scene or the path of an MJCF file"
@@ -49,7 +49,9 @@ def compiled(model: Any) -> Model:
 
 
 class World(checks.KnownNames, ABC):
-    """One world of a model, or many. Shapes are of one; those of a `Batch` have n in front."""
+    """One world of a model, or many. Shapes are those of one world; a `Batch` adds a leading axis
+    n.
+    """
 
     qpos = StateArray("Positions [m or rad], shape (nq,); quaternions w x y z.")
     qvel = StateArray("Velocities [m/s or rad/s], shape (nv,).")
@@ -74,7 +76,7 @@ class World(checks.KnownNames, ABC):
     mocap_pos = StateArray("Positions of mocap bodies [m], shape (nmocap, 3).")
     mocap_quat = StateArray("Orientations of mocap bodies, quaternions w x y z, shape (nmocap, 4).")
 
-    # Of the present state.
+    # Readouts of the present state.
     xpos = Readout("Position of each body's frame [m], shape (nbody, 3).")
     xquat = Readout("Orientation of each body's frame as a quaternion w x y z, shape (nbody, 4).")
     xmat = Readout("Orientation of each body's frame as a rotation matrix, shape (nbody, 3, 3).")
@@ -118,7 +120,7 @@ class World(checks.KnownNames, ABC):
     qfrc_bias = Readout("MuJoCo's name for `bias`.", of="bias")
     qfrc_passive = Readout("MuJoCo's name for `passive`.", of="passive")
 
-    # Of the last step or forward().
+    # Readouts of the last step or forward().
     qacc = Readout("Accelerations of the last solve [m/s² or rad/s²], shape (nv,).")
     constraint_force = Readout(
         "Force of all constraint rows on the dofs, Jᵀλ/dt, and of contacts under the law penalty "
@@ -147,22 +149,22 @@ class World(checks.KnownNames, ABC):
     _model: Model
 
     def _own(self, core: Any) -> None:
-        """Takes over a `_core.Sim` or `_core.Batch`; its state arrays are views of its memory."""
+        """Take over a `_core.Sim` or `_core.Batch`, whose state arrays are views of its memory."""
         self._core = core
         self._arrays: dict[str, Floats] = dict(core.arrays())
 
     @property
     def model(self) -> Model:
-        """The `Model`, with the settings in use."""
+        """The `Model`, including the settings in use."""
         return self._model
 
     @abstractmethod
     def step(self, n: int = 1) -> None:
-        """Takes n steps."""
+        """Take n steps."""
 
     @abstractmethod
     def _restart(self, time: float) -> None:
-        """Sets the time and forgets the warm-start impulses."""
+        """Set the time and discard the warm-start impulses."""
 
     @property
     def settings(self) -> Settings:
@@ -171,7 +173,7 @@ class World(checks.KnownNames, ABC):
 
     @property
     def time(self) -> float:
-        """Time [s]: the value last set or restored, plus dt for each step since then."""
+        """Time [s]: the value last set or restored, plus dt for each step since."""
         time: float = self._core.time
         return time
 
@@ -180,19 +182,19 @@ class World(checks.KnownNames, ABC):
         self._core.time = value
 
     def mass_matrix(self) -> Floats:
-        """Returns the mass matrix of the present state, armature included, shape (nv, nv)."""
+        """Return the mass matrix of the present state, armature included, shape (nv, nv)."""
         matrix: Floats = self._core.readout("mass_matrix")
         return matrix
 
     def jacobian(self, body: str | int, point: ArrayLike | None = None) -> Floats:
-        """Returns the Jacobian of a body's frame, shape (6, nv), in world axes.
+        """Return the Jacobian of a body's frame, shape (6, nv), in world axes.
 
-        point: the point of the body that is here in the world [m], shape (3,), instead of the
-            frame's origin.
+        point: world position [m] of a point fixed to the body, shape (3,); by default the origin of
+            the body's frame.
 
-        Times qvel, its first three rows give the velocity of the point [m/s] and the last three
-        the angular velocity [rad/s]. Raises ValueError for an unknown body. `Sim.site` gives that
-        of a site.
+        Multiplied by qvel, the first three rows give the velocity of the point [m/s] and the last
+        three the angular velocity [rad/s]. Raises ValueError for an unknown body. The Jacobian of a
+        site is an attribute of `Sim.site`.
         """
         index = self.model.index("body", body)
         if point is None:
@@ -205,16 +207,16 @@ class World(checks.KnownNames, ABC):
         return at_point
 
     def inverse(self, qacc: ArrayLike | None = None) -> Floats:
-        """Returns the forces that give an acceleration at the present state, shape (nv,).
+        """Compute the forces that cause an acceleration at the present state, shape (nv,).
 
         qacc: the acceleration [m/s² or rad/s²], shape (nv,); by default that of the last solve.
 
-        These are the generalised forces that actuators and applied forces must give together [N or
-        N·m]: M qacc + bias − passive − Jᵀf, where f are the constraint forces that follow from the
-        acceleration (MuJoCo's `mj_inverse`). Nothing changes.
+        The result is the generalised force that actuators and applied forces must exert together
+        [N or N·m]: M qacc + bias − passive − Jᵀf, where f are the constraint forces that follow
+        from the acceleration (MuJoCo's `mj_inverse`). The state does not change.
 
-        Raises ValueError for a qacc of another shape, and under laws other than "solref", whose
-        rows have no such forces.
+        Raises ValueError for a qacc of another shape, and under laws other than "solref", which do
+        not define f as a function of the acceleration.
 
         >>> from stepcore import Scene, Sim
         >>> scene = Scene()
@@ -245,20 +247,21 @@ class World(checks.KnownNames, ABC):
         groups: Sequence[int] | None = None,
         static: bool = True,
     ) -> RayHits:
-        """Returns what rays meet first at the present state.
+        """Return the first geom that each ray hits at the present state.
 
-        origin, direction: where each ray starts [m] and where it goes, in world axes, shape (…, 3);
-            they broadcast against each other, so that one origin serves many directions. In a
-            `Batch` the first axis is the world, and (3,) stands for all of them.
-        exclude: a body whose geoms are not seen.
-        groups: the groups (0 to 5) whose geoms are seen; None sees all.
-        static: False leaves out geoms that are fixed to the world.
+        origin, direction: start [m] and direction of each ray in world axes, shape (…, 3). They
+            broadcast against each other, so that one origin can serve many directions. In a
+            `Batch` the first axis is the world, and shape (3,) applies to all worlds.
+        exclude: a body whose geoms are ignored.
+        groups: the groups (0 to 5) whose geoms can be hit; None means all groups.
+        static: False ignores geoms that are fixed to the world.
 
-        As MuJoCo's `mj_ray`: a ray that starts inside a geom finds its surface from within, planes
-        are seen from their front and within their size, meshes are met at their triangles. Geoms
-        of a file that only draw and are meshes or height fields are not in the scene, and not seen.
+        The rules are those of MuJoCo's `mj_ray`: a ray that starts inside a geom hits the surface
+        from within, a plane is hit from the front and within its size, and a mesh is hit at its
+        triangles. Visual-only meshes and height fields of a file are not in the scene, so rays
+        pass through them.
 
-        Raises ValueError for shapes that do not broadcast, a direction without length and an
+        Raises ValueError for shapes that do not broadcast, a direction of zero length and an
         unknown body.
 
         >>> from stepcore import Scene, Sim
@@ -275,54 +278,56 @@ class World(checks.KnownNames, ABC):
     # Views by name.
 
     def body(self, name: str | int) -> BodyView:
-        """Returns a view of one body; ValueError with the nearest names for an unknown one."""
+        """Return a view of one body; raise ValueError with the nearest names if there is none."""
         return BodyView(self, self._model.index("body", name))
 
     def joint(self, name: str | int) -> JointView:
-        """Returns a view of one joint; see `body`."""
+        """Return a view of one joint; see `body`."""
         return JointView(self, self._model.index("joint", name))
 
     def geom(self, name: str | int) -> GeomView:
-        """Returns a view of one geom; see `body`."""
+        """Return a view of one geom; see `body`."""
         return GeomView(self, self._model.index("geom", name))
 
     def site(self, name: str | int) -> SiteView:
-        """Returns a view of one site; see `body`."""
+        """Return a view of one site; see `body`."""
         return SiteView(self, self._model.index("site", name))
 
     def tendon(self, name: str | int) -> TendonView:
-        """Returns a view of one tendon; see `body`."""
+        """Return a view of one tendon; see `body`."""
         return TendonView(self, self._model.index("tendon", name))
 
     def sensor(self, name: str | int) -> SensorView:
-        """Returns a view of one sensor; see `body`."""
+        """Return a view of one sensor; see `body`."""
         return SensorView(self, self._model.index("sensor", name))
 
     @property
     def sensordata(self) -> Floats:
-        """Values of all sensors in their order, shape (nsensordata,); `Model.sensor_dim` tells how
-        many each has.
+        """Values of all sensors in model order, shape (nsensordata,).
 
-        They belong to the last `step` or `forward`: to the state from which it started, before the
-        step moved anything, as MuJoCo's do after mj_step. They are computed when they are read,
-        those that tell of forces by solving once more. Before the first of these, and after
-        `restore` and `reset`, they are those of the present state.
+        `Model.sensor_dim` gives the number of values of each sensor. The values describe the state
+        at the start of the last `step` or `forward`, before the step moved anything, as in MuJoCo
+        after mj_step. They are computed when they are read; force sensors need one more solve.
+        Before the first step or `forward`, and after `restore` and `reset`, the values describe the
+        present state.
         """
         values: Floats = self._core.sensordata()
         return values
 
     def actuator(self, name: str | int) -> ActuatorView:
-        """Returns a view of one actuator; see `body`."""
+        """Return a view of one actuator; see `body`."""
         return ActuatorView(self, self._model.index("actuator", name))
 
     # Resetting and failing.
 
     def reset(self, key: str | int | None = None) -> None:
-        """Resets to the scene's initial pose at rest and time 0, or to a keyframe.
+        """Reset to the scene's initial pose at rest and time 0, or to a keyframe.
 
-        key: the name or index of a keyframe. Controls become the keyframe's, else 0; applied forces
-        become 0 and warm-start impulses are forgotten; mocap bodies stand where the keyframe, else
-        the scene, has them, and `eq_active` is the scene's.
+        key: the name or index of a keyframe.
+
+        Controls become those of the keyframe, or 0 without a keyframe. Applied forces become 0 and
+        warm-start impulses are discarded. Mocap bodies take the poses of the keyframe, or of the
+        scene without a keyframe. `eq_active` takes the values of the scene.
 
         Raises ValueError, with the nearest names, for an unknown keyframe.
         """
@@ -331,7 +336,7 @@ class World(checks.KnownNames, ABC):
         self._restart(time)
 
     def _initial(self, key: str | int | None) -> tuple[dict[str, Sequence[float] | Floats], float]:
-        """The arrays of one world after a reset, and its time."""
+        """Return the arrays of one world after a reset, and the time."""
         state = None if key is None else self._model.keys[self._model.index("key", key)]
         given: dict[str, Sequence[float] | Floats] = dict(self._model.core.initial())
         if state is not None:
@@ -341,14 +346,14 @@ class World(checks.KnownNames, ABC):
     def _write(
         self, values: dict[str, Sequence[float] | Floats], worlds: Any = slice(None)
     ) -> None:
-        """Writes one world's arrays into all worlds, or into some of them."""
+        """Write one world's arrays into all worlds, or into some worlds."""
         for name, row in values.items():
             if len(row):
                 self._arrays[name].reshape(-1, len(row))[worlds] = row
 
     def _explain(self, error: SimulationError) -> None:
-        """Gives an error its `replay`: the failure, to be saved and run again."""
-        # Only a failure needs the post-mortem.
+        """Attach to an error its `replay`, which can be saved and run again."""
+        # Imported here because only failures need the post-mortem.
         from stepcore.engine.replay import attach
 
         qpos, qvel = self._arrays["qpos"], self._arrays["qvel"]
@@ -357,5 +362,5 @@ class World(checks.KnownNames, ABC):
         attach(error, self._model_of(error.world), qpos, qvel)
 
     def _model_of(self, world: int) -> Model:
-        """The model of one of the worlds."""
+        """Return the model of one of the worlds."""
         return self._model

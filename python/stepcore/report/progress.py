@@ -51,7 +51,7 @@ class Progress:
         self._begun = monotonic()
 
     def advance(self, count: int = 1) -> None:
-        """Notes that `count` more pieces of work are done."""
+        """Note that `count` more pieces of work are done."""
         with self._lock:
             self.done += count
             if self._call is not None:

@@ -68,7 +68,7 @@ class StepCost:
         return replace(entry, flops=flops, micros=micros)
 
     def _place(self, sim: Sim) -> None:
-        """Puts a variant, whose rows may differ, at the state."""
+        """Put a variant, whose rows may differ, at the state."""
         self.whole.restore(self.state)
         for name in ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"):
             getattr(sim, name)[:] = getattr(self.whole, name)
