@@ -1,12 +1,12 @@
-"""Frequency, damping and largest stable dt of each element on its own, in closed form.
+"""Compute frequency, damping and largest stable dt of each element on its own, in closed form.
 
 An element on its own is an oscillator x'' = −ω² x − c x': its stiffness on the mass that it moves,
-with its own damping and with all damping that the integrator treats implicitly along its direction
-(under `explicit` all damping), which helps it. Where an element's own damping limits dt, the row of
-that damper shows it.
+with its own damping. All damping along its direction that the integrator treats implicitly is
+added, because it stabilises the oscillator (under `explicit`, all damping). If an element's damping
+limits dt, the row of that damper in the table shows the limit.
 
-With h = dt, s the roots of s² + c s + ω², and c = c_explicit + c_implicit as the integrator treats
-the damping, a step is stable where
+With h = dt, s the roots of s² + c s + ω², and c = c_explicit + c_implicit by the integrator's
+treatment of damping, a step is stable if
 
     explicit                |1 + h s| ≤ 1
     semi-implicit           ω² h² + 2 c h < 4
@@ -46,18 +46,21 @@ from stepcore.measure.diagnosis.limits import LONGEST, SHORTEST
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.scene.layout import DOFS, Layout
 
-# Rates [1/s] beyond this are taken as this, and those below its inverse as none, so that no square
-# leaves the range of numbers: limits there are far from any step that could be asked for.
+# Larger rates [1/s] are clipped to this value, and rates below its inverse to 0, so that no square
+# overflows. Limits there are far from any practical step.
 FASTEST = 1e120
 
 
 def oscillator_dt(
     omega: float, explicit: float, implicit: float, integrator: str, horizon: float = 1.0
 ) -> float:
-    """The largest stable dt [s] of an oscillator; inf where every dt is stable.
+    """Return the largest stable dt [s] of an oscillator; inf if every dt is stable.
 
-    omega: natural frequency ω [rad/s]. explicit, implicit: the damping rates c that the integrator
-    treats explicitly and implicitly [1/s]. horizon: see `nutation_dt` [s].
+    omega: natural frequency ω [rad/s].
+    explicit, implicit: the damping rates c that the integrator treats explicitly and implicitly
+        [1/s].
+    integrator: the integrator.
+    horizon: see `nutation_dt` [s].
     """
     omega, explicit, implicit = _in_range(omega), _in_range(explicit), _in_range(implicit)
     damping = explicit + implicit
@@ -75,7 +78,7 @@ def oscillator_dt(
 
 
 def row_dt_under_midpoint(omega: float, damping: float) -> float:
-    """The largest stable dt [s] of a `solref` row under midpoint.
+    """Return the largest stable dt [s] of a `solref` row under midpoint.
 
     The row acts after the implicit step: v⁺ = v + Δ, q⁺ = q + h (v + Δ/2), Δ = −h (c v + ω² q).
     """
@@ -85,10 +88,10 @@ def row_dt_under_midpoint(omega: float, damping: float) -> float:
 
 
 def nutation_dt(omega: float, integrator: str, implicit: bool, horizon: float) -> float:
-    """The largest dt [s] of an undamped first-order motion v' = iωv, such as a nutation.
+    """Return the largest dt [s] of an undamped first-order motion v' = iωv, such as a nutation.
 
-    Explicit integrators make it grow by ω² dt/2 at every dt. The limit is the dt at which this
-    reaches the growth that `growth.neutral_growth` allows in the horizon [s].
+    Explicit integrators make such a motion grow by ω² dt/2 at every dt. The limit is the dt at
+    which this growth reaches the one that `growth.neutral_growth` allows in the horizon [s].
     """
     omega = _in_range(omega)
     if omega <= 0 or integrator == "midpoint" or implicit:
@@ -99,19 +102,19 @@ def nutation_dt(omega: float, integrator: str, implicit: bool, horizon: float) -
 
 
 def _roots(omega: float, damping: float) -> tuple[complex, ...]:
-    """The roots of s² + c s + ω² that are not zero."""
+    """Return the nonzero roots of s² + c s + ω²."""
     root = cmath.sqrt(damping**2 / 4 - omega**2)
     large = -damping / 2 - root
-    # The product of both is ω²: no digits are lost in a difference.
+    # The product of both roots is ω²; this form avoids cancellation.
     small = omega * (omega / large) if large != 0 else 0j
     return tuple(s for s in (large, small) if abs(s) > 1 / FASTEST)
 
 
 def _jury(omega: float, damping: float) -> float:
-    """The positive root of ω² h² + 2 c h = 4."""
+    """Return the positive root of ω² h² + 2 c h = 4."""
     if omega <= 0:
         return 2 / damping if damping > 0 else math.inf
-    # The form that loses no digits, for either sign of c.
+    # This form avoids cancellation for either sign of c.
     root = math.sqrt(damping**2 + 4 * omega**2)
     return 4 / (damping + root) if damping > 0 else (root - damping) / omega**2
 
@@ -123,7 +126,7 @@ def _rk4(s: complex) -> float:
 
 @lru_cache(maxsize=256)
 def _rk4_along(way: complex) -> float:
-    """The limit of a rate of length 1; joints of one kind, and all without ω, share theirs."""
+    """Return the limit of a rate of size 1; joints with equal ω and damping share the result."""
 
     def stable(h: float) -> bool:
         return bool(abs(amplification("rk4", h * way)) <= 1 + 1e-9)
@@ -132,11 +135,11 @@ def _rk4_along(way: complex) -> float:
 
 
 def _in_range(rate: float) -> float:
-    """A rate [1/s] whose square is a number; 0 for one below 0, and for nan."""
+    """Return a rate [1/s] whose square is finite; 0 for a rate below 0 and for nan."""
     return min(rate, FASTEST) if rate > 1 / FASTEST else 0.0
 
 
-# Of the largest eigenvalue: a smaller one is the rounding of a difference.
+# A smaller part of the largest eigenvalue is rounding of a difference.
 NOTHING = 1e-6
 
 
@@ -144,12 +147,12 @@ NOTHING = 1e-6
 class ElementLimits:
     """One element on its own, at the state at which it is stiffest.
 
-    element: which one it is.
+    element: the element.
     omega: natural frequency [rad/s], 0 without stiffness.
     ratio: damping ratio with all damping along its direction, nan without stiffness.
-    rate: its own damping over the mass that it moves [1/s].
+    rate: the element's own damping over the mass that it moves [1/s].
     limits: its largest stable dt by integrator [s], inf beyond `LONGEST`, 0 below `SHORTEST`.
-    softened: the dt from which `refsafe` softens it [s], inf if it never does.
+    softened: the dt above which `refsafe` softens the element [s]; inf if it never does.
     state: the index of the state.
     """
 
@@ -168,21 +171,23 @@ class ElementLimits:
 
     @property
     def stiffness(self) -> float:
-        """By what elements are compared: the larger of frequency and damping rate [1/s]."""
+        """The larger of frequency and damping rate [1/s], by which elements are ordered."""
         return max(self.omega, self.rate)
 
     @property
     def acts(self) -> bool:
-        """Whether it pulls at all; a spin: whether it limits any integrator."""
+        """Whether the element pulls at all; for a spin, whether it limits any integrator."""
         if self.element.kind == "spin":
             return any(math.isfinite(limit) for limit in self.limits.values())
         return self.stiffness > 0
 
 
 class IsolatedElements:
-    """The elements of a linearised motion, each on its own on the mass matrix.
+    """The elements of a linearised motion, each on its own with the mass matrix.
 
-    horizon [s]: see `growth`. state: the index of the state.
+    motion: the linearised motion.
+    horizon: see `growth` [s].
+    state: the index of the state.
     """
 
     def __init__(self, motion: LinearMotion, horizon: float, state: int) -> None:
@@ -196,7 +201,11 @@ class IsolatedElements:
         }
 
     def limits(self, element: Element, softened: float) -> ElementLimits:
-        """One element; softened: the dt [s] from which `refsafe` softens it."""
+        """Return the limits of one element.
+
+        element: the element.
+        softened: the dt above which `refsafe` softens the element [s].
+        """
         matrices = self.motion.elements[element]
         if element.kind == "spin":
             return self._spin(element, self._per_mass(matrices.damping), softened)
@@ -208,7 +217,7 @@ class IsolatedElements:
             dt = self._limit(name, element, omega, mode) if omega > 0 else math.inf
             if rate > 0:
                 dt = min(dt, self._limit(name, element, 0.0, direction))
-            # Softened with dt from there on, it limits nothing that it did not limit before.
+            # Above this dt the softened row sets no new limit.
             limits[name] = _as_tried(dt) if dt <= softened else math.inf
         ratio = float(mode @ self.damping @ mode) / (2 * omega) if omega > 0 else math.nan
         return ElementLimits(element, omega, ratio, rate, limits, softened, self.state)
@@ -224,7 +233,7 @@ class IsolatedElements:
         return ElementLimits(element, omega, 0.0, 0.0, limits, softened, self.state)
 
     def _limit(self, name: str, element: Element, omega: float, direction: Floats) -> float:
-        """The largest stable dt [s] of an oscillation along a direction of unit mass."""
+        """Return the largest stable dt [s] of an oscillation along a direction of unit mass."""
 
         def along(damping: Floats) -> float:
             return max(float(direction @ damping @ direction), 0.0)
@@ -236,7 +245,7 @@ class IsolatedElements:
         if name == "midpoint" and element.kind in ROWS:
             return row_dt_under_midpoint(omega, own)
         if name == "explicit" and omega > 0:
-            # Damping only helps an oscillation here, whichever element it comes from.
+            # Damping from any element stabilises an oscillation here.
             return oscillator_dt(omega, along(self.damping), 0.0, name, self.horizon)
         implicit = along(self.implicit[name]) if name in self.implicit else 0.0
         explicit = 0.0 if element in self.motion.implicit.get(name, ()) else own
@@ -245,22 +254,22 @@ class IsolatedElements:
         return oscillator_dt(omega, explicit, implicit, name, self.horizon)
 
     def _per_mass(self, matrix: Floats) -> Floats:
-        """L⁻¹ X L⁻ᵀ, M = L Lᵀ."""
+        """Return L⁻¹ X L⁻ᵀ with M = L Lᵀ."""
         return self.root @ matrix @ self.root.T
 
     def _stiffest(self, matrix: Floats) -> tuple[float, Floats]:
-        """The largest eigenvalue of M⁻¹X, X made symmetric, and its direction of unit mass."""
+        """Return the largest eigenvalue of M⁻¹X, X made symmetric, and its unit-mass direction."""
         value, vector = _largest(self._per_mass(matrix))
         return value, self.root.T @ vector
 
 
 def _as_tried(dt: float) -> float:
-    """A limit [s] among the steps that are tried: inf beyond the longest, 0 below the shortest."""
+    """Return a limit [s] within the range tried: inf above `LONGEST`, 0 below `SHORTEST`."""
     return math.inf if dt > LONGEST else dt if dt >= SHORTEST else 0.0
 
 
 def _largest(matrix: Floats) -> tuple[float, Floats]:
-    """The largest eigenvalue of the symmetric part, and its vector."""
+    """Return the largest eigenvalue of the symmetric part, and its vector."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     if len(values) == 0:
         return 0.0, np.zeros(0)
@@ -269,17 +278,18 @@ def _largest(matrix: Floats) -> tuple[float, Floats]:
     return (value if value > NOTHING * size and value > 0 else 0.0), vectors[:, -1]
 
 
-# The most pairs of geoms that are looked at.
+# The most pairs of geoms that are checked.
 MOST_PAIRS = 1000
 
 
 def closed_form_bound(model: Model) -> float:
-    """A step [s] that is stable whatever the elements do together; numbers out of range are stiff.
+    """Return a step [s] that is stable for any interaction of the elements.
 
-    ω² of a spring on its dof is at least that of the element on its own, k·w with w the dof's entry
-    of M⁻¹'s diagonal at qpos0; all springs of a tree together have at most the sum of theirs (the
-    trace of M⁻¹K). Rows in direct form, or without `refsafe`, are as stiff as their solref says,
-    whatever the mass. Nothing is linearised: cheap enough for `load`.
+    The frequency ω² of a spring on its dof is at least that of the element on its own: k·w, with w
+    the dof's diagonal entry of M⁻¹ at qpos0. All springs of a tree combined have at most the sum of
+    these ω² (the trace of M⁻¹K). Rows in direct form, or without `refsafe`, have the stiffness of
+    their solref for any mass. Numbers out of range count as stiff. Nothing is linearised, so the
+    bound is cheap enough for `load`.
     """
     trees: dict[int, tuple[float, float]] = {}
     for tree, square, rate in (*_joints(model), *_tendons(model)):
@@ -293,10 +303,13 @@ def closed_form_bound(model: Model) -> float:
 
 @dataclass(frozen=True)
 class JointGain:
-    """What one element gives each dof of its joint.
+    """The stiffness and damping that one element gives each dof of its joint.
 
-    kind: "spring", "damper" or "actuator"; index: of its joint or actuator. stiffness:
-    [N·m/rad or N/m]; damping: [N·m·s/rad or N·s/m].
+    kind: "spring", "damper" or "actuator".
+    index: the index of the joint (spring, damper) or of the actuator.
+    joint: the index of the joint.
+    stiffness: [N·m/rad or N/m].
+    damping: [N·m·s/rad or N·s/m].
     """
 
     kind: str
@@ -307,7 +320,7 @@ class JointGain:
 
 
 def joint_gains(model: Model) -> Iterator[JointGain]:
-    """The gains of every spring and damper, then of every actuator, zeros among them.
+    """Yield the gains of every spring and damper, then of every actuator, including zeros.
 
     Polynomial springs and dampers count with their first coefficient, a servo with its feedback.
     """
@@ -326,13 +339,13 @@ def joint_gains(model: Model) -> Iterator[JointGain]:
 
 
 def joint_dofs(model: Model, joint: int) -> slice:
-    """The dofs of a joint."""
+    """Return the dofs of a joint."""
     start = int(model.jnt_dofadr[joint])
     return slice(start, start + DOFS[model.jnt_type[joint]])
 
 
 def _joints(model: Model) -> Iterator[tuple[int, float, float]]:
-    """Of springs, dampers and servos: their tree, ω² [1/s²] and explicit damping rate [1/s]."""
+    """Yield tree, ω² [1/s²] and explicit damping rate [1/s] of springs, dampers and servos."""
     integrator = model.settings.integrator
     hidden = implicit_kinds(integrator, model.scene.features.eulerdamp)
     for gain in joint_gains(model):
@@ -345,7 +358,10 @@ def _joints(model: Model) -> Iterator[tuple[int, float, float]]:
 
 
 def _tendons(model: Model) -> Iterator[tuple[int, float, float]]:
-    """Those of tendons, in each tree that they pass; J M⁻¹ Jᵀ is their weight."""
+    """Yield tree, ω² [1/s²] and damping rate [1/s] of each tendon in each tree that it passes.
+
+    The weight of a tendon is J M⁻¹ Jᵀ.
+    """
     integrator, features = model.settings.integrator, model.scene.features
     if integrator in STIFFNESS_IMPLICIT:
         return
@@ -360,11 +376,13 @@ def _tendons(model: Model) -> Iterator[tuple[int, float, float]]:
 
 
 def _rows(model: Model) -> Iterator[tuple[float, float]]:
-    """ω² and damping rate of limits, equalities, friction losses and contacts that nothing softens
-    with dt."""
+    """Yield ω² [1/s²] and damping rate [1/s] of the rows that dt never softens.
+
+    The rows are those of limits, equalities, friction losses and contacts.
+    """
     settings, rows = model.settings, [*solrefs_of(model.scene, model.settings.law)]
     if settings.law == "solref" and model.scene.features.constraint and not model.is_heap:
-        # A heap's contacts are judged while they are there.
+        # A heap's contacts are judged while they exist.
         solrefs = model.pair_solref.tolist()
         hard = [solref for solref in solrefs if may_limit_dt(solref, settings.refsafe)]
         rows += [("contact", solref) for solref in hard[:MOST_PAIRS]]
@@ -380,7 +398,10 @@ def _rows(model: Model) -> Iterator[tuple[float, float]]:
 
 
 def _penalties(model: Model) -> Iterator[tuple[float, float]]:
-    """Those of a contact's spring under the law `penalty`, on the masses of both bodies."""
+    """Yield ω² [1/s²] and damping rate [1/s] of contact springs under the law `penalty`.
+
+    A spring acts on the masses of both bodies.
+    """
     s = model.settings
     if s.law != "penalty":
         return

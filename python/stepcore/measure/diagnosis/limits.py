@@ -1,4 +1,4 @@
-"""The largest stable dt: whether a step is stable at given states, and the least limit of all."""
+"""Compute the largest stable dt: the stability of a step at given states, and the least limit."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from stepcore.measure.diagnosis.linear_step import (
     without_rows,
 )
 
-# Of a model, an integrator and a dt [s].
+# A function of (model, integrator, dt [s]).
 Holds = Callable[[Model, str, float], bool]
-# The shortest step tried, in units of the fastest time of the motion.
+# The shortest step tried, over the fastest time constant of the motion.
 EARLIEST = 1e-4
-# How many shorter steps show what the motion does within one.
+# The number of shorter steps that show the motion within one step.
 SHORTER = 4
-# Steps that a row may take to begin to act; steps after which a row that refsafe softens, to a
+# The most steps until a row begins to act, and the steps until a row that refsafe softens, to a
 # time constant of 2 dt, is at rest.
 MEETINGS, SETTLING = 3, 30
 
@@ -52,9 +52,13 @@ MEETINGS, SETTLING = 3, 30
 class StepStability:
     """A model at the states at which its step is linearised.
 
-    rates: the eigenvalues of J at each state [1/s]. horizon [s]: see `growth`. softened: the least
-    dt from which `refsafe` softens a row [s]. holds: of (model, integrator, dt), whether the motion
-    itself holds at that step; None where it was not looked at.
+    model: the model.
+    states: the states.
+    rates: the eigenvalues of J at each state [1/s].
+    horizon: see `growth` [s].
+    softened: the least dt above which `refsafe` softens a row [s].
+    holds: a function of (model, integrator, dt) that returns whether a run of the motion at this
+        step neither explodes nor chatters; None if no motion was run.
     """
 
     model: Model
@@ -71,9 +75,10 @@ class StepStability:
     )
 
     def motion(self, state: State, dt: float | None = None) -> LinearMotion | None:
-        """The linearised motion at a state; None where its accelerations are not finite.
+        """Return the linearised motion at a state, or None if its accelerations are not finite.
 
-        dt: rows as soft as they are at this step [s]; None: as the scene asks.
+        state: the state.
+        dt: a step [s], whose softness of the rows is used; None: the softness of the scene.
         """
         as_asked = dt is None or not (self._softened(state, dt) or self._on_velocities(state))
         index = next((k for k, own in enumerate(self.states) if own is state), None)
@@ -84,26 +89,26 @@ class StepStability:
         return self._motions[index]
 
     def stable(self, integrator: str, dt: float) -> bool:
-        """Whether a step is stable at every state, and the motion itself holds."""
+        """Return whether a step is stable at every state, and in a run of the motion itself."""
         every = range(len(self.states))
         if not all(self.growth(integrator, dt, k).stable for k in every):
             return False
         return self.holds is None or self.holds(self.model, integrator, dt)
 
     def of(self, model: Model) -> StepStability:
-        """The stability of another model, with a change made, at the same states."""
+        """Return the stability of a changed model at the same states."""
         return step_stability(model, self.states, self.horizon, self.holds)
 
     def growth(self, integrator: str, dt: float, state: int) -> StepGrowth:
-        """The worst growth of a step at one state."""
+        """Return the worst growth of a step at one state."""
         return self.growth_where_seen(integrator, dt, state)[1]
 
     def growth_where_seen(self, integrator: str, dt: float, state: int) -> tuple[State, StepGrowth]:
-        """The worst growth of a step at one state, and the state where it was seen.
+        """Return the state at which the worst growth of a step appears, and that growth.
 
-        Rows that begin to act within the step are looked at once they act: to meet them is no
-        growth. Rows that `refsafe` softens with dt come to rest elsewhere: where they seem
-        unstable they are looked at again after some steps of this dt.
+        Rows that begin to act within the step are judged at the later state where they act, because
+        the transition itself is no growth. Rows that `refsafe` softens with dt come to rest
+        elsewhere. If they seem unstable, they are judged again after some steps of this dt.
         """
         at = (integrator, dt, state)
         if at not in self._seen:
@@ -113,7 +118,7 @@ class StepStability:
     def _worse_when_held(
         self, integrator: str, dt: float, state: int, seen: State, growth: StepGrowth
     ) -> tuple[State, StepGrowth]:
-        """The growth over a control period of several steps, if that is worse than the step's."""
+        """Return the growth over a control period of several steps, if worse than the step's."""
         own, rates = self.states[state], self.rates[state]
         held = growth_when_held(self.model_at(own), own, rates, integrator, dt, self.horizon)
         if held is None or held.excess <= growth.excess:
@@ -136,12 +141,15 @@ class StepStability:
         return rest[0], self._growth_at(integrator, dt, rest[0])
 
     def _growth_at(self, integrator: str, dt: float, state: State, rates: Any = None) -> StepGrowth:
-        """The worst growth at a state; rates: those of the motion there [1/s], if known."""
+        """Return the worst growth at a state.
+
+        rates: the rates of the motion there [1/s], if known.
+        """
         model = self.model_at(state)
         matrix = step_map(model, state, integrator, dt)
         softened = self._softened(state, dt)
         if softened or rates is None:
-            # Of rows as soft as they are at this dt.
+            # The rates are those of rows as soft as at this dt.
             own = rates_matrix(model, state, dt if softened else None)
             rates = eigenvalues(own)
         if rates is None:
@@ -150,25 +158,25 @@ class StepStability:
         if growth.stable or abs(growth.value) > CLEAR:
             return growth
         if self._on_velocities(state) and abs(cmath.phase(growth.value)) < SLOW_TURN:
-            # What the motion does along its rows is not known from the motion without them.
+            # The motion without its rows does not show the motion along them.
             return replace(growth, excess=-math.inf)
         opened = self._opened(integrator, dt, state)
         if opened is not None:
-            # What grows where the row has ended to act too is not of the switch.
+            # Growth belongs to the switch unless it persists after the row has ceased to act.
             after = self._growth_at(integrator, dt, opened)
             return replace(growth, excess=-math.inf) if after.stable else after
-        # Where the state itself moves within the step, or a row begins or ends to act, the rates
-        # at its start do not decide: the same time in shorter steps does.
+        # If the state moves within the step, or a row begins or ceases to act, the rates at its
+        # start do not decide. Shorter steps over the same time do.
         shorter = step_maps(model, state, integrator, dt, SHORTER)
         return (
             growth if shorter is None else growth_beyond_motion(growth, shorter, dt, self.horizon)
         )
 
     def _opened(self, integrator: str, dt: float, state: State) -> State | None:
-        """The state in which a row has ended to act within the time of the step, if one does.
+        """Return the state in which a row has ceased to act within the time of the step, or None.
 
-        In shorter steps too: a map from one side of a switch to the other is no step that could
-        be repeated.
+        The row must cease in shorter steps too. A map from one side of a switch to the other is no
+        step that could be repeated.
         """
         if not state.rows or self._softened(state, dt):
             return None
@@ -183,26 +191,26 @@ class StepStability:
         return None
 
     def model_at(self, state: State) -> Model:
-        """The model, without its rows where none acts.
+        """Return the model, without its rows where none acts.
 
         A row that only begins to act within the step belongs to the states where it acts.
         """
         return without_rows(self.model) if self.without_rows(state) else self.model
 
     def without_rows(self, state: State) -> bool:
-        """Whether no row and no contact acts at a state."""
+        """Return whether no row and no contact acts at a state."""
         return not state.rows and self.model.settings.law != "penalty"
 
     def _on_velocities(self, state: State) -> bool:
-        """Whether rows act there that are as stiff as the step is short."""
+        """Return whether rows of stiffness 1/dt² act at a state."""
         return self.model.settings.law in VELOCITY_LAWS and bool(state.rows)
 
     def _softened(self, state: State, dt: float) -> bool:
-        """Whether `refsafe` makes rows that act there softer than the scene asks."""
+        """Return whether `refsafe` softens rows that act at a state."""
         return dt > self.softened and not state.slipping.issuperset(state.rows)
 
     def shortest(self, state: int) -> float:
-        """Where the search for a state's limit begins [s]."""
+        """Return the shortest step [s] of the search for a state's limit."""
         fastest = float(np.abs(self.rates[state]).max(initial=0.0))
         return EARLIEST / max(fastest, 1.0)
 
@@ -210,10 +218,13 @@ class StepStability:
 def step_stability(
     model: Model, states: Sequence[State], horizon: float, holds: Holds | None = None
 ) -> StepStability:
-    """The stability of a model's step at those states where the motion has a derivative.
+    """Return the stability of a model's step at those states where the motion has a derivative.
 
+    model, states: the model and the states.
+    horizon: see `growth` [s].
     holds: see `StepStability`.
-    Raises ValueError where none of them has one.
+
+    Raises ValueError if the motion has no derivative at any of the states.
     """
     kept, rates = [], []
     for state in states:
@@ -226,15 +237,15 @@ def step_stability(
     return StepStability(model, kept, rates, horizon, first_softened(model), holds)
 
 
-# The longest and the shortest step tried [s]: a scene that is unstable below that has another
-# question to answer than its time step.
+# The longest and the shortest step tried [s]. A scene that is unstable below the shortest has
+# another problem than its time step.
 LONGEST, SHORTEST = 1.0, 1e-6
-# Relative resolution of a state's limit until it is known to be the least.
+# Relative resolution of a state's limit, before that limit is known to be the least.
 COARSE = 0.03
-# Relative resolution of a limit from the motion's rates, and how close beside it a step must be
-# unstable.
+# Relative resolution of a limit from the motion's rates, and the factor above a limit at which a
+# step must be unstable.
 FROM_RATES, TIGHT = 1e-4, 1 + 2 * FINE
-# Parts of a limit at which a step must be stable too.
+# Fractions of a limit at which a step must be stable too.
 BELOW = (0.999, 0.7, 0.5, 0.25, 0.1)
 
 
@@ -242,10 +253,13 @@ BELOW = (0.999, 0.7, 0.5, 0.25, 0.1)
 class Limit:
     """The largest stable dt of an integrator.
 
-    dt: [s], inf where no step up to `longest` [s] is unstable, 0 where every step tried down to
-    `shortest` [s] is. state: the index of the state that decides, -1 where none does. outcome:
-    what the motion itself does beyond it, "explodes" or "chatters", where a run of the real step
-    moved the limit; else "".
+    integrator: the integrator.
+    dt: the limit [s]: inf if no step up to `longest` is unstable, 0 if every step tried down to
+        `shortest` is unstable.
+    state: the index of the state that decides, -1 if none does.
+    longest, shortest: the range of the steps tried [s].
+    outcome: what the motion itself does beyond dt, "explodes" or "chatters", if a run of the real
+        step moved the limit; else "".
     """
 
     integrator: str
@@ -259,14 +273,14 @@ class Limit:
 def dt_limit(
     here: StepStability, integrator: str, longest: float = LONGEST, shortest: float = SHORTEST
 ) -> Limit:
-    """The least of all states' largest stable steps, between `shortest` and `longest` [s]."""
+    """Return the least of all states' largest stable steps, within `shortest` to `longest` [s]."""
     least, worst = math.inf, -1
     for k in range(len(here.states)):
         coarse = _coarse_limit(here, integrator, k, shortest, min(least, longest))
         if coarse < least:
             least, worst = coarse, k
         if least <= shortest:
-            # One state is enough: nothing shorter is tried.
+            # Nothing shorter is tried, so the other states cannot lower the limit.
             least = 0.0
             break
 
@@ -283,7 +297,7 @@ def dt_limit(
 def _coarse_limit(
     here: StepStability, integrator: str, state: int, shortest: float, high: float
 ) -> float:
-    """A state's largest stable step [s] to a few per cent; inf where it is not below `high`."""
+    """Return a state's largest stable step [s] to a few per cent; inf if it is not below `high`."""
 
     def stable(dt: float) -> bool:
         return here.growth(integrator, dt, state).stable
@@ -298,7 +312,7 @@ def _coarse_limit(
         if others and stable_below(high):
             return math.inf
         return largest_stable(stable, low, high, COARSE)
-    # The rates do not show everything (the state moves within the step): look downwards.
+    # The rates do not show everything, because the state moves within the step: try shorter steps.
     bound = min(guess, high)
     while bound > low and not stable_below(bound):
         bound /= FACTOR
@@ -314,10 +328,10 @@ def _coarse_limit(
 def _limit_from_rates(
     here: StepStability, integrator: str, state: int, low: float, high: float
 ) -> float | None:
-    """The limit [s] that the rates of the motion give where no row acts, without a linearised step.
+    """Return the limit [s] from the rates of the motion, without a linearised step, or None.
 
-    None for states with rows or a control function, and for integrators whose step is not a
-    function of dt·J.
+    The result is None for states with rows or a control function, and for integrators whose step is
+    not a function of dt·J.
     """
     rates, start = here.rates[state], here.states[state]
     if start.feedback is not None or not here.without_rows(start):

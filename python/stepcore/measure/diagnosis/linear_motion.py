@@ -1,9 +1,9 @@
-"""The linearised motion at a state as a sum of elements, and each integrator's step made of it.
+"""Split the linearised motion at a state into elements, and compose each integrator's step.
 
-With the mass matrix M and the elements' stiffnesses K_e and dampings D_e,
-J = [[J_qq, J_qv], [−M⁻¹ΣK_e, −M⁻¹ΣD_e]]. What no element accounts for (gravity, Coriolis and
-centrifugal forces) is the element "inertial forces", so that the sum is exact. Each integrator's
-step is then a function of M, J and the damping that the integrator treats implicitly.
+With the mass matrix M and the elements' stiffnesses K_e and dampings D_e, J = [[J_qq, J_qv],
+[−M⁻¹ΣK_e, −M⁻¹ΣD_e]]. The element "inertial forces" is the remainder (gravity, Coriolis and
+centrifugal forces), so that the sum is exact. Each integrator's step is then a function of M, J and
+the damping that the integrator treats implicitly.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from stepcore.measure.diagnosis.linear_step import (
 )
 from stepcore.scene.layout import DOFS, Layout
 
-# Kinds whose stiffness `discrete` treats implicitly, where it pulls back.
+# Kinds whose stiffness `discrete` treats implicitly, if it is positive.
 HELD = ("spring", "tendon spring", "actuator")
 
 
@@ -50,12 +50,15 @@ HELD = ("spring", "tendon spring", "actuator")
 class LinearMotion:
     """The linearised motion at a state.
 
-    mass: M, shape (nv, nv). rates: J, shape (2 nv, 2 nv) [1/s]. elements: K_e and D_e of each.
-    implicit: whose damping each integrator treats implicitly; held: whose stiffness those of
-    `STIFFNESS_IMPLICIT` do; pattern: 1 where the others can treat an entry implicitly. after: the
-    elements whose impulses come on top of the midpoint step. feedback: the user's control
-    function, whose forces are held; J has it as if it were not. inputs: the force of each control,
-    shape (nv, nu).
+    mass: M, shape (nv, nv).
+    rates: J, shape (2 nv, 2 nv) [1/s].
+    elements: K_e and D_e of each element.
+    implicit: the elements whose damping is implicit, by integrator.
+    held: the elements whose stiffness is implicit under the integrators of `STIFFNESS_IMPLICIT`.
+    pattern: 1 where the other integrators can treat an entry implicitly.
+    after: the elements whose impulses act after the midpoint step.
+    feedback: the user's control function, whose forces are held; in J they are continuous.
+    inputs: the force of each control, shape (nv, nu).
     """
 
     mass: Floats
@@ -69,10 +72,11 @@ class LinearMotion:
     inputs: Floats | None = None
 
     def step(self, integrator: str, dt: float, of: Any = None, hold: int = 1) -> Any:
-        """A of a step of dt [s], shape (2 nv, 2 nv), as `linear_step.step_map`.
+        """Return A of a step of dt [s], shape (2 nv, 2 nv), as `linear_step.step_map`.
 
-        of: gives A times this block instead, with less work. hold: so many steps, the controls of
-        the first held.
+        integrator, dt: the integrator and its step [s].
+        of: a block by which A is multiplied, at less cost than for A itself.
+        hold: the number of steps, with the controls of the first step held.
         """
         n = len(self.mass)
         none = np.zeros((n, n))
@@ -100,7 +104,7 @@ class LinearMotion:
         )
 
     def _accelerations(self, elements: Iterable[Element]) -> Floats:
-        """What some elements add to the accelerations by [dq, dv], shape (nv, 2 nv)."""
+        """Return the derivative of the elements' accelerations by [dq, dv], shape (nv, 2 nv)."""
         n = len(self.mass)
         pull: Any = np.zeros((n, 2 * n))
         for element in elements:
@@ -110,7 +114,7 @@ class LinearMotion:
         return result
 
     def scaled(self, elements: Collection[Element], by: float) -> LinearMotion:
-        """The motion with the stiffness and damping of some elements multiplied by a factor."""
+        """Return the motion with stiffness and damping of some elements multiplied by a factor."""
         n, rates, parts = len(self.mass), self.rates.copy(), dict(self.elements)
         rates[n:] += (by - 1) * self._accelerations(elements)
         inputs = None if self.inputs is None else self.inputs.copy()
@@ -123,9 +127,10 @@ class LinearMotion:
 
 
 def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion | None:
-    """The linearised motion at a state; None where its accelerations are not finite.
+    """Return the linearised motion at a state, or None if its accelerations are not finite.
 
-    dt: rows as soft as `refsafe` makes them at this step [s]; None: as soft as the scene asks.
+    model, state: the model and the state.
+    dt: a step [s], to which `refsafe` adapts the rows; None: rows as the scene defines them.
     """
     rates = rates_matrix(model, state, dt)
     if rates is None:
@@ -159,7 +164,10 @@ def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion 
 
 
 def _pattern(model: Model) -> Floats | float:
-    """The entries of the mass matrix: a dof and its ancestors. 1 where nothing has others."""
+    """Return the nonzero entries of the mass matrix, or 1 if no other entries occur.
+
+    An entry couples a dof and one of its ancestors.
+    """
     if not model.scene.tendons:
         return 1.0
     chains: list[set[int]] = [{0}]
@@ -172,9 +180,9 @@ def _pattern(model: Model) -> Floats | float:
 
 
 def _implicit(model: Model, elements: dict[Element, Any]) -> dict[str, frozenset[Element]]:
-    """Which elements' damping each integrator treats implicitly."""
+    """Return the elements whose damping is implicit, by integrator."""
     layout = Layout(model.scene)
-    # The spin of a free body that carries nothing.
+    # The spins of free bodies without children.
     lone = {id(joint.body) for joint in layout.joints if joint.type == "free"}
     lone -= {id(body.parent) for body in layout.bodies[1:]}
     spins = {e for e in elements if e.kind == "spin" and id(layout.bodies[e.index]) in lone}
@@ -182,7 +190,7 @@ def _implicit(model: Model, elements: dict[Element, Any]) -> dict[str, frozenset
     for integrator in DAMPING_IMPLICIT:
         kinds = implicit_kinds(integrator, model.scene.features.eulerdamp)
         implicit[integrator] = frozenset(e for e in elements if e.kind in kinds)
-    # Centrifugal and Coriolis forces are what the other elements leave.
+    # Centrifugal and Coriolis forces are part of the remainder.
     turning = {e for e in elements if e.kind == "spin"} | {INERTIAL}
     return implicit | {
         "implicitfast": implicit["implicitfast"] | spins,

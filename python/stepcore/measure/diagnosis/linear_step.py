@@ -1,9 +1,9 @@
-"""The linearised step of a model at a state, and the rates of the motion itself: its limit dt → 0.
+"""Linearise the step of a model at a state, and derive the rates of the motion from dt → 0.
 
-A step maps x = [dq, dv] (dq in the coordinates of qvel) to A x. The limit is read from the
+A step maps x = [dq, dv] (dq in the coordinates of qvel) to A x. The limit dt → 0 is read from the
 explicit integrator, whose A is 1 + dt·J exactly: positions move by the old velocity, velocities by
 the acceleration at the old state. The eigenvalues of J are the rates [1/s] at which the motion
-itself grows, decays and turns.
+itself grows, decays and oscillates.
 """
 
 from __future__ import annotations
@@ -32,11 +32,12 @@ from stepcore.measure.diagnosis.elements import (
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 
-# The step from which J is read [s]: a free rotation turns by dt·v, an error of this size.
+# The step from which J is read [s]. A free rotation turns by dt·v, which causes an error of this
+# size.
 TINY_STEP = 1e-7
 # Residual of the rows at which a solve ends [m/s].
 TOLERANCE = 1e-14
-# Laws whose rows act on velocities: their stiffness is 1/dt², whatever the scene.
+# Laws whose rows act on velocities: the rows have the stiffness 1/dt² in every scene.
 VELOCITY_LAWS = ("lesson", "relaxed", "rigid")
 
 
@@ -44,12 +45,17 @@ VELOCITY_LAWS = ("lesson", "relaxed", "rigid")
 class State:
     """A state at which the step is linearised.
 
-    label: where in the motion it is. time: of the motion [s]. qpos: shape (nq,); qvel: shape
-    (nv,); ctrl: shape (nu,). rows: the elements whose rows act there. touching: the contacts that
-    overlap there and have no row, those of the law `penalty`. slipping: the friction losses that
-    give all of their force there, which no softness changes. feedback: the user's control function
-    at this state, if the controls depend on it. act: shape (na,), empty for zeros; activations are
-    held. control: the user's control function with what it remembers at this state.
+    label: the place of the state in the motion.
+    time: the time in the motion [s].
+    qpos: shape (nq,).
+    qvel: shape (nv,).
+    ctrl: shape (nu,).
+    rows: the elements whose rows act at the state.
+    touching: the contacts that overlap and have no row, those of the law `penalty`.
+    slipping: the friction losses that give their full force, which softness does not change.
+    feedback: the linearised control function, if the controls depend on the state.
+    act: shape (na,), empty for zeros; activations are constant.
+    control: the user's control function with its memory at this state.
     """
 
     label: str
@@ -66,9 +72,10 @@ class State:
 
 
 def with_converged_rows(model: Model) -> Model:
-    """The model in double precision with rows solved to rounding where the law allows, all awake.
+    """Return the model in double precision, with rows solved to rounding, and without sleep.
 
-    A limit is the integrator's: what an unfinished solve adds is another question.
+    Rows are solved to rounding where the law allows it. The limit then belongs to the integrator
+    alone, without the effects of an unfinished solve.
     """
     s = model.settings
     count = 200 if s.sweeps == "auto" else max(s.sweeps, 200)
@@ -79,7 +86,7 @@ def with_converged_rows(model: Model) -> Model:
 
 
 def state_of(sim: Sim, label: str, time: float) -> State:
-    """The present state of a Sim whose rows were solved there."""
+    """Return the present state of a Sim whose rows were solved at that state."""
     return dataclasses.replace(
         state_now(sim, label, time),
         rows=acting_elements(sim),
@@ -89,13 +96,13 @@ def state_of(sim: Sim, label: str, time: float) -> State:
 
 
 def state_now(sim: Sim, label: str, time: float) -> State:
-    """The present state of a Sim, without the elements that act there."""
+    """Return the present state of a Sim, without the elements that act there."""
     qpos, qvel, ctrl, act = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl, sim.act))
     return State(label, time, qpos, qvel, ctrl, act=act)
 
 
 def sim_at(model: Model, state: State, **settings: Any) -> Sim:
-    """A Sim in this state, with some settings of its own."""
+    """Return a Sim at a state, with some settings replaced."""
     sim = unwatched(Sim(model.with_settings(**settings)))
     sim.qpos[:], sim.qvel[:], sim.ctrl[:] = state.qpos, state.qvel, state.ctrl
     sim.act[:] = state.act if len(state.act) else 0.0
@@ -105,9 +112,10 @@ def sim_at(model: Model, state: State, **settings: Any) -> Sim:
 def state_after(
     model: Model, state: State, integrator: str, dt: float, count: int
 ) -> tuple[State, set[Element]] | None:
-    """The state `count` steps later, and the elements whose rows acted in the last step or there.
+    """Return the state `count` steps later, and the elements with acting rows.
 
-    None where the steps do not stay finite.
+    The rows are those that act in the last step or after it. The result is None if the steps do not
+    stay finite.
     """
     sim = sim_at(model, state, integrator=integrator, dt=dt)
     try:
@@ -124,9 +132,9 @@ def state_after(
 
 
 def _stepped(sim: Sim, state: State, count: int) -> None:
-    """Takes steps; a control function is asked before each but the first.
+    """Take steps, and call a control function before each step but the first.
 
-    One that remembers is not: its answer would be that to another past.
+    A control function with memory is not called, because its memory would belong to another past.
     """
     if state.feedback is None:
         sim.step(count)
@@ -139,23 +147,23 @@ def _stepped(sim: Sim, state: State, count: int) -> None:
 
 
 def ask_control(sim: Sim, function: Control | None) -> None:
-    """Sets the controls that a control function gives now, if it gives any."""
+    """Set the controls that a control function returns now, if there is one."""
     if function is not None:
         with contextlib.suppress(ValueError):
             sim.ctrl[:] = controls(function, sim)
 
 
 def step_map(model: Model, state: State, integrator: str, dt: float) -> Floats | None:
-    """A of one step, shape (2 nv, 2 nv); None where the step or its derivative is not finite.
+    """Return A of one step, shape (2 nv, 2 nv), or None if the step or A is not finite.
 
-    Where controls depend on the state it is that of the closed loop, sampled at the step. A control
-    function that remembers adds what it remembers to x.
+    Where controls depend on the state, A is that of the closed loop, sampled at the step. The
+    memory of a control function is appended to x.
     """
     return step_maps(model, state, integrator, dt, 1)
 
 
 def step_maps(model: Model, state: State, integrator: str, dt: float, count: int) -> Floats | None:
-    """The product of A over `count` steps that make up dt [s]; None as in `step_map`."""
+    """Return the product of A over `count` steps that make up dt [s]; None as in `step_map`."""
     sim = sim_at(model, state, integrator=integrator, dt=dt / count)
     product, feedback = None, state.feedback
     function = None if feedback is None or feedback.order else fresh(feedback.function)
@@ -172,34 +180,37 @@ def step_maps(model: Model, state: State, integrator: str, dt: float, count: int
 
 
 def closed_step(sim: Sim, feedback: Feedback | None, hold: int = 1) -> Floats:
-    """A of the next steps of a Sim, with the controls of the first held; it stays where it is."""
+    """Return A of the next `hold` steps of a Sim, with the controls of the first step held.
+
+    The Sim stays at its state.
+    """
     if sim.settings.integrator == "midpoint" and not sim.model.scene.features.constraint:
         step, inputs = midpoint_map(sim)
     else:
         linear, n = sim.linearize(), 2 * sim.model.nv
-        # Activations are held.
+        # Activations are constant.
         step, inputs = linear.A[:n, :n], linear.B[:n]
     return step if feedback is None else feedback.closed(step, inputs, hold)
 
 
 def rates_matrix(model: Model, state: State, dt: float | None = None) -> Floats | None:
-    """J of the motion itself, x' = J x, shape (2 nv, 2 nv) [1/s]; None where it is not finite.
+    """Return J of the motion, x' = J x, shape (2 nv, 2 nv) [1/s], or None if it is not finite.
 
-    dt: rows as soft as `refsafe` makes them at this step [s]; None: as soft as the scene asks.
-    None also leaves out the rows of laws that act on velocities, which are as stiff as the step
-    is short.
+    model, state: the model and the state.
+    dt: a step [s], to which `refsafe` adapts the rows; None: rows as the scene defines them. None
+        also omits the rows of laws that act on velocities, whose stiffness is 1/dt².
     """
     if dt is None and model.settings.law in VELOCITY_LAWS:
         model = without_rows(model)
     if state.feedback is not None:
-        # Sampled all the time, as if nothing were held.
+        # Continuous controls, without a hold.
         state = dataclasses.replace(state, feedback=state.feedback.prompt)
     matrix = step_map(model.with_settings(refsafe=False), state, "explicit", TINY_STEP)
     if matrix is None:
         return None
     rates = (matrix - np.eye(len(matrix))) / TINY_STEP
     if dt is not None:
-        # Velocities change by dt times the acceleration exactly; positions turn, with an error.
+        # Velocities change by exactly dt times the acceleration; positions rotate, with an error.
         matrix = step_map(model, state, "explicit", dt)
         if matrix is None:
             return None
@@ -210,8 +221,8 @@ def rates_matrix(model: Model, state: State, dt: float | None = None) -> Floats 
 
 @functools.lru_cache(maxsize=4)
 def without_rows(model: Model) -> Model:
-    """The model without contacts, limits, friction losses and equalities."""
-    # The model copies its scene; everything else in it stays the same.
+    """Return the model without contacts, limits, friction losses and equalities."""
+    # The model copies its scene, so a shallow copy with new features is enough.
     scene = copy.copy(model.scene)
     scene.features = dataclasses.replace(scene.features, constraint=False)
     return Model(scene, model.settings)
