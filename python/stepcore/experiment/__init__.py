@@ -1,1 +1,1 @@
-"""One experiment: a motion, runs of it, the converged reference, errors and cost."""
+"""Experiments: the runs of a motion, the converged reference, errors and costs."""

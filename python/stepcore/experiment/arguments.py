@@ -1,4 +1,4 @@
-"""The arguments that every measurement takes: what is measured, its motion, and who makes runs."""
+"""The arguments that all measurements share: the model, the motion, and where runs are made."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from stepcore.scene.scene import Scene
 
 T = TypeVar("T")
 R = TypeVar("R")
-# What a measurement can be made of: a file is read, a scene compiled.
+# The models that a measurement accepts; files are loaded, and scenes compiled.
 Source = Model | Scene | str | os.PathLike[str]
-# The speed-up from which the next batch is made.
+# The smallest speed-up at which further runs are batched.
 WORTH = 1.05
 
 
 class Timed(NamedTuple):
-    """Runs, and the computing time that they took [s]."""
+    """Runs, and their computing time [s]."""
 
     runs: list[Run]
     spent: float
@@ -38,8 +38,10 @@ class Timed(NamedTuple):
 class BatchSpeedup:
     """The speed-up of batched runs over single runs.
 
-    runs, batches: the number made. alone: the computing time that the runs would have taken singly,
-    by that of one run of each setting [s]; spent: the computing time of their batches [s].
+    runs, batches: the numbers of batched runs and of batches.
+    alone: the computing time of the same runs made singly [s], estimated from one single run of
+        each setting.
+    spent: the computing time of the batches [s].
     """
 
     runs: int = 0
@@ -50,13 +52,16 @@ class BatchSpeedup:
 
     @property
     def worth(self) -> bool:
-        """Whether further batches are worth making."""
+        """Whether further runs should be batched."""
         return not self.batches or self.alone > WORTH * self.spent
 
     def compare(self, alone: Timed, batches: Sequence[Timed]) -> None:
-        """Counts batches beside one run that was made alone under the same settings.
+        """Add batches to the comparison with a single run under the same settings.
 
-        Runs that ended early say nothing. Threads may call this at the same time.
+        Nothing is added if any run failed, because failed runs end early. This method is
+        thread-safe.
+
+        alone: the single run. batches: the batched runs.
         """
         runs = [run for batch in batches for run in batch.runs]
         if any(run.failure for run in (*alone.runs, *runs)):
@@ -68,7 +73,7 @@ class BatchSpeedup:
 
     @property
     def sentences(self) -> list[str]:
-        """The speed-up in words; nothing where no batch was made or none saved anything."""
+        """The speed-up in words; empty without batches, or if batches saved no time."""
         if not self.batches or self.alone <= self.spent:
             return []
         batches = "one batch" if self.batches == 1 else f"{self.batches} batches"
@@ -86,10 +91,12 @@ class BatchSpeedup:
 
 @dataclass(frozen=True)
 class Workers:
-    """Where the runs of a measurement are made, and how its progress is shown.
+    """Threads or an executor for the runs of a measurement, and the choice of progress bar.
 
-    threads: the number of runs at once; executor: used in place of threads; progress: see
-    `Progress`. speedup: of the batches among all runs made here.
+    threads: the number of runs at the same time.
+    executor: used in place of threads.
+    progress: see `Progress`.
+    speedup: the speed-up of the batched runs that these workers made.
     """
 
     threads: int = 1
@@ -99,29 +106,35 @@ class Workers:
 
     @property
     def inside(self) -> Workers:
-        """The workers of a job that itself runs at the same time as others."""
+        """Workers with one thread, for a job that runs in parallel with others."""
         return Workers(speedup=self.speedup)
 
     @classmethod
     def checked(
         cls, owner: str, threads: int | None, executor: Executor | None, progress: Choice
     ) -> Workers:
-        """The arguments of a measurement; None threads are one a core."""
+        """Check the arguments of a measurement, and return its workers.
+
+        owner: the measurement's name, for errors. threads: None for one per core.
+        """
         checks.progress(owner, progress)
         check_executor(owner, executor)
         return cls(checks.threads(threads), executor, progress)
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """The arguments for a measurement within another."""
+        """Keyword arguments that pass these workers to a nested measurement."""
         return {"threads": self.threads, "executor": self.executor, "progress": self.progress}
 
     def bar(self, label: str, total: int) -> Progress:
-        """A progress bar, to be used in a `with`."""
+        """Return a progress bar, to be used in a `with` statement."""
         return Progress(label, total, self.progress)
 
     def each(self, job: Callable[[T], R], points: Sequence[T], bar: Progress | str) -> list[R]:
-        """The results in the order of the points. bar: one that is drawn already, or a label."""
+        """Call a job at every point, and return the results in the order of the points.
+
+        bar: an open progress bar, or the label of a new one.
+        """
         if isinstance(bar, str):
             with self.bar(bar, len(points)) as drawn:
                 return self.each(job, points, drawn)
@@ -134,8 +147,12 @@ class Workers:
         points: Sequence[T],
         bar: Progress | str,
     ) -> list[R]:
-        """The results up to and with the first for which `ends` is true: on any number of threads
-        the same. What comes after it is not begun, or its result is dropped.
+        """Call a job at the points, and return the results up to the first that satisfies `ends`.
+
+        That result is included. Later jobs are not started, or their results are dropped, so the
+        number of threads does not affect the list that is returned.
+
+        bar: an open progress bar, or the label of a new one.
         """
         if isinstance(bar, str):
             with self.bar(bar, len(points)) as drawn:
@@ -151,7 +168,7 @@ class Workers:
 
 
 class Setup(NamedTuple):
-    """A measurement's common arguments, checked. name: of the scene."""
+    """The checked arguments that measurements share. name: the name of the scene."""
 
     model: Model
     motion: Motion
@@ -173,10 +190,11 @@ def set_up(
     executor: Executor | None = None,
     progress: Choice = None,
 ) -> Setup:
-    """Checks the arguments that all measurements share, and loads and compiles the model.
+    """Check the arguments that all measurements share, and load and compile the model.
 
-    measurement: the function that was called. fields: its keyword arguments for `Motion`. missing:
-    what there is none of where nothing in the scene can move, in words.
+    measurement: the function that was called.
+    fields: the keyword arguments that are fields of `Motion`.
+    missing: words for the error if nothing in the scene can move, such as "no motion to predict".
     """
     motion = Motion.of(motion, fields, measurement)
     compiled = find_model(model)

@@ -1,4 +1,4 @@
-"""Converged settings, and how well a converged motion is known."""
+"""Settings of converged runs, and error estimates of a converged motion."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.experiment.errors import Errors
 
-# The orders that methods have, and how close to one of them an observed order must be.
+# Possible orders of convergence, and the largest relative deviation of an observed order.
 ORDERS, CLOSE = (1, 2, 4), 0.2
-# Newton converges in some ten iterations, or not at all.
+# Limit of Newton iterations: Newton converges in about ten iterations, or not at all.
 NEWTON = 200
 
 
@@ -26,14 +26,16 @@ def converged_settings(
     refsafe: bool | None = None,
     **changes: Any,
 ) -> Settings:
-    """The same settings in double precision with converged rows: by Newton where the law is convex.
+    """Return the settings with double precision and converged rows.
 
-    sweeps: the most sweeps of PGS under other laws. With 20,000 of them a stack with mass ratios of
-        a thousand converges; fewer may be asked for where many steps are made.
-    tolerance: on the residual [m/s]; 0 runs all sweeps. The default is rounding in a scene whose
-        speeds are about 1 m/s.
-    refsafe: whether solref may be softened at a large dt, where the law is solref; None leaves it
-        as it is.
+    Under the convex law solref, Newton solves the rows; under other laws, PGS.
+
+    sweeps: the largest number of PGS sweeps. 20,000 sweeps converge a stack with a mass ratio of
+        1000; use fewer for long runs.
+    tolerance: tolerance of the residual [m/s]; 0 runs all sweeps. The default is rounding in a
+        scene with speeds of about 1 m/s.
+    refsafe: under solref, whether time constants are softened at a large dt. None keeps the value
+        in `settings`.
     changes: further fields of Settings (dt, integrator, …).
     """
     convex = settings.law == "solref"
@@ -50,20 +52,24 @@ def converged_settings(
 
 
 def reference_settings(shipped: Settings, integrator: str, dt: float) -> Settings:
-    """The settings of a reference run: converged rows, contacts as soft as the scene says."""
+    """Return the settings of a reference run: converged rows, with the scene's contact softness."""
     return converged_settings(shipped, dt=dt, integrator=integrator, warm_start=True, refsafe=False)
 
 
 def observed(distances: Sequence[float]) -> list[float]:
-    """The order of each two halvings: log2 of how much less the second moved the motion."""
+    """Return the observed order of convergence of each pair of consecutive halvings.
+
+    The order is log2 of the ratio of the two distances.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         return [float(np.log2(np.divide(a, b))) for a, b in pairwise(distances)]
 
 
 def shown(distances: Sequence[float], floor: float) -> int | None:
-    """The order that three halvings show and the finer ones keep, or None.
+    """Return the order that three halvings show and that finer halvings confirm, or None.
 
-    distances: between a run and the next finer, coarsest first. floor: below it they are rounding.
+    distances: between each run and the next finer one, coarsest first [m].
+    floor: distances below this are rounding [m].
 
     >>> shown([4e-3, 1e-3, 2.5e-4], floor=0.0), shown([4e-3, 1e-3, 1.5e-4], floor=0.0)
     (2, None)
@@ -85,10 +91,12 @@ def shown(distances: Sequence[float], floor: float) -> int | None:
 class Known:
     """The error of a converged motion, in four measures of `Errors`.
 
-    error, high, largest [m]: of the median start, of the worst start, and of any body, sample and
-        start. angle [rad]: of orientations.
-    orders: the order that Richardson used for each (1, 2 or 4), None where no order is shown.
-    bases: how each is known, in words.
+    error: the error of the median start [m].
+    largest: the largest error of any body, sample and start [m].
+    high: the error of the worst start [m].
+    angle: the error of orientations [rad].
+    orders: the order of the Richardson extrapolation of each measure (1, 2 or 4); None without one.
+    bases: the method of each estimate, in words.
     """
 
     error: float
@@ -109,15 +117,16 @@ def known(
     other: str,
     count: float = np.inf,
 ) -> Known:
-    """The error of the finest run, each measure by its own order or else by the rival.
+    """Estimate the error of the finest run, for each measure separately.
 
-    If the error falls as dt^p, the distance d between runs at dt and dt/2 puts the error of the
-    finer at d/(2^p - 1). That holds where three halvings show a p that a method can have. Elsewhere
-    the error is twice the distance to the rival, and not less than the last halving moved.
+    If the error falls as dt^p, and runs at dt and dt/2 differ by d, the error of the finer run is
+    d/(2^p - 1). This estimate is used if three halvings show a possible order p. Otherwise the
+    error is twice the distance to the rival, and at least the change of the last halving.
 
-    halvings: how far each moved the motion, coarsest first. rival: distance to the finest run of
-    another integrator, named `other`. count: samples × bodies, of which none is further off than
-    √count times their root mean square.
+    halvings: the change of the motion in each halving, coarsest first.
+    floor: distances below this are rounding [m].
+    rival: the distance to the finest run of another integrator; other: that integrator's name.
+    count: the number of samples × bodies. It bounds the largest error: by √count times the RMS.
     """
     sure: dict[str, float] = {}
     orders: dict[str, int | None] = {}
@@ -135,7 +144,7 @@ def known(
         else:
             sure[name] = 2 * last
             bases[name] = "twice the change in its last halving, because no other integrator runs"
-    # No start is worse than the worst, so neither is their median.
+    # The median error cannot exceed that of the worst start.
     if sure["high"] < sure["error"]:
         sure["error"], orders["error"], bases["error"] = sure["high"], orders["high"], bases["high"]
     bound = np.sqrt(count) * sure["high"]

@@ -1,4 +1,4 @@
-"""`Experiment`: one model and one motion; every measurement asks it for runs and judgements."""
+"""`Experiment`: the runs of one model in one motion, with their errors, failures and costs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from stepcore.report.progress import Progress
 class Truth(Protocol):
     """The motion that runs are compared with: a `Reference`, or the runs of another model.
 
-    runs: from every start. scored: the samples that count, (starts, n).
+    runs: one run from every start. scored: the samples that count, (starts, n).
     """
 
     @property
@@ -38,12 +38,14 @@ class Truth(Protocol):
 
 
 class Experiment:
-    """One model and one motion, run under different settings and judged.
+    """One model and one motion, run and judged under different settings.
 
-    model: a `Model`. schedule: its motion made definite (`stepcore.experiment.schedule.scheduled`).
-    workers: where runs are made. size: see the property; given where another experiment knows it.
-    runner: what makes a single run, in any process. reference_runs: what made the reference; it can
-    refine it.
+    model: a `Model`.
+    schedule: the motion of the model; see `stepcore.experiment.schedule.scheduled`.
+    workers: threads or an executor for the runs.
+    size: the size of the scene [m], if another experiment has computed it; see the property.
+    runner: makes single runs, in any process.
+    reference_runs: the maker of the reference, which can also refine the reference; None at first.
 
     >>> from stepcore import lesson
     >>> from stepcore.experiment.errors import WORST_START
@@ -86,11 +88,13 @@ class Experiment:
         probes: Probes = recorded,
         bar: Progress | str | None = None,
     ) -> list[Run]:
-        """The runs from some starts, by default from all, until one fails.
+        """Run from several starts until one run fails, and return the runs.
 
-        probes: makes the probes of each run: `recorded` records everything, `positions` positions
-        alone. Runs of positions are worlds of batches where those end sooner; their bits are the
-        same. bar: a progress bar, the label of one, or None to show none.
+        starts: the indices of the starts; by default all.
+        probes: makes the probes of each run. `recorded` records everything, `positions` records
+            positions alone. Runs with `positions` are batched where batches are faster; the
+            results are bit-identical.
+        bar: a progress bar, the label of a new one, or None for no bar.
         """
         starts = self.runner.starts if starts is None else starts
         bar = Progress("", len(starts), False) if bar is None else bar
@@ -102,11 +106,14 @@ class Experiment:
     def reference(
         self, finest: float, effort: float, settings: Settings | None = None
     ) -> Reference:
-        """The converged motion. Raises ValueError if it fails or runs away.
+        """Compute the converged motion.
 
-        finest: the shortest time step that is to be judged [s]. effort: what the runs may cost, in
-        steps × (dofs + 2). settings: by default the model's own without sleep, because what sleep
-        changes is an error like another.
+        finest: the shortest time step that is judged against the reference [s].
+        effort: the largest cost of all runs, in steps × (dofs + 2).
+        settings: by default those of the model without sleep, because the effect of sleep counts
+            as an error.
+
+        Raises ValueError if the reference fails or its energy diverges.
         """
         shipped = settings or self.model.settings.replace(sleep=False)
         weight = heaviness(self.runner, self.model.settings)
@@ -119,35 +126,43 @@ class Experiment:
         return reference
 
     def growth(self, settings: Settings, bar: Progress) -> Growth:
-        """How fast perturbed runs separate under some settings."""
+        """Measure how fast perturbed runs separate under some settings."""
         return growth(self.runner, settings, self.size, self.workers, bar)
 
     @property
     def size(self) -> float:
-        """The size of the scene and its motion [m], by the first reference, or by runs under the
-        model's own settings where none was made."""
+        """Size of the scene and its motion [m].
+
+        The first reference gives the size. Without a reference, runs under the model's settings do.
+        """
         if self._size is None:
             self._size = scene_size(self.model.scene, self.run(self.model.settings))
         return self._size
 
     @cached_property
     def weight(self) -> float:
-        """The weight of all bodies [N]."""
+        """Weight of all bodies [N]."""
         return float(np.sum(self.model.body_mass) * np.linalg.norm(self.runner.bodies.gravity))
 
     def errors(self, runs: Sequence[Run], truth: Truth, cone: str = "pyramidal") -> Errors:
-        """Errors of runs from the first starts; a `Score` makes one number of them.
+        """Compute the errors of runs from the first starts; a `Score` reduces them to one number.
 
-        cone: that of the runs, by which a contact counts as sticking.
+        cone: the friction cone of the runs, which decides whether a contact counts as sticking.
         """
         count = len(runs)
         return errors(runs, truth.runs[:count], truth.scored[:count], self.size, STICKS[cone])
 
     def failure(self, runs: Sequence[Run], truth: Truth) -> str | None:
-        """Why runs from the first starts failed, or None; see `stepcore.experiment.failure`."""
+        """Explain why runs from the first starts failed, or return None.
+
+        The criteria are in `stepcore.experiment.failure`.
+        """
         return failure(runs, truth.runs[: len(runs)], self.size, self.weight)
 
     def cost(self, *settings: Settings, bar: Progress | None = None) -> list[float]:
-        """Computing time of the first start's motion [µs per simulated second], by setting."""
+        """Measure the computing time of the first start's motion under each of the settings.
+
+        The unit is µs per simulated second.
+        """
         timed = [TimedRun(self.runner, setting) for setting in settings]
         return costs(timed, bar or Progress("", len(timed), False))

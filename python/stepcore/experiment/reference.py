@@ -1,12 +1,14 @@
-"""The converged motion of a scene, dt → 0 with rows solved to rounding, and how well it is known.
+"""The converged motion of a scene (dt → 0, rows solved to rounding), with an error estimate.
 
-Two integrators run at halved time steps. What is modelled, the softness of contacts above all,
-stays the scene's. The integrator that its last halving moved less is the reference; it is halved
-further until its error is a tenth of the smallest error in the table, or the budget is spent.
+Two integrators run at repeatedly halved time steps. The physical model of the scene, in particular
+the softness of contacts, does not change. The integrator whose last halving changed the motion less
+gives the reference. Its step is halved further until the error of the reference is a tenth of the
+smallest error in the table, or until the budget is spent.
 
-The error is known from the order that the halvings show (Richardson), or else from the distance of
-the two integrators. Where the motion has a closed form (`stepcore.experiment.closed_form`), that is
-the reference, and the converged runs check it.
+The error is estimated by Richardson extrapolation if the halvings show an order of convergence, and
+otherwise from the distance between the two integrators. If the motion has a closed form
+(`stepcore.experiment.closed_form`), the closed form is the reference, and the converged runs are a
+check.
 """
 
 from __future__ import annotations
@@ -37,27 +39,34 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.sizes import scene_size
 from stepcore.report.progress import Progress
 
-# A reference finer than the errors judged by this factor changes at most their last digit shown.
+# With a reference finer by this factor, only the last printed digit of an error can change.
 FINER = 10.0
-# A halving that leaves more than this share of the error has met rounding, or does not converge.
+# A halving that leaves more than this share of the error is limited by rounding, or the motion
+# does not converge.
 STALLED = 0.9
-# Of the scene's size: shorter distances are rounding, grown by what a predictable scene allows.
+# Distances below this share of the scene's size are rounding errors, amplified by at most the
+# growth of a predictable scene.
 ROUNDING = 1e-11
-# Three halvings show an order. The first step may be one of these, in steps of the finest that is
-# to be judged: the shorter the dearer.
+# Three halvings show an order of convergence. BEGIN has the possible first steps, as multiples of
+# the finest step that is judged; shorter ones cost more.
 HALVINGS, BEGIN = 3, (2.0, 4.0, 8.0, 16.0)
-# Where the error is more than this many times the last halving of the reference, the halvings of
-# the other integrator decide it.
+# If the error exceeds this multiple of the reference's last change, the other integrator's step is
+# what limits the error, and is halved.
 EAGER = 4.0
-# Coarser runs are added up to this many steps of the finest, where the finer ones met rounding.
+# If the finer runs are limited by rounding, coarser runs are added up to this multiple of the
+# finest step.
 COARSEST = 64
-# Laws whose stiffness is β/dt: there is no scene that stays the same as dt shrinks.
+# Laws whose stiffness is β/dt, so that the physical model changes with dt.
 DEPENDENT = ("lesson", "relaxed")
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The runs from all starts at one time step. moved: from the level of twice the step."""
+    """The runs from all starts at one time step.
+
+    dt: the time step [s]. integrator: the integrator of the runs.
+    moved: the errors of the level with twice the step, measured from this one; None without it.
+    """
 
     dt: float
     integrator: str
@@ -70,21 +79,23 @@ class Level:
 
     @property
     def distance(self) -> float:
-        """To the level of twice the step, of the median start [m]; inf without one."""
+        """Distance to the level with twice the step, median start [m]; inf without such a level."""
         return np.inf if self.moved is None else self.moved.median
 
     @property
     def high(self) -> float:
-        """To the level of twice the step, of the worst start [m]; inf without one."""
+        """Distance to the level with twice the step, worst start [m]; inf without such a level."""
         return np.inf if self.moved is None else self.moved.high
 
 
 @dataclass(frozen=True)
 class Gap:
-    """The distance between the limits of two models of a scene.
+    """The distance between the limits (dt → 0) of two models of a scene.
 
-    distance [m]: as errors of positions are measured. against: the other model, in words.
-    settled: whether a step further towards it, where there is one, changes little.
+    distance: measured like position errors [m].
+    against: the other model, in words.
+    settled: whether the last step towards the other model changed the distance only little; True if
+        the other model is reached in one step.
     """
 
     distance: float
@@ -96,18 +107,19 @@ class Gap:
 class Reference:
     """The converged motion of a scene.
 
-    level: the finest runs of one integrator; levels: its halvings.
-    known: the error of `level`.
-    orders: the order that the halvings of each integrator showed in the median start, coarsest
-        first.
-    agreement [m]: the distance to the finest run of another integrator, `other`.
-    other_error [m]: the change of that run in its own last halving.
+    settings: the settings of the finest runs.
+    level: the finest runs of one integrator; levels: all halvings of this integrator.
     growth: the growth of the perturbed runs.
-    exact: the closed form of the motion, if there is one.
+    known: the error of `level`.
+    orders: for each integrator, the observed orders of convergence in the median start, coarsest
+        first.
+    agreement: the distance to the finest run of the other integrator, `other` [m].
+    other_error: the change of that run in its last halving [m].
+    exact: the closed form of the motion; None without one.
+    stiffens: whether rows act whose law stiffens as dt decreases, so that the limit has harder
+        contacts than the scene.
+    stalls: the number of consecutive last halvings that did not reduce the error.
     gaps: the distances to other models; see `stepcore.experiment.other_models`.
-    stiffens: whether rows act whose law stiffens as dt shrinks, so that the limit has harder
-        contacts.
-    stalls: the number of last halvings in a row that did not help.
     """
 
     settings: Settings
@@ -126,47 +138,47 @@ class Reference:
 
     @property
     def sure(self) -> Known:
-        """The error of the motion: that of the closed form, or of `level`."""
+        """Error of the motion: of the closed form, or else of `level`."""
         return self.known if self.exact is None else self.exact.known
 
     @property
     def error(self) -> float:
-        """The error of the median start [m]."""
+        """Error of the median start [m]."""
         return self.sure.error
 
     @property
     def high(self) -> float:
-        """The error of the worst start [m]."""
+        """Error of the worst start [m]."""
         return self.sure.high
 
     @property
     def largest(self) -> float:
-        """The largest error of any body, sample and start [m]."""
+        """Largest error of any body, sample and start [m]."""
         return self.sure.largest
 
     @property
     def angle(self) -> float:
-        """The error of orientations [rad]."""
+        """Error of orientations [rad]."""
         return self.sure.angle
 
     @property
     def basis(self) -> str:
-        """How `high` is known, in words."""
+        """Method by which `high` was estimated, in words."""
         return self.sure.bases["high"]
 
     @property
     def order(self) -> int | None:
-        """The order that Richardson used for `high` (1, 2 or 4); None where it did not."""
+        """Order of the Richardson extrapolation for `high` (1, 2 or 4); None without one."""
         return self.sure.orders["high"]
 
     @property
     def scored(self) -> np.ndarray:
-        """The samples that count: those that can be predicted, (starts, n)."""
+        """Mask of the samples that count because they can be predicted, (starts, n)."""
         return self.growth.scored
 
     @property
     def notes(self) -> list[str]:
-        """Limits of comparisons with this motion."""
+        """Sentences on the limits of comparisons with this motion."""
         short = int((~self.scored).any(axis=1).sum())
         if not short:
             return []
@@ -179,12 +191,14 @@ class Reference:
 
 
 class ReferenceRuns:
-    """Makes the runs that a reference needs; counts what they cost in steps × (dofs + 2).
+    """The runs for a reference, and their cost in steps × (dofs + 2).
 
-    shipped: settings of the scene. finest: the shortest time step that is to be judged [s].
-    budget: the most that all runs may cost. weight: of a step (`cost.heaviness`).
+    shipped: the settings of the scene.
+    finest: the shortest time step that is judged against the reference [s].
+    budget: the largest cost of all runs; spent: the cost of the runs so far.
+    weight: the relative work of a step (`cost.heaviness`).
     chains: the halvings of each integrator, coarsest first.
-    size: of the scene [m], once runs were made.
+    size: the size of the scene [m], once runs have been made.
     """
 
     def __init__(
@@ -204,40 +218,46 @@ class ReferenceRuns:
 
     @property
     def starts(self) -> int:
-        """The number of starts."""
+        """Number of starts."""
         return len(self.runner.starts)
 
     @property
     def least(self) -> int:
-        """The number of runs that `reference` makes, at least."""
+        """Smallest number of runs that `reference` makes."""
         return (2 * (HALVINGS + 1) + 1 + DIRECTIONS) * self.starts
 
     @property
     def second(self) -> str:
-        """The integrator that rk4 is compared with."""
+        """Integrator that is compared with rk4."""
         return "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
 
     def settings(self, integrator: str, dt: float) -> Settings:
-        """See `reference_settings`."""
+        """Return the settings of a reference run; see `reference_settings`."""
         return reference_settings(self.shipped, integrator, dt)
 
     def cost(self, integrator: str, dt: float) -> float:
-        """The cost of all starts at one step: steps of rk4, which solves four times, × (dofs + 2),
-        of the usual weight."""
+        """Return the cost of the runs from all starts at one time step.
+
+        The unit is one rk4 step of usual weight, times (dofs + 2). rk4 solves four times per step;
+        steps of other integrators count a quarter.
+        """
         schedule = self.runner.schedule
         steps = schedule.periods * schedule.steps(dt) * self.starts
         solves = 1.0 if integrator == "rk4" else 0.25
         return steps * (self.runner.model.nv + 2) * solves * self.weight
 
     def level(self, integrator: str, dt: float, bar: Progress) -> Level:
-        """All starts at one step, until one fails."""
+        """Run from all starts at one time step, until one run fails."""
         job = partial(self.runner.run, self.settings(integrator, dt))
         runs = self.workers.until(lambda run: run.failure, job, self.runner.starts, bar)
         self.spent += self.cost(integrator, dt) * len(runs) / self.starts
         return Level(dt, integrator, runs)
 
     def reference(self, bar: Progress) -> Reference:
-        """Two integrators at three halvings each, and perturbed runs; the better known one."""
+        """Run two integrators at three halvings each, and return the reference with less error.
+
+        Raises ValueError if both integrators fail, or the energy of the motion diverges.
+        """
         steps = self._steps()
         failures = [self._add_levels(name, steps, bar) for name in (self.second, "rk4")]
         if not self.chains:
@@ -246,7 +266,7 @@ class ReferenceRuns:
                 f"there is nothing to compare with: {failures[1] or failures[0]}"
             )
         self._refuse_runaway(levels[-1] for levels in self.chains.values())
-        # The finer of two where there are only those; rk4's, where it runs.
+        # The third-finest level (or the coarsest of fewer), of rk4 if that runs.
         base = list(self.chains.values())[-1][-3:][0]
         growth = self._growth(base, bar)
         for name, levels in self.chains.items():
@@ -254,17 +274,19 @@ class ReferenceRuns:
             self._add_coarser(name, growth, bar)
         reference = self._better_known(growth)
         if reference.known.high > EAGER * reference.level.high:
-            # The other integrator's run decides the error, and two halvings of it are cheap.
+            # The other integrator limits the error, and two halvings of its step are cheap.
             if reference.other not in ("", "rk4") and self._halve(reference.other, growth, bar):
                 self._halve(reference.other, growth, bar)
             reference = self._better_known(growth, reference.level.integrator)
         return self._checked_exact(reference)
 
     def _add_levels(self, integrator: str, steps: Sequence[float], bar: Progress) -> str | None:
-        """Adds an integrator's levels at steps, coarsest first; says why a coarser one failed.
+        """Add the levels of an integrator at several steps; return the reason if one fails.
 
-        The finest is run first: what is coarser than one that fails is of no use, and a run that
-        explodes can cost more than all that do not.
+        The finest level is run first, because levels coarser than a failed one are useless, and
+        because a diverging run can cost more than all other runs together.
+
+        steps: coarsest first [s].
         """
         levels: list[Level] = []
         for dt in reversed(steps):
@@ -283,7 +305,7 @@ class ReferenceRuns:
                 raise ValueError(explodes)
 
     def _checked_exact(self, reference: Reference) -> Reference:
-        """With the closed form, unless the converged run met something on the way."""
+        """Add the closed form to a reference, if it exists and the converged run agrees."""
         exact = closed(self.runner, reference.level.runs)
         if exact is not None:
             check = errors(reference.level.runs, exact.runs, reference.scored).median
@@ -293,8 +315,10 @@ class ReferenceRuns:
         return reference
 
     def _steps(self) -> list[float]:
-        """Three halvings from twice the finest step, or from a coarser one where that costs too
-        much; what is judged finer than these can ask for refinements."""
+        """Return the steps of three halvings, from twice the finest step that is judged [s].
+
+        If those cost too much, the halvings begin at a coarser step; later refinements can follow.
+        """
         chosen = [self.finest / 2**k for k in range(HALVINGS + 1)]
         for begin in BEGIN:
             steps = [self.finest * begin / 2**k for k in range(HALVINGS + 1)]
@@ -305,7 +329,10 @@ class ReferenceRuns:
         return chosen
 
     def growth(self, bar: Progress) -> tuple[Level, Growth]:
-        """Every start and perturbed ones at one step: how long it can be predicted."""
+        """Measure the growth of perturbations at one level; return the level and the growth.
+
+        Raises ValueError if every level fails.
+        """
         for dt in (self.finest / 2, self.finest / 8):
             for integrator in ("rk4", self.second):
                 base = self.level(integrator, dt, bar)
@@ -315,7 +342,7 @@ class ReferenceRuns:
         raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
 
     def can_refine(self, reference: Reference) -> bool:
-        """Whether a further halving is affordable and would still improve the reference."""
+        """Return whether a further halving is affordable and can still improve the reference."""
         done = reference.exact is not None or reference.high <= ROUNDING * self.size
         if done or reference.stalls > 1:
             return False
@@ -324,10 +351,11 @@ class ReferenceRuns:
         return self.spent + cost <= self.budget
 
     def refined(self, reference: Reference, bar: Progress) -> Reference | None:
-        """The reference with the step halved that decides its error; None if that run fails.
+        """Halve the time step that limits the error; return the new reference, or None on failure.
 
-        Richardson's error falls with the reference's own step. The distance of two integrators
-        falls with the step of the one that its last halving moved more, or of both.
+        A Richardson error falls with the step of the reference. The distance between two
+        integrators falls with the step of the integrator whose last halving changed the motion
+        more, or with both steps.
         """
         for name in self._deciding(reference):
             if not self._halve(name, reference.growth, bar):
@@ -337,7 +365,7 @@ class ReferenceRuns:
         return dataclasses.replace(better, stalls=stalls)
 
     def _deciding(self, reference: Reference) -> list[str]:
-        """The integrators that a refinement halves."""
+        """Return the integrators whose steps a refinement halves."""
         chosen = reference.level.integrator
         if reference.order is not None or not reference.other:
             return [chosen]
@@ -345,7 +373,7 @@ class ReferenceRuns:
         return [name for name in moved if moved[name] >= max(moved.values()) / 2]
 
     def _halve(self, integrator: str, growth: Growth, bar: Progress) -> bool:
-        """Adds a finer level to an integrator's; False if it fails."""
+        """Add a finer level to the levels of an integrator; return False if the run fails."""
         coarse = self.chains[integrator][-1]
         fine = self.level(integrator, coarse.dt / 2, bar)
         if not fine.failed:
@@ -353,23 +381,23 @@ class ReferenceRuns:
         return not fine.failed
 
     def _measured(self, coarse: Level, fine: Level, growth: Growth) -> Level:
-        """The finer level with its distance to the coarser, as errors are measured."""
+        """Return the finer level, with the errors of the coarser one measured from it."""
         return dataclasses.replace(fine, moved=errors(coarse.runs, fine.runs, growth.scored))
 
     def _fits(self, dt: float) -> bool:
-        """Whether a step divides the period."""
+        """Return whether a time step divides the control period."""
         count = self.runner.schedule.period / dt
         return count >= 0.5 and abs(count - round(count)) < 1e-6 * count
 
     def _growth(self, base: Level, bar: Progress) -> Growth:
-        """The growth of runs perturbed at a level, which gives the scene's size."""
+        """Measure the growth of perturbations at a level, and set the size of the scene."""
         self.size = scene_size(self.runner.model.scene, base.runs)
         settings = self.settings(base.integrator, base.dt)
         self.spent += (1 + DIRECTIONS) * self.cost(base.integrator, base.dt)
         return growth(self.runner, settings, self.size, self.workers, bar)
 
     def _add_coarser(self, integrator: str, growth: Growth, bar: Progress) -> None:
-        """Adds coarser levels where all there are have met rounding, to see an order at all."""
+        """Add coarser levels, to show an order where rounding limits all existing levels."""
         floor, levels = ROUNDING * self.size, self.chains[integrator]
         while (
             shown([level.distance for level in levels[1:]], floor) is None
@@ -383,7 +411,10 @@ class ReferenceRuns:
             levels[:1] = [coarse, self._measured(coarse, levels[0], growth)]
 
     def _better_known(self, growth: Growth, kept: str | None = None) -> Reference:
-        """The integrator that its last halving moved least, or the one `kept`."""
+        """Return the reference by the integrator that its last halving changed least.
+
+        kept: the integrator to use in any case; by default none.
+        """
         name = kept or min(self.chains, key=lambda name: self.chains[name][-1].high)
         levels = self.chains[name]
         last = levels[-1]
@@ -409,5 +440,5 @@ class ReferenceRuns:
 
 
 def smallest(values: Sequence[float], size: float = 0.0) -> float:
-    """The smallest value that is more than rounding in a scene of this size [m], or 0."""
+    """Return the smallest value above rounding in a scene of some size [m], or 0 without one."""
     return min((value for value in values if value > ROUNDING * size), default=0.0)
