@@ -12,15 +12,15 @@ from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, Actuator
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
-# The second site of a transmission between two sites.
+# The attribute of the second site, for transmissions between two sites.
 WITH = {"site": "refsite", "slidersite": "cranksite"}
-# Fields of an actuator that are copies of attributes.
+# Fields of an actuator that are copied from attributes.
 COPIED = ("gear", "damping", "armature", "interp", "delay", "nsample", "lengthrange")
 STATEFUL = ("actlimited", "actrange")
 
 
 def read(world: WorldReader, node: Node) -> None:
-    """Reads one motor, servo or muscle."""
+    """Read an actuator."""
     values = world.defaults.of(node, kind="actuator")
     target = _target(world, node, values)
     gains = world.defaults.gains(node)
@@ -52,12 +52,12 @@ def read(world: WorldReader, node: Node) -> None:
 
 
 def sizes(gains: ActuatorGains) -> tuple[int, int]:
-    """How many controls and how many activations an actuator with these gains has."""
+    """Return the numbers of controls and activations of an actuator with these gains."""
     return len(gains.inputs) or 1, gains.law.states
 
 
 def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> None:
-    """Adds another input of a controller, whose control stands next to the owner's."""
+    """Add a further input of a controller as an actuator; its control follows the owner's."""
     values = world.defaults.of(node, kind="actuator")
     bounds: Bounds = owner.ctrlrange
     if owner.type == "pid":
@@ -77,7 +77,7 @@ def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> No
 
 
 def _target(world: WorldReader, node: Node, values: dict[str, Any]) -> dict[str, Any]:
-    """What it pulls at, as fields of `Actuator`."""
+    """Return the transmission, as fields of `Actuator`."""
     used = [name for name in TRANSMISSIONS if name in values]
     if not used:
         raise node.error(f'<{node.tag}> needs joint="…"')
@@ -131,9 +131,9 @@ Bounds = tuple[float, ...] | None
 def _ctrlrange(
     world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
 ) -> Bounds:
-    """The range of the actuator's own control; MuJoCo names that of a <pid> by its input."""
+    """Return the range of the actuator's own control; for a <pid> MuJoCo names it by input."""
     if gains.tag in ("damper", "adhesion"):
-        # MuJoCo limits these whatever ctrllimited and autolimits say.
+        # MuJoCo limits these regardless of ctrllimited and autolimits.
         values = values | {"ctrllimited": True}
     if gains.tag != "pid":
         return world.limits(node, values, "ctrllimited", "ctrlrange")
@@ -160,9 +160,9 @@ def _ranges(
     gains: ActuatorGains,
     target: dict[str, Any],
 ) -> tuple[Bounds, Bounds]:
-    """The bounds of control and activation, one of which may be that of the joint or tendon."""
+    """Return the ranges of control and activation; one may be inherited from joint or tendon."""
     if gains.tag == "intvelocity":
-        # MuJoCo limits it whatever actlimited says.
+        # MuJoCo limits this actuator regardless of actlimited.
         values = {name: value for name, value in values.items() if name != "actlimited"}
     actrange = _actrange(world, node, values, gains)
     integrates = gains.activates == "integrator"

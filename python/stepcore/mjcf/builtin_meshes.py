@@ -1,8 +1,8 @@
-"""Meshes that MuJoCo 4 makes itself: `<mesh builtin="…" params="…"/>`.
+"""Builtin meshes of MuJoCo 4: `<mesh builtin="…" params="…"/>`.
 
-MuJoCo documentation, XML reference, mesh/builtin. Convex ones are given by their vertices alone,
-since the faces of a mesh without any are those of its convex hull. Of 870 public files six use
-builtin meshes, none of the kinds that are not built.
+MuJoCo documentation, XML reference, mesh/builtin. A convex mesh consists of vertices alone; its
+faces are those of the convex hull. Of 870 public files six use builtin meshes, and all six use
+kinds that are built.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from stepcore.scene.elements import Mesh
 
 Array = NDArray[Any]
 Surface = tuple[Array, Array | None]
-# No mesh is finer: its hull would have as many vertices.
+# The maximum resolution; the convex hull would have as many vertices.
 MOST = 1000
 FLAT = ("plate", "square", "disc")
 OTHERS = ("grid", "box", "cylinder", "ellipsoid")
 
 
 class _Params:
-    """The parameters of a mesh, taken one by one and checked."""
+    """The parameters of a mesh, read and checked in order."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self.node = node
@@ -51,7 +51,7 @@ class _Params:
 
 
 def fill(mesh: Mesh, node: Node, values: dict[str, Any]) -> None:
-    """Fills a mesh with the vertices and faces of its builtin type."""
+    """Fill a mesh with the vertices and faces of its builtin type."""
     kind = values["builtin"]
     if kind in FLAT:
         raise node.error(f'builtin="{kind}" lies in a plane, so it has no convex hull')
@@ -70,7 +70,7 @@ def fill(mesh: Mesh, node: Node, values: dict[str, Any]) -> None:
 
 
 def _sphere(params: _Params) -> Surface:
-    """An icosahedron whose edges are halved and pushed out to the sphere."""
+    """Return an icosphere: an icosahedron with bisected edges, projected onto the unit sphere."""
     golden = (1 + 5**0.5) / 2
     points = {
         tuple(np.roll((0.0, a, b * golden), turn))
@@ -79,7 +79,7 @@ def _sphere(params: _Params) -> Surface:
     vertices = _unit(np.array(sorted(points)))
     for _ in range(params.whole(0, 4, "subdivision")):
         apart = np.linalg.norm(vertices[:, None] - vertices[None], axis=2)
-        # Edges of one generation are within a quarter of the shortest; the next is a third longer.
+        # Edges are at most 1.25 times the shortest; the next larger distance is a third longer.
         shortest = apart[apart > 0].min()
         first, second = np.nonzero(np.triu(apart < 1.3 * shortest, 1))
         vertices = np.concatenate([vertices, _unit(vertices[first] + vertices[second])])
@@ -87,7 +87,7 @@ def _sphere(params: _Params) -> Surface:
 
 
 def _hemisphere(params: _Params) -> Surface:
-    """The whole points of a quarter of an octahedron, on the sphere; and the centre of the base."""
+    """Return the points of a subdivided half octahedron on the unit sphere, and the base centre."""
     n = params.whole(0, 10, "resolution") + 1
     quarter = [(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]
     points = {(a * i, b * j, k) for i, j, k in quarter for a, b in product((-1, 1), (-1, 1))}
@@ -139,7 +139,7 @@ def _supertorus(params: _Params) -> Surface:
 
 
 def _wedge(params: _Params) -> Surface:
-    """Cell centres of a slice of the unit sphere below the origin."""
+    """Return the cell centres of an angular grid on the unit sphere, around the direction -z."""
     counts = [params.whole(1, MOST, word) for word in ("res_phi", "res_theta")]
     fields = params.real(1e-6, 180, "fov_phi"), params.real(1e-6, 90, "fov_theta")
     gamma = params.real(0, 1, "gamma")
@@ -165,13 +165,13 @@ def _ring(angles: Array) -> Array:
 
 
 def _power(values: Array, exponent: float) -> Array:
-    """A power of the size, with the sign."""
+    """Return the power of the absolute values, with the original signs."""
     result: Array = np.sign(values) * np.abs(values) ** exponent
     return result
 
 
 def _quads(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """The triangles a b c and b d c of many quadrangles."""
+    """Return the triangles a b c and b d c of each quadrangle."""
     first, second = np.stack([a, b, c], axis=-1), np.stack([b, d, c], axis=-1)
     return np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
 

@@ -1,4 +1,4 @@
-"""The section `<compiler>`: the unit of angles, orientations, limits, and rules for masses."""
+"""The section `<compiler>`: units of angles, orientations, limits, and mass rules."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from stepcore.scene.frames import Vec
 
 
 class Compiler:
-    """All compiler sections of a file; a later value replaces an earlier value.
+    """The compiler settings of a file; a later section overrides an earlier one.
 
-    directory: the folder of the model's main file, or None for a text without one.
-    file: the name of that file, by which elements of included files are known.
+    directory: the folder of the model's main file, or None for a text without a folder.
+    file: the name of the main file; elements of included files have another name.
     """
 
     def __init__(
@@ -47,11 +47,11 @@ class Compiler:
             raise bad(node, "eulerseq", sequence, "three letters of x, y, z, X, Y, Z")
 
     def path(self, node: Node, name: str, folder: str = "") -> str:
-        """The path of the file that an element names.
+        """Return the path of the file that an element names.
 
-        As in MuJoCo, it is looked for in `folder` of the model's own, and for an element of an
-        included file then in the folder of that file: the one of that name within `folder`, and
-        the one that holds it.
+        As in MuJoCo, the file is searched in `folder`, relative to the main file. For an element of
+        an included file, the search continues in the included file's relative folder within
+        `folder`, and then in the included file's own folder.
         """
         home = os.path.join(self.directory or "", folder)
         places = [os.path.join(home, name)]
@@ -62,19 +62,19 @@ class Compiler:
         return next((place for place in places if os.path.isfile(place)), places[0])
 
     def mass_rules(self) -> MassRules:
-        """The rules for masses."""
+        """Return the mass rules."""
         return MassRules(**given(MassRules, self.values))
 
     def lengthrange(self) -> LengthRange:
-        """How ranges of muscles' lengths are found."""
+        """Return the settings for computing the length ranges of muscles."""
         return LengthRange(**self.ranges)
 
     def radians(self, angle: float) -> float:
-        """An angle of the file in radians."""
+        """Return an angle of the file in radians."""
         return angle * (math.pi / 180) if self.degrees else angle
 
     def orientation(self, node: Node, values: dict[str, Any]) -> Vec:
-        """The unit quaternion of an element's orientation attribute; without one, the identity."""
+        """Return the unit quaternion of an element's orientation attribute, by default identity."""
         given = [name for name in ORIENTATION if name in values]
         if len(given) > 1:
             raise node.error(f"<{node.tag}> has two orientations: {given[0]} and {given[1]}")
@@ -90,7 +90,7 @@ class Compiler:
                 return frames.from_z_axis(numbers)
             if given[0] == "euler":
                 return frames.from_euler([self.radians(a) for a in numbers], self.eulerseq)
-            # A unit quaternion keeps its bits, so that reading back what was written is exact.
+            # A unit quaternion is not normalised again, so that writing and reading is exact.
             if abs(math.hypot(*numbers) - 1.0) <= 1e-15:
                 return tuple(numbers)
             return frames.normalised(numbers, "the quaternion")

@@ -1,8 +1,8 @@
-"""`<custom><text name="stepcore" data="…"/>`: what MJCF itself cannot express.
+"""`<custom><text name="stepcore" data="…"/>`: settings and features that MJCF cannot express.
 
 The data are words "name=value", separated by blanks: settings (``integrator=midpoint``), features
-that have no MJCF flag, and ``unnamed=body/body_3,joint/joint_1``, elements that have a name in the
-file only because MJCF refers by name. MuJoCo reads the text and ignores it.
+without an MJCF flag, and ``unnamed=body/body_3,joint/joint_1``. The last word lists elements that
+have a name in the file only because MJCF refers by name. MuJoCo ignores the text.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
 NAME = "stepcore"
-# Elements that others can name, and where a scene holds them.
+# Kinds of elements that references can name, and the scene's lists of them.
 KINDS = {
     "geom": "geoms",
     "site": "sites",
@@ -35,12 +35,16 @@ _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def ours(node: Node) -> bool:
-    """Whether a node is stepcore's own text."""
+    """Return whether a node is stepcore's own text."""
     return node.tag == "text" and node.attrs.get("name") == NAME
 
 
 def data(words: Mapping[str, Any], unnamed: Iterable[tuple[str, str]] = ()) -> str:
-    """The data of the text for these settings and features; "" if there are none."""
+    """Return the data of the text for these settings and features; "" if there are none.
+
+    words: settings and features by name.
+    unnamed: (kind, name) of elements without a name in the scene.
+    """
     parts = [f"{name}={_word(value)}" for name, value in words.items()]
     names = [f"{kind}/{name}" for kind, name in unnamed]
     return " ".join([*parts, *(["unnamed=" + ",".join(names)] if names else [])])
@@ -61,7 +65,7 @@ def _value(text: str) -> Any:
 
 
 def own_texts(nodes: Iterable[Node]) -> list[Node]:
-    """stepcore's own text as a list of at most one node; a second text is an error."""
+    """Return stepcore's own text as a list of at most one node; raise MJCFError for a second."""
     texts = [node for node in nodes if ours(node)]
     if len(texts) > 1:
         raise texts[1].error(f'a second <text name="{NAME}">')
@@ -69,7 +73,7 @@ def own_texts(nodes: Iterable[Node]) -> list[Node]:
 
 
 def read(scene: Contents, node: Node) -> None:
-    """Reads stepcore's own text into a scene that is otherwise complete."""
+    """Read stepcore's own text into a scene that is otherwise complete."""
     from stepcore._core import Settings
 
     settings: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""The section `<default>`: nested classes of attribute values, each a full copy of its parent."""
+"""The section `<default>`: nested classes of attribute values; each copies its parent."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ MAIN = "main"
 
 
 def overlay(under: Values, over: Values) -> Values:
-    """The values of `under`, replaced by those of `over`.
+    """Return the values of `under`, overridden by those of `over`.
 
-    A shorter vector replaces only its own entries; one orientation replaces any other.
+    A shorter vector replaces only its own entries. An orientation attribute replaces any other.
     """
     result = dict(under)
     if any(name in over for name in ORIENTATION):
@@ -33,7 +33,7 @@ def overlay(under: Values, over: Values) -> Values:
 
 
 def _prefixed(values: Values, prefix: str) -> Values:
-    """The values of a class, with the prefix before the names of assets."""
+    """Return the values of a class, with the prefix before the names of assets."""
     assets = ("mesh", "hfield", "material")
     return {name: prefix + value if name in assets else value for name, value in values.items()}
 
@@ -43,7 +43,7 @@ class Defaults:
 
     def __init__(self, sections: Iterable[Node]) -> None:
         self.classes: dict[str, dict[str, Values]] = {MAIN: {}}
-        # Gains of actuators, those of the outermost class first.
+        # The actuator gains of each class and the classes around it, the outermost first.
         self.chains: dict[str, gains.Chain] = {MAIN: (gains.ActuatorGains(),)}
         for section in sections:
             if section.attrs.get("class", MAIN) != MAIN:
@@ -51,7 +51,7 @@ class Defaults:
             self._read(section)
 
     def _read(self, section: Node) -> None:
-        # What a class holds itself comes before the classes inside it, wherever it stands.
+        # A class's own elements are read before its nested classes, in any document order.
         pending = [(section, MAIN)]
         while pending:
             node, name = pending.pop()
@@ -78,10 +78,10 @@ class Defaults:
             pending += [(child, child.attrs["class"]) for child in reversed(inner)]
 
     def adopt(self, other: Defaults, prefix: str) -> dict[str, str]:
-        """Adds the classes of an attached model, whose names and assets get the prefix.
+        """Add the classes of an attached model, with the prefix before class and asset names.
 
-        Returns the names that they have here by those that they have there: another one where
-        a class of this model has the name and means something else.
+        Returns the new name of each class by its original name. If this model has a different class
+        of the prefixed name, the new name gets an apostrophe.
         """
         names = {}
         for name, own in other.classes.items():
@@ -95,16 +95,16 @@ class Defaults:
         return names
 
     def known(self, node: Node, attribute: str) -> str | None:
-        """The class that an attribute of a node names; None without the attribute."""
+        """Return the class that an attribute of a node names; None without the attribute."""
         name = node.attrs.get(attribute)
         if name is not None and name not in self.classes:
             raise node.error(f'unknown default class "{name}"{nearest(name, self.classes)}')
         return name
 
     def of(self, node: Node, childclass: str | None = None, kind: str = "") -> Values:
-        """A node's values, completed from its class, else from `childclass`, else from main.
+        """Return a node's values, completed from its class, else from `childclass`, else from main.
 
-        kind: the element of a default class, where it is not called as the node: "actuator",
+        kind: the tag in the default class if it differs from the node's tag: "actuator",
         "equality" or "tendon".
         """
         name = self.known(node, "class") or childclass or MAIN
@@ -112,5 +112,5 @@ class Defaults:
         return overlay(self.classes[name].get(kind or node.tag, {}), given)
 
     def gains(self, node: Node) -> gains.ActuatorGains:
-        """An actuator's gains, completed from its class."""
+        """Return an actuator's gains, completed from its class."""
         return gains.inherited(self.chains[self.known(node, "class") or MAIN], node)

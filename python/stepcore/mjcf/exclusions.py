@@ -1,6 +1,6 @@
-"""What a user leaves out of a file on purpose: kinds of elements and attributes, by name.
+"""Kinds of elements and attributes that the user leaves out of a file.
 
-Elements that refer to one that is left out are left out with it.
+Elements that refer to a left-out element are left out too.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusal_texts import GROUPS, SECTIONS, effect
 from stepcore.mjcf.schema import ROOT
 
-# The only elements of the tree that can be left out: the rest of the file stands on the others.
+# The only elements of the tree that can be left out; the rest of the file needs the others.
 _OF_TREE = ("flexcomp", "composite", "attach", "replicate", "plugin", "camera", "light")
 _KEPT = ("compiler", "default", "worldbody", "asset", "size")
 
 
 def _known_kinds() -> dict[str, str]:
-    """The words that name a kind, and their kinds: a group, a section, or one with a "/"."""
+    """Return the kind for each accepted word: a group, a section, or a path with a "/"."""
     words = {name: name for name in (*GROUPS, *SECTIONS)}
     elements: list[tuple[str, str]] = []
     with_attributes = {"option": ROOT.children["option"]}
@@ -44,14 +44,14 @@ def _known_kinds() -> dict[str, str]:
 
 
 class Exclusions:
-    """The kinds that are left out of a file, and the nodes that were left out by each.
+    """The kinds that are left out of a file, and the nodes left out for each kind.
 
     Raises ValueError for a kind that does not exist.
     """
 
     def __init__(self, without: Iterable[str] = ()) -> None:
         self.nodes: dict[str, list[Node]] = {}
-        # The ids of all actuators of the file: keyframes hold controls in their order.
+        # The ids of all actuators of the file, in the order of the controls in keyframes.
         self._actuators: list[int] = []
         if not without:
             return
@@ -70,7 +70,7 @@ class Exclusions:
             self.nodes[known[name]] = []
 
     def kind(self, path: str) -> str:
-        """The kind by which an element of this path, "section/tag", is left out, or ""."""
+        """Return the kind that leaves out elements of this path, "section/tag"; "" if none does."""
         section, _, tag = path.partition("/")
         for kind in self.nodes:
             group = GROUPS.get(kind, ())
@@ -79,7 +79,7 @@ class Exclusions:
         return ""
 
     def add(self, kind: str, node: Node) -> None:
-        """Records a node that is left out; of a section, its elements."""
+        """Record a node that is left out; for a section, record its elements."""
         if "/" in node.path:
             self.nodes[kind].append(node)
             return
@@ -88,7 +88,7 @@ class Exclusions:
         self.nodes[kind] += node.children
 
     def strip(self, node: Node) -> None:
-        """Removes the attributes of a node that are left out."""
+        """Remove the attributes of a node that are left out."""
         for name in list(node.attrs):
             kind = f"{node.tag}/{name}"
             if kind in self.nodes:
@@ -96,12 +96,12 @@ class Exclusions:
                 self.nodes[kind].append(node)
 
     def begin(self, root: Node) -> None:
-        """Remembers the actuators of the file, before any is left out."""
+        """Record the actuators of the file, before any is left out."""
         sections = [section for section in root.children if section.tag == "actuator"]
         self._actuators = [id(node) for section in sections for node in section.children]
 
     def follow(self, root: Node) -> None:
-        """Removes what refers to an element that is left out, until nothing does."""
+        """Remove all elements that refer, directly or indirectly, to a left-out element."""
         while self.nodes and self._remove_referring(root):
             pass
         gone = {id(node) for nodes in self.nodes.values() for node in nodes}
@@ -112,7 +112,7 @@ class Exclusions:
                     key.values["ctrl"] = tuple(key.values["ctrl"][index] for index in kept)
 
     def _remove_referring(self, root: Node) -> bool:
-        """Removes what refers to an element that is gone; whether there was any."""
+        """Remove elements that refer to a removed element; return whether there were any."""
         gone: dict[str, dict[str, str]] = {}
         for kind, nodes in self.nodes.items():
             for node in nodes:
@@ -133,16 +133,16 @@ class Exclusions:
         return removed
 
     def notes(self) -> list[str]:
-        """A note on each kind: how much was left out, and what it would have done."""
+        """Return a note on each kind: the number of nodes left out, and their effect."""
         return [_note(kind, nodes) for kind, nodes in self.nodes.items()]
 
     def counts(self) -> list[str]:
-        """The kinds of which something was left out, each with its count."""
+        """Return the kinds with left-out nodes, each with its count."""
         return [f"{kind} ({len(nodes)})" for kind, nodes in self.nodes.items() if nodes]
 
 
 def _kind_referred_to(node: Node, gone: dict[str, dict[str, str]]) -> str:
-    """The kind of the first element that is gone and that this one refers to, or ""."""
+    """Return the kind of the first removed element that the node refers to, or ""."""
     kinds = (gone.get(section, {}).get(name, "") for _, section, name in references(node))
     return next(filter(None, kinds), "")
 

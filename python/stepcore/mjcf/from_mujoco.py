@@ -1,4 +1,4 @@
-"""The MJCF of a `mujoco.MjModel` or `mujoco.MjSpec`, with every digit of its numbers."""
+"""Read a `mujoco.MjModel` or `mujoco.MjSpec` through its MJCF, with exact numbers."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from stepcore.mjcf.reader import read_text
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
-# So many digits give a number back exactly; MuJoCo writes six by default.
+# The number of digits that represents a double exactly; MuJoCo writes six by default.
 EXACT = 17
 NAMES = ("MjModel", "MjSpec")
-# Arrays of an MjModel that say what is simulated, by the beginnings of their names.
+# Name prefixes of the MjModel arrays that affect the simulation.
 PHYSICS = (
     *("body_", "jnt_", "dof_", "geom_", "site_", "tendon_", "actuator_", "eq_", "sensor_", "pair_"),
     *("exclude_", "key_", "mesh_vert", "hfield_data", "qpos0", "qpos_spring"),
 )
-# MuJoCo computes these for drawing and for its own search for contacts.
+# Name suffixes of arrays used only for drawing or for MuJoCo's broad phase.
 ASIDE = ("_rgba", "_matid", "_bvhadr", "_bvhnum", "_user")
-# What two compilations of one text agree to.
+# The tolerances between two compilations of the same text.
 RELATIVE, ABSOLUTE = 1e-6, 1e-9
 
 
 def is_mujoco(source: object) -> bool:
-    """Whether this is an MjModel or an MjSpec; mujoco is not imported."""
+    """Return whether this is an MjModel or an MjSpec, without importing mujoco."""
     kind = type(source)
     return kind.__name__ in NAMES and kind.__module__.partition(".")[0] == "mujoco"
 
@@ -39,7 +39,7 @@ def is_mujoco(source: object) -> bool:
 def read_mujoco(
     scene: Contents, source: Any, without: Iterable[str] = (), fuse: bool | None = None
 ) -> None:
-    """Fills an empty scene from an MjModel or an MjSpec; see `stepcore.load`."""
+    """Fill an empty scene from an MjModel or an MjSpec; see `stepcore.load`."""
     name = type(source).__name__
     with _exact_numbers(), tempfile.TemporaryDirectory() as folder:
         if name == "MjModel":
@@ -50,7 +50,7 @@ def read_mujoco(
 
 
 def _with_assets(spec: Any, folder: str) -> str | None:
-    """Where the files of a spec lie; those that it holds itself are written to `folder`."""
+    """Return the folder of a spec's files; files in memory are first written to `folder`."""
     for name, data in spec.assets.items():
         file = Path(folder, name)
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -59,7 +59,7 @@ def _with_assets(spec: Any, folder: str) -> str | None:
 
 
 def _text(spec: Any) -> str:
-    """The XML of a spec; it is left as it is."""
+    """Return the XML of a spec, without changing the spec."""
     text: str
     try:
         text = spec.to_xml()
@@ -71,10 +71,10 @@ def _text(spec: Any) -> str:
 
 
 def _saved(model: Any, path: str) -> tuple[str, str | None]:
-    """The XML of a model, and the folder from which its files are named.
+    """Return the XML of a model, and the folder to which its file names are relative.
 
-    MuJoCo writes the values of the model into the XML that it loaded last, whatever model that was
-    of: what comes out is compiled and compared.
+    MuJoCo writes the values of the model into the XML that it loaded last, even if that was another
+    model's. The result is therefore compiled and compared with the model.
     """
     import mujoco  # type: ignore[import-untyped,unused-ignore]
 
@@ -93,7 +93,7 @@ def _saved(model: Any, path: str) -> tuple[str, str | None]:
 
 
 def _folder(model: Any, spec: Any) -> str:
-    """The folder of the file that a model was loaded from, where it names other files."""
+    """Return the folder that a model's file names are relative to; "" if it names no files."""
     named = [(spec.meshdir, m.file) for m in spec.meshes] + [("", h.file) for h in spec.hfields]
     ends = [os.path.join(folder, file) for folder, file in named if file]
     for path in bytes(model.paths).decode("utf-8", "replace").split("\0"):
@@ -104,7 +104,7 @@ def _folder(model: Any, spec: Any) -> str:
 
 
 def _difference(model: Any, other: Any) -> str:
-    """The name of the first array in which two models differ in what they simulate, or ""."""
+    """Return the name of the first array in which the physics of two models differs, or ""."""
     import numpy as np
 
     if bytes(model.names) != bytes(other.names):
@@ -122,7 +122,7 @@ def _difference(model: Any, other: Any) -> str:
 
 @contextlib.contextmanager
 def _exact_numbers() -> Iterator[None]:
-    """MuJoCo writes numbers with all their digits; with six if this version cannot."""
+    """Make MuJoCo write all digits of numbers, if this version can."""
     own = _precision()
     if own is None:
         yield
@@ -137,7 +137,7 @@ def _exact_numbers() -> Iterator[None]:
 
 
 def _precision() -> tuple[Any, Any] | None:
-    """How many digits MuJoCo writes: the functions of its library that read and set it."""
+    """Return MuJoCo's functions that read and set the number of digits written, or None."""
     import mujoco  # type: ignore[import-untyped,unused-ignore]
 
     folder = Path(mujoco.__file__).parent

@@ -1,9 +1,9 @@
-"""The force law of an actuator from its element and its default classes.
+"""Determine the force law of an actuator from its element and its default classes.
 
-MuJoCo's rule: `<general>` inherits from its class. A shortcut (`<position>`, `<velocity>`, …)
+MuJoCo's rules: `<general>` inherits from its class. A shortcut (`<position>`, `<velocity>`, …)
 inherits from the innermost class whose actuator was last written as the same shortcut or as
-`<general>`; without one it has defaults of its own. Controllers (`<pid>`, `<dcmotor>`) and
-`<orientation>` inherit from their own kind alone.
+`<general>`. If no class matches, the shortcut has its own defaults. Controllers (`<pid>`,
+`<dcmotor>`) and `<orientation>` inherit only from classes of the same element.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from stepcore.scene.elements.actuator_laws import (
 )
 from stepcore.scene.frames import ORIGIN, Vec
 
-# What controllers and orientations start from.
+# The default values of controllers and orientations.
 START: dict[str, dict[str, Any]] = {
     "pid": {"kp": 1.0, "kv": 0.0, "input": "pos vel"},
     "dcmotor": {
@@ -46,11 +46,12 @@ Values = dict[str, Any]
 class ActuatorGains:
     """The force law of an actuator or a default class.
 
-    tag: the element that gave it. values: the fields of its law; of a `<general>` as MJCF has them,
-        of a `<dcmotor>` with the time constant of its current in place of the inductance.
+    tag: the element that defines the law.
+    values: the fields of the law. Those of a `<general>` are in MJCF notation. A `<dcmotor>` has
+        the electrical time constant [s] in place of the inductance.
     inheritrange: the scale of an inherited range, or 0.
-    torque: the bound of a motor's torque; 0: unbounded, None: not given.
-    damping: the first coefficient of the damping that the actuator itself has.
+    torque: the torque limit of a motor [N·m]; 0: unlimited, None: not given.
+    damping: the first coefficient of the actuator's own damping.
     """
 
     tag: str = "general"
@@ -66,24 +67,24 @@ class ActuatorGains:
 
     @property
     def is_position(self) -> bool:
-        """Whether the control is a length; only then can it inherit the range of its joint."""
+        """Whether the control is a length, and so can inherit the range of the joint."""
         if "input" in self.values:
             return self.tag == "pid" and self.inputs[:1] == ["pos"]
         return self.law.holds_length
 
     @property
     def inputs(self) -> list[str]:
-        """What the controls are, the actuator's own first."""
+        """The inputs of the controls, the actuator's own control first."""
         return inputs(self.tag, self.values.get("input"))
 
     @property
     def activates(self) -> str:
-        """The type of its activation, "none" without one."""
+        """The type of the activation dynamics, or "none"."""
         return "none" if self.tag in START else self.law.dyntype
 
     @property
     def fields(self) -> Values:
-        """The law as fields of `Actuator`."""
+        """The law, as fields of `Actuator`."""
         values = dict(self.values)
         if self.tag == "dcmotor":
             values["inductance"] = values.pop("timeconst") * values["resistance"]
@@ -111,7 +112,7 @@ def _general_fields(values: Values) -> Values:
 
 
 def inherited(chain: Chain, node: Node) -> ActuatorGains:
-    """The law of an actuator or a default. chain: the laws of its classes, outermost first."""
+    """Return the law of an actuator or default. chain: the laws of its classes, outermost first."""
     last, tag = chain[-1], node.tag
     drag = (*node.values.get("damping", ()), last.damping)[0]
     if tag == "general":
@@ -122,8 +123,8 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
         scale = _inheritrange(base, node) if tag == "pid" else 0.0
         return replace(_SHORTCUTS[tag](base, node), inheritrange=scale, damping=drag)
     if tag not in _SHORTCUTS:
-        # A <motor>, which has no law of its own, or what is not built. Of a class only a <general>
-        # uses the range.
+        # A <motor>, which has no law of its own, or an actuator that is not built. Only a <general>
+        # inherits the range from a class.
         scale = last.inheritrange if tag in LAWS else 0.0
         return ActuatorGains(tag, {}, scale, damping=drag)
     handed = next((g for g in reversed(chain) if g.tag in (tag, "general")), ActuatorGains())
@@ -159,7 +160,7 @@ def _cylinder(base: ActuatorGains, node: Node) -> ActuatorGains:
     values = base.values | _given(node, "area", "bias", "timeconst")
     diameter = node.values.get("diameter", -1.0)
     if diameter >= 0:
-        # A product, which is infinite where a power raises: the element then names the value.
+        # Unlike a power, a product overflows to inf, which the element's own check reports.
         values["area"] = math.pi / 4 * diameter * diameter
     return ActuatorGains("cylinder", values)
 
@@ -171,9 +172,9 @@ def _adhesion(base: ActuatorGains, node: Node) -> ActuatorGains:
 
 
 def _muscle(base: ActuatorGains, node: Node) -> ActuatorGains:
-    """A negative number leaves the muscle's number as it is.
+    """Return the law of a muscle; a negative number keeps the inherited value.
 
-    MuJoCo takes the numbers that `<general>` starts from for numbers that were not given.
+    As in MuJoCo, the default values of `<general>` count as not given.
     """
     values, old = node.values, base.values
     low, high = old.get("range", MUSCLE["range"])
@@ -210,7 +211,7 @@ def _servo(base: ActuatorGains, node: Node) -> ActuatorGains:
 
 
 def _damped(values: Values, node: Node) -> Values:
-    """The fields with the damping that the element gives, as kv or as a ratio."""
+    """Return the fields with the element's damping, given as kv or as dampratio."""
     if "kv" in node.values and "dampratio" in node.values:
         raise node.error(f"<{node.tag}> has both kv and dampratio")
     if "kv" not in node.values and "dampratio" not in node.values:
@@ -244,13 +245,16 @@ def _pid(base: ActuatorGains, node: Node) -> ActuatorGains:
     if values.get("ki") or values.get("slewmax"):
         values |= {name: values.get(name, 0.0) for name in CONTROL}
     else:
-        # A controller without an activation hands none of these down.
+        # The class of a controller without activation passes none of these on.
         values = {name: value for name, value in values.items() if name not in CONTROL}
     return ActuatorGains("pid", values)
 
 
 def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
-    """By MuJoCo's rules for datasheets, which give a constant by torque or by voltage."""
+    """Return the law of a DC motor by MuJoCo's rules for datasheet values.
+
+    The motor constant follows from torque, voltage or the nominal point.
+    """
     values, old = node.values, base.values
     made: Values = {"input": _input(node, old["input"])}
     resistance: float = old["resistance"]
@@ -296,10 +300,10 @@ def _dcmotor(base: ActuatorGains, node: Node) -> ActuatorGains:
 def _without_load(
     voltage: float, stall: float, free: float, resistance: float, drag: float
 ) -> float:
-    """The constant K of a motor that turns at ω without a load against its own damping B.
+    """Return the motor constant K from the no-load speed ω and the motor's own damping B.
 
-    K (V - K ω)/R = B ω; without a resistance, K/R = stall/V. Where no K > 0 does it, MuJoCo takes
-    the one without damping.
+    K solves K (V - K ω)/R = B ω; without a resistance, K/R = stall/V. If no K > 0 solves the
+    equation, K is V/ω, the value without damping, as in MuJoCo.
     """
     whole = voltage / free
     if drag <= 0:
@@ -317,7 +321,7 @@ def _filled(given: Vec, kept: Vec) -> Vec:
 
 
 def _electrical(node: Node, old: Values, resistance: float) -> float:
-    """The time constant of the current [s], 0 without one; an inductance goes before it."""
+    """Return the electrical time constant [s], or 0; a given inductance takes precedence."""
     if "inductance" not in node.values:
         kept: float = old["timeconst"]
         return kept
@@ -329,7 +333,7 @@ def _electrical(node: Node, old: Values, resistance: float) -> float:
 
 
 def _thermal(node: Node, had: Vec | None) -> Vec | None:
-    """Two of resistance, capacity and time constant give the third."""
+    """Return the thermal parameters; two of resistance, capacity and time constant suffice."""
     if "thermal" not in node.values:
         return had
     kept = (*had[:2], 0.0, *had[2:]) if had else (0.0,) * 6
@@ -376,8 +380,8 @@ def _general(base: ActuatorGains, node: Node) -> ActuatorGains:
     return replace(made, torque=base.torque)
 
 
-# MuJoCo's canonical notation writes controllers and orientations as `<general>`, their numbers by
-# place (MuJoCo documentation, XML reference, "actuator/general").
+# MuJoCo's canonical notation writes controllers and orientations as `<general>`, with their
+# parameters by position (MuJoCo documentation, XML reference, "actuator/general").
 
 
 def _canonical(gains: ActuatorGains, node: Node) -> ActuatorGains:
@@ -446,7 +450,7 @@ def _canonical_orientation(values: Values, node: Node) -> Values:
     return {"kp": kp, "input": chart} | damping(bias[2])
 
 
-# By gain type: the other two types that go with it, and what reads its numbers.
+# For each gaintype: the required biastype, the allowed dyntypes, and the parameter reader.
 _CANONICAL: dict[str, tuple[str, tuple[str, ...], Callable[[Values, Node], Values]]] = {
     "pid": ("affine", ("none", "pid"), _canonical_pid),
     "dcmotor": ("dcmotor", ("none", "dcmotor"), _canonical_motor),
@@ -455,7 +459,7 @@ _CANONICAL: dict[str, tuple[str, tuple[str, ...], Callable[[Values, Node], Value
 
 
 def _inheritrange(base: ActuatorGains, node: Node) -> float:
-    """The scale from the joint's range to the control's; 0 if a control range is given."""
+    """Return the scale from the joint's range to the control range; 0 if the latter is given."""
     given: float = node.values.get("inheritrange", base.inheritrange)
     own = {"intvelocity": "actrange", "pid": "posrange"}.get(node.tag, "ctrlrange")
     if own not in node.values:
@@ -466,7 +470,7 @@ def _inheritrange(base: ActuatorGains, node: Node) -> float:
 
 
 def saturated(values: Values, made: ActuatorGains, node: Node) -> Values:
-    """The values of a motor or its class, bounded by its saturation."""
+    """Return the values of a motor or its class, with the force range from its saturation."""
     if made.torque is None or "saturation" not in node.values:
         return values
     rest = {name: v for name, v in values.items() if name not in ("forcerange", "forcelimited")}
@@ -474,6 +478,6 @@ def saturated(values: Values, made: ActuatorGains, node: Node) -> Values:
 
 
 def without_range(values: Values, node: Node) -> Values:
-    """The values of a class, without ctrlrange if `node` inherits the joint's range."""
+    """Return the values of a class, without ctrlrange if `node` inherits the joint's range."""
     takes_over = node.values.get("inheritrange", 0.0) > 0
     return {name: v for name, v in values.items() if name != "ctrlrange" or not takes_over}

@@ -1,4 +1,4 @@
-"""`<include>`, replaced by the elements of another file."""
+"""Replace each `<include>` by the elements of the included file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stepcore.mjcf.nodes import DEPTH, MJCFError, Node, parse
 
 
 def read_main(shown: str) -> bytes:
-    """Reads the main file of a model."""
+    """Return the bytes of a model's main file."""
     try:
         return files.read(shown, "an MJCF or URDF file")
     except ValueError as error:
@@ -18,7 +18,7 @@ def read_main(shown: str) -> bytes:
 
 
 def read_named(node: Node, shown: str) -> Node:
-    """Parses the XML file that an element names; errors of reading it name that element's line."""
+    """Parse the XML file that an element names; read errors name the line of the element."""
     try:
         data = files.read(shown, "an MJCF or URDF file")
     except FileNotFoundError as error:
@@ -29,11 +29,11 @@ def read_named(node: Node, shown: str) -> Node:
 
 
 def expand(root: Node, base: Path | None, main: Path | None) -> list[str]:
-    """Replaces every include below `root`, in place.
+    """Replace every include below `root`, in place.
 
-    As in MuJoCo, a file is looked for in the folder of the main file (`base`), then in that of
-    the file that includes it, can be included once, and may lie outside these folders. Only
-    regular files are read. Returns a note on each file outside the folder of the main file.
+    As in MuJoCo, a file is searched in the folder of the main file (`base`), then in the folder of
+    the including file. A file can be included once, and may be outside these folders. Only regular
+    files are read. Returns a note on each file outside the folder of the main file.
     """
     seen = {_identity(main)} if main is not None else set()
     included_by: dict[str, str] = {}

@@ -14,13 +14,13 @@ from stepcore.scene.layout import DOFS, QPOS, Layout
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
-# Numbers of a mocap body.
+# The number of values per mocap body.
 MOCAP = {"mpos": 3, "mquat": 4}
 MAX_KEYS = 100_000
 
 
 def default_state(layout: Layout) -> dict[str, list[float]]:
-    """The state that completes a keyframe."""
+    """Return the default state, which completes a keyframe."""
     mocaps = [body for body in layout.bodies if body.mocap]
     return {
         "qpos": layout.qpos0(),
@@ -33,7 +33,7 @@ def default_state(layout: Layout) -> dict[str, list[float]]:
 
 
 def read(world: WorldReader, layout: Layout, rest: dict[str, list[float]], node: Node) -> None:
-    """Reads a keyframe. rest: the default state, which completes it."""
+    """Read a keyframe. rest: the default state, which completes the keyframe."""
     values = node.values
     if values.get("plastic"):
         raise bad(node, "plastic", values["plastic"], "empty: the model has no plastic")
@@ -57,13 +57,13 @@ def read(world: WorldReader, layout: Layout, rest: dict[str, list[float]], node:
 
 
 def _joints_of(world: WorldReader, node: Node) -> set[int]:
-    """The joints whose positions a keyframe of an attached model gives."""
+    """Return the ids of joints whose positions a keyframe of an attached model gives."""
     parts = (node.parts or {}).get("qpos", ())
     return {id(world.elements.get(id(part))) for part, _ in parts}
 
 
 def follow_bodies(world: WorldReader) -> None:
-    """Puts free joints that such a keyframe leaves out where their bodies stand now."""
+    """Set free joints that keyframes of attached models omit to the final poses of their bodies."""
     layout = Layout(world.scene)
     for key, said in world.open_keys:
         qpos, at = list(key.qpos or ()), 0
@@ -77,7 +77,7 @@ def follow_bodies(world: WorldReader) -> None:
 def _assembled(
     world: WorldReader, layout: Layout, node: Node, name: str, default: list[float]
 ) -> list[float]:
-    """A vector of a keyframe of an attached model, whose numbers belong to elements."""
+    """Return a vector of an attached model's keyframe, assembled from the numbers per element."""
     starts: dict[int, int] = {}
     at = 0
     sizes = {"qpos": QPOS, "qvel": DOFS}.get(name)
@@ -99,7 +99,7 @@ def _assembled(
 
 
 def add_empty_keys(scene: Contents, sizes: Iterable[Node]) -> None:
-    """Adds default states until there are as many keyframes as ``<size nkey>`` says."""
+    """Add default states until there are ``<size nkey>`` keyframes."""
     count = 0
     for node in sizes:
         count = node.values.get("nkey", count)

@@ -1,5 +1,5 @@
-"""Repairs XML that MuJoCo's parser accepts: bare "&", "--" in comments, blanks before the document,
-and attributes without blanks between them. Lines keep their numbers.
+"""Repair XML that MuJoCo's parser accepts: bare "&", "--" in comments, blanks before the document,
+and attributes without blanks between them. Line numbers do not change.
 """
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from typing import cast
 
-# An "&" that begins no reference.
+# An "&" that does not begin a reference.
 _AMPERSAND = re.compile(rb"&(?!(?:\w+|#\d+|#x[0-9a-fA-F]+);)", re.ASCII)
 _BLANKS = re.compile(rb"(?:\xef\xbb\xbf)?(\s+)(<\?xml[^>]*>)")
 # A start tag with attributes that may lack blanks between them.
@@ -16,7 +16,7 @@ _ATTRIBUTE = re.compile(rb"""(\s*)([^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))""")
 
 
 def repaired(data: str | bytes) -> str | bytes:
-    """The repaired text, or the same text if there is nothing to repair."""
+    """Return the repaired text, or the same text if there is nothing to repair."""
     raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
     raw = _plain_comments(raw)
     raw = _AMPERSAND.sub(b"&amp;", raw)
@@ -29,7 +29,7 @@ def repaired(data: str | bytes) -> str | bytes:
 
 
 def _plain_comments(raw: bytes) -> bytes:
-    """The text without the "--" within comments, which XML does not allow."""
+    """Return the text without "--" inside comments, which XML does not allow."""
     parts: list[bytes] = []
     at = 0
     while (start := raw.find(b"<!--", at)) >= 0 and (end := raw.find(b"-->", start + 4)) >= 0:

@@ -1,4 +1,4 @@
-"""The masses that the engine will give bodies, which some of the reader's passes need."""
+"""Compute the masses of bodies as the engine will, for the reader's passes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from stepcore.scene.records import plain
 if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import WorldReader
 
-# Sensors of the masses of bodies, also of those that cannot move.
+# Sensors whose readings depend on masses, even of bodies that cannot move.
 OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
 NOTE = (
     "an attached model makes masses by other rules (<compiler>): bodies have the masses that their "
@@ -31,9 +31,12 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Weight:
-    """A body's mass [kg], centre [m] and inertia about it [kg·m²], (3, 3), in the body's frame.
+    """The mass properties of a body, in the body's frame.
 
-    iquat: its principal axes; None of a sum.
+    mass: the mass [kg].
+    ipos: the centre of mass [m], shape (3,).
+    inertia: the inertia about the centre of mass [kg·m²], shape (3, 3).
+    iquat: the principal axes as a quaternion; None for a sum of bodies.
     """
 
     mass: float
@@ -42,7 +45,7 @@ class Weight:
     iquat: Vec | None = None
 
     def seen_from(self, pos: Vec, quat: Vec) -> Weight:
-        """The same weight in the frame in which the body has this pose."""
+        """Return the same properties in the frame in which the body has this pose."""
         turn = np.array(frames.matrix(quat))
         return Weight(self.mass, np.array(pos) + turn @ self.ipos, turn @ self.inertia @ turn.T)
 
@@ -59,12 +62,12 @@ class Weight:
 
     @property
     def six(self) -> Vec:
-        """The inertia as xx yy zz xy xz yz."""
+        """The inertia as xx yy zz xy xz yz [kg·m²]."""
         places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         return tuple(float(self.inertia[place]) for place in places)
 
     def equals(self, other: Weight | None) -> bool:
-        """Whether the mass, the centre and the inertia have the same bits."""
+        """Return whether mass, centre of mass and inertia are bit-identical."""
         return other is not None and (
             self.mass == other.mass
             and bool((self.ipos == other.ipos).all())
@@ -72,7 +75,7 @@ class Weight:
         )
 
     def give(self, body: Body) -> None:
-        """Makes this weight the body's own."""
+        """Assign these properties to a body."""
         body.mass, body.inertia, body.iquat = self.mass, self.six, self.iquat
         body.ipos = tuple(map(float, self.ipos))
 
@@ -80,10 +83,10 @@ class Weight:
 def weights(
     scene: Contents, bodies: Iterable[Body], rules: MassRules | None = None
 ) -> dict[int, Weight]:
-    """The weights of bodies by their ``id``, without the scaling to a total mass.
+    """Return the mass properties of bodies by ``id``, before scaling to a total mass.
 
-    rules: others than those of the scene. Only these bodies and the geoms that give them mass are
-    compiled.
+    Only these bodies and the geoms that give them mass are compiled.
+    rules: mass rules to use instead of the scene's.
     """
     part = Contents()
     part.mass_rules = MassRules(**((rules or scene.mass_rules).values() | {"settotalmass": -1.0}))
@@ -101,7 +104,7 @@ def weights(
     part.hfields = [hfield for hfield in scene.hfields if id(hfield) in used]
     tables = _core.compile(plain(Layout(part))).tables()
     columns = [tables[f"body_{name}"][1:] for name in ("mass", "ipos", "inertia", "iquat")]
-    # Bodies of one parent keep their order.
+    # All bodies have the same parent here, so compiling keeps their order.
     return {
         key: Weight(float(mass), np.array(ipos), np.array(inertia), tuple(map(float, iquat)))
         for key, mass, ipos, inertia, iquat in zip(twins, *columns, strict=True)
@@ -109,10 +112,11 @@ def weights(
 
 
 def place_weightless(world: WorldReader) -> None:
-    """Gives bodies in frames that weigh nothing an inertial of no mass.
+    """Give massless bodies inside frames an inertial with mass 0.
 
-    As in MuJoCo, it has the pose that the file writes for the body, without that of the frames. It
-    counts where `boundmass` or `boundinertia` make a mass, at contacts, and for sensors of masses.
+    As in MuJoCo, the inertial has the body's pose in the file, without the poses of the frames. The
+    inertial matters where `boundmass` or `boundinertia` add mass, at contacts, and for sensors that
+    depend on masses.
     """
     scene = world.scene
     touching, sensed = {id(geom.body) for geom in scene.geoms}, _senses_mass(scene)
@@ -133,17 +137,17 @@ def place_weightless(world: WorldReader) -> None:
 
 
 def _senses_mass(scene: Contents) -> bool:
-    """Whether a sensor depends on the masses or the centres of mass of bodies that cannot move."""
+    """Return whether a sensor depends on masses or centres of mass of bodies that cannot move."""
     kinds = {(sensor.type, sensor.objtype, sensor.reftype) for sensor in scene.sensors}
     centred = any(kind != "contact" and "body" in ends for kind, *ends in kinds)
     return centred or any(kind in OF_MASS for kind, *_ in kinds)
 
 
 def settle_masses(world: WorldReader) -> None:
-    """Gives bodies of attached models their own mass where their model makes another of them.
+    """Assign masses to bodies of attached models where the mass rules of the models differ.
 
-    As in MuJoCo, a body follows the `<compiler>` of the model that it comes from. A scene has one
-    set of rules: those of the outer model, unless these would change a mass that is given here.
+    As in MuJoCo, a body follows the `<compiler>` of the model that defines it. A scene has one set
+    of mass rules: those of the outer model, unless they would change a mass assigned here.
     """
     scene = world.scene
     groups: dict[tuple[object, ...], tuple[MassRules, list[Body]]] = {}
@@ -171,16 +175,16 @@ def settle_masses(world: WorldReader) -> None:
 
 
 def _for_one_body(rules: MassRules) -> tuple[object, ...]:
-    """What of the rules concerns a single body."""
+    """Return the rules that concern a single body: all but settotalmass."""
     return tuple((rules.values() | {"settotalmass": None}).values())
 
 
 def _weights_if(rules: MassRules, scene: Contents, bodies: list[Body]) -> dict[int, Weight]:
-    """The weights of those bodies that have one under these rules, by their ``id``."""
+    """Return the mass properties by ``id`` of the bodies that these rules accept."""
     try:
         return weights(scene, bodies, rules)
     except ValueError:
         if len(bodies) == 1:
             return {}
-    # A body that the rules refuse says nothing about the others.
+    # One rejected body does not affect the others, so compute the bodies one by one.
     return {key: w for body in bodies for key, w in _weights_if(rules, scene, [body]).items()}
