@@ -126,7 +126,7 @@ def _rk4(s: complex) -> float:
 
 @lru_cache(maxsize=256)
 def _rk4_along(way: complex) -> float:
-    """Return the limit of a rate of size 1; joints with equal ω and damping share the result."""
+    """Return the limit of a rate of size 1; rates of equal damping ratio share the result."""
 
     def stable(h: float) -> bool:
         return bool(abs(amplification("rk4", h * way)) <= 1 + 1e-9)

@@ -1,15 +1,15 @@
-"""The largest stable dt as the motion itself shows it, where the linearised step does not decide.
+"""Correct the largest stable dt by runs of the motion, where the linearised step does not decide.
 
 The motion is run with the real step (`motion_runs`) and compared with a run at a fine step:
 
-- it explodes if it does not stay finite, or if its kinetic energy exceeds `LARGE` times the
-  largest of the fine run;
-- it chatters if a servo's force jumps from one end of its force range to the other within a step,
-  again and again, where the fine run's does not.
+- it explodes if it does not stay finite, or if its kinetic energy exceeds `LARGE` times the largest
+of the fine run;
+- it chatters if a servo's force repeatedly jumps from one end of its force range to the other
+within a step, and does not in the fine run.
 
-A limit is moved to where the motion still holds. The linearised step alone decides where the state
-that limits dt stays what it is; where inertial forces limit dt at a state that changes, the motion
-alone does.
+A limit is moved to the largest step at which the motion neither explodes nor chatters. If the state
+that limits dt is steady, the linearised step alone decides. If inertial forces limit dt at a state
+that changes, the motion alone decides.
 """
 
 from __future__ import annotations
@@ -32,17 +32,18 @@ from stepcore.measure.diagnosis.servo_range import crossing_dt
 from stepcore.measure.diagnosis.shares import Shares, growing_shares, limiting_shares
 
 # The share of the steps in which a chattering servo's force goes from one end of its range to the
-# other (half of them in a cycle of four). `RARE` is enough in a run that is thrown far: chatter may
-# come to rest by luck (Panda's at 4.6 ms, not at 3.2 ms). A fine run has fewer.
+# other (half of the steps in a cycle of four). `RARE` is enough in a run with large energy, because
+# chatter may die out by chance (for Panda at 4.6 ms, but not at 3.2 ms). A fine run has fewer such
+# steps.
 CHATTER, RARE = 0.3, 0.01
 # Relative resolution of a limit that the motion decides.
 FINE = 0.02
-# The part of the linear limit at which the motion must hold.
+# The fraction of the linear limit at which the motion must be stable.
 BELOW = 0.97
-# The rates of a steady motion differ by less than this, in parts of the fastest.
+# The rates of a steady motion differ by less than this fraction of the fastest.
 STEADY = 0.05
-# The fine runs that are tried, until one agrees with the one before: integrator, and step over that
-# of the states' run; and how far the energies of two that agree may be apart.
+# The fine runs to try until two successive runs agree: integrator, and step over that of the
+# states' run. `REFINED` is the largest ratio of energies that agree.
 FINER = (
     ("implicitfast", 0.5),
     ("rk4", 0.5),
@@ -51,29 +52,31 @@ FINER = (
     ("implicitfast", 0.008),
 )
 REFINED = 1.5
-# Energy over that of a slow motion from which a motion has blown up at any step; how far apart the
-# times may be of two that blow up alike.
+# The energy, over that of a slow motion, above which a motion has blown up at any step; and the
+# largest ratio of two blow-up times that agree.
 RUNAWAY, ALIKE = 1e16, 1.2
-# A factor of the energy of an explosion for a model with a change made, whose masses may be others.
+# A factor of the explosion energy for a changed model, whose masses may differ.
 CHANGED = 1e3
-# Energy over the first that exceeds the bound, up to which a saturated servo may throw: such a run
+# The energy, over the first that exceeds the bound, that a saturated servo may cause: such a run
 # may stay finite.
 THROWN = 1e9
-# The factor between steps at which chatter is looked for.
+# The factor between successive steps in the search for chatter.
 NEXT = 1.25
-# Parts of a limit found by bisection at which the motion must hold too: it may fail, hold and fail
-# (the balls of cup.xml under midpoint fail at 12.2 ms and hold at 14.3 ms).
+# Fractions of a limit found by bisection at which the motion must be stable too. Failure is not
+# monotonic in dt: the balls of cup.xml under midpoint fail at 12.2 ms and are stable at 14.3 ms.
 SHORTER_PARTS = (0.93, 0.86, 0.79, 0.7, 0.6)
-# Horizons over which a slow growth is looked for, at the step and at this part of it.
+# Horizons over which slow growth is searched for, and the divisor of the step for comparison.
 LONGER, SHORTER = 10, 4
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the motion did at a step.
+    """The outcome of the motion at a step.
 
-    kind: "holds", "explodes" or "chatters". time [s]: when, or how far the run went. element: the
-    servo that chatters. energy: the largest kinetic energy over that of the fine run.
+    kind: "holds", "explodes" or "chatters".
+    time: when the motion failed, or how far the run went [s].
+    energy: the largest kinetic energy over that of the fine run.
+    element: the servo that chatters.
     """
 
     kind: str
@@ -83,7 +86,7 @@ class Outcome:
 
     @property
     def holds(self) -> bool:
-        """Whether the motion is that of the fine run, as far as energy shows."""
+        """Whether the motion agrees with the fine run in energy and without chatter."""
         return self.kind == "holds"
 
 
@@ -91,8 +94,10 @@ class Outcome:
 class Runaway:
     """A motion that blows up at every step that was tried.
 
-    times, dts [s]: when, at the two shortest of them. alike: whether these agree: it is the motion
-    that grows then, and no dt changes it. element: what grows, if one element does.
+    times: when the motion blows up, at the two shortest steps [s].
+    dts: these two steps [s].
+    alike: whether both times agree. If they do, the motion itself grows, and no dt changes that.
+    element: the element that makes the motion grow, if a single one does.
     """
 
     times: tuple[float, float]
@@ -102,16 +107,18 @@ class Runaway:
 
     @property
     def confirmed(self) -> bool:
-        """As of a `Judge`: whether two fine runs agree."""
+        """Whether two fine runs agree, as for a `Judge`."""
         return self.alike
 
 
 @dataclass(frozen=True)
 class Judge:
-    """Compares runs of the real step with a fine one.
+    """A comparison of runs of the real step with a fine run.
 
-    real: the motion. fine: its run at a fine step. confirmed: whether a finer step gave the same.
-    floor [J]: the kinetic energy of a slow motion.
+    real: the motion.
+    fine: its run at a fine step.
+    confirmed: whether a finer step gave the same motion.
+    floor: the kinetic energy of a slow motion [J].
     """
 
     real: MotionRuns
@@ -121,16 +128,20 @@ class Judge:
 
     @property
     def bound(self) -> float:
-        """The kinetic energy [J] from which a run explodes."""
+        """The kinetic energy [J] above which a run explodes."""
         return LARGE * max(self.fine.peak, self.floor)
 
     @property
     def longest(self) -> float:
-        """The longest step of which a run tells something [s]."""
+        """The longest step whose run has enough steps to judge [s]."""
         return self.fine.reached / FEWEST
 
     def run(self, integrator: str, dt: float, more: float = 1.0) -> MotionRun:
-        """The motion at this step, as far as the fine run went; more: a factor of the bound."""
+        """Return the run of the motion at a step, over the time of the fine run.
+
+        integrator, dt: the integrator and its step [s].
+        more: a factor of the bound.
+        """
         horizon, bound = self.fine.reached, more * self.bound
         run = self.real.run(integrator, dt, horizon=horizon, beyond=bound)
         if run.finite and run.peak > bound and bool(run.saturated.any()):
@@ -138,11 +149,19 @@ class Judge:
         return run
 
     def outcome(self, integrator: str, dt: float, more: float = 1.0) -> Outcome:
-        """What the motion does at this step; more: a factor of the energy of an explosion."""
+        """Return the outcome of the motion at a step.
+
+        integrator, dt: the integrator and its step [s].
+        more: a factor of the energy of an explosion.
+        """
         return self.judged(self.run(integrator, dt, more), more)
 
     def judged(self, run: MotionRun, more: float = 1.0) -> Outcome:
-        """What a run showed; more: as in `outcome`."""
+        """Return the outcome of a run.
+
+        run: the run.
+        more: as in `outcome`.
+        """
         energy = run.peak / max(self.fine.peak, self.floor)
         often = (run.jumps > CHATTER) | (run.swings > CHATTER)
         if run.peak > self.bound:
@@ -156,9 +175,12 @@ class Judge:
         return Outcome("holds", run.reached, energy)
 
     def holds(self, model: Model, integrator: str, dt: float) -> bool:
-        """Whether the motion holds at this step, of the model or of one with a change made.
+        """Return whether a model's motion neither explodes nor chatters at a step.
 
-        A step that is long beside the motion makes too few steps to tell: it holds.
+        A step longer than `longest` makes too few steps to judge, and passes.
+
+        model: the model of the runs, or a changed one.
+        integrator, dt: the integrator and its step [s].
         """
         if dt > self.longest:
             return True
@@ -166,10 +188,11 @@ class Judge:
         return changed.outcome(integrator, dt, CHANGED).holds
 
     def lasting(self, integrator: str, dt: float) -> float | None:
-        """When a growth that is the integrator's exceeds the bound after the horizon [s].
+        """Return the time [s] at which growth by the integrator exceeds the bound, or None.
 
-        None where it does not in `LONGER` horizons, where a quarter of the step does the same, and
-        with a control function, which need not know what to do after the horizon.
+        The time lies after the horizon. The result is None if there is no such growth in `LONGER`
+        horizons, or if a quarter of the step does the same. It is None with a control function,
+        which may be undefined after the horizon.
         """
         if dt > self.longest or self.real.schedule.control is not None:
             return None
@@ -185,16 +208,16 @@ class Judge:
 
 
 def judge(real: MotionRuns, dt: float) -> Judge | Runaway | None:
-    """A judge with a fine run, at a part of `dt` [s], that another one confirms.
+    """Return a judge with a fine run, at a part of `dt` [s], that another fine run confirms.
 
-    A Runaway where the finest runs blow up; None where only the last does.
+    The result is a Runaway if the finest runs blow up, and None if only the last does.
     """
     floor = real.least_energy()
     runs: list[MotionRun] = []
     for integrator, part in FINER:
         runs.append(real.run(integrator, part * dt, beyond=RUNAWAY * floor))
         if len(runs) > 1 and _same(runs[-2], runs[-1], floor):
-            # The one that went on longer: both are fine enough.
+            # Both runs are fine enough; the longer one is used.
             chosen = max(runs[-2:], key=lambda run: round(run.reached, 9))
             return Judge(real, chosen, True, floor)
         runaway = _runaway(real.model, runs[-2:], floor)
@@ -210,14 +233,14 @@ def _blown(run: MotionRun, floor: float) -> bool:
 
 
 def _runaway(model: Model, runs: Sequence[MotionRun], floor: float) -> Runaway | None:
-    """What the last two runs show if both blow up; else None."""
+    """Return the Runaway of the last two runs if both blow up, or None."""
     if len(runs) < 2 or not all(_blown(run, floor) for run in runs):
         return None
     times, calm = [run.reached for run in runs], runs[-1].calm
     alike = max(times) <= ALIKE * min(times)
     element = None
     if alike and calm is not None:
-        # The largest share in the fastest growth of the motion itself.
+        # The element has the largest share in the fastest growth of the motion itself.
         motion = linear_motion(model, calm, None)
         shares = {} if motion is None else growing_shares(motion)
         element = max(shares, key=lambda element: shares[element], default=None)
@@ -227,7 +250,7 @@ def _runaway(model: Model, runs: Sequence[MotionRun], floor: float) -> Runaway |
 
 
 def _same(coarse: MotionRun, fine: MotionRun, floor: float) -> bool:
-    """Whether two runs agree: in kinetic energy as long as both went on, and without chatter."""
+    """Return whether two runs agree in kinetic energy while both last, and do not chatter."""
     if _blown(coarse, floor) or _blown(fine, floor):
         return False
     if bool((np.maximum(coarse.swings, fine.swings) > RARE).any()):
@@ -243,9 +266,12 @@ def _same(coarse: MotionRun, fine: MotionRun, floor: float) -> bool:
 def judged_limit(
     here: StepStability, judge: Judge | None, wanted: float, limit: Limit
 ) -> tuple[Limit, Shares]:
-    """The limit of an integrator, corrected by the motion itself, and the elements' shares in it.
+    """Return the limit of an integrator, corrected by the motion, and the elements' shares in it.
 
-    limit: that of the linearised step. wanted: the dt asked about [s].
+    here: the linearised step at the states.
+    judge: the runs of the motion; None for no correction.
+    wanted: the wanted dt [s].
+    limit: the limit of the linearised step.
     """
     shares = limiting_shares(here, limit)
     if math.isfinite(limit.dt) and not any(shares.values()):
@@ -269,10 +295,14 @@ def judged_limit(
 
 
 def first_failing(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """The step [s] up to which all hold; from `low` on they are tried, in small parts.
+    """Return the step [s] up to which all steps pass.
 
-    Chatter begins at a step and may rest at some longer ones, by luck. low [s]: may be
-    inf, where nothing says from where on. high [s]: fails.
+    Steps from `low` on are tried at small intervals, because chatter begins at a step and may die
+    out by chance at longer ones.
+
+    holds: whether a step passes.
+    low: a step [s] at which chatter may begin; inf if unknown.
+    high: a step [s] that fails.
     """
     low = min(low, high)
     good = low / NEXT
@@ -284,7 +314,7 @@ def first_failing(holds: Callable[[float], bool], low: float, high: float) -> fl
 
 
 class _Search:
-    """Where a motion ceases to hold, by as few runs as may be."""
+    """A search, with few runs, for the step at which a motion begins to fail."""
 
     def __init__(self, judge: Judge, integrator: str, longest: float) -> None:
         self.judge, self.integrator, self.longest = judge, integrator, longest
@@ -292,17 +322,20 @@ class _Search:
         self.linear = math.inf
 
     def holds(self, dt: float) -> bool:
-        """Whether the motion holds at a step."""
+        """Return whether the motion neither explodes nor chatters at a step."""
         if dt not in self.outcomes:
-            # What is driven below a limit swings the wider the nearer it is, and does not explode.
+            # A driven motion below its limit swings wider the nearer the limit is, without
+            # exploding.
             more = (1 - (dt / self.linear) ** 2) ** -2 if dt < self.linear else 1.0
             self.outcomes[dt] = self.judge.outcome(self.integrator, dt, more)
         return self.outcomes[dt].holds
 
     def limit(self, linear: float, wanted: float, decisive: bool) -> float:
-        """The limit [s]: the linear one where the motion agrees with it.
+        """Return the limit [s], which is the linear one if the motion agrees.
 
-        decisive: whether the motion may only lower it.
+        linear: the limit of the linearised step [s].
+        wanted: the wanted dt [s].
+        decisive: whether the linear limit can only be lowered.
         """
         fine = self.judge.fine.dt
         if decisive:
@@ -328,7 +361,7 @@ class _Search:
         return math.inf
 
     def _below(self, limit: float) -> float:
-        """The limit [s] where some shorter steps hold too."""
+        """Return the limit [s], lowered if some shorter steps fail."""
         for part in SHORTER_PARTS:
             if not self.holds(part * limit):
                 low = part * limit / NEXT
@@ -339,7 +372,7 @@ class _Search:
 
 
 def _moving(here: StepStability, shares: Shares) -> bool:
-    """Whether a motion limits dt that does not stay what it is: the linear step cannot decide."""
+    """Return whether inertial forces limit dt at changing states, where the motion decides."""
     most = max(shares, key=lambda element: shares[element], default=INERTIAL)
     if most != INERTIAL and most.kind != "spin":
         return False
@@ -349,7 +382,7 @@ def _moving(here: StepStability, shares: Shares) -> bool:
 
 
 def _spinning(here: StepStability, limit: Limit) -> Shares:
-    """All to the fastest spin at the state of a limit; nothing where nothing spins."""
+    """Return the whole share for the fastest spin at the state of a limit; {} if nothing spins."""
     motion = here.motion(here.states[limit.state])
     parts = {} if motion is None else motion.elements
     sizes = {
@@ -361,7 +394,7 @@ def _spinning(here: StepStability, limit: Limit) -> Shares:
 
 
 def _shares_of_run(here: StepStability, judge: Judge, integrator: str, dt: float) -> Shares:
-    """The elements' shares in the growth of a run that explodes, where it begins."""
+    """Return the elements' shares in the growth of a run that explodes, at the onset of growth."""
     calm = judge.run(integrator, dt).calm
     if calm is None:
         return {}

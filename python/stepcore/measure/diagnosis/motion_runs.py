@@ -1,14 +1,14 @@
-"""The motion itself on the real step: what a step of an integrator does over the horizon.
+"""Run the motion with the real step of an integrator, and record energies and force jumps.
 
-A linearised step decides where a state stays what it is. It says nothing of a servo at the end of
-its force range, of a rotation that turns the state within a few steps, or of growth that adds up
-slowly. There the motion is run with the step in question, by `Runner.follow`, and observed:
+A linearised step decides where a state is steady. It does not show a servo at the end of its force
+range, a rotation that turns the state within a few steps, or growth that adds up slowly. In these
+cases `Runner.follow` runs the motion with the step in question, and a probe observes:
 
 - its kinetic energy, evenly sampled;
 - at every sample, over a few single steps, whether a servo's force jumps from one end of its force
-  range to the other within a step.
+range to the other within a step.
 
-The budget is in steps, so that the answer is the same on every machine.
+The budget is in steps, so that the result is the same on every machine.
 """
 
 from __future__ import annotations
@@ -31,36 +31,43 @@ from stepcore.experiment.schedule import SPEED, SPIN, Schedule
 from stepcore.measure.diagnosis.control import steps_held
 from stepcore.measure.diagnosis.linear_step import State, state_now
 
-# Samples of a run, its steps at most and at least (a longer run is cut short), and the dofs from
-# which a run has fewer: a step takes about the square of them.
+# Samples of a run, its most and least budget in steps (a longer run is cut short), and the number
+# of dofs above which the budget falls: a step's cost grows with about their square.
 SAMPLES, MOST, LEAST, DOFS_AT_MOST = 200, 20_000, 2_000, 8
-# Of every sample so many steps are looked at one by one: two would miss a cycle of four steps, in
-# which a force goes from end to end in every other one.
+# Steps that are observed one by one at each sample. Two would miss a cycle of four steps, in which
+# a force goes from end to end in every other step.
 SINGLE = 4
 # The fewest steps that make a run.
 FEWEST = 8
-# The most steps of a run from a state, and in how many shorter ones it is repeated where it grows.
+# The most steps of a run from a state, and the divisor of the step when a growing run is repeated.
 STEPS, SHORTER = 500, 4
-# A push of every dof, to alternate sides [m/s or rad/s].
+# A push of every dof, with alternating signs [m/s or rad/s].
 PUSH = 1e-3
-# A speed belongs to the motion itself if shorter steps reach this part of it.
+# A speed belongs to the motion itself if shorter steps reach this fraction of it.
 PART = 0.1
 
 
 class _Ended(Exception):
-    """A run need not go on."""
+    """Raised to end a run early."""
 
 
 @dataclass(frozen=True)
 class MotionRun:
-    """What a run of the real step did.
+    """The observations of one run of the real step.
 
-    integrator; dt [s]. reached [s]: how far it came; finite: whether it stayed finite. peak [J]:
-    its largest kinetic energy. times [s], energies [J]: of its samples. jumps: of each actuator,
-    the share of the steps in the later half in which its force went from one end of its range to
-    the other; swings: that share in the whole run. saturated: of each actuator, whether its force
-    ever was at an end. speeds: the largest |qvel| seen, shape (nv,). calm: the state at the last
-    sample whose energy was within the bound.
+    integrator: the integrator.
+    dt: its step [s].
+    reached: the time that the run reached [s].
+    finite: whether the run stayed finite.
+    peak: the largest kinetic energy [J].
+    times: the times of the samples [s].
+    energies: the kinetic energies of the samples [J].
+    jumps: for each actuator, the share of the steps in the later half of the run in which its force
+        went from one end of its range to the other.
+    swings: the same share over the whole run.
+    saturated: for each actuator, whether its force ever was at an end.
+    speeds: the largest |qvel| observed, shape (nv,).
+    calm: the state at the last sample whose energy was within the bound.
     """
 
     integrator: str
@@ -79,9 +86,11 @@ class MotionRun:
 
 @dataclass(frozen=True)
 class MotionRuns:
-    """A motion, ready to be run with the step of any integrator.
+    """A motion, ready to run with the step of any integrator.
 
-    schedule: its start and controls. horizon [s]: how long.
+    model: the model.
+    schedule: the start and the controls of the motion.
+    horizon: the length of the motion [s].
     """
 
     model: Model
@@ -97,10 +106,12 @@ class MotionRuns:
         beyond: float = math.inf,
         kick: Floats | None = None,
     ) -> MotionRun:
-        """The motion at this step.
+        """Return the run of the motion at a step.
 
-        horizon [s]: in place of the motion's. beyond [J]: a kinetic energy at which the run ends.
-        kick: added to the velocities at the start, shape (nv,).
+        integrator, dt: the integrator and its step [s].
+        horizon: a length [s] in place of the motion's.
+        beyond: a kinetic energy at which the run ends [J].
+        kick: velocities to add at the start, shape (nv,).
         """
         count = round((self.horizon if horizon is None else horizon) / dt)
         count = min(max(count, FEWEST), self.most)
@@ -118,7 +129,7 @@ class MotionRuns:
         except ControlError:
             raise
         except (SimulationError, ValueError):
-            # Controls that are not finite belong to a motion that no longer is.
+            # Controls that are not finite follow from a motion that is not finite.
             finite = False
         return watch.run(finite)
 
@@ -126,17 +137,17 @@ class MotionRuns:
     def most(self) -> int:
         """The most steps of a run."""
         if self.schedule.control is not None:
-            # Each step asks the user's function.
+            # Each step calls the user's function.
             return LEAST
         return max(LEAST, min(MOST, round(MOST * (DOFS_AT_MOST / self.model.nv) ** 2)))
 
     @property
     def start(self) -> Start:
-        """Where the motion begins."""
+        """The first state of the motion."""
         return self.schedule.starts[0]
 
     def least_energy(self) -> float:
-        """The kinetic energy [J] of a slow motion of every dof: less is no explosion."""
+        """Return the kinetic energy [J] of a slow motion of every dof; less is no explosion."""
         sim = unwatched(Sim(self.model))
         sim.qpos[:] = self.start.qpos
         slow = Coordinates(self.model).scaled(np.ones(self.model.nv), SPEED, SPIN)
@@ -144,7 +155,7 @@ class MotionRuns:
 
 
 class _Watch(Probe):
-    """Observes a run of `count` steps, until its energy exceeds `bound` [J].
+    """A probe of a run of `count` steps that ends when its energy exceeds `bound` [J].
 
     edges: the steps at which samples are taken.
     """
@@ -159,10 +170,10 @@ class _Watch(Probe):
         self.energies: list[float] = []
         self.seen: list[Any] = []
         self.calm: State | None = None
-        # The largest energy in this sample, and which ends of their ranges forces were at before.
+        # The largest energy in this sample, and the ends at which the forces were one step before.
         self.energy: float = 0.0
         self.before: Any = None
-        # From this step on, steps are looked at one by one.
+        # Single steps are observed after this step.
         self.looks = 0
 
     def begin(self, sim: Sim) -> None:
@@ -175,7 +186,7 @@ class _Watch(Probe):
     def step(self, sim: Sim) -> None:
         self.done = round(sim.time / sim.settings.dt)
         if self.done <= self.looks:
-            # A control period ended on the way.
+            # A control period ended between two samples.
             return
         self.energy = max(self.energy, _energy(sim))
         np.maximum(self.speeds, np.abs(sim.qvel), out=self.speeds)
@@ -191,7 +202,7 @@ class _Watch(Probe):
             self._sample(self.energy)
 
     def _sample(self, energy: float) -> None:
-        """Ends a sample, and begins the next one."""
+        """End a sample and begin the next one."""
         sim = self.sim
         self.times.append(self.done * sim.settings.dt)
         self.energies.append(energy)
@@ -203,7 +214,7 @@ class _Watch(Probe):
         self.looks = max(following - SINGLE, self.done)
 
     def run(self, finite: bool) -> MotionRun:
-        """What was observed."""
+        """Return the observations."""
         settings, nothing = self.sim.settings, np.zeros(self.sim.model.nu)
         later = self.seen[len(self.seen) // 2 :]
         return MotionRun(
@@ -223,7 +234,7 @@ class _Watch(Probe):
 
 
 def _ends(model: Model) -> tuple[Floats, Floats] | None:
-    """The ends of the actuators' force ranges, each shape (nu,); None where none has any."""
+    """Return the ends of the actuators' force ranges, shape (nu,) each, or None without ranges."""
     if not model.nu or not model.scene.features.actuation:
         return None
     low, high = np.array(model.actuator_forcerange).reshape(-1, 2).T
@@ -239,9 +250,11 @@ def _energy(sim: Sim) -> float:
 
 
 def stays_bounded(model: Model, state: State, integrator: str, dt: float, horizon: float) -> bool:
-    """Whether a run from a state, pushed a little, reaches no speed that shorter steps do not.
+    """Return whether a slightly pushed run from a state reaches no speed that shorter steps do not.
 
-    dt [s]; horizon [s]: the time of the run, at most `STEPS` steps.
+    model, state: the model and the state.
+    integrator, dt: the integrator and its step [s].
+    horizon: the time of the run [s], at most `STEPS` steps.
     """
     count = max(1, min(STEPS, round(horizon / dt)))
     push = PUSH * np.where(np.arange(model.nv) % 2, -1.0, 1.0)
@@ -252,16 +265,21 @@ def stays_bounded(model: Model, state: State, integrator: str, dt: float, horizo
     if PART * speeds.max() <= first:
         return True
     finer = largest_speeds(model, state, integrator, dt / SHORTER, count * SHORTER, push)
-    # Where shorter steps end as well, nothing is learned of this one.
+    # If shorter steps fail as well, they show nothing about this step.
     return finer is None or bool(PART * speeds.max() <= finer.max())
 
 
 def largest_speeds(
     model: Model, state: State, integrator: str, dt: float, count: int, push: Floats
 ) -> Floats | None:
-    """The largest |qvel| of each dof in a run from a pushed state; None if it does not stay finite.
+    """Return the largest |qvel| of each dof in a run from a pushed state, or None if not finite.
 
     Controls are constant, or those of the state's control function.
+
+    model, state: the model and the state.
+    integrator, dt: the integrator and its step [s].
+    count: the number of steps.
+    push: velocities to add at the start, shape (nv,).
     """
     start = Start(state.qpos, state.qvel + push, state.act if len(state.act) else None)
     control = None if state.feedback is None else state.feedback.function
@@ -279,7 +297,7 @@ def largest_speeds(
 
 
 class _Fastest(Probe):
-    """The largest |qvel| after any step."""
+    """A probe of the largest |qvel| after any step."""
 
     def __init__(self, nv: int) -> None:
         self.speeds = np.zeros(nv)

@@ -1,14 +1,15 @@
-"""Servos at the ends of their force ranges, where kv has no effect, and what the motion does.
+"""Find servos that chatter at the ends of their force ranges, where kv has no effect.
 
-A force that is clamped no longer depends on the velocity: its derivative is zero, and an integrator
-that treats the servo's damping implicitly takes an explicit step there. With gain kv, force range
-±F and moved inertia I the force is clamped beyond the speed F/kv, and a step changes the speed by
-F·dt/I: where that is more than 2F/kv, a step of dt > 2I/kv jumps from one end of the range to the
-other, and the servo chatters for good. Whether it does is looked at on the real step: in the motion
+A clamped force is independent of velocity. Its derivative is zero, so an integrator that treats the
+servo's damping implicitly takes an explicit step there. With gain kv, force range ±F and moved
+inertia I, the force is clamped above the speed F/kv, and a step changes the speed by F·dt/I. If
+this change exceeds 2F/kv, that is for dt > 2I/kv, a step jumps from one end of the range to the
+other, and the servo chatters permanently. Runs of the real step test for chatter: in the motion
 itself, and after a kick beyond F/kv.
 
-A servo whose oscillation by itself is unstable at a step, and which friction or its range holds in
-every state that is linearised, goes from end to end too once it is pushed (`swinging_dt`).
+A servo's own oscillation may be unstable at a step although friction or the force range holds the
+servo still in every linearised state. Once pushed, such a servo goes from end to end too
+(`swinging_dt`).
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ from stepcore.measure.diagnosis.servo_range import (
 )
 from stepcore.measure.diagnosis.shares import Shares
 
-# The kick over the speed at which the range is reached; the most servos that are kicked.
+# The kick over the speed at which the range is reached, and the most servos to kick.
 KICK, SERVOS = 1.5, 6
-# The fastest kick, where the motion itself is no faster: [rad/s] and [m/s].
+# The fastest kick, unless the motion itself is faster: [rad/s] and [m/s].
 FASTEST, FASTEST_SLIDE = 30.0, 3.0
-# The steps of a kicked run, and of one from a state: chatter shows at once.
+# The steps of a kicked run, and of a run from a state: chatter begins at once.
 STEPS, BRIEF = 1000, 500
-# A servo that comes to rest throws its kicked joint no faster than by this factor.
+# The largest ratio of thrown to kicked speed for a servo that comes to rest.
 RESTS = 1.2
 
 
@@ -53,12 +54,18 @@ RESTS = 1.2
 class Saturation:
     """A servo that chatters at the ends of its force range.
 
-    element: which one. joint: its name. angular: whether that turns. force: the end of the range
-    [N·m or N]. speed: of the joint, from which the range is reached [rad/s or m/s]. thrown: the
-    largest speed of the joint at the wanted dt; usual: that of the motion at a fine step. dt: the
-    largest step at which it comes to rest [s]. reached: whether the motion itself reaches the
-    range, without a kick. severe: whether the chatter has more energy than the kick, by `LARGE`
-    times, or is that of an oscillation which is unstable. swinging: whether it is that.
+    element: the servo.
+    joint: the name of its joint.
+    angular: whether the joint rotates.
+    force: the end of the range [N·m or N].
+    speed: the speed of the joint at which the range is reached [rad/s or m/s].
+    thrown: the largest speed of the joint at the wanted dt [rad/s or m/s].
+    usual: the largest speed of the joint in the motion at a fine step [rad/s or m/s].
+    dt: the largest step at which the servo comes to rest [s].
+    reached: whether the motion itself reaches the range, without a kick.
+    severe: whether the chatter has `LARGE` times more energy than the kick, or is an unstable
+        oscillation.
+    swinging: whether the chatter is an unstable oscillation.
     """
 
     element: Element
@@ -76,11 +83,13 @@ class Saturation:
 
 @dataclass(frozen=True)
 class Observation:
-    """What was seen of the motion at the wanted step.
+    """The observations of the motion at the wanted step.
 
-    limit, shares: of the scene's integrator, after it. outcome: what the motion did; None where
-    the step is too long to tell. saturations: servos that chatter. lasting: see `Judge.lasting`.
-    runaway: where the motion blows up at every step.
+    limit, shares: those of the scene's integrator, corrected by the motion.
+    outcome: the outcome of the motion; None if the step is too long to judge.
+    saturations: servos that chatter.
+    lasting: see `Judge.lasting`.
+    runaway: how the motion blows up at every step; None if it does not.
     """
 
     limit: Limit
@@ -92,9 +101,11 @@ class Observation:
 
 
 def look(judge: Judge | Runaway | None, limit: Limit, shares: Shares, wanted: float) -> Observation:
-    """Runs the motion at the wanted step [s], and after kicks beyond the servos' force ranges.
+    """Run the motion at the wanted step, and after kicks beyond the servos' force ranges.
 
-    limit, shares: of the scene's integrator so far.
+    judge: the runs of the motion.
+    limit, shares: the present ones of the scene's integrator.
+    wanted: the wanted step [s].
     """
     if isinstance(judge, Runaway):
         return Observation(limit, shares, runaway=judge)
@@ -103,7 +114,7 @@ def look(judge: Judge | Runaway | None, limit: Limit, shares: Shares, wanted: fl
     run = judge.run(limit.integrator, wanted)
     outcome = judge.judged(run)
     if limit.dt >= wanted and outcome.kind == "explodes":
-        # Driven near its limit, the motion swings wider than the fine run's.
+        # Near its limit a driven motion swings wider than in the fine run.
         outcome = replace(outcome, kind="holds")
     if limit.dt < wanted:
         chatter = []
@@ -119,8 +130,12 @@ def look(judge: Judge | Runaway | None, limit: Limit, shares: Shares, wanted: fl
 def kicked(
     judge: Judge, limit: Limit, shares: Shares, wanted: float
 ) -> tuple[Limit, Shares, list[Saturation]]:
-    """A limit and its shares after kicks of the servos, and those that chatter at the wanted dt [s]
-    then, the worst first."""
+    """Return limit and shares after kicks of the servos, and the servos that then chatter.
+
+    judge: the runs of the motion.
+    limit, shares: the present ones of an integrator.
+    wanted: the wanted step [s], at which the servos chatter; the worst come first.
+    """
     chatter = []
     for kick in _kicks(judge, limit.integrator, wanted):
         run = kick.run(wanted)
@@ -134,7 +149,7 @@ def kicked(
 
 
 def holds_when_kicked(judge: Judge, model: Model, integrator: str, dt: float) -> bool:
-    """As `Judge.holds`, after a kick beyond the servos' force ranges too."""
+    """Return the result of `Judge.holds`, also after kicks beyond the servos' force ranges."""
     if not judge.holds(model, integrator, dt):
         return False
     changed = replace(judge, real=replace(judge.real, model=model))
@@ -146,10 +161,14 @@ def holds_when_kicked(judge: Judge, model: Model, integrator: str, dt: float) ->
 
 
 def settles(model: Model, state: State, integrator: str, dt: float, servo: int) -> bool:
-    """Whether a servo that is kicked beyond its force range throws its joint no faster.
+    """Return whether a servo, kicked beyond its force range, throws its joint no faster.
 
-    Its control is held; in fine steps it comes to rest. A kick that is faster than any motion of
-    use is not made. dt [s].
+    The servo's control is constant, so that in fine steps the servo comes to rest. A servo whose
+    kick would be faster than any practical motion passes without a run.
+
+    model, state: the model and the state.
+    integrator, dt: the integrator and its step [s].
+    servo: the index of the actuator.
     """
     if model.actuator_joint[servo] < 0:
         # Not along one joint, which alone could be kicked.
@@ -165,7 +184,7 @@ def settles(model: Model, state: State, integrator: str, dt: float, servo: int) 
 
 
 def _fastest(model: Model, servo: int) -> float:
-    """The fastest kick of a servo's joint, where the motion itself is no faster."""
+    """Return the largest kick of a servo's joint, unless the motion itself is faster."""
     turns = model.jnt_type[int(model.actuator_joint[servo])] != "slide"
     return FASTEST if turns else FASTEST_SLIDE
 
@@ -174,8 +193,9 @@ def _fastest(model: Model, servo: int) -> float:
 class _Kick:
     """The motion after a kick of a servo's joint beyond its force range.
 
-    alone [s]: the step from which on it may be thrown across the range, by closed form. speed
-    [rad/s or m/s]: at which the range is reached. swinging: see `Saturation`.
+    alone: the step above which the servo may be thrown across its range, in closed form [s].
+    speed: the speed at which the range is reached [rad/s or m/s].
+    swinging: see `Saturation`.
     """
 
     judge: Judge
@@ -186,7 +206,7 @@ class _Kick:
     swinging: bool
 
     def run(self, dt: float) -> MotionRun:
-        """The kicked motion at a step."""
+        """Return the run of the kicked motion at a step."""
         real = self.judge.real
         kick = np.zeros(real.model.nv)
         kick[driven_dof(real.model, self.servo.index)] = KICK * self.speed
@@ -194,27 +214,27 @@ class _Kick:
         return real.run(self.integrator, dt, horizon=horizon, kick=kick)
 
     def rests(self, run: MotionRun) -> bool:
-        """Whether the servo does not chatter in a run."""
+        """Return whether the servo does not chatter in a run."""
         return run.finite and float(run.swings[self.servo.index]) <= CHATTER
 
     def severe(self, run: MotionRun) -> bool:
-        """Whether a run has much more energy than the kick and the motion, or swings for good."""
+        """Return whether a run far exceeds the energy of kick and motion, or swings permanently."""
         begun = max(float(run.energies[0]), self.judge.fine.peak, self.judge.floor)
         lasting = self.swinging and float(run.jumps[self.servo.index]) > CHATTER
         return not run.finite or run.peak > LARGE * begun or lasting
 
     def saturation(self, run: MotionRun) -> Saturation:
-        """What it does in a run at the wanted step."""
+        """Return the servo's chatter in a run at the wanted step."""
         limit = first_failing(lambda dt: self.rests(self.run(dt)), self.alone, run.dt)
         if self.swinging:
-            # At some longer steps friction catches this kick, and not another one.
+            # At some longer steps friction stops this kick, but may not stop another one.
             limit = min(limit, self.alone)
         servo = _described(self.judge, self.servo, run, limit, False, self.severe(run))
         return replace(servo, speed=self.speed, swinging=self.swinging)
 
 
 def _kicks(judge: Judge, integrator: str, wanted: float) -> list[_Kick]:
-    """Kicks of the servos that a step of `wanted` [s] may throw across, the worst first."""
+    """Return kicks of the servos that a wanted step [s] may throw across, the worst first."""
     model, qpos = judge.real.model, judge.real.start.qpos
     kicks: list[_Kick] = []
     for i in range(model.nu if model.scene.features.actuation else 0):
@@ -235,7 +255,10 @@ def _kicks(judge: Judge, integrator: str, wanted: float) -> list[_Kick]:
 def _described(
     judge: Judge, servo: Element, run: MotionRun, dt: float, reached: bool, severe: bool
 ) -> Saturation:
-    """What a servo does in a run at the wanted step; dt [s]: the largest at which it rests."""
+    """Return the description of a servo's chatter in a run at the wanted step.
+
+    dt: the largest step at which the servo comes to rest [s].
+    """
     model = judge.real.model
     dof, joint = driven_dof(model, servo.index), int(model.actuator_joint[servo.index])
     return Saturation(

@@ -1,12 +1,12 @@
-"""A servo's force range in numbers: the speed at which it is reached, and the step that crosses it.
+"""Compute the speed at which a servo reaches its force range, and the step that crosses the range.
 
-With gain kv, gear g, force range ±F and inverse inertia w of its dof, the force is clamped beyond
-the speed F/(kv |g|); a step changes the speed by F |g| w dt there, and jumps from one end of the
-range to the other from dt = 2/(kv g² w) on.
+With gain kv, gear g, force range ±F and inverse inertia w of its dof, the force is clamped above
+the speed F/(kv |g|). A step changes the speed by F |g| w dt there, and jumps from one end of the
+range to the other for dt ≥ 2/(kv g² w).
 
-With gain kp it swings with ω = sqrt(kp g² w), and reaches the range from the speed F |g| w/ω on.
-Where friction holds the joint, or the force is clamped, no linearised step has this oscillation: it
-goes from end to end from the dt on at which the oscillator alone is unstable.
+With gain kp the servo oscillates with ω = sqrt(kp g² w), and reaches the range above the speed F
+|g| w/ω. If friction stops the joint, or the force is clamped, no linearised step has this
+oscillation. The force goes from end to end above the dt at which the oscillator alone is unstable.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from stepcore.measure.diagnosis.isolated import joint_dofs, joint_gains, oscilla
 
 
 def largest_force(model: Model, actuator: int) -> float:
-    """The nearer end of an actuator's force range [N or N·m]; inf without one."""
+    """Return the nearer end of an actuator's force range [N or N·m]; inf without a range."""
     return float(np.abs(model.actuator_forcerange[actuator]).min())
 
 
 def reaching_speed(model: Model, actuator: int) -> float:
-    """The speed of its joint at which an actuator's damping alone reaches its force range."""
+    """Return the joint speed at which an actuator's damping alone reaches its force range."""
     damping = _damping(model, actuator)
     return _end(model, actuator) / damping if damping > 0 else math.inf
 
 
 def crossing_dt(model: Model, qpos: Floats, actuator: int) -> float:
-    """The step [s] from which an actuator may jump across its range.
+    """Return the step [s] above which an actuator's force may jump across its range.
 
-    inf without damping, and for one that pulls along no single joint.
+    The result is inf without damping, and for an actuator that drives no single joint.
     """
     damping = _damping(model, actuator)
     if model.actuator_joint[actuator] < 0 or not damping > 0:
@@ -45,11 +45,11 @@ def crossing_dt(model: Model, qpos: Floats, actuator: int) -> float:
 
 
 def swinging_dt(model: Model, qpos: Floats, actuator: int, integrator: str) -> tuple[float, float]:
-    """The largest stable dt [s] of a servo's oscillation by itself, and the speed of its range.
+    """Return the largest stable dt [s] of a servo's own oscillation, and the speed of its range.
 
-    Its stiffness on its joint, with the dampers and servos at that joint. The speed [rad/s or m/s]
-    is that of the joint from which the oscillation reaches the force range. inf for both without
-    stiffness, and for one that pulls along no hinge or slide.
+    The oscillator is the servo's stiffness on its joint, with the dampers and servos of that joint.
+    The speed [rad/s or m/s] is that of the joint at which the oscillation reaches the force range.
+    Both are inf without stiffness, and for an actuator that drives no hinge or slide.
     """
     gains = list(joint_gains(model))
     gain = next((g for g in gains if (g.kind, g.index) == ("actuator", actuator)), None)
@@ -67,22 +67,22 @@ def swinging_dt(model: Model, qpos: Floats, actuator: int, integrator: str) -> t
 
 
 def driven_dof(model: Model, actuator: int) -> int:
-    """The first dof of an actuator's joint."""
+    """Return the first dof of an actuator's joint."""
     return joint_dofs(model, int(model.actuator_joint[actuator])).start
 
 
 def _damping(model: Model, actuator: int) -> float:
-    """What an actuator damps its joint within its force range; the first dof of a ball or free."""
+    """Return an actuator's damping of its joint within the force range; of a ball, one dof's."""
     return -float(model.actuator_bias[actuator, 2] * model.actuator_gear[actuator, 0] ** 2)
 
 
 def _end(model: Model, actuator: int) -> float:
-    """The nearer end of its force range, as its joint feels it."""
+    """Return the nearer end of an actuator's force range, at its joint."""
     return largest_force(model, actuator) * abs(float(model.actuator_gear[actuator, 0]))
 
 
 def _inverse_inertia(model: Model, qpos: Floats, dof: int) -> float:
-    """The acceleration of a dof by a unit of force on it, the others free [1/kg or 1/(kg·m²)]."""
+    """Return a dof's acceleration per unit of force, the others free [1/kg or 1/(kg·m²)]."""
     sim = unwatched(Sim(model))
     sim.qpos[:] = qpos
     return float(np.linalg.inv(np.array(sim.mass_matrix()))[dof, dof])

@@ -1,10 +1,10 @@
-"""Which elements limit dt: their shares in the mode that sets the limit, and what softening does.
+"""Find the elements that limit dt, from their shares in the limiting mode and by softening each.
 
-The share of an element is the derivative of log |μ| by its gain, as a part of the sum over all
-elements that push the eigenvalue μ outwards. A share tells what a small change would do. An element
-with the largest share may be held in the mode by another one, and be good for a longer step alone;
-softened by a lot, it changes little. Equal elements in a row hold each other: none of them limits
-dt by itself.
+The share of an element is the derivative of log |μ| by its gain, as a fraction of the sum over all
+elements that push the eigenvalue μ outwards. A share shows the effect of a small change. An element
+with the largest share may be held in the mode by another element and permit a longer step alone; a
+large change then has little effect. Equal elements in a row hold each other, so that no single one
+limits dt.
 """
 
 from __future__ import annotations
@@ -23,25 +23,26 @@ from stepcore.measure.diagnosis.limits import Limit, StepStability
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.linear_step import State, step_map
 
-# Past the limit an eigenvalue has left its partner: there it shows what drives it.
+# Beyond the limit an eigenvalue has separated from its partner and shows its own causes.
 BEYOND = 1.05
 # Relative change of an element's gain for the derivative of an eigenvalue.
 NUDGE = 1e-4
-# Eigenvalues that are equal, as part of their distance from 1; points of the contour around them.
+# The distance of eigenvalues that count as equal, over their distance from 1; and the number of
+# points on the contour around them.
 EQUAL, CONTOUR = 1e-2, 16
-# The most steps of a control period that is made of the elements.
+# The most steps of a control period that is composed of the elements.
 HOLD = 64
 
-# A step that multiplies by more has left the range in which derivatives mean anything.
+# Entries beyond this size make derivatives meaningless.
 FARTHEST = 1e12
 
 Shares = dict[Element, float]
 
 
 def limiting_shares(here: StepStability, limit: Limit) -> Shares:
-    """Each element's share in the eigenvalue that sets a limit, or else in the fastest rate.
+    """Return each element's share in the eigenvalue that sets a limit, or else in the fastest rate.
 
-    Nothing where the numbers of the step leave their range.
+    The result is {} if the numbers of the step overflow.
     """
     try:
         with np.errstate(all="ignore"):
@@ -62,16 +63,16 @@ def _limiting_shares(here: StepStability, limit: Limit) -> Shares:
     held = _held_shares(here, limit, state, motion, dt)
     if held is not None:
         return held
-    # The step made of the elements, where it grows too: what it leaves out belongs to no element.
+    # The step composed of the elements, if it grows too. The remainder belongs to no element.
     made = motion.step(limit.integrator, dt)
     if not np.abs(made).max() < FARTHEST:
-        # So long a step leaves the range in which shares have a meaning.
+        # Shares have no meaning at such a long step.
         return _fastest(here, limit.state) if limit.dt > 0 else {}
     growth = step_growth(made, dt, eigenvalues(motion.rates), here.horizon)
     if not growth.stable:
         return step_shares(motion, limit.integrator, dt, made, growth.value)
     if math.isinf(worst.rate):
-        # A step that does not stay finite, or an iteration that does not converge.
+        # The step does not stay finite, or its iteration does not converge.
         return _fastest(here, limit.state)
     matrix = step_map(here.model_at(state), state, limit.integrator, dt)
     if matrix is None:
@@ -82,7 +83,7 @@ def _limiting_shares(here: StepStability, limit: Limit) -> Shares:
 def _held_shares(
     here: StepStability, limit: Limit, state: State, motion: LinearMotion, dt: float
 ) -> Shares | None:
-    """The shares over a control period of several steps; None where that does not grow."""
+    """Return the shares over a control period of several steps, or None if it does not grow."""
     count, step = steps_held(state, dt)
     if count == 1 or motion.feedback is None:
         return None
@@ -108,9 +109,14 @@ def _held_shares(
 def step_shares(
     motion: LinearMotion, integrator: str, dt: float, matrix: Floats, value: complex
 ) -> Shares:
-    """Each element's share in the growth of an eigenvalue `value` of a step's `matrix`.
+    """Return each element's share in the growth of one eigenvalue of a step.
 
-    Nothing where the numbers of the step leave their range.
+    The result is {} if the numbers of the step overflow.
+
+    motion: the linearised motion.
+    integrator, dt: the integrator and its step [s].
+    matrix: the matrix of the step.
+    value: the eigenvalue.
     """
     try:
         with np.errstate(all="ignore"):
@@ -120,7 +126,7 @@ def step_shares(
 
 
 def growing_shares(motion: LinearMotion) -> Shares:
-    """Each element's share in the fastest growth of the motion itself; nothing where none grows."""
+    """Return each element's share in the fastest growth of the motion itself; {} without growth."""
     values = eigenvalues(motion.rates)
     if values is None or not values.real.max(initial=0.0) > 0:
         return {}
@@ -133,7 +139,7 @@ def growing_shares(motion: LinearMotion) -> Shares:
 
 
 def _fastest(here: StepStability, state: int) -> Shares:
-    """Each element's share in the fastest rate of the motion at a state."""
+    """Return each element's share in the fastest rate of the motion at a state."""
     motion = here.motion(here.states[state])
     if motion is None:
         return {}
@@ -150,16 +156,20 @@ def _shares(
     value: complex,
     times: Callable[[LinearMotion, Any], Any],
 ) -> Shares:
-    """The derivatives of log |value| by each element's gain, as parts of their sum.
+    """Return the derivatives of log |value| by each element's gain, as fractions of their sum.
 
-    times: the matrix of a motion times a block.
-    Several equal eigenvalues count by their mean. Elements that hold the value back have share 0.
+    Equal eigenvalues count by their mean. Elements that reduce |value| have share 0.
+
+    motion: the linearised motion.
+    matrix: the matrix with the eigenvalue.
+    value: the eigenvalue.
+    times: a function that multiplies the matrix of a motion by a block.
     """
     values = eigenvalues(matrix)
     if values is None or not np.any(values):
         return dict.fromkeys(motion.elements, 0.0)
     mean, projector = _cluster(matrix, values, value)
-    # Of low rank: trace(P dA) = trace(left dA right) with P = right left.
+    # P has low rank: trace(P dA) = trace(left dA right) with P = right left.
     right, sizes, left = np.linalg.svd(projector)
     rank = int(np.sum(sizes > 1e-9 * sizes[0]))
     right, left = right[:, :rank] * sizes[:rank], left[:rank]
@@ -173,11 +183,12 @@ def _shares(
 
 
 def _cluster(matrix: Floats, values: Any, value: complex) -> tuple[complex, Any]:
-    """The sum of the eigenvalues equal to `value`, and the projector P onto their eigenvectors.
+    """Return the sum of the eigenvalues equal to `value`, and the projector P.
 
-    A change dA moves their mean by trace(P dA) / trace P, also where eigenvectors do not tell the
-    values apart (the nutation of a thin plate is as fast as its spin). P is the mean of
-    (z − A)⁻¹ (z − c) around a circle that holds these values and no other.
+    P projects onto their eigenvectors. A change dA moves their mean by trace(P dA) / trace P, even
+    if eigenvectors do not separate the values (the nutation of a thin plate is as fast as its
+    spin). P is the mean of (z − A)⁻¹ (z − c) around a circle that encloses these values and no
+    other.
     """
     centre = values[np.abs(values - value).argmin()]
     apart = np.sort(np.abs(values - centre))
@@ -192,41 +203,41 @@ def _cluster(matrix: Floats, values: Any, value: complex) -> tuple[complex, Any]
     return complex(centre or 1.0) * count, projector
 
 
-# The least share of an element that is softened by itself, the most of them, and the least share
-# of one that is named with others.
+# The least share of an element that is softened alone, the most of these elements, and the least
+# share of an element that is named in a group.
 PARTAKES, MOST, HELD = 0.02, 12, 1e-6
-# What is left of the stiffness and damping of a softened element.
+# The remaining fraction of the stiffness and damping of a softened element.
 SOFTENED = 0.1
-# By how much the limit is looked at, as a factor, and its relative resolution.
+# The largest rise of the limit that is tested, as a factor, and its relative resolution.
 MOST_RISE, RISE_FINE = 4.0, 0.05
-# One element limits dt if the limit rises by this factor without it; if it does not, equal
-# elements do together, whose gains differ by no more than the second factor.
+# An element limits dt alone if softening it raises the limit by the first factor. If not, a group
+# of equal elements does, whose gains differ by no more than the second factor.
 ALONE, ALIKE = 1.4, 1.25
 
 
 def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[Element, ...]:
-    """The elements that limit dt, several where none does by itself; () where none has a share."""
+    """Return the elements that limit dt: several if no single one does, () if none has a share."""
     by_share = sorted(shares, key=lambda element: -shares[element])
     partaking = [element for element in by_share if shares[element] >= PARTAKES][:MOST]
     if not partaking:
         return ()
     first = (partaking[0],)
     if limit.state < 0 or limit.outcome or not limit.dt < limit.longest:
-        # Nothing limits dt, or the motion itself does: no linearised step shows it.
+        # Nothing limits dt, or the motion itself does, and no linearised step shows that.
         return first
     dt = (limit.dt or limit.shortest) * BEYOND
-    # Where the shares were found: rows that begin to act within the step are looked at there.
+    # The state at which the shares were found: rows that begin to act within the step act there.
     state, _ = here.growth_where_seen(limit.integrator, dt, limit.state)
     motion = here.motion(state, dt)
     if motion is None or not set(partaking) <= motion.elements.keys():
         return first
     if motion.feedback is not None and steps_held(state, dt)[0] > 1:
-        # Held over several steps, a control is told from the others by its share alone.
+        # Over several held steps, shares alone separate a control from the other elements.
         return first
     by_share = [element for element in by_share if element in motion.elements]
     rise = _Rise(motion, limit.integrator, dt, here.horizon)
     try:
-        # Unless the composed step does not show what the real one does.
+        # The composed step may not show the growth of the real one.
         return first if rise.stable((), dt) else _effective(rise, partaking, by_share, shares)
     except np.linalg.LinAlgError:
         return first
@@ -235,7 +246,7 @@ def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[Element
 def _effective(
     rise: _Rise, partaking: list[Element], by_share: list[Element], shares: Shares
 ) -> tuple[Element, ...]:
-    """The element that raises the limit most, or with its equals if it does not by itself."""
+    """Return the element that raises the limit most, in a group with its equals if necessary."""
     rises = {element: rise.without((element,)) for element in partaking}
     best = max(partaking, key=lambda element: (rises[element], shares[element]))
     if rises[best] >= ALONE:
@@ -246,27 +257,30 @@ def _effective(
 
 
 class _Rise:
-    """By how much the limit of a motion's step rises when elements are softened.
+    """The rise of the limit of a motion's step when elements are softened.
 
-    dt [s]: a step just beyond the limit. horizon [s]: see `growth`.
+    motion: the linearised motion.
+    integrator: the integrator.
+    dt: a step just beyond the limit [s].
+    horizon: see `growth` [s].
     """
 
     def __init__(self, motion: LinearMotion, integrator: str, dt: float, horizon: float) -> None:
         self.motion, self.integrator, self.dt, self.horizon = motion, integrator, dt, horizon
 
     def stable(self, elements: Sequence[Element], dt: float) -> bool:
-        """Whether a step of dt [s] is stable with some elements softened."""
+        """Return whether a step of dt [s] is stable with some elements softened."""
         return self._softened(elements)(dt)
 
     def without(self, elements: Sequence[Element]) -> float:
-        """The limit with some elements softened, over the limit with them; at most `MOST_RISE`."""
+        """Return the factor by which softening elements raises the limit, at most `MOST_RISE`."""
         stable = self._softened(elements)
         if stable(MOST_RISE * self.dt):
             return MOST_RISE
         return bisected(lambda rise: stable(rise * self.dt), 1.0, MOST_RISE, RISE_FINE)
 
     def _softened(self, elements: Sequence[Element]) -> Callable[[float], bool]:
-        """The test of a step with some elements softened, whose own rates are found once."""
+        """Return the stability test of a step with some elements softened."""
         motion = self.motion.scaled(elements, SOFTENED)
         with np.errstate(all="ignore"):
             rates = eigenvalues(motion.rates)
@@ -282,7 +296,7 @@ class _Rise:
 
 
 def _equal(motion: LinearMotion, element: Element, other: Element) -> bool:
-    """Whether two elements are of a kind, and of nearly the same gains."""
+    """Return whether two elements are of one kind and have nearly equal gains."""
     if element.kind != other.kind or INERTIAL in (element, other):
         return False
     pairs = zip(_gains(motion, element), _gains(motion, other), strict=True)
@@ -290,7 +304,7 @@ def _equal(motion: LinearMotion, element: Element, other: Element) -> bool:
 
 
 def _gains(motion: LinearMotion, element: Element) -> tuple[float, float]:
-    """The size of an element's stiffness and damping, whatever mass it acts on."""
+    """Return the norms of an element's stiffness and damping, independent of the mass."""
     matrices = motion.elements[element]
     return _size(matrices.stiffness), _size(matrices.damping)
 

@@ -1,4 +1,4 @@
-"""The warning at load: the scene's own dt has a stability margin below 2."""
+"""Warn when a scene is loaded whose own dt has a stability margin below 2."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from stepcore.scene.elements import Joint, Tendon
     from stepcore.scene.scene import Scene
 
-# The least stability margin, the largest stable dt over the scene's own, without a warning.
+# The least ratio of the largest stable dt to the scene's own dt without a warning.
 MARGIN = 2.0
-# Growth that counts where nothing damps: e-fold in this time [s].
+# Growth e-fold in this time [s] counts as unstable where nothing damps.
 HORIZON = 1.0
-# A scene with more joints, geoms or dofs is not looked at: each of those below these takes some
-# milliseconds, up to tens at the most dofs. `diagnose` looks at all.
+# Larger scenes are not checked at load: at these sizes a check takes some milliseconds, at the most
+# dofs some tens. `diagnose` checks scenes of any size.
 MOST_JOINTS, MOST_GEOMS, MOST_DOFS = 100, 1000, 40
 
 
@@ -43,12 +43,15 @@ class StiffnessWarning(UserWarning):
 
 
 def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
-    """Warns in one line if the scene's own dt has a stability margin below 2.
+    """Warn in one line if the scene's own dt has a stability margin below 2.
 
-    stacklevel: as of `warnings.warn`, seen from here. The closed forms of `closed_form_bound`
-    show most scenes to be safe; where they do not, the whole step is linearised at the first
-    keyframe or qpos0, and nothing else is ever claimed. A scene that does not compile, or whose
-    numbers leave their range, raises no warning: whoever compiles or runs it gets the error.
+    The closed forms of `closed_form_bound` show most scenes to be safe. For the others, the whole
+    step is linearised at the first keyframe or qpos0, and the warning reports only what that step
+    shows. A scene that does not compile, or whose numbers overflow, raises no warning: compiling or
+    running the scene raises the error.
+
+    scene: the scene.
+    stacklevel: as of `warnings.warn`, counted from this function.
     """
     try:
         text = stiffness(scene)
@@ -60,7 +63,7 @@ def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
 
 
 def stiffness(scene: Scene) -> str:
-    """The text of the warning; "" if there is nothing to warn of."""
+    """Return the text of the warning, "" if there is none."""
     if not _may_be_stiff(scene):
         return ""
     import numpy as np
@@ -78,7 +81,7 @@ def stiffness(scene: Scene) -> str:
 
 
 def _may_be_stiff(scene: Scene) -> bool:
-    """Whether any element could limit dt; if none could, nothing is compiled."""
+    """Return whether any element could limit dt; if none could, nothing is compiled."""
     if len(scene.joints) > MOST_JOINTS or len(scene.geoms) > MOST_GEOMS:
         return False
     if scene.options.get("law") == "penalty":
@@ -98,7 +101,7 @@ def _may_be_stiff(scene: Scene) -> bool:
 
 
 def _linearised(model: Model) -> str:
-    """The text from the step itself, linearised at the first keyframe or qpos0."""
+    """Return the text from the step itself, linearised at the first keyframe or qpos0."""
     import numpy as np
 
     from stepcore.measure.diagnosis.growth import bisected
@@ -130,7 +133,7 @@ def _linearised(model: Model) -> str:
 
 
 def _text(settings: Settings, limit: float, shortest: float, elements: Sequence[Element]) -> str:
-    """One line: whether dt [s] is unstable or nearly so, and which elements limit it."""
+    """Return one line: whether dt [s] is unstable or nearly so, and which elements limit dt."""
     from stepcore.measure.diagnosis.words import limits_dt, no_stable_dt
     from stepcore.report.units import seconds, times
 

@@ -1,7 +1,7 @@
-"""The states at which a step is linearised: the start, and some along the user's motion.
+"""Choose the states at which a step is linearised: the start, and some along the user's motion.
 
-Contacts and limits begin to act on the way: for every set of rows that acts somewhere along a run
-at a small step one state is kept, and a few more evenly spaced in time.
+Contacts and limits begin to act during the motion. A run at a small step keeps one state for every
+set of rows that acts somewhere, and a few more states evenly spaced in time.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from stepcore.measure.diagnosis.isolated import closed_form_bound
 from stepcore.measure.diagnosis.limits import SHORTEST, StepStability, dt_limit, step_stability
 from stepcore.measure.diagnosis.linear_step import State, sim_at, state_now, state_of
 
-# The control period is this part of the horizon, or one step of the scene if that is longer.
+# The control period over the horizon, unless one step of the scene is longer.
 PERIOD = 1 / 200
-# The run to other states is made at this part of the least step that limits the start.
+# The step of the run over the least step that limits the start.
 SAFE = 0.25
 # The most states, and the most steps and samples of the run.
 STATES, STEPS, SAMPLES = 8, 20_000, 200
-# The most dofs at all states together, with at least two states.
+# The most dofs at all states combined, with at least two states.
 DOFS = 200
-# The most sets of overlaps and limits whose deepest state is kept, and about how often in a run
-# these are looked for.
+# The most sets of overlaps and limits whose deepest state is kept, and about how many steps of a
+# run are searched for them.
 PATTERNS, LOOKS = 32, 5_000
-# A start from which the motion grows by more e-folds than this in the horizon is pushed by this
-# velocity [rad/s or m/s].
+# A start is pushed by this velocity [rad/s or m/s] if the motion grows by more e-folds than this in
+# the horizon.
 UNSTABLE, NUDGE = 5.0, 1e-6
-# The share of the motion over which random controls are blended in.
+# The fraction of the motion over which random controls are blended in.
 EASING = 0.25
 
-# Which limits are exceeded, and which pairs of geoms overlap.
+# The limits that are exceeded, and the pairs of geoms that overlap.
 Pattern = tuple[bytes, frozenset[int]]
 
 
@@ -56,9 +56,12 @@ Pattern = tuple[bytes, frozenset[int]]
 class Visit:
     """The states along a motion.
 
-    here: the linearised step at them. schedule: the motion, its controls held as the user asked;
-    driven: as runs of the real step have them. dt: the step of the run [s]; reached: how far it
-    came [s]; failure: why it ended early.
+    here: the linearised step at the states.
+    schedule: the motion, with controls held for the user's control period.
+    driven: the motion, with controls held as in runs of the real step.
+    dt: the step of the run [s].
+    reached: the time that the run reached [s].
+    failure: the reason why the run ended early, "" if it did not.
     """
 
     here: StepStability
@@ -70,9 +73,13 @@ class Visit:
 
 
 def visit(model: Model, motion: Motion, horizon: float) -> Visit:
-    """The states along a motion over a horizon [s], the start first, and the step linearised there.
+    """Return the states along a motion, the start first, with the step linearised at each.
 
-    The run is made at a part of the least step that limits the start.
+    The run is made at a fraction of the least step that limits the start.
+
+    model: the model.
+    motion: the motion.
+    horizon: the length of the motion [s].
     """
     settings, control = model.settings, motion.control
     controlled = motion.period(settings.dt)
@@ -88,18 +95,21 @@ def visit(model: Model, motion: Motion, horizon: float) -> Visit:
     safe = max(min(SAFE * limit, settings.dt), SHORTEST)
     schedule = driven = _nudged(schedule, model, float(at_start.rates[0].real.max(initial=0.0)))
     if control is not None and not (motion.control_dt and begin.feedback is None):
-        # Sampled often enough that it cannot blow the run up.
+        # The controls are sampled often enough to keep the run stable.
         driven = _sampled_often(schedule, safe)
     states, run = _along(model, driven, safe)
     if control is not None:
         states = with_feedback(model, states, control, period, horizon, motion.control_dt)
     here = step_stability(model, states, horizon)
-    # A control that is not held for a time of its own is sampled at every step.
+    # Without a control period of its own, a control is sampled at every step.
     return Visit(here, schedule, schedule if motion.control_dt else driven, *run)
 
 
 def _eased(schedule: Schedule, ctrl: Floats) -> Schedule:
-    """The schedule with its controls blended in from `ctrl`: a jump would shock a stiff servo."""
+    """Return the schedule with its controls blended in from `ctrl`.
+
+    A jump of the controls would shock a stiff servo.
+    """
     if schedule.ctrl is None:
         return schedule
     share = np.minimum(1.0, np.arange(schedule.periods) / (EASING * schedule.periods))[:, None]
@@ -107,10 +117,11 @@ def _eased(schedule: Schedule, ctrl: Floats) -> Schedule:
 
 
 def _nudged(schedule: Schedule, model: Model, growth: float) -> Schedule:
-    """The schedule with its start pushed a little where the motion grows by more than `UNSTABLE`.
+    """Return the schedule with its start pushed if the motion grows by more than `UNSTABLE`.
 
-    growth [1/s]: the fastest of the motion at the start. A body that spins exactly about its middle
-    axis tumbles at a time that rounding decides.
+    Without a push, rounding decides when a body tumbles that spins exactly about its middle axis.
+
+    growth: the fastest growth of the motion at the start [1/s].
     """
     if growth * schedule.horizon < UNSTABLE:
         return schedule
@@ -119,7 +130,7 @@ def _nudged(schedule: Schedule, model: Model, growth: float) -> Schedule:
 
 
 def _sampled_often(schedule: Schedule, dt: float) -> Schedule:
-    """The schedule with a control period of at most dt [s]."""
+    """Return the schedule with a control period of at most dt [s]."""
     count = max(1, math.ceil(schedule.period / dt * (1 - 1e-9)))
     return replace(
         schedule,
@@ -130,7 +141,7 @@ def _sampled_often(schedule: Schedule, dt: float) -> Schedule:
 
 
 def _start(model: Model, schedule: Schedule) -> State:
-    """Where the motion begins."""
+    """Return the first state of the motion."""
     first = schedule.starts[0]
     ctrl = np.zeros(model.nu) if schedule.ctrl is None else schedule.ctrl[0, 0]
     act = np.zeros(0) if first.act is None else first.act
@@ -142,11 +153,15 @@ def _start(model: Model, schedule: Schedule) -> State:
 def _along(
     model: Model, schedule: Schedule, safe: float
 ) -> tuple[list[State], tuple[float, float, str]]:
-    """States along the motion at a step of at most `safe` [s], the start first; of this run the
-    step [s], the time that it reached [s], and why it ended early."""
+    """Return states along the motion, the start first, and a record of the run.
+
+    The record is the step [s], the time reached [s], and the reason why the run ended early.
+
+    safe: the longest step of the run [s].
+    """
     count = max(1, math.ceil(schedule.period / safe))
     dt = schedule.period / count
-    # A period longer than all the steps that are allowed is cut short.
+    # A period longer than the step budget is cut short.
     period = min(count, STEPS) * dt
     periods = max(1, min(schedule.periods, STEPS // count))
     run = replace(schedule, period=period, periods=periods, every=max(1, periods // SAMPLES))
@@ -172,12 +187,12 @@ def _along(
 
 
 def _acting(state: State) -> frozenset[Element]:
-    """The rows that act at a state, and the contacts of `penalty`, which are none."""
+    """Return the elements whose rows act at a state, and the contacts of `penalty`."""
     return frozenset((*state.rows, *state.touching))
 
 
 def _handed_on(control: Control) -> Control:
-    """A plain function that calls this object."""
+    """Return a plain function that calls this object."""
 
     @functools.wraps(control)
     def function(time: float, sim: Sim) -> ArrayLike:
@@ -187,7 +202,7 @@ def _handed_on(control: Control) -> Control:
 
 
 class _SampledStates(Probe):
-    """Keeps the states of a run at its samples."""
+    """A probe that keeps the states of a run at its samples."""
 
     def __init__(self, control: Control | None) -> None:
         self.control = control
@@ -201,7 +216,10 @@ class _SampledStates(Probe):
 
 
 class _BriefStates(Probe):
-    """Keeps the deepest state of each set of overlaps and reached limits, between samples too."""
+    """A probe that keeps the deepest state of each set of overlaps and reached limits.
+
+    States between samples count too.
+    """
 
     def __init__(self, model: Model, steps: int) -> None:
         joints = Coordinates(model).joints
@@ -234,7 +252,7 @@ class _BriefStates(Probe):
             self.deepest[pattern] = depth, state_now(sim, f"t = {sim.time:.3g} s", sim.time)
 
     def states(self, model: Model) -> Iterator[State]:
-        """The kept states, with the rows that act there."""
+        """Yield the kept states, with the rows that act there."""
         for _, state in self.deepest.values():
             sim = sim_at(model, state)
             try:
@@ -246,9 +264,10 @@ class _BriefStates(Probe):
 
 
 def _chosen(seen: Sequence[State]) -> list[State]:
-    """The first; the last with each set of rows, the largest sets first; others evenly in time.
+    """Return the start, one state for each set of rows, and others evenly spaced in time.
 
-    A large model has fewer, because its linearised step takes long.
+    The state for a set is the last one, and the largest sets come first. A large model has fewer
+    states, because its linearised step takes long.
     """
     most = max(2, min(STATES, DOFS // len(seen[0].qvel)))
     kept = {0}

@@ -1,4 +1,4 @@
-"""A diagnosis in words: what limits dt, what the motion itself did, and notes on the limits."""
+"""Put a diagnosis into words: what limits dt, what the motion did, and notes on the limits."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from stepcore.measure.diagnosis.saturation import Saturation
 from stepcore.measure.diagnosis.visited_states import Visit
 from stepcore.report.units import counted, hertz, seconds
 
-# Growth of the motion itself from which a note is made, and beyond which no dt resolves it [1/s].
+# Growth of the motion itself that deserves a note, and growth that no dt resolves [1/s].
 NOTABLE, UNRESOLVED = 0.1, 1e6
 # Frequencies and rates in this range [1/s] are printed.
 PRINTED = (1e-3, 1e9)
-# A damping ratio above the first is printed as a rate instead; one below the second, as 0.
+# A damping ratio above the first is printed as a rate instead, and one below the second as 0.
 OVERDAMPED, UNDAMPED = 100.0, 1e-6
-# A speed over the fastest of the fine run from which the answer says how fast a servo throws.
+# The sentence gives a servo's speed from this ratio to the fastest of the fine run.
 THROWN = 1.5
 # Rows that can open.
 OPEN = ("contact", "limit", "tendon limit")
@@ -28,30 +28,44 @@ FRICTION = ("friction loss", "tendon friction loss")
 
 
 def named(elements: Sequence[Element]) -> str:
-    """Elements by name; "" for none."""
+    """Return the names of elements as text; "" for none."""
     return Elements(elements).together
 
 
 def limits_dt(elements: Sequence[Element], dt: float, traits: str = "") -> str:
-    """Which elements limit dt to how much [s]; traits: of the elements, in brackets."""
+    """Return which elements limit dt, and to what value.
+
+    elements: the elements.
+    dt: the limit [s].
+    traits: a text in brackets after the elements' names.
+    """
     if not elements:
         return f"dt is limited to {seconds(dt)} by no single element"
     return f"{named(elements)}{traits} {_verb(elements, 'limit')} dt to {seconds(dt)}"
 
 
 def no_stable_dt(elements: Sequence[Element], shortest: float, traits: str = "") -> str:
-    """Which elements make every step that was tried, down to `shortest` [s], unstable."""
+    """Return which elements make every step tried unstable.
+
+    elements: the elements.
+    shortest: the shortest step tried [s].
+    traits: a text in brackets after the elements' names.
+    """
     tried = f"every step tried unstable, down to {seconds(shortest)}"
     return f"{named(elements) or 'the motion'}{traits} {_verb(elements, 'make')} {tried}"
 
 
 def _verb(elements: Sequence[Element], verb: str) -> str:
-    """The verb as it follows the elements' names."""
+    """Return the verb in the form that follows the elements' names."""
     return verb if len(elements) > 1 or INERTIAL in elements else verb + "s"
 
 
 def traits_of(limits: ElementLimits, several: bool) -> str:
-    """Frequency and damping of an element, in brackets; several: of the stiffest of equal ones."""
+    """Return frequency and damping of an element, in brackets.
+
+    limits: the element on its own.
+    several: whether the element is the stiffest of several equal ones.
+    """
     low, high = PRINTED
     traits = ["the stiffest by itself"] if several else []
     damped = not math.isnan(limits.ratio) and limits.element.kind != "spin"
@@ -65,7 +79,12 @@ def traits_of(limits: ElementLimits, several: bool) -> str:
 
 
 def period_in_words(longest: float, asked: float, dt: float) -> str:
-    """How long the user's controls are held [s], and how long they may be at steps of dt [s]."""
+    """Return the control period, and the longest stable one.
+
+    longest: the longest stable period [s].
+    asked: the present period [s].
+    dt: the step [s].
+    """
     stable = f"a period of up to {seconds(longest)} is stable"
     if math.isinf(longest):
         stable = "every period is stable"
@@ -76,7 +95,7 @@ def period_in_words(longest: float, asked: float, dt: float) -> str:
 
 
 def blown_up(runaway: Runaway) -> str:
-    """What is known of a motion that blows up at every step."""
+    """Return the sentence on a motion that blows up at every step."""
     coarse, fine = (seconds(dt) for dt in runaway.dts)
     before, after = (seconds(time) for time in runaway.times)
     if not runaway.alike:
@@ -94,7 +113,12 @@ def blown_up(runaway: Runaway) -> str:
 
 
 def late_growth(horizon: float, dt: float, lasting: float) -> str:
-    """A growth that the integrator causes and that shows after the horizon; all [s]."""
+    """Return the sentence on growth by the integrator that shows after the horizon.
+
+    horizon: the time that was judged [s].
+    dt: the step [s].
+    lasting: when the motion explodes [s].
+    """
     return (
         f"Beyond the {seconds(horizon)} that was judged the integrator's error adds up: at "
         f"{seconds(dt)} the motion explodes after {seconds(lasting)}; at a quarter of the step it "
@@ -103,7 +127,7 @@ def late_growth(horizon: float, dt: float, lasting: float) -> str:
 
 
 def chatter(servo: Saturation) -> str:
-    """A servo whose force jumps from end to end."""
+    """Return the sentence on a servo whose force jumps from end to end."""
     kicked = "" if servo.reached else f"kicked beyond {_speed(servo, servo.speed)}, "
     begins = f"{kicked}{servo.element.name} reaches its force range of ±{_force(servo)}"
     chatters = (
@@ -121,7 +145,7 @@ def chatter(servo: Saturation) -> str:
 
 
 def gentle_chatter(servo: Saturation) -> str:
-    """A note on a servo that chatters only after a kick, and gently."""
+    """Return the note on a servo that chatters only after a kick, and gently."""
     return (
         f"kicked beyond {_speed(servo, servo.speed)}, {servo.element.name} saturates, so its kv "
         f"has no effect, and it chatters between the ends of its force range, ±{_force(servo)}, at "
@@ -140,9 +164,12 @@ def _force(servo: Saturation) -> str:
 def notes(
     visit: Visit, elements: Sequence[ElementLimits], horizon: float, confirmed: bool
 ) -> Iterator[str]:
-    """Notes on the limits of the diagnosis.
+    """Yield notes on the validity of the diagnosis.
 
-    confirmed: whether two runs at fine steps agree on what the motion itself does.
+    visit: the states along the motion.
+    elements: the elements on their own.
+    horizon: the length of the motion [s].
+    confirmed: whether two runs at fine steps agree on the motion itself.
     """
     here = visit.here
     labels = ", ".join(state.label for state in here.states)
@@ -179,7 +206,11 @@ def notes(
 
 
 def growth(rate: float, confirmed: bool) -> str:
-    """A note on growth of the motion itself. rate: the fastest at any state [1/s]."""
+    """Return the note on growth of the motion itself.
+
+    rate: the fastest growth at any state [1/s].
+    confirmed: whether two runs at fine steps agree on the motion itself.
+    """
     if rate > UNRESOLVED:
         return (
             f"at some state nearby motions diverge e-fold in less than {seconds(1 / UNRESOLVED)}, "
