@@ -118,7 +118,7 @@ def diagnose(
     seen = look(check, limits[own], shares[own], wanted)
     limits[own], shares[own] = seen.limit, seen.shares
     if by is not None and any(servo.severe and not servo.reached for servo in seen.saturations):
-        # The kick that fails under the scene's integrator is repeated under the other stable ones.
+        # The kick that causes severe chatter is repeated under the other integrators stable at dt.
         for name in limits:
             if name != own and wanted <= limits[name].dt:
                 limits[name], shares[name], _ = kicked(by, limits[name], shares[name], wanted)

@@ -40,7 +40,7 @@ from stepcore.measure.diagnosis.saturation import settles
 from stepcore.measure.diagnosis.shares import step_shares
 from stepcore.report.units import seconds
 
-# The stability margin that a change leaves: the largest stable dt over the wanted one.
+# The stability margin of every change: the largest stable dt over the wanted one.
 MARGIN = 1.5
 # The most elements that one advice changes, and the relative resolution of its factor.
 TOGETHER, FINE = 8, 0.01
@@ -137,10 +137,15 @@ def _bounded(now: StepStability, model: Model, name: str, dt: float, worst: int)
 class _Search:
     """A search for the least change that is stable at the wanted dt.
 
+    now: the stability of the unchanged model.
+    elements: each element on its own.
+    integrator: the integrator.
+    wanted: the wanted dt [s].
     worst: the index of the state that decides so far.
     by_motion: whether the limit comes from a run of the motion, which then also judges every
         change.
     servos: the actuators that limit dt in that run, and must come to rest.
+    nearest: the least excess growth found so far [1/s], and its x.
     """
 
     now: StepStability
@@ -150,11 +155,14 @@ class _Search:
     worst: int
     by_motion: bool = False
     servos: Sequence[int] = ()
-    # The x that came nearest to being enough, by the growth beyond what is allowed [1/s].
     nearest: tuple[float, float] = field(default=(math.inf, 1.0))
 
     def least(self, change: Change, first: Sequence[Element]) -> Advice | None:
-        """Changes the limiting elements, and what limits dt next, as little as is enough."""
+        """Return the least change of the limiting elements, extended to the next ones if needed.
+
+        The result is None if the change applies to no element. If no value is stable, the advice
+        says that the change fails.
+        """
         group = [self.elements[element] for element in first if element in self.elements]
         if not group or not any(self._made(group, change, x)[1] for x in change.xs[:2]):
             return None

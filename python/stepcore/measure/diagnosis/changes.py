@@ -211,7 +211,10 @@ def changed(
 def _scaled(
     model: Model, layout: Layout, limits: ElementLimits, name: str, x: float
 ) -> list[NewValue]:
-    """Multiply a gain of the element by x; a kv of 0 becomes a part of the critical damping."""
+    """Multiply a gain of the element by x, and return the new value.
+
+    A kv of 0 becomes a part of the critical damping.
+    """
     element, joint = limits.element, _joint(layout, limits)
     if element.kind == "actuator":
         servo = layout.scene.actuators[element.index]
@@ -238,7 +241,10 @@ def _scaled(
 
 
 def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> list[NewValue]:
-    """Scale the feedback of a general actuator: biasprm[1] with its gain, or biasprm[2]."""
+    """Scale the feedback of a general actuator, biasprm[1] with its gain or biasprm[2].
+
+    Return the new value.
+    """
     bias = servo.biasprm or (0.0, 0.0, 0.0)
     at = 1 if field == "kp" else 2
     if bias[at] == 0:
@@ -258,7 +264,7 @@ def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> l
 def _added(
     model: Model, layout: Layout, index: int, change: Change, x: float, element: ElementLimits
 ) -> list[NewValue]:
-    """Add armature or damping to a joint, in proportion to the inertia that it moves."""
+    """Add armature or damping to a joint in proportion to its inertia, and return the new value."""
     joint, mass = layout.joints[index], _mass(model, index)
     field = "damping" if change is DAMPING else "armature"
     added = x * 2 * mass * element.omega if change is DAMPING else x * mass
@@ -296,7 +302,7 @@ def _chain(model: Model, layout: Layout, joint: int) -> list[int]:
 def _solref(
     model: Model, layout: Layout, element: Element, what: str, x: float, softest: float
 ) -> list[NewValue]:
-    """Change the solref of a row; see `new_solref`."""
+    """Change the solref of a row (see `new_solref`), and return the new value."""
     old = solref_of(model, element)
     new = new_solref(what, old, x, softest) if old is not None else None
     if old is None or new is None:

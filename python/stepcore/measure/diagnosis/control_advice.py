@@ -148,7 +148,7 @@ class _ControlSearch:
         return Advice(f"control {what}", (), {}, False, f"{what} of the control")
 
     def _gain(self, what: str, x: float) -> Advice:
-        """Describe the change by the gains on each joint's own position and velocity."""
+        """Return the advice, with the gains on each joint's own position and velocity."""
         values = []
         for element in self.elements:
             servo = _servo_gains(self.here, element) or (0.0, 0.0)

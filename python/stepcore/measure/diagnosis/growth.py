@@ -33,7 +33,7 @@ ROUNDING = 1e-9
 # An eigenvalue at a smaller angle [rad] may belong to any slow motion.
 SLOW_TURN = 0.5
 
-# The search for a limit: ratio of successive trial steps, and relative resolution of the result.
+# The search for a limit: ratio of successive trial steps, and relative resolution.
 FACTOR, FINE = 1.5, 1e-3
 
 

@@ -89,7 +89,7 @@ class StepStability:
         return self._motions[index]
 
     def stable(self, integrator: str, dt: float) -> bool:
-        """Return whether a step is stable at every state, and in a run of the motion itself."""
+        """Return whether a step is stable at every state, and a run of the motion confirms it."""
         every = range(len(self.states))
         if not all(self.growth(integrator, dt, k).stable for k in every):
             return False

@@ -217,7 +217,7 @@ def judge(real: MotionRuns, dt: float) -> Judge | Runaway | None:
     for integrator, part in FINER:
         runs.append(real.run(integrator, part * dt, beyond=RUNAWAY * floor))
         if len(runs) > 1 and _same(runs[-2], runs[-1], floor):
-            # Both runs are fine enough; the longer one is used.
+            # Both runs are fine enough, and the longer run is used.
             chosen = max(runs[-2:], key=lambda run: round(run.reached, 9))
             return Judge(real, chosen, True, floor)
         runaway = _runaway(real.model, runs[-2:], floor)

@@ -170,7 +170,7 @@ class Diagnosis(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """The answer, the advice, and the limiting state, one sentence each."""
+        """The sentences of the report: the answer, the advice, and the limiting state."""
         return list(self._sentences())
 
     def _sentences(self) -> Iterator[str]:

@@ -171,7 +171,7 @@ def settles(model: Model, state: State, integrator: str, dt: float, servo: int) 
     servo: the index of the actuator.
     """
     if model.actuator_joint[servo] < 0:
-        # Not along one joint, which alone could be kicked.
+        # Only an actuator of a single joint can be kicked.
         return True
     dof, kick = driven_dof(model, servo), KICK * reaching_speed(model, servo)
     if not kick <= _fastest(model, servo):
@@ -239,7 +239,7 @@ def _kicks(judge: Judge, integrator: str, wanted: float) -> list[_Kick]:
     kicks: list[_Kick] = []
     for i in range(model.nu if model.scene.features.actuation else 0):
         if model.actuator_joint[i] < 0:
-            # Not along one joint, which alone could be kicked.
+            # Only an actuator of a single joint can be kicked.
             continue
         usual = max(_fastest(model, i), judge.fine.speeds[driven_dof(model, i)])
         servo, speed = Element.of(model, "actuator", i), reaching_speed(model, i)

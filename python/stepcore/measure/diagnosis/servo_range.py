@@ -72,7 +72,7 @@ def driven_dof(model: Model, actuator: int) -> int:
 
 
 def _damping(model: Model, actuator: int) -> float:
-    """Return an actuator's damping of its joint within the force range; of a ball, one dof's."""
+    """Return an actuator's damping of its joint within its force range (ball, free: first dof)."""
     return -float(model.actuator_bias[actuator, 2] * model.actuator_gear[actuator, 0] ** 2)
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # The least ratio of the largest stable dt to the scene's own dt without a warning.
 MARGIN = 2.0
-# Growth e-fold in this time [s] counts as unstable where nothing damps.
+# Undamped motion is unstable if it grows e-fold in this time [s].
 HORIZON = 1.0
 # Larger scenes are not checked at load: at these sizes a check takes some milliseconds, at the most
 # dofs some tens. `diagnose` checks scenes of any size.
