@@ -1,7 +1,7 @@
 """The cost of settings as worlds of a batch, in double and in single precision.
 
-It is timed in turn with that of a single world, and kept apart from it in what is printed. The
-errors are the same: a world of a batch has the bits of a single run.
+Batches are timed in turn with single worlds, and printed in a separate table. The errors are equal:
+a world of a batch is bit-identical to a single run.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from stepcore.experiment.runner import Runner
 from stepcore.measure.trade.rows import Frontier, TradeRow
 from stepcore.measure.trade.run_cache import RowMaker
 
-# They fill two vector registers.
+# Number of worlds: fills two vector registers.
 WORLDS = 16
 PRECISIONS = ("f64", "f32")
-# This many of the settings that the answer names are timed.
+# Largest number of the recommended settings that are timed.
 MOST = 3
 
 
 @dataclass(frozen=True)
 class BatchPoint:
-    """Settings as worlds of a `Batch` on one thread.
+    """One setting as worlds of a `Batch` on one thread.
 
-    row: the same settings, with the errors of a world and what it costs alone.
-    cost: of each world of the batch [µs per simulated second].
-    lanes: whether the batch stepped its worlds in vector registers, or one by one.
-    error: RMS position error of the worst start of the search [m]; inf if it failed.
-    best: no other point is cheaper and at least as accurate.
+    row: the row of the setting, with the errors of a world and the cost of a single world.
+    cost: the cost of each world of the batch [µs per simulated second].
+    lanes: whether the batch stepped its worlds in vector registers rather than one by one.
+    error: RMS position error of the search's worst start [m]; inf if the setting failed.
+    best: whether no other point is cheaper and at least as accurate.
     """
 
     row: TradeRow
@@ -45,7 +45,7 @@ class BatchPoint:
     best: bool = False
 
     def record(self) -> dict[str, Any]:
-        """The point as plain data."""
+        """Return the point as plain data."""
         s = self.row.settings
         return {
             "dt": s.dt,
@@ -63,7 +63,7 @@ class BatchPoint:
 
 
 class TimedBatch(TimedRun):
-    """The motion from a runner's starts in turn, in the worlds of a batch, timed repeatedly."""
+    """A timer that runs the motion from a runner's starts in the worlds of a batch."""
 
     def __init__(self, runner: Runner, settings: Settings, failed: bool, worlds: int) -> None:
         super().__init__(runner, settings, failed)
@@ -72,12 +72,12 @@ class TimedBatch(TimedRun):
 
     @property
     def cost(self) -> float:
-        """Computing time of one of the worlds [µs per simulated second]; NaN if one failed."""
+        """Computing time of one world [µs per simulated second]; NaN if a world failed."""
         return super().cost / self.worlds
 
     @property
     def lanes(self) -> bool:
-        """Whether the batch found vector registers quicker."""
+        """Whether the batch found vector registers faster."""
         return self.run is not None and self.run.batch.in_lanes
 
     def once(self) -> float:
@@ -93,9 +93,9 @@ class TimedBatch(TimedRun):
 def batch_points(
     named: Sequence[TradeRow | None], frontier: Frontier, maker: RowMaker
 ) -> list[BatchPoint]:
-    """The settings of some rows, in both precisions, as worlds of a batch.
+    """Return the settings of some rows, in both precisions, as worlds of a batch.
 
-    None where nothing is timed, and where a Python function controls each world.
+    The list is empty if nothing is timed, or if a Python function controls each world.
     """
     cache, runner = maker.cache, maker.cache.experiment.runner
     if maker.by != "time" or not can(runner):

@@ -1,8 +1,7 @@
 """The settings that a trade tries: time steps, a grid, families of methods, and single changes.
 
-A *method* is all of the settings but the time step. Substeps are no setting of their own: k
-substeps are a time step k times shorter and, at equal row updates, a k-th of the sweeps. Trying dt
-and sweeps covers them.
+A *method* is all of the settings except the time step. Substeps need no setting of their own: k
+substeps are a time step k times shorter with, at equal row updates, 1/k of the sweeps.
 """
 
 from __future__ import annotations
@@ -22,47 +21,52 @@ from stepcore.experiment.other_models import STAGED
 
 SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
 COULOMB_LAW = ("explicit", "semi-implicit", "midpoint", "rk4")
-# Beside these, where springs, tendons or servos are stiff.
+# Also tried if springs, tendons or servos are stiff.
 STIFF = ("discrete",)
-# The sweeps of a full grid, by law; those of a search; and its numbers of Newton iterations.
+# Numbers of sweeps: of a full grid, for each law; and of a search. Then the numbers of Newton
+# iterations of a search.
 SWEEPS_SMOOTH, SWEEPS_COULOMB = (5, 20, 100), (1, 5, 20)
 SWEEPS, ITERATIONS = (1, 2, 3, 5, 8, 12, 20, 32, 50, 100, 200), (1, 2, 3, 5, 100)
 TOLERANCES = (0.0, 1e-10, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-# Without controls, steps up to this many times the largest default one are tried, as long as this
-# many samples are left in the horizon.
+# Without controls, the longest step tried, relative to the longest default step; and the least
+# number of samples in the horizon.
 LONGER, LEFT = 4, 25
-# A time step is round if it has this many digits. A rounder one is looked for among steps at most
-# WIDER times longer and DENSER times shorter.
+# Largest number of digits of a round time step; and the largest factors by which a rounder step may
+# be longer or shorter.
 ROUND, WIDER, DENSER = 3, 1.2, 1.15
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Time steps that divide a control period [s], by how many are in it (`pieces`).
+    """The time steps that divide a control period into a whole number of steps (`pieces`).
 
-    shipped: one of the time steps [s].
+    period: the control period [s].
+    shipped: the shipped time step, which divides the period [s].
     """
 
     period: float
     shipped: float
 
     def dt(self, pieces: int) -> float:
-        """The time step [s] for this many pieces of a period; the shipped one to the bit."""
+        """Return the time step [s] for this many steps in a period; the shipped one is
+        bit-identical.
+        """
         return self.shipped if pieces == self.shipped_pieces else self.period / pieces
 
     @property
     def shipped_pieces(self) -> int:
-        """Shipped steps in a period."""
+        """The number of shipped steps in a period."""
         return round(self.period / self.shipped)
 
     def pieces(self, settings: Settings) -> int:
-        """Steps in a period under these settings."""
+        """Return the number of steps in a period under these settings."""
         return round(self.period / settings.dt)
 
     def rounder(self, pieces: int) -> list[int]:
-        """Numbers of steps near this one whose time step is a rounder number, the roundest first.
+        """Return nearby numbers of steps whose time step is a rounder number, the roundest first.
 
-        None where the step itself is round. Of equally round ones the longest first.
+        The list is empty if the step itself is round. Of equally round steps the longest comes
+        first.
 
         >>> Steps(0.04, 0.01).rounder(21)  # 2 ms in place of 1.9047619 ms
         [20]
@@ -74,16 +78,16 @@ class Steps:
         return sorted(rounder, key=lambda n: (digits(self.dt(n)), n))
 
     def at(self, settings: Settings, pieces: int) -> Settings:
-        """The settings with another time step."""
+        """Return the settings with another time step."""
         return settings.replace(dt=self.dt(pieces))
 
     def method(self, settings: Settings) -> Settings:
-        """The settings with the shipped time step, which stand for their method."""
+        """Return the settings with the shipped time step, which identify their method."""
         return settings.replace(dt=self.shipped)
 
 
 def digits(dt: float) -> int:
-    """How many significant digits a number has, of nine at most.
+    """Return the number of significant digits of a number, at most nine.
 
     >>> digits(0.002), digits(0.00125), digits(0.04 / 21)
     (1, 3, 8)
@@ -92,7 +96,7 @@ def digits(dt: float) -> int:
 
 
 def longest(period: float, horizon: float) -> float:
-    """The longest step to try on a motion without controls [s], a multiple of the period."""
+    """Return the longest step to try on a motion without controls [s], a multiple of the period."""
     times = LONGER
     while times > 1 and horizon < LEFT * times * period * (1 - 1e-9):
         times //= 2
@@ -101,10 +105,11 @@ def longest(period: float, horizon: float) -> float:
 
 @dataclass(frozen=True)
 class Kind:
-    """What of a scene decides which settings are worth trying.
+    """The properties of a scene that decide which settings are worth trying.
 
-    rows: the most at once in the reference. friction: a contact could have friction in more than
-    one direction. stiff: a spring, a tendon or a servo pulls back.
+    rows: the largest number of rows at once in the reference.
+    friction: whether a contact can have friction in more than one direction.
+    stiff: whether the scene has a spring, a tendon or a servo with position feedback.
     """
 
     shipped: Settings
@@ -114,7 +119,7 @@ class Kind:
 
     @classmethod
     def of(cls, model: Model, rows: int) -> Kind:
-        """That of a model; rows: see above."""
+        """Return the properties of a model; rows: see the class."""
         geoms = (g for g in model.scene.geoms if g.contype or g.conaffinity)
         friction = any(geom.condim > 1 for geom in geoms)
         slopes = unwatched(Sim(model)).element_slopes()
@@ -129,14 +134,14 @@ class Kind:
 
     @property
     def integrators(self) -> list[str]:
-        """The integrators to try, the shipped one among them."""
+        """Return the integrators to try, including the shipped one."""
         names = SMOOTH_LAW if self.smooth else COULOMB_LAW
         every = dict.fromkeys([*names, *(STIFF if self.stiff else ()), self.shipped.integrator])
         return [name for name in every if not (self.shipped.sleep and name in STAGED)]
 
     @property
     def newton(self) -> dict[str, Any]:
-        """Newton's method; sweeps only limit its iterations."""
+        """Return the fields of Newton's method, in which sweeps only limit the iterations."""
         count = self.shipped.sweeps if self.shipped.solver == "newton" else 100
         return {"solver": "newton", "sweeps": count}
 
@@ -149,9 +154,9 @@ def grid(
     sweeps: Sequence[int] | None,
     precisions: Sequence[str] | None,
 ) -> list[Settings]:
-    """The full grid of settings, the shipped ones among them; all else is as shipped.
+    """Return the full grid of settings, including the shipped ones; other fields are as shipped.
 
-    Unless precisions are asked for, single precision is tried with one number of sweeps.
+    Unless precisions are given, single precision is tried with only one number of sweeps.
     """
     methods = _methods(kind, solvers, sweeps)
     if precisions is not None:
@@ -174,10 +179,9 @@ def grid(
 def _methods(
     kind: Kind, solvers: Sequence[str] | None, sweeps: Sequence[int] | None
 ) -> list[dict[str, Any]]:
-    """Solvers, each with its numbers of sweeps.
+    """Return the solvers, each with its numbers of sweeps.
 
-    Without rows the solver does not matter and stays as shipped; a single row is solved by one
-    sweep.
+    Without rows the solver has no effect and stays as shipped. A single row needs one sweep.
     """
     shipped, rows = kind.shipped, kind.rows
     if solvers is None:
@@ -195,16 +199,16 @@ def _methods(
             counts = {1}
         elif rows > 1:
             counts |= set(SWEEPS_SMOOTH if kind.smooth else SWEEPS_COULOMB)
-        # "auto" comes last.
+        # Sort "auto" last.
         ordered = sorted(counts, key=lambda count: math.inf if count == "auto" else count)
         methods += [{"solver": solver, "sweeps": count} for count in ordered]
     return methods or [{"solver": shipped.solver, "sweeps": shipped.sweeps}]
 
 
 def families(kind: Kind) -> list[Settings]:
-    """Each integrator with each kind of solver, all else as shipped.
+    """Return each integrator with each kind of solver; other fields are as shipped.
 
-    Without rows the solver stays as shipped, and for a single one a sweep is all.
+    Without rows the solver stays as shipped. A single row needs one sweep.
     """
     shipped = kind.shipped
     methods: list[dict[str, Any]] = [{}]
@@ -223,7 +227,7 @@ def families(kind: Kind) -> list[Settings]:
 
 
 def moves(settings: Settings, kind: Kind) -> list[Settings]:
-    """Settings that differ in one field other than time step, integrator and solver."""
+    """Return settings that differ in one field other than time step, integrator and solver."""
     if not kind.rows:
         return []
     return [s for s in dict.fromkeys(_moves(settings, kind)) if s != settings]
@@ -248,7 +252,7 @@ def _moves(s: Settings, kind: Kind) -> Iterator[Settings]:
 
 
 def _near(ladder: Sequence[Any], value: Any, reach: int) -> list[Any]:
-    """The entries of a ladder next to a value; reach: how many on either side."""
+    """Return the entries of a ladder next to a value, `reach` of them on either side."""
     rungs = sorted({*ladder, value})
     at = rungs.index(value)
     return rungs[max(0, at - reach) : at + reach + 1]

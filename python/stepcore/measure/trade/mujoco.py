@@ -1,9 +1,8 @@
-"""MuJoCo on the same motion: its integrators and solvers at many time steps.
+"""MuJoCo on the same motion: several integrators and solvers at many time steps.
 
-The package mujoco is imported only here. The scene is read by MuJoCo from its own MJCF file, or
-from what `Scene.to_mjcf` writes; starts, controls and samples are those of the trade. That both
-engines compute the same physics is checked on the spot: MuJoCo's own converged run is compared
-with the reference.
+The package mujoco is imported only here. MuJoCo reads the scene from the scene's MJCF file, or from
+the output of `Scene.to_mjcf`. Starts, controls and samples are those of the trade. To check that
+both engines compute the same physics, MuJoCo's converged run is compared with the reference.
 """
 
 from __future__ import annotations
@@ -35,23 +34,24 @@ from stepcore.measure.trade.methods import Steps
 from stepcore.measure.trade.rows import TradeRow
 from stepcore.report.units import metres, seconds
 
-# MuJoCo's numbers of integrators, and those that are tried.
+# MuJoCo's enumeration of integrators.
 INTEGRATORS = {"euler": 0, "rk4": 1, "implicit": 2, "implicitfast": 3, "discrete": 4}
 TRIED = ("euler", "rk4", "implicitfast")
 SOLVERS = {"pgs": 0, "newton": 2}
-# Steps tried, over the shipped one.
+# Time steps to try, relative to the shipped one.
 FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)
-# Two engines agree if they are this near, over what is known of both.
+# Largest distance between two agreeing engines, relative to the sum of their errors.
 AGREE = 4.0
-# The check: starts, and steps of the reference in one of its own.
+# The check: number of starts, and the ratio of the check's step to the reference's.
 CHECKED, COARSER = 2, 4.0
 
 
 @dataclass(frozen=True)
 class Point:
-    """MuJoCo under one setting. cost [µs per simulated second]; see `Trade.mujoco`.
+    """The result of one MuJoCo setting; see `Trade.mujoco`.
 
-    check: what MuJoCo's converged run says of the reference; the same for all points.
+    cost: computing time [µs per simulated second].
+    check: the comparison of MuJoCo's converged run with the reference, equal for all points.
     """
 
     dt: float
@@ -65,11 +65,11 @@ class Point:
 
     @property
     def error(self) -> float:
-        """The root mean square of positions in the worst start [m]; inf if it failed."""
+        """RMS position error of the worst start [m]; inf if a run failed."""
         return math.inf if self.errors is None else self.errors.high
 
     def record(self) -> dict[str, Any]:
-        """The point as plain data."""
+        """Return the point as plain data."""
         e = self.errors
         return {
             "dt": self.dt,
@@ -85,9 +85,13 @@ class Point:
 
 @dataclass(frozen=True)
 class Check:
-    """MuJoCo's rk4 at `dt` [s]: `apart` from the reference, `moved` by doubling its step [m].
+    """The comparison of MuJoCo's rk4 at a small time step with the reference.
 
-    version: of MuJoCo.
+    version: the version of MuJoCo.
+    dt: the time step of the run [s].
+    apart: the distance from the reference [m].
+    moved: the change when the time step is doubled [m].
+    known: the error of the reference [m].
     """
 
     version: str
@@ -98,12 +102,12 @@ class Check:
 
     @property
     def agrees(self) -> bool:
-        """Whether both engines converge to the same motion, as far as both are known."""
+        """Whether both engines converge to the same motion, within their uncertainties."""
         return self.apart <= AGREE * (self.moved + self.known)
 
 
 def require() -> Any:
-    """The module mujoco; ImportError with the way out where it is missing."""
+    """Return the module mujoco; raise ImportError with the install command if missing."""
     try:
         import mujoco  # type: ignore[import-untyped,unused-ignore]
     except ModuleNotFoundError as error:
@@ -111,7 +115,7 @@ def require() -> Any:
             raise
         raise ImportError("mujoco=True needs MuJoCo: pip install mujoco") from None
     except ImportError as error:
-        # A compiled module that Ctrl-C stops while it loads says so in its text alone.
+        # If Ctrl-C interrupts the import of a compiled module, only the error's text says so.
         if "KeyboardInterrupt" in str(error):
             raise KeyboardInterrupt from None
         raise
@@ -120,7 +124,7 @@ def require() -> Any:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """No file of warnings in the working directory; and no timer inside, which costs time."""
+    """Suppress MuJoCo's warning file and its internal timer, which costs time."""
     mujoco = require()
     timer = mujoco.get_mjcb_time()
     mujoco.set_mju_user_warning(lambda text: None)
@@ -133,7 +137,7 @@ def quiet() -> Iterator[None]:
 
 
 def load(source: Any, model: Model) -> Any:
-    """MuJoCo's model of what was traded, under the shipped settings as far as it has them."""
+    """Return MuJoCo's model of the scene, under the equivalents of the shipped settings."""
     mujoco = require()
     if model.settings.law != "solref":
         raise ValueError(
@@ -156,7 +160,7 @@ def load(source: Any, model: Model) -> Any:
 
 
 class Setting(NamedTuple):
-    """One setting of MuJoCo. exact: rows solved to rounding."""
+    """One setting of MuJoCo; exact: whether rows are solved to rounding."""
 
     dt: float
     integrator: str
@@ -165,7 +169,7 @@ class Setting(NamedTuple):
 
 
 class World:
-    """MuJoCo's data under one setting: what `Runner.follow` steps."""
+    """MuJoCo's data under one setting, which `Runner.follow` steps."""
 
     def __init__(self, model: Any, settings: Setting) -> None:
         self.model, self.settings = model, settings
@@ -175,7 +179,7 @@ class World:
         require().mj_step(self.model, self.data, nstep=count)
 
     def configure(self) -> None:
-        """Sets the options of the model, which all worlds share."""
+        """Set the options of the model, which all worlds share."""
         option, settings = self.model.opt, self.settings
         option.timestep, option.integrator = settings.dt, INTEGRATORS[settings.integrator]
         option.solver = SOLVERS[settings.solver]
@@ -184,12 +188,12 @@ class World:
 
 
 class MujocoRunner(Runner):
-    """The same schedule, run by MuJoCo; theirs: its model of the scene."""
+    """A runner that runs the schedule with MuJoCo; theirs: MuJoCo's model of the scene."""
 
     def __init__(self, model: Model, schedule: Schedule, theirs: Any) -> None:
         super().__init__(model, schedule)
         self.theirs = theirs
-        # What a control function is shown, in MuJoCo's state.
+        # The Sim that a control function receives, set to MuJoCo's state.
         self.shown = unwatched(Sim(model))
 
     def sim(self, settings: Any) -> World:
@@ -217,7 +221,7 @@ class MujocoRunner(Runner):
 
 
 class Poses(Probe):
-    """MuJoCo's states at the samples, and where the bodies are in them."""
+    """A probe that records MuJoCo's states at the samples, and the poses of the bodies."""
 
     def __init__(self, bodies: Bodies) -> None:
         self.bodies = bodies
@@ -236,7 +240,7 @@ class Poses(Probe):
 
 
 class MujocoTrials:
-    """MuJoCo's settings run on a trade's motion; one after the other, as they share its model."""
+    """The runs of MuJoCo's settings on a trade's motion, one after the other on a shared model."""
 
     def __init__(self, source: Any, experiment: Experiment, reference: Reference) -> None:
         self.experiment = Experiment(experiment.model, experiment.schedule, size=experiment.size)
@@ -245,7 +249,9 @@ class MujocoTrials:
         self.reference = reference
 
     def points(self, steps: Steps, workers: Workers) -> tuple[list[Point], list[TimedRun]]:
-        """Integrators × solvers × steps, all run from every start; and the same to be timed."""
+        """Run integrators × solvers × steps from every start; return the points and the runs to
+        time.
+        """
         solvers = SOLVERS if any(run.rows for run in self.reference.runs) else ("newton",)
         pieces = sorted({max(1, round(steps.shipped_pieces / factor)) for factor in FACTORS})
         asked = [Setting(steps.dt(n), i, s) for n in pieces for i in TRIED for s in solvers]
@@ -264,10 +270,10 @@ class MujocoTrials:
         return points, runs
 
     def _check(self) -> Check:
-        """MuJoCo's own limit, beside the reference."""
+        """Compare MuJoCo's converged run with the reference."""
         ref, period = self.reference, self.experiment.schedule.period
         few = range(min(CHECKED, len(ref.runs)))
-        # Coarser than the reference: this is to be seen, not to be the truth.
+        # The step is coarser than the reference's: the run is a check, not a reference.
         dt = period / max(1, int(period / ref.settings.dt / COARSER + 1e-9))
         coarse, fine = (
             self._runs(Setting(step, "rk4", "newton", exact=True), few) for step in (dt, dt / 2)
@@ -280,19 +286,19 @@ class MujocoTrials:
         return Check(require().__version__, dt / 2, apart, moved, ref.high)
 
     def _point(self, setting: Setting, check: Check) -> Point:
-        """One setting of MuJoCo's, from every start."""
+        """Run one of MuJoCo's settings from every start."""
         runs = self._runs(setting, range(len(self.reference.runs)))
         failure = self.experiment.failure(runs, self.reference)
         wrong = None if failure else self.experiment.errors(runs, self.reference)
         return Point(setting.dt, setting.integrator, setting.solver, wrong, check, failure=failure)
 
     def _runs(self, setting: Any, starts: range) -> list[Run]:
-        """Runs from some starts, until one fails."""
+        """Run from some starts, until a run fails."""
         return self.experiment.run(setting, starts, lambda runner: [Poses(runner.bodies)])
 
 
 def timed(points: Sequence[Point], runs: Sequence[TimedRun]) -> list[Point]:
-    """The points with their costs, and marks where no other point beats them."""
+    """Return the points with their costs, and mark those that no other point beats."""
     costs = [run.cost for run in runs]
     best = pareto(costs, [point.error for point in points])
     return [
@@ -302,7 +308,7 @@ def timed(points: Sequence[Point], runs: Sequence[TimedRun]) -> list[Point]:
 
 
 def _warned(data: Any) -> str | None:
-    """What MuJoCo says of a state that it could not go on from."""
+    """Return MuJoCo's warning about a state that ended the run, or None."""
     bad = {
         "its position is not finite": "mjWARN_BADQPOS",
         "its velocity is not finite": "mjWARN_BADQVEL",
@@ -319,7 +325,7 @@ def _warned(data: Any) -> str | None:
 
 
 def compared_with_mujoco(points: Sequence[Point], shipped: TradeRow) -> Iterator[str]:
-    """Whether both engines compute the same physics, and what MuJoCo costs as shipped."""
+    """Yield whether both engines agree, and the cost of MuJoCo's shipped settings."""
     check = points[0].check
     same = "computes the same physics" if check.agrees else "does NOT compute the same physics"
     yield (

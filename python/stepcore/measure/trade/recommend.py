@@ -1,12 +1,13 @@
-"""Confirms a recommendation on starts that the search has not used, and searches on the hardest.
+"""Confirms a recommendation on starts that the search has not used, and searches the hardest
+starts.
 
-The target must be met in every start: in those of the search, and in as many further ones as the
-user asks for. Each of n + 1 random starts is equally likely to be the worst, so after n that meet
-the target the next one misses it with a probability of at most 1/(n + 1).
+A recommendation must meet the target in every start: in those of the search and in the requested
+number of further starts. Each of n + 1 random starts is equally likely to be the worst. So after n
+starts that meet the target, the next start misses it with a probability of at most 1/(n + 1).
 
-Further starts may be harder than the search's own, and a method that was dropped early may do
-better there than one that only needs shorter steps. So the search is made again on the hardest of
-all starts.
+Further starts may be harder than those of the search. On them, a method that was dropped early may
+do better than a method that needs shorter steps. So the search is repeated on the hardest of all
+starts.
 """
 
 from __future__ import annotations
@@ -31,32 +32,32 @@ from stepcore.measure.trade.rows import MARGIN, Frontier, Further, TradeRow
 from stepcore.measure.trade.run_cache import RunCache
 from stepcore.measure.trade.search import FINE, SettingsSearch
 
-# This many rows are tested on the further starts before the search gives up.
+# Rows tested on the further starts before the search stops.
 TRIES = 30
-# The search is made again this often on the hardest starts.
+# Number of searches on the hardest starts.
 AGAIN = 2
-# For this many of those that fail there, shorter steps are tried: first by this factor, then by a
-# factor that grows by MORE, at most TIMES times.
+# Number of failing rows for which shorter steps are tried; the first factor by which a step is
+# shortened; the growth of this factor; and the largest number of trials.
 REPAIRED, SHORTER, MORE, TIMES = 8, 1.15, 0.1, 8
-# A rounder time step is recommended if it costs at most this many times as much.
+# Largest relative cost of a rounder time step.
 DEARER = 1.15
-# Of the cheaper rows that keep to the error on the search's own starts, this many are looked at.
+# Number of cheaper rows, within the error on the search's starts, that are tested.
 NEAR = 3
-# Where no row keeps to the error on all starts: the share that will do, and how many are tried.
+# If no row passes on all starts: the accepted share of starts, and the number of rows tried.
 SHARE, NEARLY = 0.95, 8
-# Where perturbed runs of the search's starts part by less than this factor, those of further starts
-# are not measured: they can be predicted.
+# If perturbed runs of the search's starts separate by less than this factor, the motion is
+# predictable, and the growth on further starts is not measured.
 CALM = 30.0
-# The second search: on this many of all starts; it begins with the methods of rows that cost at
-# most CLOSE times what passed; of the settings that it finds this many cheaper ones are tested.
+# The second search: the number of hardest starts; the largest relative cost of rows whose methods
+# it begins with; and the number of cheaper settings that are tested.
 HARD, CLOSE, TESTED = 8, 2.0, 3
 
-# A start, how wrong a run from it was [m], and why it failed if it did.
+# A start, the error of the run from there [m], and the reason if the run failed.
 Ran = tuple[int, float, str | None]
 
 
 class Confirmation:
-    """Further starts with their own reference, on which settings are tested."""
+    """The further starts, with their own reference, on which settings are tested."""
 
     def __init__(self, cache: RunCache, others: Schedule) -> None:
         self.cache, experiment = cache, cache.experiment
@@ -64,9 +65,10 @@ class Confirmation:
         self.hard: list[int] = []
         self.ends = np.full(self.count, np.inf)
         self.scored: np.ndarray | None = None
-        # By settings and further start: how wrong the run was [m], and why it failed if it did.
+        # The run of each setting from each further start.
         self.ran: dict[Settings, dict[int, Ran]] = {}
-        # As fine as the search's experiment: a further start may be harder than all of those.
+        # Use the step of the search's experiment, because a further start may be harder than all of
+        # its starts.
         settings, level = cache.reference.settings, cache.reference.level
         runs = self.further.run(settings, probes=positions, bar="further starts")
         self.truth = dataclasses.replace(level, runs=runs)
@@ -81,14 +83,16 @@ class Confirmation:
 
     @property
     def count(self) -> int:
-        """How many further starts there are."""
+        """The number of further starts."""
         return len(self.further.schedule.starts)
 
     def test(self, settings: Settings, limit: float, error: float) -> Further:
-        """Runs settings from every further start; limit: what they should keep to [m].
+        """Run settings from the further starts, and return the results.
 
-        Starts on which other settings failed come first; a failure there ends the test. error:
-        what is asked for [m], to count the starts that keep to it.
+        The starts on which other settings failed come first; a failure there ends the test.
+
+        limit: the error that the settings should not exceed [m].
+        error: the requested error [m]; the starts within this error are counted.
         """
         if self.scored is None:
             return Further(0, 0, 0.0, f"the reference fails on them: {self.truth.failed}")
@@ -99,7 +103,7 @@ class Confirmation:
         return self._result(ran, limit, error)
 
     def test_all(self, settings: Settings, limit: float, error: float) -> Further:
-        """The same from every further start, wherever it misses the limit."""
+        """Run settings from every further start, without ending at a failure; see `test`."""
         return self._result(self._runs(settings, list(range(self.count))), limit, error)
 
     def _result(self, ran: list[Ran], limit: float, error: float) -> Further:
@@ -111,7 +115,7 @@ class Confirmation:
         return Further(len(ran), held, worst[1], failure)
 
     def hardness(self) -> np.ndarray:
-        """By further start: the largest error that any settings tested had there [m]."""
+        """Return the largest error of all tested settings on each further start [m]."""
         worst = np.zeros(self.count)
         for ran in self.ran.values():
             for start, wrong, _ in ran.values():
@@ -119,7 +123,7 @@ class Confirmation:
         return worst
 
     def holds(self, settings: Settings, error: float) -> bool:
-        """Whether settings keep to an error on the starts on which others failed."""
+        """Return whether settings stay within an error on the starts on which others failed."""
         return not self._bad(self._runs(settings, self.hard), error)
 
     def _bad(self, ran: list[Ran], error: float) -> bool:
@@ -142,9 +146,9 @@ class Confirmation:
 
 
 class HardestStarts:
-    """Searches on the hardest of the search's own and the further starts.
+    """A search on the hardest of all starts, those of the search and the further ones.
 
-    target: the error asked for [m].
+    target: the requested error [m].
     """
 
     def __init__(
@@ -154,7 +158,9 @@ class HardestStarts:
         self.kind, self.target = kind, target
 
     def __call__(self, frontier: Frontier, chosen: TradeRow) -> Sequence[Settings]:
-        """Settings cheaper than the row that passed, as far as the hardest starts tell."""
+        """Return settings that are cheaper than the row that passed, by the errors on the hardest
+        starts.
+        """
         few = [int(i) for i in self.order(frontier)[:HARD]]
         experiment = self.cache.experiment
         model, workers, size = experiment.model, experiment.workers, experiment.size
@@ -170,7 +176,9 @@ class HardestStarts:
         return [s for s in met if hard.score(s, len(few)).price < chosen.flops][:TESTED]
 
     def order(self, frontier: Frontier) -> np.ndarray:
-        """All starts, numbered from the search's own, the hardest for tested rows first."""
+        """Return the indices of all starts, hardest first; the search's starts have the first
+        numbers.
+        """
         worst = np.zeros(len(self.cache.experiment.schedule.starts))
         for row in frontier.rows:
             if row.further is not None and row.errors is not None:
@@ -186,7 +194,7 @@ class HardestStarts:
         return dataclasses.replace(searched, starts=tuple(starts[i] for i in few), ctrl=ctrl)
 
     def _reference(self, few: Sequence[int]) -> Reference:
-        """The reference of these starts, known as well as that of the search's own."""
+        """Return the reference of these starts, at the level of the search's own reference."""
         reference = self.cache.reference
         runs = [*reference.runs, *self.confirm.truth.runs]
         level = dataclasses.replace(reference.level, runs=[runs[i] for i in few])
@@ -197,10 +205,11 @@ class HardestStarts:
 
 
 class Recommendation:
-    """Tests rows of a frontier on further starts; `frontier` has the results.
+    """Tests rows of a frontier on further starts; `frontier` contains the results.
 
-    finish: makes the finished row of settings. again: searches on the hardest starts for settings
-    cheaper than a row that passed; None where there is no search.
+    finish: makes the complete row of settings.
+    again: searches on the hardest starts for settings cheaper than a row that passed; None without
+        a search.
     """
 
     def __init__(
@@ -213,25 +222,25 @@ class Recommendation:
     ) -> None:
         self.frontier, self.confirm, self.finish = frontier, confirm, finish
         self.steps, self.again = steps, again
-        # The most steps in a period that the reference can judge.
+        # The largest number of steps in a period that the reference can judge.
         self.finest = int(steps.period / confirm.cache.reference.settings.dt / 2 + 1e-9)
 
     def add(self, row: TradeRow) -> TradeRow:
-        """Takes a row into the frontier."""
+        """Add a row to the frontier."""
         self.frontier = self.frontier.updated(row)
         return row
 
     def tested(self, row: TradeRow, further: Further) -> TradeRow:
-        """The row with the result of a test, which the frontier has too."""
+        """Return the row with the results of a test, and update the frontier."""
         return self.add(dataclasses.replace(row, further=further))
 
     def within_error(self, target: float) -> TradeRow | None:
-        """Tests the cheapest rows within an error [m] until one of them passes, and returns it.
+        """Test the cheapest rows within an error [m] until a row passes, and return that row.
 
-        A row must keep to a little less than the error. Some of those that do not are also tried
-        with shorter steps. Where no row passes, one that keeps to the error itself will do. What
-        passes is compared with what a search on the hardest starts finds, and gets a round time
-        step where one near it passes too.
+        A row must stay below the error by a margin. Some of the rows that fail are also tried with
+        shorter steps. If no row passes, a row within the error itself is accepted. The row that
+        passes is compared with the results of a search on the hardest starts. Its time step is
+        rounded if a nearby round time step also passes.
         """
         chosen = self._first_that_passes(target)
         if self.confirm.scored is None:
@@ -252,7 +261,7 @@ class Recommendation:
         return self.rounded(chosen, target)
 
     def _first_that_passes(self, target: float) -> TradeRow | None:
-        """The cheapest row that keeps to the error on all further starts."""
+        """Return the cheapest row that stays within the limit on all further starts."""
         limit, repairs, confirm = MARGIN * target, REPAIRED, self.confirm
         for _ in range(TRIES):
             try:
@@ -273,7 +282,7 @@ class Recommendation:
         return None
 
     def _repaired(self, row: TradeRow, limit: float) -> Settings | None:
-        """The settings of a row that failed on further starts, with a step short enough there."""
+        """Return the settings of a failed row with a time step short enough to pass, or None."""
         misses = pieces = self.steps.pieces(row.settings)
 
         def holds(count: int) -> bool:
@@ -296,7 +305,7 @@ class Recommendation:
         return self.steps.at(row.settings, pieces)
 
     def _nearly_always(self, target: float) -> TradeRow | None:
-        """The cheapest row that keeps to the error on 19 of 20 starts, where none does on all."""
+        """Return a row that passes on 19 of 20 starts, or None."""
         good = [row for row in self.frontier.rows if row.errors and row.errors.high <= target]
         for row in sorted(good, key=self.frontier.price)[-NEARLY:]:
             further = self.confirm.test_all(row.settings, target, target)
@@ -306,9 +315,9 @@ class Recommendation:
         return None
 
     def _count_misses(self, target: float, chosen: TradeRow) -> None:
-        """Tests the cheaper rows that keep to the error on the search's own starts.
+        """Test the cheaper rows that stay within the error on the search's own starts.
 
-        Where few starts decide, other starts may decide otherwise: that is worth saying.
+        If only a few starts reject a cheaper row, the answer reports this.
         """
         price = self.frontier.price
         near = [
@@ -320,11 +329,12 @@ class Recommendation:
             self.tested(row, self.confirm.test_all(row.settings, target, target))
 
     def rounded(self, row: TradeRow, target: float) -> TradeRow:
-        """A row that passed, or the same with a rounder step that passes too and costs little."""
+        """Return the passing row with a rounder step if that row passes too at little more cost."""
         frontier, steps = self.frontier, self.steps
         limit = MARGIN * target if frontier.error(row) <= MARGIN * target else target
         for pieces in steps.rounder(steps.pieces(row.settings)):
-            # A little beyond what is searched: the same reference judges it nearly as well.
+            # A step slightly beyond the searched range is acceptable: the reference judges it
+            # nearly as well.
             if pieces > DENSER * self.finest:
                 continue
             settings = steps.at(row.settings, pieces)
@@ -339,7 +349,7 @@ class Recommendation:
         return row
 
     def within_budget(self, budget: float) -> None:
-        """Fits the time step of the most accurate row to the budget, and tests it."""
+        """Fit the time step of the most accurate row to the budget, and test the row."""
         for _ in range(TRIES):
             try:
                 row = self.frontier.most_accurate(budget)
@@ -347,7 +357,7 @@ class Recommendation:
                 break
             pieces = self.steps.pieces(row.settings)
             more = int(pieces * budget / self.frontier.price(row) * 0.98)
-            # A rounder step that is longer, so that it keeps to the budget.
+            # Use a longer round step, so that the cost stays within the budget.
             more = next((n for n in self.steps.rounder(more) if n <= more), more)
             finer = self.steps.at(row.settings, more)
             if more >= 1.08 * pieces and not self.frontier.has(finer):

@@ -1,10 +1,10 @@
 """The frugal search for the cheapest settings that meet an error.
 
-For each method (all of the settings but the time step) the search looks for the longest time step
-that meets the error, in three rounds. Families of methods are judged from a few starts. The
-cheapest of them go on, and change one setting at a time as long as that makes them cheaper at equal
-error. The best are judged again from all starts. Costs are counted operations, so that the same
-seed finds the same settings on any machine.
+A method is all of the settings except the time step. For each method, the search looks for the
+longest time step that meets the error, in three rounds. First, families of methods are judged from
+a few starts. Then the cheapest methods change one setting at a time as long as the change makes
+them cheaper at equal error. Finally, the best methods are judged from all starts. Costs are counted
+operations, so that the same seed finds the same settings on any machine.
 """
 
 from __future__ import annotations
@@ -19,42 +19,45 @@ from stepcore.measure.trade.methods import Kind, Steps, families, moves
 from stepcore.measure.trade.rows import MARGIN
 from stepcore.measure.trade.run_cache import PricedError, RunCache
 
-# Starts that methods are first judged from.
+# Number of starts that methods are first judged from.
 FEW = 2
-# A method goes on to the second round, and then to all starts, if it costs at most this many times
-# as much as the best; at most MOST go on.
+# Largest cost, relative to the best, of methods in the second round and in the round from all
+# starts; and the largest number of methods there.
 FIRST, SECOND, MOST = 1.6, 1.25, 4
-# A changed setting is taken if that costs at most this share at equal error; CLIMBS in a row.
+# Largest relative cost, at equal error, at which a changed setting is accepted; and the number of
+# successive changes.
 BETTER, CLIMBS = 0.97, 4
-# The longest step is found to this ratio: in the first rounds, at the end.
+# Ratios to which the longest step is found: in the first rounds, and at the end.
 COARSE, FINE = 1.3, 1.08
 ROUNDS = 8
-# A shorter step takes at least this share of the work of a longer one.
+# Least work of a shorter step, relative to the work of a longer one.
 CHEAPER = 0.8
-# A method is at its floor where steps FLOOR times shorter reduce the error by less than HELPS.
+# A method is at its floor if steps FLOOR times shorter reduce the error by less than HELPS times.
 FLOOR, HELPS = 4.0, 1.3
-# The target errors, as shares of the error asked for, or of the shipped error without one; and
-# whether methods are changed there. `Trade.next_better` is found from the half.
+# The target errors, relative to the requested error (without a request, to the shipped error), and
+# whether methods are changed there. `Trade.next_better` uses the target of one half.
 ASKED = ((MARGIN, True), (0.5, False))
 UNASKED = ((1.0, True), (0.5, False), (0.1, False))
 BUDGET = ((4.0, False), (1.0, True), (0.25, False), (0.06, True), (0.015, False))
-# On the front of an integrator each setting kept costs at least this many times the last.
+# Least ratio between the costs of neighbouring settings on an integrator's front.
 SPARSE = 1.6
-# Errors this many times below the smallest target are of no use.
+# Errors this many times below the smallest target are not useful.
 USELESS = 6.0
-# This many of the cheapest settings are also tried in single precision.
+# Number of the cheapest settings that are also tried in single precision.
 SINGLE = 2
-# Halvings of the reference that a target may ask for; none for one this many times below the error
-# asked for.
+# Largest number of reference halvings for one target; and how many times below the requested error
+# a target lies for which the reference is not halved.
 REFINED, DEEP = 4, 20.0
 
 
 @dataclass
 class Bracket:
-    """What is known of a method: its scores by the number of steps in a control period.
+    """The scores of a method by the number of steps in a control period.
 
-    base: the method. guess: where to begin. known: steps in a period to score. floored: shorter
-    steps have stopped reducing the error.
+    base: the method.
+    guess: the number of steps to begin with.
+    known: the score for each number of steps in a period.
+    floored: whether shorter steps no longer reduce the error.
     """
 
     base: Settings
@@ -63,11 +66,13 @@ class Bracket:
     floored: bool = False
 
     def meets(self, error: float) -> int | None:
-        """The fewest steps in a period that meet an error, or None."""
+        """Return the fewest steps in a period that meet an error, or None."""
         return min((n for n, s in self.known.items() if s.error <= error), default=None)
 
     def misses(self, error: float) -> int:
-        """The most steps in a period, fewer than those, that miss it; 0 if none is known."""
+        """Return the most steps, fewer than `meets` returns, that exceed an error; 0 if none is
+        known.
+        """
         good = self.meets(error)
         return max(
             (n for n, s in self.known.items() if s.error > error and (good is None or n < good)),
@@ -75,13 +80,13 @@ class Bracket:
         )
 
     def at_least(self, pieces: int) -> float:
-        """A lower bound of the price of this many steps; 0 where no fewer were run."""
+        """Return a lower bound of the price of this many steps; 0 if no fewer steps were run."""
         fewer = [n for n in self.known if n < pieces and self.known[n].price < math.inf]
         n = max(fewer, default=0)
         return self.known[n].price * pieces / n * CHEAPER if n else 0.0
 
     def order(self, error: float) -> float:
-        """The order with which the error falls near the target; between 1/2 and 4."""
+        """Return the order with which the error falls near the target, between 1/2 and 4."""
         near = sorted(
             (n for n, s in self.known.items() if 0 < s.error < math.inf),
             key=lambda n: abs(math.log(self.known[n].error / error)),
@@ -93,7 +98,7 @@ class Bracket:
         return min(4.0, max(0.5, slope))
 
     def price(self, error: float) -> float:
-        """What meeting an error would cost at any step; inf where it is out of reach."""
+        """Return the estimated price of meeting an error at any step; inf if out of reach."""
         near = [n for n, s in self.known.items() if 0 < s.error < math.inf]
         if not near or (self.floored and self.meets(error) is None):
             exact = [s.price for s in self.known.values() if s.error <= error]
@@ -103,14 +108,14 @@ class Bracket:
 
 
 def equal_error(score: PricedError, error: float, order: float) -> float:
-    """The price at another error, if the error falls with the step at this order."""
+    """Return the price at another error, if the error falls with the step at this order."""
     if not 0 < score.error < math.inf:
         return score.price
     return float(score.price * (score.error / error) ** (1 / order))
 
 
 class SettingsSearch:
-    """Searches for the cheapest settings that meet an error; its runs stay in its cache."""
+    """A search for the cheapest settings that meet an error; the runs stay in the cache."""
 
     def __init__(self, cache: RunCache, steps: Steps, kind: Kind) -> None:
         self.cache, self.steps, self.kind, self.shipped = cache, steps, kind, kind.shipped
@@ -125,10 +130,12 @@ class SettingsSearch:
         return max(1, int(self.steps.period / self.cache.reference.settings.dt / 2 + 1e-9))
 
     def run(self, wanted: float | None, budget: bool, whole: bool) -> list[Settings]:
-        """Runs the search; the settings that ran from all starts or failed, coarsest step first.
+        """Run the search, and return the settings that ran from all starts or failed, coarsest step
+        first.
 
-        wanted: the error asked for [m], or None. budget: whether there is one. whole: settings of
-        any error are of use.
+        wanted: the requested error [m], or None.
+        budget: whether a budget was requested.
+        whole: whether settings of any error are useful.
         """
         cache = self.cache
         chosen: list[Settings] = []
@@ -137,7 +144,7 @@ class SettingsSearch:
         for k, (error, climb) in enumerate(targets):
             halvings = REFINED
             if k and chosen and wanted is not None:
-                # The longest step tried can be far more accurate than what was asked for.
+                # The longest step can be far more accurate than the requested error.
                 error = min(error, cache.score(chosen[0], self.all).error / 2)
                 halvings = REFINED if error * DEEP >= wanted else 0
                 if error <= cache.reference.high:
@@ -150,7 +157,7 @@ class SettingsSearch:
                 some = self.meeting(error, climb)
             chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
         least = 0.0 if whole else min((error for error, _ in targets), default=0.0) / USELESS
-        # What is nearer to the reference than it is known is not known to be better.
+        # Errors below the reference's uncertainty cannot be ranked.
         known = 0.0 if cache.can_refine else cache.reference.high
         failed = [setting for setting, runs in cache.screened.items() if cache.why_failed(runs)]
         every = [*chosen, *self.fronts(least, known), self.shipped, *failed]
@@ -158,7 +165,7 @@ class SettingsSearch:
         return sorted(dict.fromkeys(every), key=lambda s: -s.dt)
 
     def targets(self, wanted: float | None, budget: bool) -> list[tuple[float, bool]]:
-        """The errors to search for [m], and whether methods are changed there."""
+        """Return the errors to search for [m], each with whether methods are changed there."""
         if wanted is not None:
             return [(share * wanted, climb) for share, climb in ASKED]
         shipped = self.cache.score(self.shipped, self.few).error
@@ -170,9 +177,10 @@ class SettingsSearch:
         return [(shipped * share, climb) for share, climb in shares if shipped > 0]
 
     def fronts(self, least: float, known: float) -> list[Settings]:
-        """The front of every integrator by its scores from few starts, thinned out.
+        """Return the thinned Pareto front of every integrator, by scores from few starts.
 
-        least: smaller errors are not wanted [m]. known: of errors up to it the cheapest is wanted.
+        least: errors below this are not useful [m].
+        known: of the errors up to this one, only the cheapest setting is returned [m].
         """
         by_name: dict[str, list[tuple[PricedError, int, Settings]]] = {}
         for i, setting in enumerate(self.cache.screened):
@@ -190,9 +198,9 @@ class SettingsSearch:
         return kept
 
     def overview(self) -> None:
-        """Runs every family at a few time steps from few starts, around the shipped settings.
+        """Run every family from few starts at a few time steps around the shipped settings.
 
-        None but the shipped one is shorter than the reference can judge.
+        No time step is shorter than the reference can judge, except the shipped one.
         """
         n = self.steps.shipped_pieces
         counts = {1, max(1, n // 4), max(1, n // 2), n, 2 * n, 4 * n, 8 * n}
@@ -201,10 +209,13 @@ class SettingsSearch:
         self.cache.screen([self.shipped, *tried], self.few, "search: overview")
 
     def meeting(self, error: float, climb: bool = True) -> list[Settings]:
-        """Settings near the cheapest that meet an error in every start, cheapest first.
+        """Return settings near the cheapest that meet an error in every start, cheapest first.
 
-        Empty where no step that the reference can judge meets it. climb: change settings of the
-        methods too, beyond the families and what earlier calls have found.
+        The list is empty if no step that the reference can judge meets the error.
+
+        error: the error to meet [m].
+        climb: whether to change settings of the methods, beyond the families and the methods that
+            earlier calls found.
         """
         bases = dict.fromkeys([*families(self.kind), *self.methods])
         open_ = [self.bracket(base) for base in bases]
@@ -221,7 +232,7 @@ class SettingsSearch:
         return [settings for _, settings in sorted(met, key=lambda pair: pair[0])]
 
     def bracket(self, base: Settings) -> Bracket:
-        """A method with its scores from few starts, as far as it has been run."""
+        """Return a method with its scores from few starts so far."""
         bracket = Bracket(base, self.steps.shipped_pieces)
         for settings in self.cache.screened:
             pieces = self.steps.pieces(settings)
@@ -230,11 +241,13 @@ class SettingsSearch:
         return bracket
 
     def again(self, bracket: Bracket, error: float) -> Bracket:
-        """The same method, to be judged from all starts, beginning at the step that few gave."""
+        """Return a new bracket of the method for all starts, which begins at the step found from
+        few.
+        """
         return Bracket(bracket.base, bracket.meets(error) or self.finest)
 
     def keep(self, brackets: Sequence[Bracket], error: float, factor: float) -> list[Bracket]:
-        """Those whose price is near the best; one of those that do exactly the same."""
+        """Return the brackets whose price is near the best, without duplicates."""
         prices = sorted((bracket.price(error), i) for i, bracket in enumerate(brackets))
         least = prices[0][0] if prices else math.inf
         kept: list[Bracket] = []
@@ -247,7 +260,7 @@ class SettingsSearch:
     def narrow(
         self, brackets: Sequence[Bracket], error: float, starts: int, ratio: float, label: str
     ) -> None:
-        """Finds the fewest steps that meet the error to within a ratio, for all methods."""
+        """Find the fewest steps that meet the error, to within a ratio, for each method."""
         for _ in range(ROUNDS):
             asked = [(bracket, self.propose(bracket, error, ratio)) for bracket in brackets]
             prices = [bracket.price(error) for bracket in brackets if bracket.meets(error)]
@@ -263,7 +276,9 @@ class SettingsSearch:
                 bracket.known[n] = self.cache.score(made, starts)
 
     def propose(self, bracket: Bracket, error: float, ratio: float) -> int | None:
-        """The next number of steps in a period to try, or None where enough is known."""
+        """Return the next number of steps in a period to try, or None if the bracket is narrow
+        enough.
+        """
         good, bad = bracket.meets(error), bracket.misses(error)
         if not bracket.known:
             return min(max(1, bracket.guess), self.finest)
@@ -281,7 +296,7 @@ class SettingsSearch:
         return min(good - 1, max(bad + 1, n))
 
     def jump(self, bracket: Bracket, n: int, error: float) -> int:
-        """Where the observed order puts the error, at most four times as many steps or as few."""
+        """Return the steps that the observed order predicts for an error, within a factor of 4."""
         seen = bracket.known[n].error
         if not 0 < seen < math.inf:
             return n * 2 if seen else max(1, n // 4)
@@ -289,7 +304,7 @@ class SettingsSearch:
         return max(1, math.ceil(n * min(4.0, max(0.25, factor * 1.02))))
 
     def floored(self, bracket: Bracket) -> bool:
-        """Whether shorter steps have stopped helping."""
+        """Return whether shorter steps no longer reduce the error."""
         errors = {n: s.error for n, s in bracket.known.items() if s.error < math.inf}
         last = max(errors, default=0)
         bracket.floored = any(
@@ -299,7 +314,7 @@ class SettingsSearch:
         return bracket.floored
 
     def climb(self, brackets: Sequence[Bracket], error: float) -> list[Bracket]:
-        """Changes one setting of each method at a time while that is cheaper at equal error."""
+        """Change one setting of each method at a time while that is cheaper at equal error."""
         now = list(brackets)
         moving = set(range(len(now)))
         for _ in range(CLIMBS):
@@ -324,6 +339,8 @@ class SettingsSearch:
         return list({self.steps.at(bracket.base, 1): bracket for bracket in now}.values())
 
     def near(self, bracket: Bracket, error: float) -> list[Settings]:
-        """The methods that differ in one setting, at the step where this one meets the error."""
+        """Return the methods that differ in one setting, at the step where this method meets the
+        error.
+        """
         pieces = bracket.meets(error) or max(bracket.known)
         return moves(self.steps.at(bracket.base, pieces), self.kind)

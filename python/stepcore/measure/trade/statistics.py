@@ -1,10 +1,11 @@
-"""Means over many starts, which can be compared after the motion cannot be predicted.
+"""Means over many starts, which can be compared after the motion becomes unpredictable.
 
-From when the first start is lost (`stepcore.experiment.growth`) to the horizon, each run has a mean
-height of its centre of mass, kinetic energy and number of contacts. Over at least 32 seeded
-starts, each run under the setting and under the reference's, the differences have a mean and a
-95 % confidence interval (Student's t on the differences of pairs, which holds whether or not the
-two runs of a pair still resemble each other). An interval that contains 0 is no difference seen.
+From the time when the first start becomes unpredictable (`stepcore.experiment.growth`) to the
+horizon, each run has a mean height of its centre of mass, a mean kinetic energy and a mean number
+of contacts. At least 32 seeded starts run, each under the setting and under the reference's. The
+differences have a mean and a 95 % confidence interval: Student's t on the paired differences, which
+is valid whether or not the two runs of a pair still resemble each other. An interval that contains
+0 shows no significant difference.
 """
 
 from __future__ import annotations
@@ -22,19 +23,20 @@ from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
 
 LEAST = 32
-# Best rows that are measured: all, or about this many along the front, as far as half the
-# reference's budget goes.
+# Number of best rows measured along the front (all if fewer), within half the reference's budget.
 MOST = 10
-# Names of `Statistics`, and of `Run`, with their units.
+# Fields of `Statistics` and of `Run`, with their units.
 QUANTITIES = {"height": "m", "kinetic": "J", "touching": "1"}
-# The normal distribution's 97.5 % point.
+# The 97.5 % quantile of the normal distribution.
 POINT = 1.959963984540054
 
 
 @dataclass(frozen=True)
 class Difference:
-    """mean: of setting less reference. interval: half the width of its 95 % interval.
+    """The mean difference between a setting and the reference.
 
+    mean: setting minus reference.
+    interval: half the width of the 95 % confidence interval.
     reference: the mean under the reference's setting.
     """
 
@@ -44,7 +46,7 @@ class Difference:
 
     @property
     def seen(self) -> bool:
-        """Whether the interval does not include 0: the setting changes the mean."""
+        """Whether the interval excludes 0: the setting changes the mean."""
         return abs(self.mean) > self.interval
 
 
@@ -52,7 +54,9 @@ class Difference:
 class Statistics:
     """Differences of means over `starts` starts, from `since` [s] to the horizon.
 
-    height: of the centre of mass [m]. kinetic: energy [J]. touching: contacts.
+    height: of the centre of mass [m].
+    kinetic: kinetic energy [J].
+    touching: number of contacts.
     """
 
     starts: int
@@ -62,7 +66,7 @@ class Statistics:
     touching: Difference
 
     def record(self) -> dict[str, float]:
-        """Flat, as a table has it."""
+        """Return the differences and intervals as flat data for a table."""
         flat = {}
         for name in QUANTITIES:
             apart: Difference = getattr(self, name)
@@ -71,13 +75,13 @@ class Statistics:
 
 
 class AfterPrediction:
-    """Measures settings after the motion cannot be predicted; many: at least 32 starts."""
+    """A measurement of settings after the motion becomes unpredictable; many: 32 starts or more."""
 
     def __init__(self, made: ReferenceRuns, reference: Reference, many: Schedule) -> None:
         self.made, self.spent, self.since = made, 0.0, reference.growth.overall
         self.experiment = Experiment(made.runner.model, many, made.workers)
         self.window = many.times > self.since
-        # The finest step of the reference that takes half the budget at most, and is needed.
+        # The finest useful step of the reference that takes at most half the budget.
         dts = [reference.level.dt, *(level.dt for level in reference.levels[::-1])]
         name, useful = reference.level.integrator, [max(dt, made.finest / 2) for dt in dts]
         cheap = [dt for dt in useful if 2 * self.cost(name, dt) <= made.budget]
@@ -85,12 +89,12 @@ class AfterPrediction:
         self.truth: np.ndarray | None = None
 
     def cost(self, integrator: str, dt: float) -> float:
-        """The cost of a setting's runs, in the unit of the reference's budget."""
+        """Return the cost of a setting's runs, in the unit of the reference's budget."""
         starts = len(self.experiment.schedule.starts)
         return self.made.cost(integrator, dt) * starts / self.made.starts
 
     def affords(self, settings: Settings) -> bool:
-        """Whether the budget has room for a setting's runs; if so, they count as made."""
+        """Reserve a setting's runs in the budget; return False if the budget is too small."""
         more = self.cost(settings.integrator, settings.dt)
         if self.spent + more > self.made.budget / 2:
             return False
@@ -98,7 +102,7 @@ class AfterPrediction:
         return True
 
     def measure(self, settings: Settings, bar: Progress) -> Statistics | None:
-        """The differences of one setting; None where a run under it or the reference fails."""
+        """Return the differences of one setting; None if it or the reference fails."""
         if self.truth is None:
             self.truth = self._means(self.settings, bar)
         measured = self._means(settings, bar)
@@ -110,7 +114,7 @@ class AfterPrediction:
         return Statistics(len(measured), self.since, *apart)
 
     def _means(self, settings: Settings, bar: Progress) -> np.ndarray | None:
-        """Means over the window of every start, (starts, 3)."""
+        """Return the means over the window, shape (starts, 3); None if a run fails."""
         runs = self.experiment.run(settings, probes=means, bar=bar)
         if any(run.failure for run in runs):
             return None
@@ -119,7 +123,7 @@ class AfterPrediction:
 
 
 def difference(mine: ArrayLike, true: ArrayLike) -> Difference:
-    """The mean difference of pairs with its 95 % interval.
+    """Return the mean difference of pairs with its 95 % interval.
 
     >>> shown = difference([1.0, 2.0, 3.0], [0.0, 2.0, 2.0])
     >>> round(shown.mean, 3), round(shown.interval, 2), shown.seen
@@ -133,7 +137,7 @@ def difference(mine: ArrayLike, true: ArrayLike) -> Difference:
 
 
 def student(freedom: int) -> float:
-    """Student's t at 97.5 %: for 1 and 2 degrees of freedom exact, else to 0.3 % or better.
+    """Return Student's t at 97.5 %: exact for 1 and 2 degrees of freedom, else to 0.3 % or better.
 
     Source: the expansion in 1/ν of Abramowitz and Stegun 26.7.5.
 

@@ -1,4 +1,4 @@
-"""The tables of a trade as they are printed."""
+"""The printed tables of a trade."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stepcore.report.settings import differences, label
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds
 
-# A printed trade shows at most this many rows: those that matter, thinned out along the front.
+# Largest number of rows in a printed trade; other rows along the front are left out.
 SHOWN = 10
 MARKS = {
     "*": "no other setting is cheaper and at least as accurate",
@@ -42,9 +42,9 @@ ERRORS = (
 )
 NUMBERS = (*COSTS, *ERRORS)
 NAMES = ("", "dt", "integrator", "solver", "also", *NUMBERS)
-# Columns that only a full table has.
+# Columns of the full table only.
 DETAILS = ("rows", "numeric", "model", "angle", "gained", "lost", "overlap", "resid")
-# A column with nothing else says nothing of the scene.
+# A column with only these values is left out.
 BLANK = ("", None, "0")
 
 
@@ -56,9 +56,11 @@ def settings_table(
     points: Sequence[Point],
     full: bool,
 ) -> Table:
-    """The rows, the reference and MuJoCo's best points; `full`: all rows, however many there are.
+    """Return the table of rows, the reference and MuJoCo's best points.
 
-    chosen: the recommended row. named: the rows that the answer names.
+    chosen: the recommended row.
+    named: the rows that the answer names.
+    full: whether to include all rows.
     """
     shown = frontier.rows
     if not full and len(shown) > SHOWN:
@@ -80,7 +82,7 @@ def settings_table(
 
 
 def statistics_tables(frontier: Frontier) -> list[Table]:
-    """The means after the motion cannot be predicted; none where all of it can be."""
+    """Return the table of means after the motion becomes unpredictable, if any were measured."""
     rows = [(row, row.after) for row in frontier.rows if row.after is not None]
     if not rows:
         return []
@@ -105,7 +107,7 @@ def statistics_tables(frontier: Frontier) -> list[Table]:
 
 
 def batch_tables(frontier: Frontier, points: Sequence[BatchPoint]) -> list[Table]:
-    """What settings cost as worlds of a batch; none where that was not timed."""
+    """Return the table of costs as worlds of a batch, if they were timed."""
     if not points:
         return []
     records = []
@@ -130,7 +132,7 @@ def batch_tables(frontier: Frontier, points: Sequence[BatchPoint]) -> list[Table
 
 
 def _main_rows(frontier: Frontier, named: Sequence[TradeRow]) -> tuple[TradeRow, ...]:
-    """What the answer names, and best rows: along all of the front alike."""
+    """Return the rows that the answer names, and best rows spread evenly along the front."""
     kept = {row.settings for row in named}
     best = [row for row in frontier.rows if row.best and row.settings not in kept]
     best = sorted(best, key=frontier.price)
@@ -142,7 +144,7 @@ def _main_rows(frontier: Frontier, named: Sequence[TradeRow]) -> tuple[TradeRow,
 
 
 def _cells(frontier: Frontier, row: TradeRow, chosen: TradeRow | None) -> dict[str, Any]:
-    """One printed row."""
+    """Return one printed row."""
     s, e = row.settings, row.errors
     marks = "*" * row.best + "s" * row.shipped + "c" * row.clamped
     record: dict[str, Any] = {
@@ -171,7 +173,7 @@ def _cells(frontier: Frontier, row: TradeRow, chosen: TradeRow | None) -> dict[s
 
 
 def _reference_cells(ref: Reference) -> dict[str, Any]:
-    """The reference's own row, which shows what the scene itself loses or overlaps."""
+    """Return the reference's own row, which shows the scene's own losses and overlaps."""
     gained = max(float(run.balance.max()) for run in ref.runs)
     lost = max(-float(run.balance.min()) for run in ref.runs)
     overlap = max(run.overlap for run in ref.runs)
@@ -186,7 +188,7 @@ def _reference_cells(ref: Reference) -> dict[str, Any]:
 
 
 def _mujoco_cells(point: Point) -> dict[str, Any]:
-    """One of MuJoCo's points."""
+    """Return the printed row of one of MuJoCo's points."""
     record = {
         "": "m",
         "dt": f"{point.dt * 1e3:.4g}",

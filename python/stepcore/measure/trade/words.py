@@ -1,4 +1,4 @@
-"""A trade in words: its answer, and notes on its reference, its motion and its failures."""
+"""Sentences of a trade: the answer, and notes on the reference, the motion and the failures."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ from stepcore.report.units import (
     times,
 )
 
-# A residual of the reference that is worth saying [m/s].
+# Residuals of the reference above this are reported [m/s].
 UNSOLVED = 1e-9
-# Two integrators disagree where they are this many times further apart than the reference's error
-# and what the other's last halving moved it.
+# Two integrators disagree if their distance is this many times larger than the sum of the
+# reference's error and the other's last change under halving.
 DISAGREE = 4.0
-# From this ratio on the worst start says something else than the median of the starts.
+# Ratio of the worst start's error to the median's above which both are reported.
 DIFFER = 30.0
-# What a gap of the reference to another model comes from.
+# Causes of a difference between the reference and another model.
 MODELS = {"pyramid": "the friction pyramid", "softness": "the softness of contacts and limits"}
 
 
 @dataclass(frozen=True)
 class Words:
-    """The answer of a trade; the fields are those of `Trade`."""
+    """The sentences of a trade's answer; the fields are those of `Trade`."""
 
     frontier: Frontier
     reference: Reference
@@ -51,7 +51,7 @@ class Words:
     horizon: float
 
     def answer(self) -> Iterator[str]:
-        """The recommendation first, then the shipped settings and what less error would cost."""
+        """Yield the recommendation, then the shipped settings and the cost of less error."""
         if self.target is not None:
             yield from self._for_error(self.target)
         elif self.budget is not None:
@@ -61,7 +61,7 @@ class Words:
             yield from self._improvements()
 
     def _for_error(self, error: float) -> Iterator[str]:
-        """The cheapest settings within an error and the next better, or what came nearest."""
+        """Yield the cheapest settings within an error and the next better, or the nearest row."""
         row = self.recommended
         if row is not None:
             what = f"Recommended for an error of at most {metres(error)}"
@@ -88,7 +88,7 @@ class Words:
             yield f"The most accurate one is {self._named(least)}, with an error of {best}."
 
     def _for_budget(self, budget: float) -> Iterator[str]:
-        """The most accurate settings within a budget and the next better, or the cheapest."""
+        """Yield the most accurate settings within a budget and the next better, or the cheapest."""
         within = operations(budget) if self.frontier.by == "flops" else computing(budget)
         row = self.recommended
         if row is not None:
@@ -103,7 +103,7 @@ class Words:
             yield f"The cheapest one is {self._named(least)}, at {self._priced(least)}."
 
     def _described(self, row: TradeRow) -> str:
-        """Recommended settings with their error, their cost and the result on further starts."""
+        """Describe recommended settings: error, cost, and the result on further starts."""
         price = self._priced(row)
         if row.settings == self.frontier.shipped.settings:
             price += ", as shipped"
@@ -116,7 +116,7 @@ class Words:
         )
 
     def _confirmed(self, row: TradeRow) -> str:
-        """The result on further starts."""
+        """Describe the result on further starts."""
         tried = row.further
         if tried is None:
             return " It was not tried on further starts."
@@ -127,13 +127,13 @@ class Words:
             return f" This includes {count}."
         if tried.held < tried.starts:
             return f" The error stayed within it on {tried.held} of {count}."
-        # The next of n + 1 random starts is the worst of them with a probability of 1/(n + 1).
+        # The next of n + 1 random starts is the worst with a probability of 1/(n + 1).
         every = len(self.reference.runs) + tried.starts
         share = percent(every / (every + 1))
         return f" Confirmed on {count}; {share} of other starts are expected to stay within it."
 
     def _why_passed_over(self, row: TradeRow, error: float) -> Iterator[str]:
-        """A cheaper setting that seems to meet the error too, and why it is not recommended."""
+        """Yield a cheaper setting that almost meets the error, and why it is not recommended."""
         other = self.passed_over
         if other is None:
             return
@@ -159,7 +159,7 @@ class Words:
             )
 
     def _halved(self, row: TradeRow) -> str:
-        """What at most half of the error costs."""
+        """Describe the cost of at most half the error."""
         better, searched = self.frontier.halving(row), self.frontier.searched
         there = self.frontier.error(row) > searched(row)
         starts = f"{counted(len(self.reference.runs), 'start')} of the search"
@@ -175,7 +175,7 @@ class Words:
         )
 
     def _as_shipped(self) -> str:
-        """The error of the shipped settings, in the worst start and in the median one."""
+        """Describe the error of the shipped settings, in the worst and in the median start."""
         row = self.frontier.shipped
         what = f"As shipped ({label(row.settings)})"
         if row.errors is None:
@@ -186,7 +186,7 @@ class Words:
             if e.high > DIFFER * e.median:
                 median = f"starts differ widely: {median}"
             where = f" in the worst of {count} starts (start {e.each.index(e.high)}; {median})"
-        # The error counts rotation as well, so that the largest of centres may be below it.
+        # The error includes rotation, so the largest error of the centres may be smaller.
         return (
             f"{what} the RMS position error over {seconds(self.horizon)} is "
             f"{metres(self.frontier.error(row))}{where}, for {self._priced(row)}. The largest "
@@ -194,7 +194,7 @@ class Words:
         )
 
     def _improvements(self) -> Iterator[str]:
-        """The cost of half the shipped error, and of the shipped error itself."""
+        """Yield the cost of half the shipped error, and of the shipped error itself."""
         row = self.frontier.shipped
         if row.errors is None:
             ran = [other for other in self.frontier.rows if not other.failure]
@@ -217,7 +217,7 @@ class Words:
             )
 
     def in_a_batch(self, timed: Sequence[BatchPoint]) -> Iterator[str]:
-        """What a world of a batch costs under the recommended or the shipped settings."""
+        """Yield the cost of a world of a batch under the recommended or the shipped settings."""
         chosen = self.recommended or self.frontier.shipped
         alike = chosen.settings.precision
         points = [
@@ -242,7 +242,7 @@ class Words:
         return f"{self.frontier.price(row) / self.frontier.price(other):.2f}"
 
     def _named(self, row: TradeRow) -> str:
-        """Settings in words, with all that is not as shipped."""
+        """Describe settings, with every field that differs from the shipped settings."""
         return label(row.settings, self.frontier.shipped.settings)
 
     def _priced(self, row: TradeRow) -> str:
@@ -254,10 +254,12 @@ class Words:
 def about_run(
     schedule: Schedule, rows: int, forces: bool, softened: float | None, asked: float | None
 ) -> Iterator[str]:
-    """Notes on the motion.
+    """Yield notes on the motion.
 
-    rows: the most at once. forces: contacts are forces and not rows. softened: the time constant
-    that refsafe guards [s], or None. asked: the horizon that was asked for [s].
+    rows: the largest number of rows at once.
+    forces: whether contacts are forces rather than rows.
+    softened: the time constant that refsafe guards [s], or None.
+    asked: the requested horizon [s].
     """
     if asked is not None and schedule.horizon < asked * (1 - 1e-9):
         yield (
@@ -278,7 +280,7 @@ def about_run(
 
 
 def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float) -> Iterator[str]:
-    """Notes on the converged motion that errors are measured from, and how well it is known."""
+    """Yield notes on the converged motion, the reference of all errors, and its uncertainty."""
     ends = reference.growth.ends
     lost = int(np.isfinite(ends).sum())
     if lost:
@@ -333,9 +335,9 @@ def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float)
 
 
 def about_search(reference: Reference, steps: Steps, finest: float) -> Iterator[str]:
-    """What a search left out: time steps shorter than the reference can judge.
+    """Yield a note on time steps left out of the search because the reference cannot judge them.
 
-    finest: the shortest step [s] that it begins with where the reference is fine enough.
+    finest: the shortest step [s] that the search begins with, if the reference is fine enough.
     """
     shortest = 2 * reference.settings.dt
     if shortest > min(finest, steps.shipped) * (1 + 1e-9):
@@ -346,7 +348,7 @@ def about_search(reference: Reference, steps: Steps, finest: float) -> Iterator[
 
 
 def observed(reference: Reference, horizon: float, orders: Mapping[str, float]) -> Iterator[str]:
-    """How long the motion can be predicted, and the order that each integrator shows."""
+    """Yield how long the motion is predictable, and the observed order of each integrator."""
     growth = reference.growth
     if np.isfinite(growth.overall):
         yield f"the motion can be predicted for {seconds(growth.overall)} of {seconds(horizon)}"
@@ -361,7 +363,7 @@ def observed(reference: Reference, horizon: float, orders: Mapping[str, float]) 
 
 
 def failed(rows: Sequence[TradeRow]) -> Iterator[str]:
-    """One note on all failures, by integrator and solver."""
+    """Yield one note on all failures, by integrator and solver."""
     failures: dict[tuple[str, str], list[TradeRow]] = {}
     for row in rows:
         if row.failure:
@@ -370,7 +372,7 @@ def failed(rows: Sequence[TradeRow]) -> Iterator[str]:
         return
     kinds = []
     for kind, some in failures.items():
-        # Rows stand coarsest first.
+        # Rows are sorted coarsest first.
         coarsest, finest = (seconds(row.settings.dt) for row in (some[0], some[-1]))
         steps = coarsest if coarsest == finest else f"{finest} to {coarsest}"
         kinds.append(f"{', '.join(kind)} at dt {steps}")
