@@ -1,1 +1,1 @@
-"""MJCF, MuJoCo's model format: `reader` fills a `Scene` from a file, `write` writes one."""
+"""Read and write MJCF, MuJoCo's model format: `reader` fills a `Scene`, `writer` writes one."""

@@ -235,7 +235,7 @@ class _Surfaces:
         return Look(mean, both if builtin == "checker" else None)
 
     def _mean(self, texture: Node) -> Vec:
-        """Return the mean colour of a texture's image, or light grey if it cannot be read."""
+        """Return the mean colour of a texture's image, or light grey if there is no readable image."""
         if "file" not in texture.attrs:
             return LIGHT_GREY
         try:

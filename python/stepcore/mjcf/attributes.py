@@ -1,4 +1,4 @@
-"""Fields of elements from MJCF's attributes, and back, by the table of their class."""
+"""Convert MJCF attributes to element fields and back, by the table of the element class."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from stepcore.scene.element import Element, table
 
 
 def given(kind: type[Element], values: Mapping[str, Any], *skip: str) -> dict[str, Any]:
-    """The fields of an element class that these attributes give, but for those to `skip`."""
+    """Return the fields of an element class that these attributes give, except those in `skip`."""
     fields: dict[str, Any] = {}
     rows = table(kind)
     for name, value in values.items():
@@ -27,7 +27,7 @@ def given(kind: type[Element], values: Mapping[str, Any], *skip: str) -> dict[st
 
 
 def changed(element: Element, *skip: str) -> dict[str, Any]:
-    """The attributes of an element whose fields differ from their defaults."""
+    """Return the attributes for the fields of an element that differ from their defaults."""
     attributes, rows = {}, table(type(element))
     for name, value in element.values().items():
         row = rows[name]

@@ -1,8 +1,8 @@
-"""The notation of MJCF's schema: elements, their attributes, and the type of each attribute.
+"""The notation of the MJCF schema: elements, their attributes, and the type of each attribute.
 
-``pos:3`` holds three reals, ``size:1-3`` one to three, ``qpos:*`` any number, ``group:int`` an
-integer, ``limited:false|true|auto`` a keyword, and a bare name any text. ``!`` marks a required
-attribute.
+``pos:3`` is three reals, ``size:1-3`` one to three, ``qpos:*`` any number of reals, ``group:int``
+an integer, ``limited:false|true|auto`` a keyword, and a name without ":" any text. ``!`` marks a
+required attribute.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ POSE = "pos:3 quat:4 axisangle:4 xyaxes:6 zaxis:3 euler:3"
 
 @dataclass
 class Spec:
-    """An element: its attributes (name → type), required ones, and the elements it may hold.
+    """The schema of an element: its attributes (name → type), required attributes, and children.
 
-    role: "" for an element that is read, else why it is not: "draws", "senses", "data", "unbuilt".
+    role: "" for an element that is read, else the reason why it is not: "draws", "senses", "data"
+        or "unbuilt".
     once: children that can appear only once.
     """
 
@@ -36,7 +37,7 @@ def spec(
     role: str = "",
     once: tuple[str, ...] = (),
 ) -> Spec:
-    """A `Spec` from the notation above."""
+    """Return a `Spec` from the notation above."""
     types: dict[str, str] = {}
     required = []
     for word in attrs.split():
@@ -49,9 +50,10 @@ def spec(
 
 
 def of(kind: type[Element], *names: str, but: str = "") -> str:
-    """The fields of an element class that MJCF has, in the notation above.
+    """Return the fields of an element class that MJCF has, in the notation above.
 
-    names: only these; but: all but these. A number with higher coefficients is three numbers.
+    names: the fields to include; all if empty.
+    but: the fields to leave out. A field with polynomial coefficients takes up to three numbers.
     """
     rows = [table(kind)[name] for name in names] if names else table(kind).values()
     return " ".join(
@@ -62,12 +64,12 @@ def of(kind: type[Element], *names: str, but: str = "") -> str:
 
 
 def without(attrs: str, names: str) -> str:
-    """`attrs` without the named ones."""
+    """Return `attrs` without the attributes in `names`."""
     drop = set(names.split())
     return " ".join(w for w in attrs.split() if w.partition(":")[0].rstrip("!") not in drop)
 
 
-# References and names have no place in a default.
+# A default class has no names and no references.
 _OWN = (
     "name class geom1 geom2 target lengthrange joint jointinparent tendon slidersite cranksite "
     "site refsite body body1 body2 instance plugin"
@@ -75,5 +77,5 @@ _OWN = (
 
 
 def default_of(attrs: str) -> Spec:
-    """The element of a default class for an element with these attributes."""
+    """Return the schema of a default-class element for an element with these attributes."""
     return spec(without(attrs, _OWN).replace("!", ""))

@@ -1,4 +1,4 @@
-"""The section `<option>` and its flags, as settings and as features of the scene."""
+"""Convert the section `<option>` and its flags to settings and features of the scene, and back."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stepcore.mjcf.validation import bad
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
-# MJCF's names, and ours.
+# MJCF's names of integrators, and stepcore's.
 INTEGRATORS = {
     "Euler": "euler",
     "RK4": "rk4",
@@ -22,14 +22,14 @@ INTEGRATORS = {
 }
 SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}
 
-# Attributes that are ignored; they do not change what a motion converges to.
+# Ignored attributes, which do not change the converged motion.
 IGNORED = {
     "tolerance": "MJCF's tolerance is not a residual in m/s, as that of Settings is",
     "ls_tolerance": "the line search is exact",
     "ls_iterations": "the line search is exact",
     "noslip_tolerance": "noslip always makes all its iterations",
 }
-# Flags without effect here, with the reason.
+# Flags without effect in stepcore, with the reason.
 FLAG_NOTES = {
     "midphase": "it decides how pairs are found, not which",
     "autoreset": "a diverged step is always an error",
@@ -44,18 +44,18 @@ SLEEP_NOTE = (
     'flag sleep="enable": trees sleep by MuJoCo\'s rule; sensors of what sleeps are computed as if '
     "it were awake, where MuJoCo's keep their last values"
 )
-# The attributes "o_margin" and its like, which the flag "override" turns on.
+# The attributes "o_margin", "o_solref", …, which the flag "override" turns on.
 OVERRIDES = ("margin", "solref", "solimp", "friction")
 FLAG_DEFAULT_OFF = frozenset(
     ("override", "energy", "fwdinv", "invdiscrete", "sleep", "diagexact", "ipc", "speculative")
 )
 FLAGS_UNBUILT = ("diagexact", "ipc", "speculative")
-# Steps for which MuJoCo lets a tree be slow before it sleeps (its mjMINAWAKE).
+# The number of slow steps after which MuJoCo lets a tree sleep (mjMINAWAKE).
 SLOW_STEPS = 10
 
 
 def read(scene: Contents, node: Node) -> None:
-    """Reads an option section into `scene`; a later section replaces values of an earlier one."""
+    """Read an option section into `scene`; a later section overrides an earlier one."""
     values, options = node.values, scene.options
     if "timestep" in values:
         if values["timestep"] <= 0:
@@ -84,7 +84,7 @@ def read(scene: Contents, node: Node) -> None:
             raise bad(node, "impratio", values["impratio"], "> 0")
         options["impratio"] = values["impratio"]
     if "noslip_iterations" in values:
-        # MuJoCo takes a negative number for none.
+        # In MuJoCo a negative number means 0.
         options["noslip_iterations"] = max(values["noslip_iterations"], 0)
     if "sleep_tolerance" in values:
         if values["sleep_tolerance"] < 0:
@@ -100,7 +100,10 @@ def read(scene: Contents, node: Node) -> None:
 
 
 def settle_sleep(scene: Contents, nodes: list[Node]) -> None:
-    """Applies MuJoCo's rule of sleep, which counts steps, once all sections (`nodes`) are read."""
+    """Convert MuJoCo's sleep rule, which counts steps, to time after all sections are read.
+
+    nodes: the option sections.
+    """
     if not scene.options.get("sleep"):
         return
     flags = [child for node in nodes for child in node.children if "sleep" in child.values]
@@ -113,16 +116,16 @@ def settle_sleep(scene: Contents, nodes: list[Node]) -> None:
 
 
 def sleep_time(dt: float) -> float:
-    """How long a tree is slow, in steps of `dt`, before MuJoCo lets it sleep [s]."""
+    """Return the time for which a tree must be slow before it sleeps in MuJoCo at `dt` [s]."""
     return SLOW_STEPS * dt
 
 
 def _override(scene: Contents, values: Mapping[str, Any]) -> None:
-    """The parameters that replace those of every contact, if the flag "override" is on."""
+    """Read the parameters that replace those of every contact if the flag "override" is on."""
     for name in OVERRIDES:
         if f"o_{name}" in values:
             given, old = values[f"o_{name}"], getattr(scene.contact_override, name)
-            # Of a shorter list only the first entries are replaced.
+            # A shorter list replaces only the first entries.
             given = (*given, *old[len(given) :]) if isinstance(given, tuple) else given
             setattr(scene.contact_override, name, given)
 
@@ -159,7 +162,7 @@ def _note(scene: Contents, node: Node, text: str) -> None:
     scene.notes.append(f"{node.file}:{node.line}: {text}")
 
 
-# The attribute or flag of a setting in MJCF, and its values.
+# The MJCF attribute of each setting, and the attribute's value for each value of the setting.
 _WRITTEN: dict[str, tuple[str, dict[str, str]]] = {
     "integrator": ("integrator", {ours: word for word, ours in INTEGRATORS.items()}),
     "solver": ("solver", {"pgs": "PGS", "newton": "Newton"}),
@@ -173,7 +176,7 @@ _FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe", "sleep": "sleep"}
 
 
 def to_say(settings: Settings) -> dict[str, Any]:
-    """The settings that differ from those of a file without any."""
+    """Return the settings that differ from those of a file without settings."""
     values, unsaid = settings.as_dict(), Settings().as_dict()
     if settings.sleep:
         unsaid["sleep_time"] = sleep_time(settings.dt)
@@ -181,7 +184,7 @@ def to_say(settings: Settings) -> dict[str, Any]:
 
 
 def said(settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], dict[str, Any]]:
-    """Splits settings into attributes of ``<option>``, flags, and those that MJCF lacks."""
+    """Split settings into attributes of ``<option>``, flags, and settings that MJCF lacks."""
     attributes, flags, rest = {}, {}, {}
     for name, value in settings.items():
         if name in _FLAGS:
@@ -196,6 +199,6 @@ def said(settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], d
 
 
 def shortest(number: float) -> str:
-    """The shortest decimal text that reads back as exactly this number."""
+    """Return the shortest decimal text that reads back as exactly this number."""
     text = repr(number)
     return text[:-2] if text.endswith(".0") else text

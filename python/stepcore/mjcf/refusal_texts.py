@@ -1,17 +1,17 @@
-"""What elements and attributes do to the motion: for refusals and notes on exclusions.
+"""Describe the effects of elements and attributes on the motion, for errors and notes.
 
 A kind is a section ("tendon"), an element ("actuator/muscle"), an attribute ("geom/surfacevel"),
-or one of `GROUPS`.
+or a key of `GROUPS`.
 """
 
-# Kinds that stand in several sections.
+# Kinds that appear in several sections.
 GROUPS = {
     "flex": ("flexcomp", "deformable/flex", "equality/flex", "equality/flexstrain"),
     "plugin": ("plugin",),
 }
 # Sections that can be left out as a whole.
 SECTIONS = ("contact", "tendon", "equality", "actuator", "sensor", "keyframe", "deformable")
-# The longest key that fits counts.
+# The most specific key takes precedence.
 _EFFECTS = {
     "flex": "its points move, collide, and pull on what they are pinned to",
     "plugin": "it computes forces, shapes or sensors outside of the file",
@@ -53,7 +53,7 @@ _EFFECTS = {
 
 
 def effect(kind: str) -> str:
-    """What a kind does to the motion; "" if there is no text on it."""
+    """Return the effect of a kind on the motion; "" if there is no text on it."""
     tag = kind.rpartition("/")[2]
     group = next((name for name, tags in GROUPS.items() if kind in tags or tag in tags), "")
     for name in (kind, group, tag, kind.partition("/")[0]):

@@ -1,4 +1,4 @@
-"""All errors of a file together, so that a reader sees at once what stands in the way."""
+"""Collect all errors of a file and raise them together."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from stepcore.checks import cut
 from stepcore.mjcf.nodes import MJCFError, Node, below
 
 T = TypeVar("T")
-# Limits of a message: its lines, the characters of a line, and the places that a line lists.
+# Limits of a message: lines, characters per line, and line numbers listed per error.
 LINES = 20
 LINE = 600
 PLACES = 4
-# After this many errors no more elements are read: each may look up nearest names.
+# The number of errors after which reading stops, because looking up nearest names takes time.
 MOST = 100
 
 
 class Refusals:
-    """Collects the errors of a file; `raise_all` raises them as one."""
+    """A collection of the errors of a file; `raise_all` raises them as one error."""
 
     def __init__(self) -> None:
         self.errors: list[MJCFError] = []
-        # Names of elements that are not read, so that what refers to them is no new error.
+        # Names of elements that could not be read; references to them are not new errors.
         self._gone: set[str] = set()
 
     def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
-        """The result of `read` for a node, or None after an error, which is kept."""
+        """Return the result of `read` for a node, or record its error and return None."""
         if len(self.errors) >= MOST:
             return None
         try:
@@ -38,7 +38,7 @@ class Refusals:
         return None
 
     def add(self, error: MJCFError, node: Node | None = None) -> None:
-        """Keeps an error; node: the element that is not read because of it."""
+        """Record an error. node: the element that is not read because of the error."""
         if node is not None:
             follows = bool(self._gone) and not error.kind and self._refers_to_gone(node)
             self._gone.update(n.attrs["name"] for n in below(node) if "name" in n.attrs)
@@ -55,7 +55,7 @@ class Refusals:
         )
 
     def raise_all(self) -> None:
-        """Raises the errors, if there are any."""
+        """Raise the errors as one MJCFError, if there are any."""
         if not self.errors:
             return
         files = list(dict.fromkeys(error.file for error in self.errors))
@@ -67,7 +67,7 @@ class Refusals:
 
 
 def _message(errors: list[MJCFError]) -> str:
-    """A line for each error; those of the same text and file are one."""
+    """Return a line for each error; errors with the same text and file share a line."""
     groups: dict[tuple[str, str], list[MJCFError]] = {}
     for error in errors:
         groups.setdefault((error.file, error.text), []).append(error)

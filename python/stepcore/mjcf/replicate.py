@@ -1,7 +1,7 @@
-"""`<replicate>`: copies of bodies, each one step further, and of all that refers to them.
+"""`<replicate>`: copies of bodies at successive offsets, and of all elements that refer to them.
 
-MuJoCo documentation, XML reference, replicate. As there, the copies of elements that refer to a
-replicated one stand after all other elements of their section.
+MuJoCo documentation, XML reference, replicate. As in MuJoCo, copies of elements that refer to a
+replicated element come after all other elements of their section.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from stepcore.scene.frames import Vec
 
 
 def expand_replicates(root: Node, compiler: Compiler, copies: Copies) -> None:
-    """Replaces every replicate of a model by frames, the innermost first."""
+    """Replace every <replicate> of a model by frames, the innermost first."""
     parents = _parents(root)
     if not parents:
         return
@@ -34,7 +34,7 @@ def expand_replicates(root: Node, compiler: Compiler, copies: Copies) -> None:
 
 
 def _parents(root: Node) -> list[Node]:
-    """The elements that hold a replicate, the innermost first."""
+    """Return the parents of <replicate> elements, the innermost first."""
     every = [node for tree in sections(root, "worldbody") for node in below(tree)]
     depth: dict[int, int] = {}
     for node in every:
@@ -45,7 +45,7 @@ def _parents(root: Node) -> list[Node]:
 
 
 def _replicas(node: Node, compiler: Compiler, referring: Referring, copies: Copies) -> list[Node]:
-    """A frame for each copy; the elements that refer to a copy follow at the end of the file."""
+    """Return a frame for each copy, and add copies of referring elements to `referring`."""
     count, sep = node.values["count"], node.values.get("sep", "")
     if count < 0:
         raise bad(node, "count", count, ">= 0")
@@ -55,7 +55,7 @@ def _replicas(node: Node, compiler: Compiler, referring: Referring, copies: Copi
     names = names_in(node.children)
     named = referring.take(names)
     copies.take(node, [node, *(part for _, part in named)], count)
-    # The originals become the first replica: keyframes of an attached model belong to them.
+    # The originals become the first replica, because keyframes of attached models refer to them.
     trees = [node.children, *([copied(n) for n in node.children] for _ in range(count - 1))]
     parts = [named, *([(tag, copied(n)) for tag, n in named] for _ in range(count - 1))]
     replicas: list[Node] = []
@@ -73,10 +73,11 @@ def _replicas(node: Node, compiler: Compiler, referring: Referring, copies: Copi
 
 
 def _poses(node: Node, compiler: Compiler) -> Iterator[tuple[Vec, Vec]]:
-    """The pose of each copy.
+    """Yield the pose of each copy.
 
-    As in MuJoCo, the k-th is turned by k times the Euler angles, which differs from k turns where
-    there is more than one angle; its offset from the one before is in the frame of that one.
+    As in MuJoCo, copy k is rotated by k times the Euler angles. With more than one angle this
+    differs from k successive rotations. The offset of each copy is in the frame of the previous
+    copy.
     """
     angles = [compiler.radians(angle) for angle in node.values.get("euler", frames.ORIGIN)]
     pos = frames.ORIGIN

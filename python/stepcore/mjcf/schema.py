@@ -1,7 +1,7 @@
-"""The schema of MJCF, from that of MuJoCo 4: which elements there are, with which attributes.
+"""The schema of MJCF, after MuJoCo 4: the elements and their attributes.
 
-Attributes that are fields of an element class come from its table (`stepcore.scene.element`); all
-others stand here, in the notation of `notation`.
+Attributes that are fields of an element class come from the table of the class
+(`stepcore.scene.element`). All others are defined here, in the notation of `notation`.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ ABLE = "disable|enable"
 _TURN = without(POSE, "pos quat")
 _POSE_NAMES = "pos quat axisangle xyaxes zaxis euler"
 
-# Plugins, which can stand in several sections: none is built.
+# Plugins, which can appear in several sections; none is built.
 _CONFIG = spec("key! value")
 
 
 def plugin(attrs: str = "plugin instance") -> Spec:
-    """A plugin's element, with the attributes that it has beside its configuration."""
+    """Return the schema of a plugin element. attrs: attributes besides the configuration."""
     return spec(attrs, {"config": _CONFIG}, "unbuilt")
 
 
@@ -82,7 +82,7 @@ COMPILER = spec(
     {"lengthrange": spec(of(LengthRange))},
 )
 
-# What only draws: of it only the names of attributes are checked when a scene is read.
+# Elements that only draw; reading a scene checks only the names of their attributes.
 
 
 def _draws(attrs: str, children: dict[str, Spec] | None = None) -> Spec:
@@ -129,7 +129,7 @@ _VIEWS = {
     "rangefinder constraint slidercrank crankbroken frustum bv bvactive",
 }
 VISUAL = _draws("", {tag: _draws(words) for tag, words in _VIEWS.items()})
-# What views show of these, checked when something is drawn.
+# The attributes of these elements that views show; their values are checked when drawing.
 SEEN = {
     "light": spec(
         f"type:spot|directional|point|image directional:{BOOL} active:{BOOL} "
@@ -219,7 +219,7 @@ _BODY = spec(
 )
 _FRAME = spec(f"name childclass {POSE} scale:1-3 scaling:similar|geometry massscale:1")
 _REPLICATE = spec("count!:int sep offset:3 euler:3 childclass")
-# Where MuJoCo checks no attributes: those that it does not know do nothing.
+# Elements whose unknown attributes MuJoCo ignores.
 UNCHECKED = ("frame", "replicate")
 for _parent in (_BODY, _FRAME, _REPLICATE):
     _parent.children = _CHILDREN
@@ -271,7 +271,7 @@ _ACTUATOR = f"class group:int user:* ctrllimited:{AUTO} forcelimited:{AUTO} " + 
     *("damping", "armature", "cranklength", "joint", "jointinparent", "tendon", "slidersite"),
     *("cranksite", "site", "refsite"),
 )
-# What shortcuts have beside the fields of their law.
+# Attributes of shortcuts besides the fields of their law.
 _BESIDE = {
     "position": "inheritrange:1",
     "intvelocity": f"actlimited:{AUTO} actrange:2 inheritrange:1",
@@ -279,7 +279,7 @@ _BESIDE = {
     "pid": "posrange:2 velrange:2 ffrange:2 inheritrange:1",
     "cylinder": "diameter:1",
 }
-# What actuators have beyond what all have.
+# Attributes of individual actuators, in addition to the common ones.
 _LAWS = {
     tag: f"{_BESIDE.get(tag, '')} {of(Actuator, *fields) if fields else ''}"
     for tag, fields in LAW_FIELDS.items()
@@ -293,7 +293,7 @@ _LAWS = {
     "gaintype:fixed|affine|muscle|dcmotor|pid|so3|user "
     f"biastype:none|affine|muscle|dcmotor|so3|user dynprm:* gainprm:* biasprm:* actearly:{BOOL}",
 }
-# What of the attributes that all have some have not: a motor's bounds are its saturation.
+# Common attributes that some actuators lack; a DC motor's force range is its saturation.
 _WITHOUT = {
     "dcmotor": "forcelimited forcerange",
     "orientation": "ctrllimited lengthrange gear damping armature cranklength jointinparent tendon "
@@ -302,7 +302,7 @@ _WITHOUT = {
 _ACTUATORS = {
     tag: f"{without(_ACTUATOR, _WITHOUT.get(tag, ''))} {law}" for tag, law in _LAWS.items()
 }
-# All actuators share one set of defaults, whatever shortcut wrote it.
+# All actuators share one set of defaults, regardless of the shortcut.
 ACTUATORS = tuple(_ACTUATORS)
 ACTUATOR = spec(
     "",
@@ -314,7 +314,7 @@ ACTUATOR = spec(
     },
 )
 
-# The section <sensor>: those that are computed, and the names of those that are not.
+# The section <sensor>: computed sensors, and the names of sensors that are not computed.
 
 _SENSOR = "name nsample:int interp:zoh|linear|cubic delay:1 interval:1-2 user:* " + of(
     Sensor, "cutoff", "noise"
@@ -375,14 +375,14 @@ CUSTOM = spec(
     },
 )
 
-# The section <default>: the attributes that a class can hold, element by element.
+# The section <default>: the attributes that a class can have, by element.
 
 _ONCE = {
     "joint": default_of(_JOINT),
-    # A geom's mesh and a site's material can be those of a class.
+    # A class can give the mesh of a geom and the material of a site.
     "geom": spec(without(_GEOM, "name class")),
     "site": spec(without(_SITE, "name class")),
-    # All kinds of equality share one set of defaults, and so do both kinds of tendon.
+    # All types of equality share one set of defaults, and so do both types of tendon.
     "equality": default_of(_EQUALITY),
     "pair": default_of(_PAIR),
     "tendon": default_of(_SPATIAL),
@@ -392,7 +392,7 @@ _ONCE = {
     "material": spec(without(_MATERIAL, "name class"), {"layer": spec("texture! role!")}),
     "mesh": spec(_MESH_DEFAULT),
 }
-# Actuators have one element of a default class for each shortcut.
+# A default class has one actuator element for each shortcut.
 DEFAULT = spec(
     "class",
     {**_ONCE, **{tag: default_of(attrs) for tag, attrs in _ACTUATORS.items()}},

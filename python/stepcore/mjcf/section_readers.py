@@ -1,4 +1,4 @@
-"""The sections `<contact>`, `<tendon>`, `<equality>` and `<sensor>`, element by element."""
+"""Read the elements of the sections `<contact>`, `<tendon>`, `<equality>` and `<sensor>`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stepcore.scene.elements.sensor import ADHERES, MOST_NUMBERS
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 
-# Attributes that name the object, or the reference, with what they name and as what.
+# Attributes that name the object or the reference of a sensor: (kind of element, object type).
 NAMED = {
     **{name: (name, "") for name in ("site", "joint", "tendon", "actuator", "body")},
     "geom1": ("geom", ""),
@@ -24,7 +24,7 @@ REFERENCES = {"geom2": ("geom", ""), "body2": ("body", "body"), "subtree2": ("bo
 
 
 def contact(world: WorldReader, node: Node) -> None:
-    """Reads an excluded pair of bodies, or an explicit pair of geoms."""
+    """Read an excluded pair of bodies, or an explicit pair of geoms."""
     if node.tag == "pair":
         world.keep(node, world.scene.add_pair(**given(Pair, world.defaults.of(node))))
     else:
@@ -32,7 +32,7 @@ def contact(world: WorldReader, node: Node) -> None:
 
 
 def tendon(world: WorldReader, node: Node) -> None:
-    """Reads a fixed or a spatial tendon."""
+    """Read a fixed or a spatial tendon."""
     values = world.defaults.of(node, kind="tendon")
     if values.get("springyield", 0) > 0:
         raise node.unbuilt("a spring that yields (springyield)", "springyield")
@@ -40,7 +40,7 @@ def tendon(world: WorldReader, node: Node) -> None:
         world.references.append((node, "material", values["material"]))
     fields = given(Tendon, values, "name", "range", "actuatorfrcrange", "springlength")
     if "springlength" in values:
-        # One number is both ends, whatever a default class has for the second.
+        # A single number gives both ends, even if a default class has a second number.
         own: Any = node.values.get("springlength", values["springlength"])
         fields["springlength"] = own[0] if len(own) == 1 else own
     added = world.scene.add_tendon(
@@ -71,7 +71,7 @@ def _stop(world: WorldReader, node: Node) -> Stop:
 
 
 def equality(world: WorldReader, node: Node) -> None:
-    """Reads an equality; it is checked with the whole scene."""
+    """Read an equality; the check of the whole scene checks its fields."""
     values = world.defaults.of(node, kind="equality")
     if node.tag in ("connect", "weld") and not {"body1", "site1", "site2"} & set(values):
         raise node.error(f"<{node.tag}> needs body1, or site1 and site2")
@@ -81,10 +81,10 @@ def equality(world: WorldReader, node: Node) -> None:
 
 
 def sensor(world: WorldReader, node: Node) -> None:
-    """Reads a sensor; one that is not computed is listed in `Scene.ignored`, with the reason."""
+    """Read a sensor, or list it in `Scene.ignored` with the reason if it is not computed."""
     values = node.values
     if node.tag not in TYPES:
-        # Listed already: the schema knows that it is not read.
+        # The validation has already listed this sensor as ignored.
         return
     why = _not_computed(world, node)
     if why:
@@ -99,7 +99,7 @@ def sensor(world: WorldReader, node: Node) -> None:
 
 
 def _not_computed(world: WorldReader, node: Node) -> str:
-    """Why the readings of a sensor are not computed, "" if they are."""
+    """Return the reason why a sensor is not computed; "" if it is."""
     values = node.values
     site = values.get("site", "")
     for attribute in ("objtype", "reftype"):
@@ -122,7 +122,10 @@ def _not_computed(world: WorldReader, node: Node) -> str:
 
 
 def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
-    """The object and the reference, each with what a body stands for."""
+    """Return the object and the reference of a sensor, as fields of `Sensor`.
+
+    A body also has a type, which distinguishes its frame, inertial frame or subtree.
+    """
     values = node.values
     ends: dict[str, Any] = {}
     for attribute, (kind, word) in NAMED.items():
@@ -152,7 +155,7 @@ def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
 
 
 def _named(world: WorldReader, node: Node, kind: str, attribute: str) -> Element:
-    """The element that an attribute names."""
+    """Return the element that an attribute names."""
     element: Element = getattr(world.scene, kind)(node.values[attribute])
     return element
 

@@ -1,7 +1,7 @@
-"""Saves a scene in the text of its own file if only settings have changed.
+"""Save a scene in the text of its own file if only settings have changed.
 
-`<option>`, `<flag>` and `<custom>` are edited where they stand, or sections are added at the end,
-which replace earlier ones. An edited text is used only if it reads back as the scene.
+`<option>`, `<flag>` and `<custom>` are edited in place, or new sections at the end override the
+earlier ones. An edited text is used only if it reads back as the scene.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from stepcore.mjcf.nodes import Source
     from stepcore.scene.contents import Contents
 
-# First byte, last byte, replacement.
+# The first byte, the byte after the last, and the replacement.
 _Edit = tuple[int, int, bytes]
 
 
 def save(scene: Contents, path: str | os.PathLike[str]) -> None:
-    """Writes the scene to a file; see `Scene.save`."""
+    """Write the scene to a file; see `Scene.save`."""
     target = Path(files.path("path", path))
     data = kept(scene, os.path.abspath(target.parent))
     target.write_bytes(written(scene).encode() if data is None else data)
 
 
 def kept(scene: Contents, directory: str) -> bytes | None:
-    """The text of the scene's file with its present settings; None if that is not possible.
+    """Return the text of the scene's file with the current settings; None if not possible.
 
-    directory: the folder that the text is saved to.
+    directory: the folder in which the text will be saved.
     """
     source = scene._source
     original = None if source is None else _read(type(scene)(), source.data, source)
@@ -65,7 +65,7 @@ def kept(scene: Contents, directory: str) -> bytes | None:
 
 
 def _read(scene: Contents, data: bytes, source: Source) -> Contents | None:
-    """Fills an empty scene from a text; None if the text cannot be read."""
+    """Fill an empty scene from a text and return it; None if the text cannot be read."""
     try:
         read_text(scene, data, base=source.directory)
     except (ValueError, OSError):
@@ -75,7 +75,7 @@ def _read(scene: Contents, data: bytes, source: Source) -> Contents | None:
 
 @dataclass
 class _Tag:
-    """A start tag: its bytes in the text, and whether it closes itself."""
+    """A start tag: its byte range in the text, and whether the tag closes itself."""
 
     start: int
     stop: int
@@ -83,9 +83,10 @@ class _Tag:
 
 
 class _Tags:
-    """The start tags that hold settings, the last of each path below the root, whose path is "".
+    """The start tags with settings: the last of each path. The path of the root is "".
 
-    end: where the end tag of the root begins. names_files: whether any element has a file.
+    end: the byte position of the root's end tag.
+    names_files: whether any element has a file.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -104,7 +105,7 @@ class _Tags:
             ours = where == "custom/text" and attrs.get("name") == custom.NAME
             if ours or where in ("", "option", "option/flag"):
                 at = parser.CurrentByteIndex
-                # Up to the ">" that is not quoted.
+                # The tag ends at the first ">" outside quotes.
                 match = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(data, at)
                 stop = match.end() if match else at
                 self.last[where] = _Tag(at, stop, data[stop - 2 : stop] == b"/>")
@@ -121,7 +122,10 @@ class _Tags:
 def _edited(
     data: bytes, tags: _Tags, in_place: bool, original: Contents, scene: Contents
 ) -> bytes | None:
-    """The text with the settings of `scene`, in its last <option> or in a new one at the end."""
+    """Return the text with the settings of `scene`, or None if the root has no end tag.
+
+    in_place: whether to edit the last <option>; otherwise a new one is added at the end.
+    """
     root = tags.last[""]
     if root.closed:
         return None
@@ -164,7 +168,7 @@ def _edited(
 
 
 def _custom(data: bytes, held: _Tag, rest: dict[str, Any]) -> _Edit:
-    """The edit of stepcore's own text, whose words other than settings stay."""
+    """Return the edit of stepcore's own text, which keeps the words other than settings."""
     tag = data[held.start : held.stop].decode("utf-8", "replace")
     match = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", tag)
     settings = Settings().as_dict()
@@ -178,7 +182,7 @@ def _custom(data: bytes, held: _Tag, rest: dict[str, Any]) -> _Edit:
 
 
 def _with(data: bytes, tag: _Tag, attributes: dict[str, str]) -> _Edit:
-    """The edit that sets these attributes of a start tag."""
+    """Return the edit that sets these attributes of a start tag."""
     text = data[tag.start : tag.stop]
     for name, value in attributes.items():
         word = f'{name}="{escaped(value)}"'.encode()

@@ -1,4 +1,4 @@
-"""Elements to write: exact numbers as text, and names for all that others refer to."""
+"""Elements to write: exact numbers as text, and names for all referenced elements."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Tag:
 
 
 def text(value: Any) -> str:
-    """A value as the text of an attribute."""
+    """Return a value as the text of an attribute."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (tuple, list)):
@@ -45,16 +45,16 @@ def text(value: Any) -> str:
 
 
 def escaped(value: str) -> str:
-    """A text escaped for quotes; ValueError for characters that XML does not allow."""
+    """Escape a text for quotes; raise ValueError for characters that XML does not allow."""
     if _FORBIDDEN.search(value):
         raise ValueError(f"{value!r}: XML does not allow this character in a name")
     return "".join(_ESCAPES.get(letter, letter) for letter in value)
 
 
 def printed(root: Tag, comment: str) -> str:
-    """The text of a whole file."""
+    """Return the text of a whole file."""
     lines: list[str] = []
-    # Tags to open, and the ends of those that are open.
+    # (indentation, tag to write or end tag) in reverse order.
     pending: list[tuple[int, Tag | str]] = [(0, root)]
     while pending:
         indent, item = pending.pop()
@@ -69,10 +69,10 @@ def printed(root: Tag, comment: str) -> str:
 
 
 class Names:
-    """The name of each element in the file.
+    """The names of elements in the written file.
 
-    referred: elements that others refer to, of any kind, so that they need a name.
-    made: (kind, name) of those that got one for that only.
+    referred: elements of any kind that others refer to, and that therefore need a name.
+    made: (kind, name) of elements that have a name only for that reason.
     """
 
     def __init__(self, layout: Layout, referred: Iterable[Element]) -> None:
@@ -80,10 +80,10 @@ class Names:
         self.made: list[tuple[str, str]] = []
         scene = layout.scene
         wanted = {id(element) for element in referred}
-        # MJCF knows no asset without a name.
+        # In MJCF every asset needs a name.
         wanted |= {id(asset) for asset in (*scene.meshes, *scene.hfields)}
         for kind, where in KINDS.items():
-            # Elements that stand in bodies are counted in the order of the file.
+            # Elements inside bodies are numbered in document order.
             self._name(kind, getattr(layout, where, None) or getattr(scene, where), wanted)
 
     def _name(self, kind: str, elements: Iterable[Any], wanted: set[int]) -> None:
@@ -100,10 +100,10 @@ class Names:
             self.given[id(element)] = name
 
     def of(self, element: Element) -> str:
-        """The name of an element in the file."""
+        """Return the name of an element in the file."""
         return self.given[id(element)]
 
     def attribute(self, element: Element) -> dict[str, str]:
-        """``name=…``, if the element has one."""
+        """Return the attribute ``name``, if the element has a name in the file."""
         name = self.given.get(id(element), getattr(element, "name", ""))
         return {"name": name} if name else {}

@@ -1,4 +1,4 @@
-"""Checks a tree of nodes against the schema and converts the texts of attributes."""
+"""Check a tree of nodes against the schema and convert the texts of attributes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stepcore.mjcf.schema import ROOT, SEEN, UNCHECKED
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _INT = re.compile(r"[+-]?\d+", re.ASCII)
 
-# Names that cannot be empty.
+# Names whose empty text is kept; other empty attributes count as not given.
 KEPT_EMPTY = ("class", "childclass", "file")
 WHY = {
     "draws": "only draws",
@@ -29,15 +29,15 @@ WHY = {
 
 
 def validate(root: Node, refusals: Refusals, exclusions: Exclusions) -> list[str]:
-    """Sets `values` of every node that is read, and returns the lines for `Scene.ignored`.
+    """Set `values` and `path` of every node, and return the lines for `Scene.ignored`.
 
-    Errors are added to `refusals`, and the elements that have them leave the tree: an element,
-    attribute, keyword or number that the schema does not have, and an element that would change
-    the motion and is not built yet. What `exclusions` name leaves the tree too.
+    Errors are collected in `refusals`, and elements with errors are removed from the tree. Errors
+    are elements, attributes, keywords or numbers outside the schema, and elements that would change
+    the motion and are not built yet. Elements of the kinds in `exclusions` are removed too.
     """
     if root.tag != "mujoco":
         raise root.error(f"the root element is <{root.tag}>, not <mujoco>: not an MJCF model")
-    # A schema location is advice to text editors.
+    # A schema location only serves text editors.
     root.attrs = {k: v for k, v in root.attrs.items() if not k.startswith(("xmlns", "xsi:"))}
     ignored: list[str] = []
     root.values = values_of(root, ROOT)
@@ -53,7 +53,7 @@ def validate(root: Node, refusals: Refusals, exclusions: Exclusions) -> list[str
                 if inner is None:
                     near = nearest(child.tag, spec.children)
                     raise child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}")
-                # The tag of the root is no part of a path.
+                # A path does not include the tag of the root.
                 section = node.path.partition("/")[0] if node is not root else ""
                 child.path = f"{section}/{child.tag}" if section else child.tag
                 kind = exclusions.kind(child.path) if section != "default" else ""
@@ -75,9 +75,9 @@ def validate(root: Node, refusals: Refusals, exclusions: Exclusions) -> list[str
 
 
 def _strip(node: Node, spec: Spec) -> list[str]:
-    """Drops attributes that MuJoCo ignores, and returns a line about each.
+    """Remove attributes that MuJoCo ignores, and return a line about each.
 
-    The class of a frame is that of what it holds, as its childclass is, which goes before it.
+    The class of a frame acts as its childclass, unless the frame has a childclass.
     """
     if node.tag not in UNCHECKED:
         return []
@@ -107,9 +107,10 @@ def _check_once(node: Node, spec: Spec) -> None:
 
 
 def values_of(node: Node, spec: Spec) -> dict[str, object]:
-    """The attributes of an element as numbers and words; MJCFError for an unknown attribute.
+    """Return the attributes of an element as numbers and words.
 
-    Numbers and names that are empty say nothing, as in MuJoCo.
+    As in MuJoCo, empty numbers and names count as not given. Raises MJCFError for an unknown
+    attribute or a bad value.
     """
     result: dict[str, object] = {}
     for name, text in node.attrs.items():
@@ -126,9 +127,9 @@ def values_of(node: Node, spec: Spec) -> dict[str, object]:
 
 
 def seen_values(node: Node, known: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """The attributes that views show of an element that only draws; MJCFError for a bad value.
+    """Return the attributes that views show of an element that only draws.
 
-    known: its texts completed by its default class, where it has one.
+    known: the attribute texts, completed from the default class. Raises MJCFError for a bad value.
     """
     spec, texts = SEEN[node.tag], node.values if known is None else known
     seen = {name: texts[name] for name in spec.attrs if name in texts}
@@ -136,7 +137,7 @@ def seen_values(node: Node, known: Mapping[str, Any] | None = None) -> dict[str,
 
 
 def _value(node: Node, name: str, text: str, kind: str) -> object:
-    """The attribute's value: text, bool, keyword, int, or a tuple of numbers."""
+    """Return the attribute's value: text, bool, keyword, int, or a tuple of numbers."""
     if not kind:
         return text
     if "|" in kind:
@@ -178,5 +179,5 @@ def _int(node: Node, name: str, text: str) -> int:
 
 
 def bad(node: Node, name: str, value: object, limit: str) -> MJCFError:
-    """Returns the error about the value of an attribute."""
+    """Return the error about the value of an attribute. limit: the allowed values."""
     return node.error(f"<{node.tag}> {name} = {shown(value)}: must be {limit}")

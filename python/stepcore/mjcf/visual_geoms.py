@@ -1,4 +1,4 @@
-"""Geoms that neither collide nor give mass: which ones leave the scene.
+"""Remove geoms that neither collide nor have mass from the scene.
 
 MuJoCo documentation, XML reference, compiler/discardvisual.
 """
@@ -12,11 +12,11 @@ from stepcore.mjcf.worldbody import Shape, WorldReader
 
 
 def leave_out_visual_geoms(world: WorldReader) -> None:
-    """Adds the geoms that only draw to `Scene.ignored`.
+    """List the geoms that only draw in `Scene.ignored`, and remove those with assets.
 
-    A primitive that only draws stays in the scene, so that geoms keep MuJoCo's order. Meshes,
-    primitives fitted to them and height fields leave it and are never read, unless a sensor
-    measures at them. A scene with a rangefinder, which sees what only draws, keeps them all.
+    Primitives that only draw stay in the scene, so that geoms keep MuJoCo's order. Meshes,
+    primitives fitted to meshes, and height fields are removed and their files not read, unless a
+    sensor refers to them. A scene with a rangefinder, which also sees visual geoms, keeps them all.
     """
     scene = world.scene
     if any(sensor.type == "rangefinder" for sensor in scene.sensors):
@@ -35,9 +35,9 @@ def leave_out_visual_geoms(world: WorldReader) -> None:
 
 
 def discard_visual(world: WorldReader) -> None:
-    """Removes all geoms that neither collide nor are referred to, as `discardvisual` asks.
+    """Remove all geoms that neither collide nor are referred to, as `discardvisual` requires.
 
-    A body that such a geom gives mass keeps the mass that it has with it.
+    A body keeps the mass that a removed geom gives it.
     """
     scene = world.scene
     nodes = below(world.root)
@@ -67,7 +67,7 @@ def discard_visual(world: WorldReader) -> None:
 
 
 def _remove(world: WorldReader, gone: set[int]) -> None:
-    """Removes geoms by their ``id``, unless they are kept to be drawn."""
+    """Remove geoms by ``id``, unless they are kept for drawing."""
     if world.assets.drawn:
         world.only_drawn |= gone
     else:
@@ -75,9 +75,9 @@ def _remove(world: WorldReader, gone: set[int]) -> None:
 
 
 def weighs(world: WorldReader, shape: Shape) -> bool:
-    """Whether the geom contributes to the mass of its body.
+    """Return whether the geom contributes to the mass of its body.
 
-    That of a body that cannot move counts too: a joint that is added to it sets it free.
+    The mass of a fixed body counts too, because the user may add a joint to the body.
     """
     body = shape.geom.body
     rules = world.rules_of(body)

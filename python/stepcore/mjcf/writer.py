@@ -1,4 +1,4 @@
-"""Writes a `Scene` as MJCF, with exact numbers and without defaults."""
+"""Write a `Scene` as MJCF, with exact numbers and without defaults."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ if TYPE_CHECKING:
 
 # MuJoCo's grey with opacity 0.
 UNSEEN = (0.5, 0.5, 0.5, 0.0)
-# The group of actuators that are left out.
+# The group of disabled actuators.
 DISABLED = 30
-# Attributes of `<general>` alone, and the shortcuts that have them too.
+# Attributes of `<general>`, and the shortcuts that also have them.
 GENERAL = {"actearly": (), "actrange": ("intvelocity",)}
-# Sensors whose objects are named with their type.
+# Sensors that name their objects by type and name.
 TYPED = (*OF_FRAME, *OF_ACCELERATION, "insidesite", "user")
 
 
 def written(scene: Contents) -> str:
-    """The scene as an MJCF text; see `Scene.to_mjcf`."""
+    """Return the scene as an MJCF text; see `Scene.to_mjcf`."""
     layout = Layout(scene)
     check(layout)
     world = scene.world
@@ -82,7 +82,7 @@ def written(scene: Contents) -> str:
 
 
 def _referred(scene: Contents) -> list[Element]:
-    """The elements that others refer to by name."""
+    """Return the elements that others refer to by name."""
     holders: list[tuple[Element, Iterable[str]]] = [
         *((pair, ("geom1", "geom2")) for pair in scene.pairs),
         *((tie, tie.given()) for tie in scene.equalities),
@@ -110,7 +110,7 @@ def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
 
 
 def _left_out(scene: Contents) -> str:
-    """The comment about elements of the scene's file that this text leaves out."""
+    """Return the comment about elements of the scene's file that the text leaves out, or ""."""
     count = len(scene.ignored)
     if not count:
         return ""
@@ -119,14 +119,14 @@ def _left_out(scene: Contents) -> str:
 
 
 def _add_compiler(root: Tag, scene: Contents) -> None:
-    """Adds the compiler section."""
+    """Add the compiler section."""
     compiler = root.add(Tag("compiler", angle="radian", **changed(scene.mass_rules)))
     if ranges := changed(scene.lengthrange):
         compiler.add(Tag("lengthrange", **ranges))
 
 
 def _add_option(root: Tag, scene: Contents) -> dict[str, Any]:
-    """Adds the option section; returns the settings that it cannot hold."""
+    """Add the option section; return the settings that MJCF lacks."""
     attributes, flags, rest = said(to_say(scene.settings))
     whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
     whole["magnetic"] = MAGNETIC
@@ -172,7 +172,7 @@ def _hfield(hfield: HField, names: Names) -> Tag:
 
 
 def _add_tree(root: Tag, layout: Layout, names: Names) -> None:
-    """Adds the bodies, each with its joints, geoms and sites before its children."""
+    """Add the bodies, each with its joints, geoms and sites before its children."""
     tags: dict[int, Tag] = {}
     depth: dict[int, int] = {}
     for body in layout.bodies:
@@ -184,7 +184,7 @@ def _add_tree(root: Tag, layout: Layout, names: Names) -> None:
         if level > DEPTH - 2:
             raise ValueError(f"{body}: an MJCF file nests bodies at most {DEPTH - 2} deep")
         tags[id(body)], depth[id(body)] = tag, level
-        # Its child bodies follow in the order of the layout.
+        # Child bodies follow in the order of the layout.
         for joint in layout.joints_of.get(id(body), []):
             tag.add(_joint(joint, names))
     for geom in layout.geoms:
@@ -211,19 +211,20 @@ def _inertia(body: Body) -> dict[str, Vec]:
     if body.iquat is not None:
         turn = {} if body.iquat == frames.IDENTITY else {"quat": body.iquat}
         return {**turn, "diaginertia": _moments(body.iquat, inertia)}
-    # Axes that are found put the largest moment first; three moments of a file are as they stand.
+    # The engine sorts principal moments that it computes; moments given as diaginertia keep their
+    # order.
     falling = inertia[0] >= inertia[1] >= inertia[2]
     diagonal = not any(inertia[3:]) and (falling or min(inertia[:3]) == 0.0)
     return {"diaginertia": inertia[:3]} if diagonal else {"fullinertia": inertia}
 
 
 def _moments(quat: Vec, inertia: Vec) -> Vec:
-    """The moments about principal axes from which a reader computes exactly this inertia."""
+    """Return the principal moments from which a reader computes exactly this inertia."""
     if quat == frames.IDENTITY:
         return inertia[:3]
     w, x, y, z = quat
     best: Vec = (0.0, 0.0, 0.0)
-    # Twice: the quaternion has its length only to rounding.
+    # Iterate twice, because the quaternion has unit length only up to rounding.
     for _ in range(2):
         turned = frames.turned_inertia(quat, (*best, 0.0, 0.0, 0.0))
         missing = [a - b for a, b in zip(inertia, turned, strict=True)]
@@ -236,7 +237,7 @@ def _moments(quat: Vec, inertia: Vec) -> Vec:
 
 
 def _neighbours(x: float) -> list[float]:
-    """A number and its nearest two neighbours on both sides."""
+    """Return a number and its two nearest neighbours on both sides."""
     above, below = math.nextafter(x, math.inf), math.nextafter(x, -math.inf)
     further = math.nextafter(above, math.inf), math.nextafter(below, -math.inf)
     return [x, above, further[0], below, further[1]]
@@ -248,7 +249,7 @@ def _joint(joint: Joint, names: Names) -> Tag:
         skip += ["axis", "ref", "springref"]
     if joint.type == "free":
         skip.append("pos")
-    # A range of nothing but 0 means no limit, unless it is said to be one.
+    # Without limited="true", a range of 0 0 means no limit.
     limited = {"limited": "true"} if joint.range == (0.0, 0.0) else {}
     return Tag("joint", **names.attribute(joint), **limited, **changed(joint, *skip))
 
@@ -261,7 +262,7 @@ def _geom(geom: Geom, names: Names) -> Tag:
     if given.pop("hidden", False):
         given["rgba"] = UNSEEN
     used = SIZES[geom.type]
-    # MuJoCo wants a spacing for the grid of a plane, even where nothing is drawn.
+    # MuJoCo requires a grid spacing > 0 for a plane.
     size = geom.size[:used] if used else (*geom.size[:2], geom.size[2] or 1.0)
     if "mesh" not in given and "hfield" not in given:
         given = {"size": size, **given}
@@ -308,7 +309,7 @@ def _stop(stop: Stop, names: Names) -> Tag:
 def _equality(equality: Equality, names: Names) -> Tag:
     own = equality.given()
     if equality.body1 is not None and equality.type == "connect":
-        # Without it MuJoCo does not know what is connected.
+        # MuJoCo requires an anchor with body1.
         own["anchor"] = equality.anchor
     own = {k: names.of(v) if isinstance(v, Element) else v for k, v in own.items()}
     given = changed(equality, "name", "type", *own)
@@ -316,7 +317,7 @@ def _equality(equality: Equality, names: Names) -> Tag:
 
 
 def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
-    """Writes an actuator. behind: as many following actuators as it has further inputs."""
+    """Return the tag of an actuator. behind: the following actuators, one per further input."""
     given = changed(actuator, "name", "type", "enabled")
     first: dict[str, Any] = dict(names.attribute(actuator))
     for field in TARGET_FIELDS:
@@ -347,7 +348,7 @@ def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
 
 
 def _of_inputs(actuator: Actuator, behind: list[Actuator], given: dict[str, Any]) -> dict[str, Any]:
-    """The bounds of a controller's controls, each of which is an actuator here."""
+    """Return the control ranges of a controller, each of which is an actuator in stepcore."""
     words = actuator.inputs
     for word, other in zip(words[1:], behind, strict=False):
         name = f"{actuator.name}/{word}" if actuator.name else ""
@@ -366,7 +367,7 @@ def _of_inputs(actuator: Actuator, behind: list[Actuator], given: dict[str, Any]
 
 
 def _motor(given: dict[str, Any]) -> dict[str, Any]:
-    """Moves fields of a motor that MJCF gathers in other attributes from `given` to these."""
+    """Remove the motor fields that MJCF combines from `given`; return the combined attributes."""
     asked = [given.pop(name, None) or 0.0 for name in ("kp", "ki", "kv", "slewmax", "imax", "vmax")]
     bounds, rate = given.pop("forcerange", None), given.pop("current_rate", None) or 0.0
     words: dict[str, Any] = {"controller": tuple(asked)} if any(asked) else {}
@@ -394,7 +395,10 @@ def _sensor(sensor: Sensor, names: Names) -> Tag:
 def _end(
     sensor: Sensor, names: Names, element: Element | None, word: str, number: str
 ) -> dict[str, Any]:
-    """The attributes that name an object (1) or a reference (2)."""
+    """Return the attributes that name the object or the reference of a sensor.
+
+    number: "1" for the object, "2" for the reference.
+    """
     if element is None:
         return {}
     kind, name = type(element).__name__.lower(), names.of(element)

@@ -1,1 +1,1 @@
-"""URDF: links and joints become bodies and joints of a scene."""
+"""Read URDF: links and joints become bodies and joints of a scene."""

@@ -1,4 +1,4 @@
-"""The elements of a URDF: which ones are read, the checks of their attributes, and their files.
+"""The schema of URDF, the checks of attributes, and the paths of files.
 
 Format documentation: wiki.ros.org/urdf/XML.
 """
@@ -59,7 +59,7 @@ JOINT = spec(
     once=("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 )
 ROBOT = spec("name version", {"link": spec("name! type", LINK, once=("inertial",)), "joint": JOINT})
-# With what only draws.
+# The schema with visual elements.
 DRAWN_ROBOT = spec(
     "name version",
     {
@@ -68,22 +68,25 @@ DRAWN_ROBOT = spec(
         "material": MATERIAL,
     },
 )
-# Attributes of other programs whose names are near URDF's; the last three are entries of a
-# symmetric matrix that are given already.
+# Attributes of other programs whose names resemble those of URDF. The last three repeat entries
+# of the symmetric inertia matrix.
 FOREIGN = ("concave", "iyx", "izx", "izy")
 DRAWS = ("visual", "material")
-# The program xacro may leave these in the URDF that it makes, where nothing depends on them.
+# The program xacro may leave these elements in its output; they have no effect.
 XACRO_ONLY = ("xacro:property", "xacro:arg")
 MESHES = (".stl", ".obj", ".msh")
 
 
 def child_of(node: Node, tag: str) -> Node | None:
-    """The first child of this tag."""
+    """Return the first child with this tag, or None."""
     return next((child for child in node.children if child.tag == tag), None)
 
 
 def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
-    """Sets `values`, drops what is not read, and returns the lines for `Scene.ignored`."""
+    """Set `values`, remove unread elements and attributes, and return lines for `Scene.ignored`.
+
+    Errors are collected in `refusals`.
+    """
     ignored: list[str] = []
     pending: list[tuple[Node, Spec]] = [(root, schema)]
     while pending:
@@ -94,7 +97,7 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
         except MJCFError as error:
             refusals.add(error, node)
             continue
-        # URDF is extended freely, but the shape of a geom must be a known one.
+        # Unknown elements are common in URDF files, but the shape of a geom must be known.
         shapeless = node.tag == "geometry" and not any(
             child.tag in known.children for child in node.children
         )
@@ -121,7 +124,7 @@ def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
 
 
 def drop_unreadable_visuals(root: Node) -> list[str]:
-    """Drops each visual and material that is not as it must be; returns their errors."""
+    """Remove each invalid visual and material; return their errors."""
     links = [node for node in root.children if node.tag == "link"]
     visuals = [node for link in links for node in link.children if node.tag == "visual"]
     errors: list[str] = []
@@ -143,10 +146,10 @@ def drop_unreadable_visuals(root: Node) -> list[str]:
 
 
 def _drop_attributes(node: Node, known: Spec) -> list[str]:
-    """Drops what extends URDF, and limits that are infinite; returns the lines about the former."""
+    """Remove attributes outside URDF and infinite limits; return lines about the attributes."""
     if node.tag == "limit":
         infinite = [name for name, text in node.attrs.items() if _is_infinite(text)]
-        # A joint may be free on both sides, not on one.
+        # A joint may be unlimited on both sides, but not on one side.
         free = {"lower", "upper"} if {"lower", "upper"} <= {*infinite} else set()
         for name in {*infinite} & {"effort", "velocity", *free}:
             del node.attrs[name]
@@ -163,7 +166,7 @@ def _is_infinite(text: str) -> bool:
 
 
 def mesh_path(node: Node, directory: str | None, extended: bool) -> str:
-    """As `file_path`, of a mesh; raises MJCFError for a format that is not read."""
+    """Return `file_path` of a mesh; raise MJCFError for an unsupported format."""
     name = node.values["filename"].replace("\\", "/")
     if os.path.splitext(name)[1].lower() not in MESHES:
         words = ", ".join(MESHES)
@@ -172,10 +175,11 @@ def mesh_path(node: Node, directory: str | None, extended: bool) -> str:
 
 
 def file_path(node: Node, directory: str | None, extended: bool) -> str:
-    """The path of the file that a mesh or a texture names, or its name if it is not found.
+    """Return the path of the file that a mesh or texture names, or the name if there is no file.
 
-    The name is ``package://name/…``, ``file://…``, or a path. extended: the file has MuJoCo's
-    extension, whose meshdir and strippath then say where a file lies that is not found.
+    The name is ``package://name/…``, ``file://…``, or a path.
+    extended: whether the URDF has MuJoCo's extension. The extension's meshdir and strippath then
+        determine the path of a file that is not found here.
     """
     name = node.values["filename"].replace("\\", "/")
     scheme, separator, rest = name.partition("://")
@@ -193,7 +197,7 @@ def file_path(node: Node, directory: str | None, extended: bool) -> str:
 
 
 def _in_package(name: str, directory: str | None) -> str:
-    """A file of a package that holds the URDF, or that ROS_PACKAGE_PATH leads to; "" if none."""
+    """Return the path of a file in the URDF's own package or on ROS_PACKAGE_PATH; "" if none."""
     package, _, rest = name.partition("/")
     roots = [place for place in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if place]
     above = None if directory is None else os.path.abspath(directory)

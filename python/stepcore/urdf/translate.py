@@ -1,11 +1,11 @@
-"""A URDF as the MJCF that means the same, element by element, each with its line in the URDF.
+"""Translate a URDF to equivalent MJCF; each element keeps its line number in the URDF.
 
-A link is a body, a joint the joint of its child, a collision a geom, an inertial an inertial. As in
-MuJoCo, `effort` clamps what actuators put on a joint (actuatorfrcrange), `mimic` is a joint
-equality, a planar joint is two slides and a hinge (named _TX, _TY, _RZ), the root link stands on
-the world, and links on fixed joints are fused with their parent unless the file says
-fusestatic="false". Other than in MuJoCo, a planar joint moves in the plane across its axis, as URDF
-says.
+A link becomes a body, a joint the joint of its child body, a collision a geom, and an inertial an
+inertial. As in MuJoCo, `effort` limits the actuator force on a joint (actuatorfrcrange), and
+`mimic` becomes a joint equality. A planar joint becomes two slides and a hinge (named _TX, _TY,
+_RZ). The root link is fixed to the world. Links on fixed joints are fused with their parent unless
+the file sets fusestatic="false". Unlike in MuJoCo, a planar joint moves in the plane normal to its
+axis, as URDF specifies.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from stepcore.urdf.elements import (
     validate,
 )
 
-# A joint without an axis turns or slides along the first.
+# The default axis of a joint is X.
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
 
 
 @dataclass
 class DrawnLink:
-    """The geoms of a link: those that collide, and those that only draw."""
+    """The geoms of a link. collisions: geoms that collide. visuals: geoms that only draw."""
 
     collisions: list[Node]
     visuals: list[Node]
@@ -46,9 +46,13 @@ class DrawnLink:
 
 @dataclass
 class Translation:
-    """The MJCF tree of a URDF, and the lines for `Scene.ignored` and `Scene.notes`.
+    """The result of translating a URDF.
 
-    links: the geoms of each link, and undrawn: what of visuals could not be read, if they are read.
+    tree: the MJCF tree.
+    ignored: the lines for `Scene.ignored`.
+    notes: the lines for `Scene.notes`.
+    links: the geoms of each link.
+    undrawn: errors of visuals, if visuals are read.
     """
 
     tree: Node
@@ -59,16 +63,17 @@ class Translation:
 
 
 def to_mjcf(root: Node, directory: str | None, drawn: bool = False) -> Translation:
-    """Translates a URDF.
+    """Translate a URDF to MJCF.
 
-    directory: the folder of the file, from which meshes are found; None for a text without one.
-    drawn: `<visual>` geoms and their materials are read too.
+    directory: the folder of the file, for relative mesh paths; None for a text without a folder.
+    drawn: whether to read `<visual>` geoms and their materials too.
 
-    Raises MJCFError with all errors of the file: what is unknown, links in a circle, several roots.
+    Raises MJCFError with all errors of the file: unknown shapes and attributes, a circle of links,
+    several roots.
     """
     undrawn = drop_unreadable_visuals(root) if drawn else []
     refusals = Refusals()
-    # Names of namespaces say nothing.
+    # Namespace declarations have no meaning here.
     root.attrs = {name: text for name, text in root.attrs.items() if not name.startswith("xmlns")}
     extension = [child for child in root.children if child.tag == "mujoco"]
     root.children = [child for child in root.children if child.tag != "mujoco"]
@@ -84,9 +89,9 @@ def to_mjcf(root: Node, directory: str | None, drawn: bool = False) -> Translati
 
 
 class _Robot:
-    """The links and joints of a URDF, and the tree that they make.
+    """The links and joints of a URDF, and their tree.
 
-    extension: the elements of MJCF in the file, `<mujoco><compiler …/></mujoco>`.
+    extension: the MJCF elements of the file, `<mujoco><compiler …/></mujoco>`.
     """
 
     def __init__(self, root: Node, directory: str | None, extension: list[Node]) -> None:
@@ -95,15 +100,15 @@ class _Robot:
         self.joints = _by_name(child for child in root.children if child.tag == "joint")
         if not self.links:
             raise root.error("a robot needs a link")
-        # By link: the joint that moves it, and those that it carries.
+        # For each link: the joint to its parent, and the joints to its children.
         self.above: dict[str, Node] = {}
         self.below: dict[str, list[Node]] = {name: [] for name in self.links}
         for joint in self.joints.values():
             self._place(joint)
-        # Meshes by file and scale, their names, and the last number behind each name.
+        # `meshes`: nodes by file and scale. `mesh_names`: the last number appended to each name.
         self.meshes: dict[tuple[str, Vec], Node] = {}
         self.mesh_names: dict[str, int] = {}
-        # What is noted: limits of velocity, joints whose range is empty, and so on.
+        # Data for the notes: velocity limits, joints with an empty range, and so on.
         self.with_velocity = 0
         self.unlimited: list[str] = []
         self.unfollowed: list[str] = []
@@ -112,14 +117,14 @@ class _Robot:
         self.drawn: list[DrawnLink] = []
         self.undrawn: list[str] = []
         visuals = [n for link in self.links.values() for n in link.children if n.tag == "visual"]
-        # Any link may use the material that another, or the robot, names.
+        # Any link may use a material that another link or the robot defines.
         self.materials = {
             node.values.get("name", ""): node
             for holder in (*visuals, root)
             for node in holder.children
             if node.tag == "material" and (child_of(node, "color") or child_of(node, "texture"))
         }
-        # Of the materials with a texture, by the id of their nodes: what they are in MJCF.
+        # The MJCF texture and material of each textured material, by the ``id`` of its node.
         self.textured: dict[int, tuple[Node, Node]] = {}
 
     def _place(self, joint: Node) -> None:
@@ -138,7 +143,7 @@ class _Robot:
         self.below[_value(joint, "parent", "link")].append(joint)
 
     def tree(self) -> Node:
-        """The whole model as MJCF."""
+        """Return the whole model as MJCF."""
         roots = [name for name in self.links if name not in self.above]
         if not roots:
             raise self.root.error("the links make a circle: no link is the root")
@@ -162,7 +167,7 @@ class _Robot:
         return model
 
     def _bodies(self, root: str, world: Node, equality: Node) -> set[str]:
-        """Adds the bodies, parents first, and returns the names of their links."""
+        """Add the bodies, parents first, and return the names of their links."""
         placed: set[str] = set()
         pending: list[tuple[str, Node]] = [(root, world)]
         while pending:
@@ -172,11 +177,11 @@ class _Robot:
             if joint is not None and joint.values["type"] == "floating":
                 if _value(joint, "parent", "link") != root:
                     raise joint.error("a floating joint needs the root link as its parent")
-                # The root stands still at the world's origin.
+                # The root link is fixed at the world's origin.
                 parent = world
             body = self._body(self.links[name], joint, equality)
             if name == root == "world":
-                # It is the world, which has no mass.
+                # A root link named "world" is the world, which has no mass.
                 parent.children += [child for child in body.children if child.tag == "geom"]
                 body = world
             else:
@@ -237,7 +242,7 @@ class _Robot:
             attrs["range"] = _written((low, high))
         elif kind != "continuous":
             self.unlimited.append(joint.values["name"])
-        # MuJoCo takes the size of a negative one too.
+        # As in MuJoCo, a negative effort counts by its absolute value.
         effort = abs(limit.values.get("effort", 0.0))
         if effort > 0:
             attrs["actuatorfrcrange"] = _written((-effort, effort))
@@ -282,7 +287,7 @@ class _Robot:
             attrs["size"] = _written(size)
         name = collision.values.get("name", "")
         if collision.tag == "visual":
-            # The same name may be that of a collision.
+            # A collision may have the same name.
             name = ""
         if name in self.shape_names:
             self.unnamed.append(f'"{name}"')
@@ -292,7 +297,7 @@ class _Robot:
         return _element("geom", collision, **attrs, **_pose(collision))
 
     def _mesh(self, node: Node) -> str:
-        """The name of the asset of a mesh, one for each file and scale."""
+        """Return the name of a mesh asset; there is one asset for each file and scale."""
         scale = node.values.get("scale", (1.0, 1.0, 1.0))
         path = mesh_path(node, self.directory, bool(self.extension))
         if (path, scale) not in self.meshes:
@@ -307,7 +312,7 @@ class _Robot:
         return self.meshes[path, scale].attrs["name"]
 
     def _visual(self, visual: Node) -> Node:
-        """A geom that neither collides nor weighs."""
+        """Return a geom that neither collides nor has mass."""
         geom = self._geom(visual)
         geom.attrs |= {"contype": "0", "conaffinity": "0", "mass": "0"}
         try:
@@ -338,7 +343,7 @@ class _Robot:
         return attrs | {"material": self.textured[id(material)][1].attrs["name"]}
 
     def notes(self) -> list[str]:
-        """What else a user should know of the translation."""
+        """Return the notes about the translation for the user."""
         lists = (
             ("joints whose lower limit is not below the upper have none", self.unlimited),
             ("<mimic> does nothing where a joint neither turns nor slides", self.unfollowed),
@@ -367,7 +372,7 @@ def _by_name(nodes: Iterable[Node]) -> dict[str, Node]:
 
 
 def _value(node: Node, tag: str, attribute: str, default: Any = None) -> Any:
-    """An attribute of a child; the default without the child or the attribute."""
+    """Return an attribute of a child; the default without the child or the attribute."""
     child = child_of(node, tag)
     return default if child is None else child.values.get(attribute, default)
 
@@ -377,7 +382,7 @@ def _written(numbers: Iterable[float]) -> str:
 
 
 def _element(tag: str, of: Node, **attrs: str) -> Node:
-    """An element of MJCF that stands where an element of the URDF stands."""
+    """Return an MJCF element with the file and line of the URDF element `of`."""
     return Node(tag, attrs, of.file, of.line)
 
 
@@ -386,7 +391,7 @@ def _moving(joint: Node, name: str, kind: str, axis: Vec, attrs: dict[str, str])
 
 
 def _turn(node: Node) -> Vec:
-    """Fixed axes: about x, then y, then z of the parent."""
+    """Return the orientation of an origin: rotations about the parent's fixed x, y and z axes."""
     return frames.from_euler(_value(node, "origin", "rpy", frames.ORIGIN), "XYZ")
 
 
@@ -396,7 +401,7 @@ def _pose(node: Node) -> dict[str, str]:
 
 
 def _inertial(node: Node) -> Node:
-    """Mass, centre and inertia, in the axes of the link."""
+    """Return mass, centre of mass and inertia, in the axes of the link."""
     mass = child_of(node, "mass")
     if mass is None:
         raise node.error("<inertial> needs a <mass>")
