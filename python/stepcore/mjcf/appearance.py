@@ -133,7 +133,7 @@ class _DrawnAssets(Assets):
 def read_looks(scene: Contents) -> Looks | None:
     """Return the appearance of a scene according to its source file or text.
 
-    The result is None for a scene built in code, or one whose bodies or geoms have changed since.
+    Returns None for a scene built in code, and for a scene whose bodies or geoms have changed.
     """
     source = scene._source
     if source is None or not (source.data or source.urdf):
@@ -235,7 +235,7 @@ class _Surfaces:
         return Look(mean, both if builtin == "checker" else None)
 
     def _mean(self, texture: Node) -> Vec:
-        """Return the mean colour of a texture's image, or light grey if there is no readable image."""
+        """Return the mean colour of a texture's image; light grey without a readable image."""
         if "file" not in texture.attrs:
             return LIGHT_GREY
         try:

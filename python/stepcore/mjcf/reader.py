@@ -62,7 +62,7 @@ MOST_NESTED = 50
 
 
 class Models:
-    """The models of one load: it validates each and expands <attach> and <replicate>."""
+    """The models of one load; `prepared` validates one and expands <attach> and <replicate>."""
 
     def __init__(self, scene: Contents, refusals: Refusals, exclusions: Exclusions) -> None:
         self.scene = scene
