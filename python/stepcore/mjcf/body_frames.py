@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import Shape, WorldReader
 
 Pose = tuple[Vec, Vec]
-# Rules under which the mass of a fused body would differ from the sum of its parts.
+# Rules under which mass or inertia of a fused body would differ from the sum of its parts.
 BOUNDS = ("boundmass", "boundinertia", "balanceinertia")
 
 
 def fuse(world: WorldReader) -> None:
-    """Fuse bodies that cannot move relative to their parent with it, from the world outwards."""
+    """Fuse each body that cannot move relative to its parent with the parent, world first."""
     scene, root = world.scene, world.root
     jointed = {id(joint.body) for joint in scene.joints}
     # A body that an element refers to by name is not fused.

@@ -1,4 +1,4 @@
-"""Parses an MJCF text into a tree of `Node`; entities are refused."""
+"""Parse an MJCF text into a tree of `Node`; entity declarations are refused."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stepcore.checks import brief
 from stepcore.mjcf.lenient_xml import repaired
 from stepcore.mjcf.refusal_texts import effect
 
-# MuJoCo's own parser stops at this depth too.
+# The maximum nesting depth of elements, as in MuJoCo's parser.
 DEPTH = 500
 
 

@@ -243,7 +243,7 @@ class WorldReader:
         )
         self.keep(node, joint)
         if angles:
-            # MuJoCo converts the range of a limited joint only.
+            # As in MuJoCo, only the range of a limited joint is converted to radians.
             self.ranges[id(joint)] = angles if limits else values["range"]
 
     def limits(
