@@ -115,7 +115,7 @@ def _with_file_lines(error: ValueError, layout: Layout) -> ValueError:
         label = text[start:stop]
         body = getattr(element, "body", None)
         unnamed = not getattr(element, "name", "")
-        # The engine may name the body itself, right after the element.
+        # The engine may already name the body, right after the element.
         told = at + 1 < len(mentioned) and mentioned[at + 1] is body
         if isinstance(body, Body) and unnamed and not told:
             label += f" of {layout.body_called(body)}"

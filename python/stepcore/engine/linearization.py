@@ -1,4 +1,4 @@
-"""`Linearization`: the step as a linear map about one state."""
+"""`Linearization`: the linear map of a step about one state."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ AXES = {
 class Linearization:
     """A step linearised about one state: x⁺ = A x + B u to first order.
 
-    x = (dq, dv, dw) is a small change of position, velocity and activation, and u one of ctrl. dq
-    has nv entries [m or rad] and changes qpos as a velocity dq does in one second; a ball or free
-    joint rotates by a rotation vector in its body's axes. dw has na entries.
+    x = (dq, dv, dw) is a small change of position, velocity and activation, and u is a small change
+    of ctrl. dq has nv entries [m or rad] and changes qpos as a velocity dq does in one second: a
+    ball or free joint rotates by a rotation vector in its body's axes. dw has na entries.
 
     A: shape (2 nv + na, 2 nv + na). B: shape (2 nv + na, nu). dt: the time step [s].
     labels: names of the dofs. controls: names of the actuators.
-    degenerate: names of the elements at which A and B are one-sided, because a row of theirs is
-    exactly where it becomes active; empty as a rule. degenerate_ids: (kind, index, part) of each.
+    degenerate: names of the elements at which A and B are one-sided, because a row of the element
+    is exactly at its switch between active and inactive; usually empty. degenerate_ids: (kind,
+    index, part) of each such element.
 
     >>> from stepcore import Scene, Sim
     >>> scene = Scene()
@@ -70,17 +71,17 @@ class Linearization:
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A, largest first, shape (2 nv + na,): the modes' factors in one step."""
+        """Eigenvalues of A, largest first, shape (2 nv + na,): factors of the modes per step."""
         values: NDArray[np.complex128] = np.linalg.eigvals(self.A).astype(complex)
         return values[np.argsort(-np.abs(values), kind="stable")]
 
     @property
     def spectral_radius(self) -> float:
-        """The largest absolute eigenvalue of A; above 1, a perturbation grows."""
+        """The largest absolute eigenvalue of A. Above 1, a perturbation grows."""
         return float(np.abs(self.eigenvalues).max(initial=0.0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain data."""
+        """Return all fields as plain data."""
         return {
             "A": self.A.tolist(),
             "B": self.B.tolist(),
@@ -102,9 +103,9 @@ class Linearization:
 def linearized(
     model: Model, dt: float, numbers: Floats, degenerate: list[tuple[str, int, int]]
 ) -> Linearization:
-    """The linearisation of a step of dt [s]; numbers: A and B side by side.
+    """Create the linearisation of a step of dt [s].
 
-    degenerate: the elements at which these are one-sided.
+    numbers: A and B side by side. degenerate: the elements at which A and B are one-sided.
     """
     split = 2 * model.nv + model.na
     labels = tuple(

@@ -1,11 +1,11 @@
-"""`Noise`: random numbers of many worlds, each from a stream of its own.
+"""`Noise`: random numbers for many worlds, with an independent stream for each world.
 
-A number is a hash of the seed, the stream's name, the world and how many numbers that world has
-drawn, so it does not depend on how many worlds there are, nor on what the others draw. The hash is
-SplitMix64's finaliser (Steele, Lea & Flood, "Fast splittable pseudorandom number generators", 2014)
-over each of these in turn; a name counts by its BLAKE2b hash (RFC 7693) of 64 bits. Normal numbers
-are the quantile of uniform ones by Wichura's algorithm AS 241 (1988), exact to 1e-15, with a
-logarithm made of +, −, ×, ÷ alone: the same bits on every machine.
+A number is a hash of the seed, the stream's name, the world and the count of numbers that the world
+has drawn. A number therefore depends neither on the number of worlds nor on the draws of other
+worlds. The hash applies SplitMix64's finaliser (Steele, Lea & Flood, "Fast splittable pseudorandom
+number generators", 2014) to each of these inputs in turn; a name enters by its 64-bit BLAKE2b hash
+(RFC 7693). Normal numbers are quantiles of uniform numbers by Wichura's algorithm AS 241 (1988),
+exact to 1e-15. The logarithm uses only +, −, ×, ÷, so results are bit-identical on every machine.
 """
 
 from __future__ import annotations
@@ -94,15 +94,15 @@ LOG_2 = 0.6931471805599453
 
 
 class Noise:
-    """Random numbers for n worlds, each from a stream of its own.
+    """A generator of random numbers for n worlds, with an independent stream for each world.
 
-    n: the number of worlds; world k is k wherever the batch ends.
+    n: the number of worlds. The stream of world k does not depend on n.
     seed: an integer from 0 to 2**63 - 1.
-    name: of the stream. Streams of other names are independent, so that noise on controls does not
-        change what resets draw.
+    name: the name of the stream. Streams of different names are independent, so that noise on
+        controls does not change the draws of resets.
 
-    A world's numbers depend on the seed, the name, its index and how many it has drawn: not on the
-    other worlds, on n, or on threads.
+    A world's numbers depend on the seed, the name, the index of the world and the count of numbers
+    that the world has drawn. They do not depend on the other worlds, on n, or on threads.
 
     >>> import numpy as np
     >>> few, many = Noise(2, seed=1), Noise(1000, seed=1)
@@ -118,7 +118,7 @@ class Noise:
         if not isinstance(name, str):
             raise checks.refuse("Noise", "name", name, "a text")
         self.seed, self.name = int(seed), name
-        # Surrogates, which file names may hold, count as any other letter.
+        # File names may contain lone surrogates.
         text = hashlib.blake2b(name.encode("utf-8", "surrogatepass"), digest_size=8).digest()
         stream = np.array([self.seed, int.from_bytes(text, "little")], dtype=np.uint64)
         key = _mixed(_mixed(stream[:1]) ^ stream[1:])
@@ -126,18 +126,19 @@ class Noise:
         self._drawn = np.zeros(count, dtype=np.uint64)
 
     def __len__(self) -> int:
-        """The number of worlds."""
+        """Return the number of worlds."""
         return len(self._keys)
 
     def uniform(
         self, k: int, low: ArrayLike = 0.0, high: ArrayLike = 1.0, worlds: ArrayLike | None = None
     ) -> Floats:
-        """Return k numbers from [low, high) for each world, or for some; shape (n, k).
+        """Return k uniform numbers from [low, high) for each selected world, shape (n, k).
 
-        low, high: finite numbers, or arrays of them that broadcast to that shape; low <= high.
-        worlds: a mask of shape (n,) or indices; the others draw nothing. None for all.
+        low, high: finite numbers, or arrays that broadcast to shape (n, k); low <= high.
+        worlds: a mask of shape (n,) or indices; the other worlds draw nothing. None means all.
 
-        Raises ValueError for worlds that do not exist and for other bounds; nothing is drawn then.
+        Raises ValueError for worlds that do not exist and for invalid bounds; nothing is drawn
+        then.
         """
         chosen, shape = self._asked(k, worlds)
         least, most = _spread("low", low, shape), _spread("high", high, shape)
@@ -153,13 +154,13 @@ class Noise:
         return result
 
     def normal(self, k: int, scale: ArrayLike = 1.0, worlds: ArrayLike | None = None) -> Floats:
-        """Return k normal numbers with mean 0 for each world, or for some; shape (n, k).
+        """Return k normal numbers with mean 0 for each selected world, shape (n, k).
 
-        scale: their standard deviation, a finite number >= 0 or an array of them that broadcasts to
-            that shape.
+        scale: the standard deviation, a finite number >= 0 or an array that broadcasts to shape
+            (n, k).
         worlds: see `uniform`.
 
-        Raises ValueError as `uniform` does.
+        Raises the same errors as `uniform`.
         """
         chosen, shape = self._asked(k, worlds)
         deviation = _spread("scale", scale, shape)
@@ -169,7 +170,7 @@ class Noise:
         return result
 
     def _asked(self, k: int, worlds: ArrayLike | None) -> tuple[Chosen, tuple[int, int]]:
-        """The worlds that draw, and the shape of what they draw."""
+        """Return the worlds that draw, and the shape of the numbers."""
         width = checks.count("k", k, 0)
         if worlds is None:
             return slice(None), (len(self), width)
@@ -177,7 +178,7 @@ class Noise:
         return chosen, (len(chosen), width)
 
     def _share(self, chosen: Chosen, width: int) -> Floats:
-        """Numbers between 0 and 1, neither of them, from the next draws of some worlds."""
+        """Draw numbers strictly between 0 and 1 for some worlds."""
         drawn = self._drawn[chosen]
         places: Words = np.add.outer(drawn, np.arange(width, dtype=np.uint64))
         self._drawn[chosen] = drawn + np.uint64(width)
@@ -186,11 +187,11 @@ class Noise:
         return result
 
     def state(self) -> NDArray[np.uint64]:
-        """Return how many numbers each world has drawn, shape (n,); all a stream remembers."""
+        """Return the count of numbers drawn by each world, shape (n,): the complete state."""
         return self._drawn.copy()
 
     def restore(self, state: ArrayLike) -> None:
-        """Goes on from a `state`."""
+        """Continue from a `state`."""
         drawn = np.asarray(state)
         if drawn.shape != (len(self),) or drawn.dtype.kind not in "iu" or (drawn < 0).any():
             limit = f"{len(self)} counts, as `state` returns them"
@@ -203,7 +204,7 @@ class Noise:
 
 
 def _spread(name: str, value: ArrayLike, shape: tuple[int, int]) -> Floats:
-    """An argument as finite numbers of this shape; ValueError if it does not broadcast to it."""
+    """Return an argument as finite numbers broadcast to a shape; else raise ValueError."""
     table = numbers(name, value)
     if not np.isfinite(table).all():
         raise ValueError(f"{name} = {checks.shown(value)}: must be finite")
@@ -215,7 +216,7 @@ def _spread(name: str, value: ArrayLike, shape: tuple[int, int]) -> Floats:
 
 
 def _mixed(words: Words) -> Words:
-    """SplitMix64's next number of each word as a state."""
+    """Return SplitMix64's next number, with each word as a state."""
     with np.errstate(over="ignore"):
         z = words + GOLDEN
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -225,7 +226,7 @@ def _mixed(words: Words) -> Words:
 
 
 def quantile(share: Floats) -> Floats:
-    """Below which number a share of normal numbers lies, for shares between 0 and 1.
+    """Return the quantile of the standard normal distribution, for shares between 0 and 1.
 
     >>> import numpy as np
     >>> quantile(np.array([0.025, 0.5, 0.975])).round(6).tolist()
@@ -242,7 +243,7 @@ def quantile(share: Floats) -> Floats:
 
 
 def _ratio(coefficients: tuple[tuple[float, ...], tuple[float, ...]], x: Floats) -> Floats:
-    """A polynomial over another."""
+    """Evaluate a ratio of two polynomials."""
     above, below = (np.full_like(x, some[0]) for some in coefficients)
     for a, b in zip(coefficients[0][1:], coefficients[1][1:], strict=True):
         above, below = above * x + a, below * x + b
@@ -251,7 +252,7 @@ def _ratio(coefficients: tuple[tuple[float, ...], tuple[float, ...]], x: Floats)
 
 
 def log(x: Floats) -> Floats:
-    """The natural logarithm of positive numbers: 2 artanh((m − 1) / (m + 1)) of the mantissa m."""
+    """Return the natural logarithm of positive numbers: 2 artanh((m − 1) / (m + 1)), mantissa m."""
     mantissa, exponent = np.frexp(x)
     low = mantissa < HALF_SQRT
     mantissa, exponent = (

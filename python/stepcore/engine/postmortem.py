@@ -1,4 +1,4 @@
-"""`PostMortem`: a failure that was run again, and the energy that each element injected."""
+"""`PostMortem`: a repeated failure, with the energy that each element injected."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from stepcore.report.table import Table
 if TYPE_CHECKING:
     from stepcore.engine.replay import Replay
 
-# Steps, and elements, that are printed.
+# The number of steps, and of elements, that are printed.
 PRINTED_STEPS = 12
 PRINTED_ELEMENTS = 5
 
 
 @dataclass(repr=False)
 class PostMortem(Result):
-    """A failure that was run again, and the energy that each element injected in each step.
+    """A repeated failure, with the energy that each element injected in each step.
 
     name: the name of the scene.
     same: whether the replay failed in the same step with the same bits.
     time: the time after each step [s], shape (n,).
-    energy: kinetic energy and that of springs and penalty contacts [J], before the first step and
-        after each, shape (n + 1,).
-    work: by element, the energy that it injected in each step [J], shape (n,): its work on the
-        motion plus the change of the energy that it stores. The sum over all elements is the change
-        of the whole energy, gravity's included. In an exact motion a conservative element injects
-        nothing.
+    energy: kinetic energy plus the energy of springs and penalty contacts [J], before the first
+        step and after each step, shape (n + 1,).
+    work: for each element, the energy that the element injected in each step [J], shape (n,): the
+        work on the motion plus the change of the stored energy. The sum over all elements is the
+        change of the total energy, including gravity. In an exact motion a conservative element
+        injects no energy.
     shares: each element's share of the energy injected, the largest first.
 
     >>> import stepcore as sc
@@ -70,18 +70,18 @@ class PostMortem(Result):
 
     @property
     def shares(self) -> dict[str, float]:
-        """Each element's share of the energy injected, the largest first."""
+        """Share of each element in the injected energy, largest first."""
         shares: dict[str, float] = self.replay.happened["shares"]
         return shares
 
     @property
     def title(self) -> str:
-        """What was run again."""
+        """Title of the post-mortem."""
         return f"{self.name}: post-mortem"
 
     @property
     def sentences(self) -> list[str]:
-        """The text of the error, and whether the replay failed again."""
+        """The text of the error, and whether the replay reproduced the failure."""
         text = self.paragraph
         step = self.replay.happened["step"]
         again = f"The replay fails again after {self.replay.steps} steps, with the same bits."
@@ -95,11 +95,11 @@ class PostMortem(Result):
 
     @property
     def table(self) -> Table:
-        """After each step: the energy and what each element injected in the step [J]."""
+        """For each step, the energy after the step and the energy injected by each element [J]."""
         return self._steps(list(self.work), len(self.time))
 
     def tables(self, full: bool) -> list[Table]:
-        """The last steps, with the elements that matter most; `full`: all of both."""
+        """Return the last steps of the leading elements; `full`: all steps and elements."""
         if not len(self.time):
             return []
         names = self.leading(len(self.work) if full else PRINTED_ELEMENTS)
@@ -110,7 +110,7 @@ class PostMortem(Result):
         return [table]
 
     def _steps(self, names: list[str], most: int) -> Table:
-        """The last steps as records."""
+        """Return a table of the last steps."""
         count = len(self.time)
         first = self.replay.happened["step"] - count + 1
         records = [
@@ -121,7 +121,7 @@ class PostMortem(Result):
         return Table(records, ["step", "energy", *names], dict.fromkeys(names, ".3g"))
 
     def details(self) -> dict[str, Any]:
-        """The recorded steps as arrays, and what happened."""
+        """Return the recorded steps as arrays, and the data of the failure."""
         return {
             "steps": self.replay.steps,
             "same": self.same,
@@ -132,7 +132,7 @@ class PostMortem(Result):
         }
 
     def leading(self, most: int) -> list[str]:
-        """The elements that matter most: by their share, then by what they moved."""
+        """Return the leading elements: by share, then by the largest energy moved in a step."""
         moved = {
             name: float(np.abs(work[np.isfinite(work)]).max(initial=0.0))
             for name, work in self.work.items()
@@ -143,7 +143,7 @@ class PostMortem(Result):
 
 
 def run_again(failure: Replay) -> PostMortem:
-    """See `Replay.run`."""
+    """Repeat a failure; see `Replay.run`."""
     settings = failure.settings.replace(ledger=False)
     model = _core.compile(failure.scene)
     sim = _core.Sim(model, settings)
@@ -157,7 +157,7 @@ def run_again(failure: Replay) -> PostMortem:
         try:
             before, after, injected = sim.taped_step()
         except SimulationError:
-            # It fails too soon: `same` tells.
+            # The replay fails too early, so `same` will be False.
             break
         energy += [before, after] if step == 0 else [after]
         time.append(sim.time)
@@ -177,7 +177,7 @@ def run_again(failure: Replay) -> PostMortem:
     )
 
 
-# What a step reads, in the order of `Replay.inputs`.
+# The inputs of a step, in the order of `Replay.inputs`.
 INPUTS = ("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat")
 
 
@@ -191,7 +191,7 @@ def _put(own: dict[str, Floats], inputs: list[list[float]] | None) -> None:
 
 
 def _fails(failure: Replay, sim: _core.Sim, own: dict[str, Floats]) -> bool:
-    """Whether the present state is the last finite one of the failure, and fails as it did."""
+    """Return whether the present state equals the failure's last finite state and fails too."""
     happened = failure.happened
     if digest(own["qpos"], own["qvel"]) != happened["state"]:
         return False

@@ -1,4 +1,4 @@
-"""Rays: which geom each meets first, and how far away."""
+"""Rays: the first geom that each ray hits, and its distance."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ GROUPS = 6
 
 
 class RayHits(NamedTuple):
-    """What rays meet first; the shape (…) is that of the rays.
+    """The first hits of rays; the shape (…) is that of the rays.
 
-    distance: in lengths of each ray's direction, which are metres for a unit vector; −1 where the
-        ray meets nothing. Shape (…).
-    geom: index of the geom, −1 where the ray meets nothing. Shape (…).
-    normal: the surface's outward unit normal in world axes, zero where the ray meets nothing.
-        Shape (…, 3).
+    distance: in units of the length of each ray's direction, i.e. metres for a unit vector; −1
+        without a hit. Shape (…).
+    geom: index of the geom, −1 without a hit. Shape (…).
+    normal: the surface's outward unit normal in world axes, zero without a hit. Shape (…, 3).
     """
 
     distance: Floats
@@ -38,8 +37,10 @@ def ray_hits(
     groups: Sequence[int] | None,
     static: bool,
 ) -> RayHits:
-    """See `World.ray`. core: a `_core.Sim` or `_core.Batch`; worlds: () for one world, (n,) for n;
-    excluded: the index of a body.
+    """Cast rays; see `World.ray`.
+
+    core: a `_core.Sim` or `_core.Batch`; worlds: () for one world, (n,) for n; excluded: the index
+        of a body.
     """
     ends = [_vectors(name, value) for name, value in (("origin", origin), ("direction", direction))]
     if not ends[1].any(axis=-1).all():
@@ -61,7 +62,7 @@ def ray_hits(
 
 
 def _more(ends: list[Any]) -> int:
-    """Axes of the rays behind that of the worlds."""
+    """Return the number of ray axes after the axis of the worlds."""
     return max(max(end.ndim for end in ends) - 1, 1)
 
 
@@ -75,7 +76,7 @@ def _vectors(name: str, value: ArrayLike) -> Floats:
 
 
 def _groups(groups: Sequence[int]) -> list[bool]:
-    """By group whether its geoms are seen."""
+    """Return, for each group, whether its geoms can be hit."""
     seen = [False] * GROUPS
     for group in checks.listed(groups) or [None]:
         if isinstance(group, bool) or group not in range(GROUPS):

@@ -1,4 +1,4 @@
-"""`Replay`: a failed run to be repeated: its scene, settings, complete state and inputs."""
+"""`Replay`: a failed run that can be repeated: scene, settings, complete state and inputs."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
 KIND = "stepcore replay"
-# Goes up when the layout of the file changes.
+# Increases when the layout of the file changes.
 VERSION = 1
 
 
 @dataclass(frozen=True, repr=False)
 class Replay:
-    """A run from a good state to its failure; an error has it as `SimulationError.replay`.
+    """A run from a good state to its failure, available as `SimulationError.replay`.
 
     name: the name of the scene.
     settings: the settings of the run.
     state: the complete state (`Sim.state`) from which the run fails again.
-    inputs: (step, ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat) wherever they
-        change; steps count from that state.
-    steps: the number of steps to the last finite state. In the step after it something is not
-        finite; or, with a ledger, that state has energy that it cannot have gained.
+    inputs: (step, ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat) at each
+        change of an input; steps count from `state`.
+    steps: the number of steps to the last finite state. The next step gives a non-finite value; or,
+        with a ledger, the last finite state has more energy than is physically possible.
     happened: the attributes of the error, its text, and a digest of the last finite state.
 
     >>> import stepcore as sc
@@ -58,21 +58,21 @@ class Replay:
     inputs: list[tuple[Any, ...]]
     steps: int
     happened: dict[str, Any]
-    # The compiled model's own scene, or the plain data that a file has.
+    # The scene of the compiled model, or the plain data of a file.
     _scene: Any = field(compare=False)
 
     @property
     def scene(self) -> dict[str, Any]:
-        """The scene as plain data: what `Scene.to_dict` returns."""
+        """The scene as plain data, as returned by `Scene.to_dict`."""
         scene: dict[str, Any] = self._scene
         return scene if isinstance(scene, dict) else self._scene.to_dict()
 
     def run(self) -> PostMortem:
-        """Run it again; see `stepcore.replay`."""
+        """Repeat the run; see `stepcore.replay`."""
         return run_again(self)
 
     def to_json(self) -> str:
-        """The file's text. Meshes and height fields stand in it byte by byte, as base64."""
+        """Return the text of the file, with meshes and height fields as base64."""
         body = {
             "name": self.name,
             "scene": self.scene,
@@ -86,15 +86,17 @@ class Replay:
         return json.dumps(head | body, indent=1, default=_packed)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file that `stepcore.replay` and ``stepcore replay FILE`` read."""
+        """Write a file for `stepcore.replay` and ``stepcore replay FILE``."""
         Path(files.path("path", path)).write_text(self.to_json() + "\n", encoding="utf-8")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Replay:
         """Read a replay file.
 
-        Raises ValueError, in one line, for a file that is no replay file, was damaged or has
-        another version; FileNotFoundError for a missing file, IsADirectoryError for a folder.
+        path: the file to read.
+
+        Raises a one-line ValueError for a file that is no replay file, is damaged or has another
+        version; FileNotFoundError for a missing file; IsADirectoryError for a folder.
         """
         shown = checks.cut(files.path("path", path), 300)
         text = files.read(path, "a replay file")
@@ -123,7 +125,7 @@ class Replay:
 
 
 def _made(data: dict[str, Any]) -> Replay:
-    """The replay of a file's data, each field checked; ValueError or TypeError with its name."""
+    """Create a replay from a file's checked data; raise ValueError or TypeError for a bad field."""
     data = checked(data)
     return Replay(
         name=data["name"],
@@ -142,7 +144,7 @@ def _unusable(shown: str, error: Exception) -> ValueError:
 
 
 def _packed(array: Any) -> Any:
-    """An array in JSON: type, shape and bytes."""
+    """Return an array as JSON data: type, shape and bytes."""
     array = np.asarray(array)
     packed = array.astype(array.dtype.newbyteorder("<"), copy=False)
     text = base64.b64encode(packed.tobytes()).decode("ascii")
@@ -150,13 +152,16 @@ def _packed(array: Any) -> Any:
 
 
 def _check(body: dict[str, Any]) -> str:
-    """A checksum of everything that the file holds."""
+    """Return a checksum of the contents of the file."""
     text = json.dumps(body, sort_keys=True, separators=(",", ":"), default=_packed)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> None:
-    """Give an error its `replay`. qpos, qvel: the last finite state of the world that failed."""
+    """Attach a `replay` to an error.
+
+    qpos, qvel: the last finite state of the world that failed.
+    """
     happened = {name: getattr(error, name) for name in ATTRIBUTES}
     happened |= {"text": str(error), "state": digest(qpos, qvel)}
     private = error.__dict__
@@ -172,12 +177,12 @@ def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> 
 
 
 def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
-    """Run a failure again, and returns what each element did on the way.
+    """Repeat a failure, and return the energy that each element injected.
 
     source: the path of a replay file, or a `Replay` (an error's ``replay``).
 
-    Raises what `Replay.load` raises for a file, and ValueError for one whose scene, state or inputs
-    do not go together.
+    Raises the same errors as `Replay.load` for a file, and ValueError if scene, state and inputs
+    are inconsistent.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)

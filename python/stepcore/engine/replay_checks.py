@@ -1,4 +1,4 @@
-"""What a replay file may hold: each field is checked, because anyone can write such a file."""
+"""Checks of the fields of a replay file, because anyone can write such a file."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from stepcore import checks
 
-# A failure is replayed from a state that the engine kept, some hundred steps before it.
+# The engine keeps a state only some hundred steps before a failure.
 MOST_STEPS = 100_000
-# Types of the arrays of a scene: numbers, and indices of vertices.
+# Array types in a scene: numbers, and indices of vertices.
 ARRAYS = ("<f8", "<i8", "<u8", "<i4", "<u4")
-# The numbers of an input: its step, then the arrays that a step reads.
+# The length of an input: the step, then the input arrays of a step.
 INPUT = 7
 
 whole = checks.whole(0, 2**63 - 1)
@@ -24,7 +24,7 @@ def _maybe(check: checks.Check) -> checks.Check:
 
 
 def _float(owner: Any, name: str, value: object) -> float:
-    """A number as JSON has it, which need not be finite."""
+    """Check a JSON number, which may be non-finite."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise checks.refuse(owner, name, value, "a number")
     try:
@@ -46,7 +46,7 @@ def _dict(owner: Any, name: str, value: object) -> dict[str, Any]:
 
 
 def _id(owner: Any, name: str, value: object) -> tuple[str, int, int]:
-    """An element: its kind, its index and its part."""
+    """Check the kind, index and part of an element."""
     entries = _list(owner, name, value)
     if len(entries) != 3 or not isinstance(entries[0], str):
         raise checks.refuse(owner, name, value, "(kind, index, part)")
@@ -93,7 +93,7 @@ def _event(owner: Any, name: str, value: object) -> dict[str, Any]:
     return event
 
 
-# What a replay keeps of its error: its attributes, and beside them its text and the last state.
+# Attributes of the error in a replay; `EVENT` adds the error's text and the last state.
 ATTRIBUTES: dict[str, checks.Check] = {
     "step": whole,
     "time": _float,
@@ -119,12 +119,12 @@ BODY = {
 
 
 def checked(data: dict[str, Any]) -> dict[str, Any]:
-    """The fields of a file, each checked; ValueError with the name of the first that is wrong."""
+    """Return the checked fields of a file; raise ValueError naming the first bad field."""
     return _record("replay", "", data, BODY)
 
 
 def unpacked(data: Any) -> Any:
-    """Plain data whose packed arrays are arrays again."""
+    """Return plain data with packed arrays converted back to arrays."""
     if isinstance(data, list):
         return [unpacked(entry) for entry in data]
     if not isinstance(data, dict):

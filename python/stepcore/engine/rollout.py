@@ -14,18 +14,18 @@ from stepcore.engine.trajectory import RECORDED
 if TYPE_CHECKING:
     from stepcore.engine.world import World
 
-# What a Sim counts in its own solve; and momentum, which is a pair of arrays.
+# Counts of a single Sim's solve; and momentum, which is a pair of arrays.
 ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum")
 NAMES = tuple(name for name in RECORDED if name not in ONLY_OF_ONE_WORLD)
 
 
 class Rollout(NamedTuple):
-    """States after every step.
+    """The states of a batch after every step.
 
     qpos: shape (n, steps, nq).
     qvel: shape (n, steps, nv).
     act: shape (n, steps, na).
-    recorded: what else was asked for, by name, each of shape (n, steps, …).
+    recorded: further recorded quantities by name, each of shape (n, steps, …).
     """
 
     qpos: Floats
@@ -41,9 +41,9 @@ def recorded_rollout(
     names: Sequence[str],
     told: Callable[[int], object] | None,
 ) -> Rollout:
-    """Step one by one with `roll` and reads the recorded arrays after each step.
+    """Step one by one with `roll`, and read the recorded arrays after each step.
 
-    Numbers are refused before the first step.
+    Non-finite controls raise ValueError before the first step.
     """
     steps = ctrl.shape[1]
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("qpos", "qvel", "act", *names)}

@@ -1,4 +1,4 @@
-"""Snapshots of a run for looking at it later: whole states, at most 60 a second."""
+"""Snapshots of a run for later drawing: complete states, at most 60 a second."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stepcore.engine.world import World
 
-# Snapshots per second of motion, the most of a run, and the most memory of a run [bytes].
+# Snapshots per second of motion, their maximum number, and their maximum memory [bytes] per run.
 RATE = 60.0
 MOST = 6000
 MEMORY = 2**28
@@ -18,10 +18,10 @@ MEMORY = 2**28
 class Snapshots:
     """States of a `Sim` during a run, each with the inputs of the step that follows it.
 
-    A solve from such a state is the one that the run made, bit for bit, so contacts and forces
-    need not be recorded to be seen later.
+    A solve from such a state is bit-identical to that of the run, so contacts and forces can be
+    computed later and need not be recorded.
 
-    model: what was run. states: as `Sim.state` gives them.
+    model: the simulated model. states: snapshots by `Sim.state`.
     """
 
     kind: type[World]
@@ -29,7 +29,7 @@ class Snapshots:
     states: tuple[bytes, ...]
 
     def sim(self) -> Any:
-        """Another Sim, into which the states can be restored."""
+        """Create a Sim into which the states can be restored."""
         kind: Any = self.kind
         return kind(self.model)
 
@@ -38,7 +38,7 @@ class Snapshots:
 
 
 class Taking:
-    """Takes the snapshots of a run of `steps` steps."""
+    """A recorder of snapshots during a run of `steps` steps."""
 
     def __init__(self, sim: Any, steps: int) -> None:
         self.sim = sim
@@ -49,10 +49,10 @@ class Taking:
         self.stride = max(1, round(1 / (RATE * sim.settings.dt)), -(-steps // most))
 
     def look(self, step: int) -> None:
-        """Keep the present state at the first and last step and at every `stride` steps."""
+        """Store the present state at the first and last step and at every `stride` steps."""
         if step % self.stride == 0 or step == self.steps:
             self.states.append(self.sim.state())
 
     def kept(self) -> Snapshots:
-        """The snapshots taken so far."""
+        """Return the snapshots taken so far."""
         return Snapshots(type(self.sim), self.sim.model, tuple(self.states))

@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 VECTORS = ("pos", "normal", "force", "torque")
-# kind, index and part of an element, as `Model.element_name` takes them.
+# kind, index and part of an element: the arguments of `Model.element_name`.
 ELEMENT: list[Any] = [("kind", "U20"), ("index", np.int64), ("part", np.int32)]
 ROW_NUMBERS = ("impulse", "velocity", "target", "regulariser", "residual", "lo", "hi")
 
 
 class Keyframe(NamedTuple):
-    """A named state, with defaults for what the scene leaves open.
+    """A named state, with defaults for the values that the scene omits.
 
     time: [s]. qpos: shape (nq,). qvel: shape (nv,). act: shape (na,). ctrl: shape (nu,). mpos,
-    mquat: of mocap bodies, shapes (3 nmocap,) and (4 nmocap,).
+    mquat: poses of mocap bodies, shapes (3 nmocap,) and (4 nmocap,).
     """
 
     name: str
@@ -38,7 +38,7 @@ class Keyframe(NamedTuple):
 
 
 class ContactPair(NamedTuple):
-    """Two geoms that can meet, and what their contacts share.
+    """Two geoms that can collide, and the parameters that their contacts share.
 
     geoms: their indices. condim and friction (sliding): 1. solref: as in MJCF. invweight0: sum of
     both bodies' mean inverse mass at qpos0 [1/kg].
@@ -57,7 +57,10 @@ def contact_table(
     pairs: list[tuple[int, int]],
     numbers: Floats,
 ) -> NDArray[Any]:
-    """See `Sim.contacts`. numbers: dist, pos, normal, force, torque, shape (contacts, 13)."""
+    """Return the structured array of `Sim.contacts`.
+
+    numbers: dist, pos, normal, force, torque, shape (contacts, 13).
+    """
     geoms = np.array(pairs, dtype=np.int32).reshape(-1, 2).T
     table = np.zeros(len(pairs), _contact_type(max(map(len, geom_names), default=0) or 1))
     _put_elements(table, elements)
@@ -72,7 +75,7 @@ def contact_table(
 
 
 def contacts_of_body(table: NDArray[Any], model: Model, body: str | int) -> NDArray[Any]:
-    """The contacts of a table in which a geom of this body takes part."""
+    """Return the contacts of a table in which a geom of this body takes part."""
     index = model.index("body", body)
     touching = [model.geom_body[table[geom]] == index for geom in ("geom1", "geom2")]
     return table[touching[0] | touching[1]]
@@ -85,7 +88,10 @@ def row_table(
     blocks: list[int],
     numbers: Floats,
 ) -> NDArray[Any]:
-    """See `Sim.rows`. numbers: those of `ROW_NUMBERS`, shape (rows, 7)."""
+    """Return the structured array of `Sim.rows`.
+
+    numbers: the values of `ROW_NUMBERS`, shape (rows, 7).
+    """
     table = np.zeros(len(elements), _row_type(max(map(len, names), default=1)))
     _put_elements(table, elements)
     table["name"], table["block"] = names, blocks
@@ -96,10 +102,10 @@ def row_table(
     return table
 
 
-# A table is read after many steps; its type takes as long to make as its contents.
+# The types are cached, because creating the type takes as long as filling the table.
 @functools.cache
 def _contact_type(width: int) -> np.dtype[np.void]:
-    """The type of contacts whose geoms' names have at most this many characters."""
+    """Return the type of contacts whose geom names have at most `width` characters."""
     fields = ELEMENT + [(field, np.int32) for field in ("geom1", "geom2")]
     fields += [(field, f"U{width}") for field in ("name1", "name2")]
     return np.dtype([*fields, ("dist", float), *((field, float, 3) for field in VECTORS)])
@@ -107,7 +113,7 @@ def _contact_type(width: int) -> np.dtype[np.void]:
 
 @functools.cache
 def _row_type(width: int) -> np.dtype[np.void]:
-    """The type of rows whose elements' names have at most this many characters."""
+    """Return the type of rows whose element names have at most `width` characters."""
     fields = [*ELEMENT, ("name", f"U{width}"), ("block", np.int32)]
     return np.dtype([*fields, *((field, float) for field in (*ROW_NUMBERS, "force"))])
 

@@ -1,4 +1,4 @@
-"""`Touches`: where two geoms touch at given positions; `Model.touches` makes it."""
+"""`Touches`: contact points of two geoms at given positions, computed by `Model.touches`."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 
 class Touches(NamedTuple):
-    """Contacts of two geoms, by pose and then by slot.
+    """The contacts of two geoms, by pose and then by slot.
 
-    exists: whether the slot has a contact there, at whatever distance, shape (…, slots). Where it
-        has none, the other entries mean nothing.
+    exists: whether the slot has a contact, at any distance, shape (…, slots). Without a contact the
+        other entries are undefined.
     dist: signed distance [m], negative = overlap, shape (…, slots).
     pos: halfway between the surfaces [m], shape (…, slots, 3).
     normal: unit vector from the first geom to the second, shape (…, slots, 3).
-    feature: a whole number that names what touches (a corner, a pair of edges) and keeps its
-        meaning from pose to pose, shape (…, slots).
+    feature: an integer that identifies the touching features (a corner, a pair of edges)
+        consistently over all poses, shape (…, slots).
     """
 
     exists: NDArray[np.bool_]
@@ -42,7 +42,7 @@ def touches(
     precision: str,
     lanes: bool,
 ) -> Touches:
-    """The contacts of two geoms: see `Model.touches`."""
+    """Compute the contacts of two geoms; see `Model.touches`."""
     first, second = _geom(model, "geom1", geom1), _geom(model, "geom2", geom2)
     positions = numbers("qpos", qpos)
     if positions.ndim == 0 or positions.shape[-1] != model.nq:
@@ -60,7 +60,7 @@ def touches(
 
 
 def _geom(model: Model, field: str, geom: int | str) -> int:
-    """The index of a geom given by name or by index."""
+    """Return the index of a geom given by name or by index."""
     names = model.geom_names
     if isinstance(geom, str):
         if not geom or geom not in names:

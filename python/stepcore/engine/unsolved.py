@@ -1,8 +1,8 @@
-"""Warns of rows that stay unsolved: a residual that is large during most of a run.
+"""Warning of rows that stay unsolved: a residual that is large during half of a run.
 
-A residual is large in single steps of healthy runs, where something hits. Where in half of a run
-it is more than the speed that gravity gives in a step, rows do not hold what they should: a stack
-sinks, a wheel slips, a chain comes apart.
+Impacts cause large residuals in single steps of healthy runs. A run is not healthy if the residual
+exceeds the speed that gravity adds in one step during half of the run: the rows then violate their
+constraints, so that a stack sinks, a wheel slips or a chain comes apart.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
     from stepcore._core import Settings
     from stepcore.engine.arrays import Floats
 
-# A large residual where there is no gravity [m/s].
+# The threshold of a large residual without gravity [m/s].
 WEIGHTLESS = 0.05
-# It stays large: in this share of at least so many looks.
+# Persistent: large in this share of the samples, with at least this number of samples.
 STAYS, FEWEST = 0.5, 16
-# About so many looks at a run; a batch looks after 64, 128, 256, … steps, and tells the third
-# large residual of a world in a row.
+# The approximate number of samples of a run. A batch samples after FIRST, 2 FIRST, 4 FIRST, … steps
+# and warns of a world with this number of consecutive large residuals.
 LOOKS, FIRST, IN_A_ROW = 64, 64, 3
 
 
 class UnsolvedWarning(UserWarning):
-    """Constraint rows stay unsolved: the text says by how much, which, and what solves them."""
+    """Constraint rows stay unsolved; the text names the worst row, its residual and a remedy."""
 
 
 class Residuals:
-    """The residuals of a run, looked at now and then."""
+    """The residuals of a run, sampled at intervals."""
 
     def __init__(self, sim: Any) -> None:
         self.large = _large(sim)
@@ -37,7 +37,7 @@ class Residuals:
         self.row = ""
 
     def look(self, sim: Any) -> None:
-        """Note the residual of a Sim's last solve, and the row that is farthest from its law."""
+        """Sample the residual of a Sim's last solve, and the row with the largest residual."""
         residual = float(sim.residual)
         self.seen.append(residual)
         if residual > self.large:
@@ -45,16 +45,16 @@ class Residuals:
 
     @property
     def typical(self) -> float:
-        """The median of the looks [m/s], 0 if they are too few to judge by."""
+        """The median of the samples [m/s]; 0 if there are too few samples."""
         return float(np.quantile(self.seen, 1 - STAYS)) if len(self.seen) >= FEWEST else 0.0
 
     def sentence(self, settings: Settings) -> str:
-        """What stays unsolved, and what solves it; "" if nothing does."""
+        """Return a sentence on unsolved rows and a remedy; "" if there are none."""
         return unsolved(settings, self.row, self.typical) if self.typical > self.large else ""
 
 
 class BatchResiduals:
-    """The residuals of a batch, looked at more and more rarely."""
+    """The residuals of a batch, sampled at increasing intervals."""
 
     def __init__(self) -> None:
         self.steps, self.next = 0, FIRST
@@ -62,7 +62,7 @@ class BatchResiduals:
         self.told = False
 
     def step(self, batch: Any, steps: int) -> str:
-        """Count steps; returns the sentence, once, if a world's residual has stayed large."""
+        """Count steps; return the sentence once, if a world's residual stays large."""
         self.steps += steps
         if self.steps < self.next or self.told:
             return ""
@@ -80,8 +80,8 @@ class BatchResiduals:
 
 
 def unsolved(settings: Settings, row: str, residual: float) -> str:
-    """A sentence on rows that stay unsolved."""
-    # Only what is wrong needs the words.
+    """Return a sentence on rows that stay unsolved."""
+    # Imported here because only the warning needs the units.
     from stepcore.report.units import speed
 
     count, newton = settings.sweeps, settings.solver == "newton"
@@ -95,7 +95,7 @@ def unsolved(settings: Settings, row: str, residual: float) -> str:
 
 
 def _large(sim: Any) -> float:
-    """The residual above which a run is warned of [m/s]: the speed that gravity gives in a step."""
+    """Return the threshold of the warning [m/s]: the speed that gravity adds in one step."""
     scene = sim.model.scene
     given = float(np.linalg.norm(scene.gravity)) * sim.settings.dt
     return given if scene.features.gravity and given > 0 else WEIGHTLESS

@@ -1,8 +1,8 @@
-"""What a step of a compiled scene does, what it leaves out, and why.
+"""The plan of a compiled scene: the work of a step, the omitted work, and the reasons.
 
-What is left out was decided when the scene was compiled; the reasons come from the engine
-(`model/plan.rs`). The work is counted on the step itself: an entry costs the operations that
-removing it saves.
+Work is omitted when the scene is compiled; the reasons come from the engine (`model/plan.rs`).
+Operations are counted in the step itself: the cost of an entry is the number of operations that
+removing the entry saves.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STAGES = ("files", "place", "detect", "solve", "commit")
 
 
 def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
-    """The plan of a model; see `stepcore.plan`."""
+    """Create the plan of a model; see `stepcore.plan`."""
     cost = StepCost(model, sim, time)
     listed = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
     source = model.scene._source
@@ -45,6 +45,6 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
 
 
 def makes_rows(model: Model) -> bool:
-    """Whether any element of a model can make a row: a contact, a limit, friction, an equality."""
+    """Return whether the model can make rows: contacts, limits, friction or equalities."""
     listed = entries(model, model.settings, Counter())
     return any(entry.kind == "row" and entry.used for entry, _ in listed)

@@ -1,4 +1,4 @@
-"""The cost of a plan's entries: the work of a step with them, and of one without."""
+"""The cost of a plan's entries: the difference between a step with and without the entry."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from stepcore.engine.sim import Sim, unwatched
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# Steps of one timing, and timings of each variant, interleaved with those of the whole model.
+# Steps per timing, and timings per variant, interleaved with those of the complete model.
 STEPS, ROUNDS = 20, 15
 
 
 class StepCost:
-    """The work of a step at a state, and what removing an entry saves. time: in µs as well."""
+    """The work of a step at a state, and the savings of removals. time: whether µs are measured."""
 
     def __init__(self, model: Model, sim: Sim | None, time: bool) -> None:
         checks.flag("plan", "time", time)
@@ -46,13 +46,13 @@ class StepCost:
         self.micros = self._timed(self.whole)[0] if time else None
 
     def rows(self) -> Counter[str]:
-        """Rows of the state by kind."""
+        """Count the rows at the state by kind."""
         self.whole.restore(self.state)
         self.whole.forward()
         return Counter(str(kind) for kind in self.whole.rows["kind"])
 
     def priced(self, entry: PlanEntry, removal: Removal | None) -> PlanEntry:
-        """The entry with its own work, or with what removing it saves."""
+        """Return the entry with its own work, or with the work that its removal saves."""
         if entry.stages:
             return replace(entry, flops=sum(self.stages[stage] for stage in entry.stages))
         if removal is None or not entry.used:
@@ -68,13 +68,13 @@ class StepCost:
         return replace(entry, flops=flops, micros=micros)
 
     def _place(self, sim: Sim) -> None:
-        """Put a variant, whose rows may differ, at the state."""
+        """Put a variant, whose rows may differ, into the state."""
         self.whole.restore(self.state)
         for name in ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"):
             getattr(sim, name)[:] = getattr(self.whole, name)
 
     def _timed(self, *sims: Sim) -> list[float]:
-        """µs per step from the state, median of interleaved rounds."""
+        """Measure µs per step from the state, as the median of interleaved rounds."""
         spent: list[list[float]] = [[] for _ in sims]
         for _ in range(ROUNDS):
             for sim, times in zip(sims, spent, strict=True):

@@ -1,4 +1,4 @@
-"""Every term, stage, row kind, pair and file of a model: used, or left out with its reason."""
+"""The entries of a plan: every term, stage, row kind, pair and file, used or omitted."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# Equalities: what they are called, how many rows each has, their type.
+# Equalities: displayed name, number of rows, type.
 EQUALITIES = (
     ("connections", "3 rows", "connect"),
     ("welds", "6 rows", "weld"),
     ("joint equalities", "1 row", "joint"),
     ("tendon equalities", "1 row", "tendon"),
 )
-# An entry, and the removal that would leave it out, if there is one.
+# An entry, and the removal of the entry, if there is one.
 Listed = tuple[PlanEntry, Removal | None]
 
 
 def entries(model: Model, settings: Settings, rows: Counter[str]) -> Iterator[Listed]:
-    """All entries of a plan. rows: how many of each kind the state has."""
+    """Yield all entries of a plan. rows: the number of rows of each kind at the state."""
     listing = _Listing(model, settings, rows)
     parts = (
         listing.files,
@@ -41,7 +41,7 @@ def entries(model: Model, settings: Settings, rows: Counter[str]) -> Iterator[Li
         listing.sensors,
     )
     for part in parts:
-        # What the scene has none of is neither used nor left out.
+        # Work without elements in the scene is neither used nor left out.
         yield from (listed for listed in part() if listed[0].count)
 
 
@@ -63,7 +63,7 @@ class _Listing:
             self.tree_of |= dict.fromkeys(range(first, first + count), tree)
 
     def files(self) -> Iterator[Listed]:
-        """Files that were read, files and elements that were not."""
+        """Yield files that were read, and files and elements that were not."""
         source = self.scene._source
         files = [file for file in (source.files if source else ()) if file != "<string>"]
         unread = list(source.unread) if source else []
@@ -76,7 +76,7 @@ class _Listing:
         yield _out("files", "elements of the file", ignored, why, kind="file")
 
     def poses(self) -> Iterator[Listed]:
-        """Poses of bodies, geoms and sites."""
+        """Yield the poses of bodies, geoms and sites."""
         visible, turns = self.plan["seen"], self.plan["turns"]
         names = self.body_names
         placed = [i for i, tree in self.tree_of.items() if visible[tree]]
@@ -102,7 +102,7 @@ class _Listing:
         yield from self._tendon_lengths()
 
     def _tendon_lengths(self) -> Iterator[Listed]:
-        """Lengths of tendons, and the sites that they pass."""
+        """Yield the lengths of tendons, and the sites on their paths."""
         tendons = list(
             zip(self.tendon_names, self.scene.tendons, self.plan["tendons"], strict=True)
         )
@@ -119,7 +119,7 @@ class _Listing:
         yield _out("place", name, left, "no force acts there: computed when read")
 
     def _surfaces(self, removals: dict[str, Removal]) -> Iterator[Listed]:
-        """What moves and pulls where geoms touch."""
+        """Yield moving and adhesive surfaces."""
         why = "they collide with nothing"
         used, unused = (_pick(self.geom_names, own) for own in self.features.split(is_belt))
         name = "surfaces that move (by geom)"
@@ -134,7 +134,7 @@ class _Listing:
         yield _out("solve", name, unused, why)
 
     def _tendon_terms(self, removals: dict[str, Removal]) -> Iterator[Listed]:
-        """Springs, dampers and armature of tendons."""
+        """Yield springs, dampers and armature of tendons."""
         on, tendons = self.scene.features, self.scene.tendons
         for words, has, flag in (("springs", "sprung", "spring"), ("damping", "damped", "damper")):
             names = _pick(self.tendon_names, [i for i, t in enumerate(tendons) if getattr(t, has)])
@@ -154,7 +154,7 @@ class _Listing:
         yield _out("place", name, _pick(self.tendon_names, beyond), why)
 
     def terms(self) -> Iterator[Listed]:
-        """Inertia and the smooth forces."""
+        """Yield inertia and the smooth forces."""
         constant, slides = self.plan["constant"], self.plan["slides"]
         trees, on = self.tree_names, self.scene.features
         changing = [name for name, fixed in zip(trees, constant, strict=True) if not fixed]
@@ -213,7 +213,7 @@ class _Listing:
             yield _out("place", "gravity", [], "0" if on.gravity else "switched off", count=1)
 
     def pairs(self) -> Iterator[Listed]:
-        """Pairs of geoms, by the two shapes, and which of the two ways finds near ones."""
+        """Yield pairs of geoms by their shapes, and by the method that finds near pairs."""
         for (one, two), count in self.model.heap.items():
             name = f"{one}-{two} pairs, found as they come near"
             why = "a heap: too many pairs could meet for a list of them"
@@ -247,7 +247,7 @@ class _Listing:
         return [f"{self.geom_names[a]}/{self.geom_names[b]}" for a, b in _pick(pairs, indices)]
 
     def _excluding(self, indices: Sequence[int]) -> Removal | None:
-        """The removal of these pairs; None where their bodies have others too."""
+        """Return the removal of these pairs; None if their bodies have further pairs."""
         owner = self.model.geom_body.tolist()
         pairs = _pick(self.features.pairs, indices)
         bodies = {tuple(sorted((owner[a], owner[b]))) for a, b in pairs}
@@ -259,7 +259,7 @@ class _Listing:
         return Removal("pairs", "", (("exclude", excluded),))
 
     def rows(self) -> Iterator[Listed]:
-        """Kinds of rows, and what makes none."""
+        """Yield the kinds of rows, and the elements without rows."""
         equalities, on = self.scene.equalities, self.scene.features
         names = self.model.called("equality")
         for name, per, type in EQUALITIES:
@@ -292,7 +292,7 @@ class _Listing:
         yield from self._contact_rows()
 
     def _tendon_rows(self) -> Iterator[Listed]:
-        """Friction losses and limits of tendons."""
+        """Yield friction losses and limits of tendons."""
         on, tendons = self.scene.features, self.scene.tendons
         for name, per, flag, has in (
             ("tendon friction loss", "one row each", on.frictionloss, "frictionloss"),
@@ -307,7 +307,7 @@ class _Listing:
                 yield _out("solve", name, names, "switched off", kind="row")
 
     def _rows(self, name: str, names: list[str], kind: str, feature: str) -> Listed:
-        """Rows that a feature of the scene makes."""
+        """Return the entry of rows that a feature of the scene makes."""
         removal = Removal(feature, "", (("feature", feature),))
         count = self.row_count[kind]
         return _used("solve", name, names, kind="row", rows=count, removal=removal)
@@ -315,7 +315,7 @@ class _Listing:
     def _contact_rows(self) -> Iterator[Listed]:
         plan, law = self.plan, self.settings.law
         if self.model.is_heap and law != "penalty":
-            # Which contacts there are, and what rows they have, is known while they touch.
+            # The contacts of a heap, and their rows, are known only during the run.
             name = f"contacts of what touches ({self.settings.cone} cone)"
             count = self.row_count["contact"]
             yield _used("solve", name, [], kind="row", count=self.model.npair, rows=count)
@@ -364,16 +364,17 @@ class _Listing:
             yield _used("solve", name, self._pair_names(zero), why=why, kind="row")
 
     def _rows_of_contact(self, moving: int, still: int) -> int:
-        """The rows of a contact whose bodies can move in so many ways, and not in so many others.
+        """Return the number of rows of a contact.
 
-        A way is a tangent, torsion or rolling.
+        moving, still: the number of directions of friction (tangents, torsion, rolling) in which
+            the bodies can and cannot move.
         """
         if self.settings.law != "solref" or self.settings.cone == "elliptic":
             return 1 + moving
         return 2 * moving + (1 if still else 0)
 
     def commit(self) -> Iterator[Listed]:
-        """The solver, what the integrator adds, and quaternions."""
+        """Yield the solver, the integrator and quaternions."""
         settings, plan = self.settings, self.plan
         stages = ("solve/impulses",)
         if self.model.is_heap:
@@ -405,7 +406,7 @@ class _Listing:
         yield _out("commit", "quaternions", lack, "slides and hinges have none")
 
     def _implicit(self) -> Iterator[Listed]:
-        """What the integrator treats implicitly."""
+        """Yield the terms that the integrator treats implicitly."""
         plan, on = self.plan, self.scene.features
         names, integrator = self.tree_names, self.settings.integrator
 
@@ -448,13 +449,13 @@ class _Listing:
         yield _out("commit", "sensors", names, "computed when they are read, never in a step")
 
     def _split(self, test: Callable[[Any], object]) -> tuple[list[str], list[str]]:
-        """Names of the joints that pass a test, and of the others."""
+        """Return the names of the joints that pass a test, and of the others."""
         have = [n for n, j in zip(self.joint_names, self.joints, strict=True) if test(j)]
         lack = [n for n, j in zip(self.joint_names, self.joints, strict=True) if not test(j)]
         return have, lack
 
     def _islands(self) -> list[str]:
-        """The islands, each by its trees."""
+        """Return the names of the islands, joined from the names of their trees."""
         islands: dict[int, list[str]] = {}
         for island, name in zip(self.plan["islands"], self.tree_names, strict=True):
             islands.setdefault(island, []).append(name)

@@ -1,4 +1,4 @@
-"""`Plan`: what a step does and what it leaves out, as text, data and a plot."""
+"""`Plan`: the work of a step and the omitted work, as text, data and a plot."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import seconds
 
-# The printed plan names this many elements of an entry.
+# The number of elements of an entry that are printed.
 NAMES = 4
-# The entries that are named for their cost, and those that a table prints unless all are asked for.
+# The number of costliest entries in the answer, and of entries in a table without --all.
 COSTLY, PRINTED = 3, 9
-# A list of no more lines is always printed.
+# A program of at most this many lines is always printed.
 LINES = 6
 LEGEND = (
     "flops: floating-point operations of the entry's own stage, or those saved by removing the "
@@ -27,16 +27,16 @@ LESS = " A negative number: without the entry the solver takes more iterations."
 
 @dataclass(frozen=True)
 class PlanEntry:
-    """One entry of a plan: something that a step computes, or leaves out.
+    """One entry of a plan: work that a step does or omits.
 
     stage: "files", "place", "detect", "solve" or "commit".
     kind: "file", "term", "pair" or "row".
     name: the name of the work.
-    names, count: the elements that it is done for, and their number.
+    names, count: the elements concerned, and their number.
     used: whether the step does it.
-    why: the reason for leaving it out, or a remark.
+    why: the reason for the omission, or a remark.
     rows: the number of rows at the state.
-    stages: the stages of `Sim.stage_flops` that the entry stands for, if it does.
+    stages: the stages of `Sim.stage_flops` that the entry represents, if any.
     flops, micros: operations and time [µs] per step; None if they were not measured.
     """
 
@@ -55,15 +55,15 @@ class PlanEntry:
 
 @dataclass(eq=False, repr=False)
 class Plan(Result):
-    """What a step computes and what it leaves out; `stepcore.plan` returns it.
+    """The work that a step does and omits; the result of `stepcore.plan`.
 
     entries: all entries.
-    flops: operations of a whole step at the state `at`.
-    stages: the same by stage.
-    micros: time of a whole step [µs]; None if it was not measured.
-    program: what a step executes, one line an operation, where the scene is so small that its
-        steps run by such a list instead of stage by stage; else empty.
-    batched: only worlds that are stepped side by side in a batch run by the list.
+    flops: operations of a complete step at the state `at`.
+    stages: operations by stage.
+    micros: time of a complete step [µs]; None if it was not measured.
+    program: the operations of a step, one per line, for a small scene whose steps execute such a
+        list instead of the stages; else empty.
+    batched: whether only worlds in the vector lanes of a batch execute the list.
 
     >>> from stepcore import lesson, plan
     >>> plan(lesson.drop())
@@ -81,7 +81,7 @@ class Plan(Result):
     micros: float | None = None
     at: str = "the initial pose"
     notes: list[str] = field(default_factory=list)
-    # Of files of meshes and height fields: of those that are read, and of all [bytes].
+    # Size of the mesh and height-field files that are read, and of all such files [bytes].
     read_bytes: int = 0
     asset_bytes: int = 0
     program: tuple[str, ...] = ()
@@ -89,12 +89,12 @@ class Plan(Result):
 
     @property
     def title(self) -> str:
-        """What was listed, in a few words."""
+        """Title of the plan."""
         return f"{self.name}: what a step does and what it leaves out"
 
     @property
     def setup(self) -> str:
-        """The settings."""
+        """The settings in one line."""
         s = self.settings
         return f"{s.integrator}, {s.solver}, law {s.law}, {s.cone} cone, dt {seconds(s.dt)}."
 
@@ -105,17 +105,17 @@ class Plan(Result):
 
     @property
     def used(self) -> list[PlanEntry]:
-        """What the step does."""
+        """Entries of the work that a step does."""
         return [entry for entry in self.entries if entry.used]
 
     @property
     def left_out(self) -> list[PlanEntry]:
-        """What the step leaves out, with the reasons."""
+        """Entries of the work that a step omits, with the reasons."""
         return [entry for entry in self.entries if not entry.used]
 
     @property
     def sentences(self) -> list[str]:
-        """What a step costs, what costs most, how many pairs are tested, how much was read."""
+        """The cost of a step, the costliest entries, the pairs tested and the data read."""
         time = "" if self.micros is None else f" and {self.micros:.3g} µs"
         sentences = [f"A step at {self.at} takes {self.flops:.0f} floating-point operations{time}."]
         costs = [(entry.flops, entry.name) for entry in self.used if entry.flops]
@@ -143,7 +143,7 @@ class Plan(Result):
         return Table(map(vars, self.entries))
 
     def tables(self, full: bool) -> list[Table]:
-        """What a step does, and what it leaves out; `full`: all of it, and every element."""
+        """Return tables of used and omitted work; `full`: all entries and elements."""
         used, left_out = self.used, self.left_out
         if not full:
             used, left_out = (
@@ -167,7 +167,7 @@ class Plan(Result):
         return tables
 
     def details(self) -> dict[str, Any]:
-        """The whole step."""
+        """Return the data of the complete step."""
         return {
             "at": self.at,
             "flops": self.flops,
@@ -182,7 +182,7 @@ class Plan(Result):
 
 
 def _most(entries: list[PlanEntry], size: Callable[[PlanEntry], float]) -> list[PlanEntry]:
-    """The largest entries, by stage; all where few more are left."""
+    """Return the largest entries in stage order, or all if there are few."""
     if len(entries) <= PRINTED + 1:
         return entries
     largest = sorted(entries, key=size, reverse=True)[:PRINTED]
@@ -190,7 +190,7 @@ def _most(entries: list[PlanEntry], size: Callable[[PlanEntry], float]) -> list[
 
 
 def _table(entries: list[PlanEntry], heading: str, every: int) -> Table:
-    """Some entries; every: how many there are."""
+    """Return a table of some entries; every: the total number of entries."""
     numbers = ("n", "rows", "flops", "µs")
     rows = [_cells(entry) for entry in entries]
     columns = list(rows[0]) if rows else []
@@ -201,7 +201,7 @@ def _table(entries: list[PlanEntry], heading: str, every: int) -> Table:
 
 
 def _cells(entry: PlanEntry) -> dict[str, str]:
-    """An entry as printed."""
+    """Return the printed cells of an entry."""
     names = entry.names[:NAMES]
     if entry.kind == "file":
         names = tuple(os.path.basename(name) for name in names)
