@@ -1,8 +1,8 @@
-"""Runs of one setting from several starts as worlds of batches: the bits of single runs, sooner.
+"""Runs from several starts under one setting, as worlds of batches: bit-identical, and faster.
 
-One run is made alone, and timed; the others are worlds of batches as wide as the processor's vector
-registers. The two times say what batches save. Where they save nothing, as where walkers touch the
-floor at different times, the runs that follow are made singly again.
+One run is made alone and timed. The other runs are worlds of batches that are as wide as the
+processor's vector registers. The two times give the speed-up. If batches save no time (for example
+because walkers touch the floor at different times), later runs are made singly.
 """
 
 from __future__ import annotations
@@ -22,21 +22,24 @@ from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Clock, Runner
 from stepcore.report.progress import Progress
 
-# Worlds of a batch: as many as a register holds numbers.
+# Worlds per batch: the numbers in a vector register.
 WIDTH = 8
-# Fewer runs than this fill too little of a register.
+# The smallest number of runs that fills enough of a register.
 LEAST = 5
-# The speed-up that is expected of a batch before one was made; measured speed-ups decide later.
+# The expected speed-up of a batch before the first measurement of it.
 GAIN = 1.75
 
 
 def can(runner: Runner) -> bool:
-    """Whether runs can be worlds of a batch: no Python function controls them."""
+    """Return whether runs can be batched, which requires that no Python function controls them."""
     return runner.schedule.control is None
 
 
 def helps(runs: int, threads: int, speedup: BatchSpeedup) -> bool:
-    """Whether batches end sooner than single runs on this number of threads."""
+    """Return whether batches are expected to end sooner than single runs.
+
+    runs: the number of runs. threads: the number of threads. speedup: as measured so far.
+    """
     if runs < LEAST or not speedup.worth:
         return False
     batches = -(-runs // WIDTH)
@@ -44,12 +47,12 @@ def helps(runs: int, threads: int, speedup: BatchSpeedup) -> bool:
 
 
 def portions(starts: Sequence[int]) -> list[Sequence[int]]:
-    """The starts of each batch."""
+    """Split the starts into batches."""
     return [starts[first : first + WIDTH] for first in range(0, len(starts), WIDTH)]
 
 
 def timed(runner: Runner, settings: Settings, starts: Sequence[int]) -> Timed:
-    """Runs of which positions are recorded, and their time: one alone, several as a batch."""
+    """Make and time runs that record positions: a single run, or several as one batch."""
     begun = thread_time()
     if len(starts) == 1:
         runs = [runner.screen(settings, starts[0])]
@@ -59,18 +62,19 @@ def timed(runner: Runner, settings: Settings, starts: Sequence[int]) -> Timed:
 
 
 def batched(runner: Runner, settings: Settings, starts: Sequence[int]) -> list[Run]:
-    """`Runner.screen` from each of the starts, as the worlds of one batch; the same bits."""
+    """Make the runs of `Runner.screen` as the worlds of one batch, with bit-identical results."""
     try:
         batch = BatchRun(runner, settings, starts)
     except ValueError:
-        # Each run says itself what its settings are refused for.
+        # A single run gives the reason why its settings are refused.
         return [runner.screen(settings, start) for start in starts]
     return batch.runs()
 
 
 class BatchRun:
-    """Worlds that run from several starts, and the positions recorded of them.
+    """A batch whose worlds run from several starts, with the recorded positions of each.
 
+    runner: the model and the schedule. settings: of all worlds. starts: the start of each world.
     on_failure: see `Batch`.
     """
 
@@ -84,30 +88,30 @@ class BatchRun:
         self.runner, self.starts = runner, starts
         batch = Batch(runner.model, len(starts), settings, threads=1, on_failure=on_failure)
         self.batch = unwatched(batch)
-        # Why worlds exploded; those that failed otherwise.
+        # The reasons of worlds that exploded; the worlds that failed otherwise.
         self.exploded: dict[int, str] = {}
         self.failed: set[int] = set()
         self.probes = [Positions(runner.bodies) for _ in starts]
         self.place(range(len(starts)))
 
     def place(self, worlds: Sequence[int]) -> None:
-        """Puts worlds at their starts."""
+        """Set worlds to their starts."""
         for world in worlds:
             self.runner.schedule.starts[self.starts[world]].put(self.batch, world)
 
     def timed(self, clock: Clock) -> None:
-        """Makes the runs once more from their starts, timed and not observed."""
+        """Repeat the runs from their starts, timed and without records."""
         self.batch.reset()
         self.place(range(len(self.starts)))
         self.follow(clock.timing(partial(self.batch.step, progress=False)))
 
     def runs(self) -> list[Run]:
-        """Makes the runs."""
+        """Make the runs and return them."""
         self.follow(self.step, self.sample)
         return [self.run(world) for world in range(len(self.starts))]
 
     def follow(self, step: Callable[[int], None], sample: Callable[[], bool] | None = None) -> None:
-        """Steps the worlds through the motion, until `sample` says that all have ended."""
+        """Step the worlds through the motion, until `sample` returns True."""
         schedule, batch = self.runner.schedule, self.batch
         periods, count = schedule.periods, schedule.steps(batch.settings.dt)
         if sample is None and not self.runner.model.nu:
@@ -121,7 +125,7 @@ class BatchRun:
                 break
 
     def sample(self) -> bool:
-        """Records where the bodies are; True if all worlds have ended."""
+        """Record the poses of the bodies; return True if all worlds have ended."""
         batch, moving = self.batch, self.runner.bodies.moving
         self.failed = set(batch.failures) - set(self.exploded)
         if len(self.exploded) + len(self.failed) == len(self.starts):
@@ -133,7 +137,7 @@ class BatchRun:
         return False
 
     def step(self, count: int) -> None:
-        """Steps all worlds; one that explodes is ended, and stands at its start from then on."""
+        """Make `count` steps in all worlds; a world that explodes stays at its start afterwards."""
         explosion, batch = self.runner.explosion, self.batch
         if not explosion.watches:
             batch.step(count, progress=False)
@@ -149,9 +153,9 @@ class BatchRun:
                 self.place([world])
 
     def run(self, world: int) -> Run:
-        """What was recorded of a world."""
+        """Return the run of a world."""
         if world in self.failed:
-            # A batch keeps no account of energies; alone the run says what its cause is.
+            # A batch has no energy ledger; a single run explains the failure.
             return self.runner.screen(self.batch.settings, self.starts[world])
         run = Run(failure=self.exploded.get(world))
         if run.failure is None:
@@ -168,9 +172,10 @@ def screened(
     bar: Progress | str,
     until_fails: bool = False,
 ) -> list[Run]:
-    """`Runner.screen` from each of the starts, in batches where those end sooner.
+    """Make the runs of `Runner.screen` from several starts, in batches where these are faster.
 
-    until_fails: the first run that failed is the last; those that come after it need not be made.
+    bar: an open progress bar, or the label of a new one.
+    until_fails: whether the result ends with the first failed run; later runs may be skipped.
     """
     if isinstance(bar, str):
         with workers.bar(bar, len(starts)) as drawn:

@@ -1,4 +1,4 @@
-"""The moving bodies of a model: their poses, energies, momenta, gaps and limits at given states."""
+"""The moving bodies of a model: poses, energies, momenta, gaps and limit violations."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ from stepcore.scene.layout import QPOS, Layout
 
 @dataclass(frozen=True)
 class States:
-    """Centres of mass [m] and orientations of the moving bodies at n states, and energies [J].
+    """Poses, energies and momenta of the moving bodies at n states.
 
-    momenta: linear and angular about the world's origin, (n, 6); frames: position and quaternion of
-    every body, (n, nbody, 7). Both are empty where `Balance` and `Joints` do not need them.
+    com: centres of mass [m], (n, bodies, 3). quat: orientations, (n, bodies, 4).
+    kinetic, energy: kinetic and total energy [J], (n,).
+    momenta: linear [kg·m/s] and angular momentum about the world's origin [kg·m²/s], (n, 6); empty
+        if `Balance` does not need them.
+    frames: position and quaternion of every body, (n, nbody, 7); empty if `Joints` does not need
+        them.
     """
 
     com: np.ndarray
@@ -33,7 +37,12 @@ class States:
 
 
 class Bodies:
-    """The moving bodies of a model. gyration: radii of gyration [m]; mass [kg]; (bodies,)."""
+    """The moving bodies of a model.
+
+    moving: the indices of these bodies. mass [kg], gyration: radii of gyration [m]; (bodies,).
+    ipos: centres of mass in the bodies' frames [m], (bodies, 3). gravity: [m/s²], (3,).
+    up: unit vector against gravity, (3,).
+    """
 
     def __init__(self, model: Model, coordinates: Coordinates) -> None:
         scene, layout = model.scene, Layout(model.scene)
@@ -50,7 +59,10 @@ class Bodies:
         self.conserved = Balance(model, layout, self.gravity, self.mass)
 
     def states(self, qpos: np.ndarray, qvel: np.ndarray) -> States:
-        """The bodies at these states, in double precision."""
+        """Compute the bodies' poses, energies and momenta, in double precision.
+
+        qpos: (n, nq). qvel: (n, nv).
+        """
         sim = Sim(self.model, self.model.settings.replace(precision="f64"))
         moving = self.moving
         xpos, quat, kinetic, energy, momenta, frames = [], [], [], [], [], []
@@ -71,16 +83,19 @@ class Bodies:
         return States(com, turns, *map(np.array, (kinetic, energy, momenta, frames)))
 
     def centres(self, xpos: np.ndarray, xquat: np.ndarray) -> np.ndarray:
-        """Centres of mass [m] of the moving bodies, from their frames."""
+        """Compute the centres of mass of the moving bodies [m] from the bodies' frames."""
         return xpos + rotated(xquat, self.ipos)
 
     def height(self, com: np.ndarray) -> np.ndarray:
-        """The height of the common centre of mass [m]; com: (n, bodies, 3)."""
+        """Compute the height of the common centre of mass [m], (n,); com: (n, bodies, 3)."""
         height: np.ndarray = com @ self.up @ self.mass / max(self.mass.sum(), 1e-300)
         return height
 
     def run(self, qpos: np.ndarray, qvel: np.ndarray) -> Run:
-        """The run of states at time 0 and at the samples, in which nothing touches."""
+        """Return the run with given states at time 0 and at the samples, and without contacts.
+
+        qpos: (n + 1, nq). qvel: (n + 1, nv).
+        """
         seen = self.states(qpos, qvel)
         n = len(qpos) - 1
         run = Run(seen.com[1:], seen.quat[1:], np.zeros(n), seen.kinetic[1:])
@@ -92,9 +107,9 @@ class Bodies:
 class Joints:
     """The connections (connects and welds) and the joint limits of a scene.
 
-    connected: whether it has an active connection. tied: the indices of the active connections;
-    limited: those of the joints with a range; in the order of the columns of `gaps` and
-    `violations`.
+    connected: whether the scene has an active connection.
+    tied: the indices of the active connections, in the order of the columns of `gaps`.
+    limited: the indices of the joints with a range, in the order of the columns of `violations`.
     """
 
     def __init__(self, model: Model, layout: Layout, coordinates: Coordinates) -> None:
@@ -115,11 +130,11 @@ class Joints:
             self.ties = [_ends(tie, sim.xpos, sim.xmat) for tie in ties.values()]
 
     def apart(self, frames: np.ndarray) -> float | None:
-        """The widest gap of a connection [m], None without one. frames: see `States`."""
+        """Return the widest gap of a connection [m], or None without one; frames: see `States`."""
         return float(self.gaps(frames).max()) if self.connected else None
 
     def gaps(self, frames: np.ndarray) -> np.ndarray:
-        """The gap of each connection [m], (n, connections)."""
+        """Compute the gap of each connection [m], (n, connections); frames: see `States`."""
         gaps = []
         for a, near, b, far in self.ties:
             here = frames[:, a, :3] + rotated(frames[:, a, 3:], near)
@@ -128,11 +143,11 @@ class Joints:
         return np.array(gaps).T.reshape(len(frames), len(gaps))
 
     def beyond(self, qpos: np.ndarray) -> float | None:
-        """The largest violation of a joint's range [rad or m], None without ranges."""
+        """Return the largest violation of a joint's range [rad or m], or None without ranges."""
         return float(self.violations(qpos).max(initial=0.0)) if self.ranges else None
 
     def violations(self, qpos: np.ndarray) -> np.ndarray:
-        """How far each joint with a range is outside of it [rad or m], 0 within, (n, ranges)."""
+        """Compute the violation of each joint range [rad or m], 0 within, (n, ranges)."""
         beyond = []
         for kind, q, (low, high) in self.ranges:
             if kind in ("hinge", "slide"):
@@ -147,7 +162,12 @@ class Joints:
 def _ends(
     tie: dict[str, Any], place: np.ndarray, turn: np.ndarray
 ) -> tuple[int, np.ndarray, int, np.ndarray]:
-    """The points of its two bodies that a connection ties; one not given follows from this pose."""
+    """Return the two bodies of a connection and the connected point of each, in body frames [m].
+
+    A point that is not given follows from the pose of the bodies.
+
+    place, turn: positions [m] and rotation matrices of all bodies.
+    """
     a, b = tie["first"], tie["second"]
     near, far = (frame and np.array(frame["pos"]) for frame in (tie["frame1"], tie["frame2"]))
     if near is None:
@@ -158,18 +178,19 @@ def _ends(
 
 
 def _inside(layout: Layout, equality: Equality) -> bool:
-    """Whether an equality ties only what moves, and not to the world."""
+    """Return whether an equality acts among moving bodies only, and not on the world."""
     moving = all(layout.moving(body) for body in equality.bodies)
     return moving and (equality.ties_lengths or len(equality.bodies) == 2)
 
 
 class Balance:
-    """Whether the momentum of a scene can be known, and how much of it a run lost.
+    """The momentum balance of a scene.
 
-    known: every tree hangs on the world by a free joint on which nothing but gravity acts. Internal
-    forces, also of actuators and of contacts among the bodies, then cancel: p = p₀ + m g t, and the
-    angular momentum about the centre of mass is constant. Forces from outside and contacts with
-    what stands still are not known.
+    known: whether the momentum can be predicted. This requires that every kinematic tree is
+        attached to the world by a free joint on which only gravity acts. Internal forces, including
+        those of actuators and of contacts among the bodies, then cancel: p = p₀ + m g t, and the
+        angular momentum about the centre of mass is constant. External forces and contacts with
+        static bodies make the momentum unpredictable.
     """
 
     def __init__(self, model: Model, layout: Layout, gravity: np.ndarray, mass: np.ndarray) -> None:
@@ -180,7 +201,7 @@ class Balance:
             if joint.body.parent is None or not layout.moving(joint.body.parent)
         ]
         driven = {id(actuator.target[1]) for actuator in scene.actuators}
-        # A jet pushes on the world.
+        # A jet exerts an external force.
         jets = any(a.site is not None and a.refsite is None for a in scene.actuators)
         tied = any(e.active and not _inside(layout, e) for e in scene.equalities)
         self.gravity, self.mass = gravity, mass
@@ -193,9 +214,9 @@ class Balance:
         )
 
     def lost(self, momenta: np.ndarray, com: np.ndarray, times: np.ndarray) -> tuple[float, float]:
-        """The largest linear [kg·m/s] and angular momentum [kg·m²/s] unexplained at a sample.
+        """Return the largest unexplained linear [kg·m/s] and angular momentum [kg·m²/s].
 
-        momenta, com: see `States`, first those of the start; times: of these samples [s].
+        momenta, com: at the start and at the samples; see `States`. times: of these states [s].
         """
         linear, total = momenta[:, :3], self.mass.sum()
         centre = np.einsum("b,nbi->ni", self.mass, com) / total

@@ -1,4 +1,4 @@
-"""`Runner`: a model and a schedule; it makes the runs of a measurement under different settings."""
+"""`Runner`: makes the runs of one model and schedule under different settings."""
 
 from __future__ import annotations
 
@@ -22,36 +22,39 @@ from stepcore.experiment.recorder import Means, Positions, Recorder
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.schedule import Schedule
 
-# This many control periods show whether a control function answers the same when asked again.
+# The number of control periods in the test whether a control function is repeatable.
 REPEATED = 32
 
 
 def recorded(runner: Runner) -> Sequence[Probe]:
-    """The probes of a run of which everything is recorded."""
+    """Return the probes that record everything."""
     return [Recorder(runner.bodies, runner.schedule)]
 
 
 def positions(runner: Runner) -> Sequence[Probe]:
-    """The probes of a run of which positions are recorded: enough for errors, and much faster."""
+    """Return the probes that record positions alone: sufficient for errors, and much faster."""
     return [Positions(runner.bodies)]
 
 
 def means(runner: Runner) -> Sequence[Probe]:
-    """The probes of a run of which heights, energies and contacts are recorded."""
+    """Return the probes that record heights, energies and contacts."""
     return [Means(runner.bodies)]
 
 
 class Clock(Protocol):
-    """Times the steps of a run."""
+    """An object that times the steps of a run."""
 
     def timing(self, step: Callable[[int], None]) -> Callable[[int], None]:
-        """The same step, timed."""
+        """Return the step function with timing."""
 
 
 class Runner:
-    """A model and a schedule: what all runs of a measurement share, in any process.
+    """A model and a schedule, which all runs of a measurement share, in any process.
 
     A subclass that overrides `sim`, `place` and `control` runs the schedule with another engine.
+
+    coordinates: the coordinates of the model. bodies: the moving bodies. explosion: the test for
+    diverging runs.
     """
 
     def __init__(self, model: Model, schedule: Schedule) -> None:
@@ -61,20 +64,21 @@ class Runner:
         self.explosion = Explosion(model, self.coordinates)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # What is looked up by identity is made anew in another process.
+        # Tables keyed by object identity must be rebuilt in another process.
         return type(self), (self.model, self.schedule)
 
     @property
     def starts(self) -> range:
-        """The indices of the schedule's starts."""
+        """Indices of the schedule's starts."""
         return range(len(self.schedule.starts))
 
     def run(self, settings: Any, start: int, probes: Sequence[Probe] | None = None) -> Run:
-        """The motion from one start; a failure ends it and says why.
+        """Run the motion from one start; a run that fails ends early, with the reason.
 
-        Raises ControlError for a control function that no settings can run.
+        settings: the argument of `sim`. start: the index of the start. probes: observe the run and
+        fill the result; by default a `Recorder`.
 
-        settings: of `sim`. probes: they observe the run and fill it; by default a `Recorder`.
+        Raises ControlError for a control function that fails under any settings.
         """
         run = Run()
         probes = recorded(self) if probes is None else probes
@@ -92,24 +96,25 @@ class Runner:
         return run
 
     def observed(self, settings: Any, probes: Probes, start: int) -> Run:
-        """The motion from one start, observed by probes of its own."""
+        """Run the motion from one start, with new probes for this run."""
         return self.run(settings, start, probes(self))
 
     def screen(self, settings: Any, start: int) -> Run:
-        """A run of which positions alone are recorded."""
+        """Run the motion from one start, and record positions alone."""
         return self.run(settings, start, positions(self))
 
     def runs(self, settings: Settings) -> list[Run]:
-        """The motion from every start, until one fails."""
+        """Run the motion from every start, until one run fails."""
         runs: list[Run] = []
         while len(runs) < len(self.starts) and not (runs and runs[-1].failure):
             runs.append(self.run(settings, len(runs)))
         return runs
 
     def check_repeatable(self) -> None:
-        """Makes the beginning of a run twice; ControlError if the controls are not the same.
+        """Raise ControlError if the control function is not repeatable.
 
-        They then depend on more than the motion, and no two runs can be compared.
+        The beginning of a run is made twice. If the controls differ, they depend on more than the
+        motion, and runs cannot be compared.
         """
         function = self.schedule.control
         if function is None:
@@ -136,13 +141,13 @@ class Runner:
         clock: Clock | None = None,
         steps: int | None = None,
     ) -> None:
-        """Steps a Sim through the motion from one start: the loop over control periods.
+        """Step a Sim through the motion from one start, in a loop over control periods.
 
-        clock: times the steps. Where there are no controls, all are then made in one call. steps:
-        see `Schedule.blocks`.
+        start: the index of the start. probes: observe the run.
+        clock: times the steps. A model without controls then makes all steps in one call.
+        steps: the number of steps; see `Schedule.blocks`.
 
-        `stepcore.experiment.batched_runs.BatchRun.follow` is the same loop for the worlds of a
-        batch.
+        `stepcore.experiment.batched_runs.BatchRun.follow` is the same loop for a batch.
         """
         schedule = self.schedule
         blocks: Iterable[tuple[int, int]] = schedule.blocks(sim.settings.dt, steps)
@@ -174,16 +179,19 @@ class Runner:
                     probe.sample(sim)
 
     def sim(self, settings: Settings) -> Any:
-        """A Sim of the model under these settings."""
+        """Return a Sim of the model under some settings."""
         return unwatched(Sim(self.model, settings))
 
     def place(self, sim: Any, start: int) -> None:
-        """Puts a Sim at a start of the schedule, at time 0, nothing warm."""
+        """Reset a Sim (time 0, no warm start), and set it to a start of the schedule."""
         sim.reset()
         self.schedule.starts[start].put(sim)
 
     def control(self, sim: Any, start: int, period: int, function: Control | None) -> None:
-        """Sets the controls of a Sim at the beginning of a period; function: of this run."""
+        """Set the controls of a Sim at the beginning of a period.
+
+        start, period: indices. function: this run's copy of the control function, or None.
+        """
         schedule = self.schedule
         if function is not None:
             sim.ctrl = controls(function, sim)
@@ -191,12 +199,12 @@ class Runner:
             sim.ctrl[:] = schedule.ctrl[start][period]
 
 
-# Makes the probes of a run.
+# A function that makes the probes of a run.
 Probes = Callable[[Runner], Sequence[Probe]]
 
 
 class _Controls(Probe):
-    """The controls of each period."""
+    """A probe that records the controls of each period."""
 
     def __init__(self) -> None:
         self.ctrl: list[np.ndarray] = []

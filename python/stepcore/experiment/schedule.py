@@ -1,7 +1,7 @@
-"""A motion made definite for one model: its starts, its controls and the common time grid.
+"""The schedule of a motion for one model: starts, controls and a common time grid.
 
-Controls are held over a period that every time step divides, so that a coarse and a fine run get
-the same forces at the same times.
+Controls are constant over a control period, which is a multiple of every time step. Coarse and fine
+runs therefore get the same controls at the same times.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ from stepcore.experiment.coordinates import Coordinates, Start
 from stepcore.experiment.motion import Motion
 from stepcore.report.units import seconds
 
-# Default time steps, over the shipped one.
+# Default time steps, relative to the shipped step.
 FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
-# The number of samples that is aimed at.
+# The approximate number of samples.
 SAMPLES = 50
 # The default horizon, approximately [s], and the default number of starts.
 HORIZON, STARTS = 1.0, 8
-# The largest distance of seeded starts from the keyframe: small beside a robot, long beside a step.
+# The largest distance of random starts from the keyframe: small relative to a robot, large relative
+# to the motion in one step.
 SHIFT, TURN = 1e-3, 1e-2  # [m], [rad]
 SPEED, SPIN = 0.05, 0.1  # [m/s], [rad/s]
-# The default controls are sums of this many sines.
+# The number of sines in the default controls.
 SINES = 3
 
 
@@ -40,9 +41,13 @@ SINES = 3
 class Schedule:
     """Starts, controls and the time grid that all runs of a measurement share.
 
-    period: the time over which a control is held [s]; every time step divides it. periods: their
-    number. every: periods between two samples. ctrl: (starts, periods, nu), or None where `control`
-    gives it. undriven: names of actuators without a control range, which are held still.
+    period: the control period [s], a multiple of every time step.
+    periods: the number of control periods.
+    every: the number of periods between two samples.
+    starts: the initial states.
+    ctrl: the controls, (starts, periods, nu); None if `control` returns the controls.
+    control: the control function, or None.
+    undriven: the names of the actuators without a control range, whose controls are constant.
     """
 
     period: float
@@ -55,36 +60,38 @@ class Schedule:
 
     @property
     def horizon(self) -> float:
-        """Simulated time [s]."""
+        """Simulated time of a run [s]."""
         return self.period * self.periods
 
     @property
     def times(self) -> np.ndarray:
-        """The times of the samples [s]; the start is not one."""
+        """Times of the samples [s], (n,); the start is not a sample."""
         return self.period * np.arange(self.every, self.periods + 1, self.every)
 
     @property
     def driven(self) -> str:
-        """The control function and how often it is sampled, in words; "" without one."""
+        """The control function and its sampling period, in words; "" without a function."""
         if self.control is None:
             return ""
         return f" under {control_name(self.control)}, sampled every {seconds(self.period)}"
 
     @property
     def notes(self) -> list[str]:
-        """What the motion leaves out."""
+        """Sentences on actuators that are not driven."""
         if not self.undriven:
             return []
         return [f"actuators without a control range are not driven: {', '.join(self.undriven)}"]
 
     def steps(self, dt: float) -> int:
-        """Steps in one period."""
+        """Return the number of time steps in one control period; dt: [s]."""
         return round(self.period / dt)
 
     def blocks(self, dt: float, count: int | None = None) -> Iterator[tuple[int, int]]:
-        """Each control period and how many steps of dt [s] begin in it.
+        """Yield the index of each control period and the number of time steps that begin in it.
 
-        count: steps in all, of a dt that need not divide the period; the last controls are held.
+        dt: time step [s].
+        count: the total number of time steps, if dt does not divide the period; the last controls
+            then stay constant to the end.
         """
         if count is None:
             yield from ((period, self.steps(dt)) for period in range(self.periods))
@@ -100,7 +107,7 @@ class Schedule:
             done, period = end, period + 1
 
     def part(self, first: int, last: int | None = None) -> Schedule:
-        """The schedule with some of its starts."""
+        """Return the schedule with the starts from `first` up to, but not including, `last`."""
         ctrl = None if self.ctrl is None else self.ctrl[first:last]
         return dataclasses.replace(self, starts=self.starts[first:last], ctrl=ctrl)
 
@@ -108,10 +115,13 @@ class Schedule:
 def scheduled(
     motion: Motion, model: Model, period: float, starts: int | None = None, horizon: float = HORIZON
 ) -> Schedule:
-    """The schedule of a motion: seeded starts around a keyframe, the first at the keyframe itself.
+    """Return the schedule of a motion: the keyframe and random starts near it, and the controls.
 
-    period: of control [s]. starts: their number, by default that of the motion. horizon: where the
-    motion gives none; the nearest whole number of samples is taken [s].
+    period: the control period [s].
+    starts: the number of starts; by default that of the motion.
+    horizon: the horizon if the motion has none [s]; rounded to a whole number of samples.
+
+    Raises ValueError if the horizon is shorter than a period, or the run has too many steps.
     """
     length = default_horizon(period, horizon) if motion.horizon is None else motion.horizon
     count = starts or motion.starts or STARTS
@@ -140,9 +150,14 @@ def scheduled(
 def time_steps(
     shipped: float, dts: Sequence[float] | None, control_dt: float | None, horizon: float
 ) -> tuple[list[float], float]:
-    """The time steps to try, coarsest first, and the control period that all of them divide [s].
+    """Return the time steps to try, coarsest first, and a control period they all divide [s].
 
-    shipped: the scene's own step, which is always among them.
+    shipped: the scene's own time step, which is always included [s].
+    dts: the time steps to try [s]; by default multiples of the shipped step.
+    control_dt: the control period [s]; by default a common multiple of the time steps.
+    horizon: the simulated time [s].
+
+    Raises ValueError for a step that does not divide the period, and a period beyond the horizon.
     """
     if control_dt is not None and control_dt > horizon:
         raise ValueError(f"control_dt = {control_dt:g}: must be at most the horizon, {horizon:g} s")
@@ -151,7 +166,7 @@ def time_steps(
         period = control_dt or _common(chosen, horizon)
         _check_divide(chosen, period)
     elif control_dt is not None:
-        # The shipped step stays; the others become the nearest that divide the period.
+        # The shipped step is kept; the others are rounded to divisors of the period.
         _check_divide([shipped], control_dt)
         wanted = [shipped * factor for factor in FACTORS]
         parts = {max(1, round(control_dt / dt)) for dt in wanted if dt <= 1.5 * control_dt}
@@ -168,7 +183,7 @@ def time_steps(
 
 
 def default_horizon(period: float, horizon: float = 1.0) -> float:
-    """The time nearest to `horizon` [s] that is a whole number of samples of whole periods."""
+    """Return the time nearest to `horizon` that is a whole number of sampling intervals [s]."""
     about = max(1, round(horizon / period))
     near = sorted(
         range(max(1, about - about // 20), about + about // 20 + 1), key=lambda n: abs(n - about)
@@ -177,7 +192,7 @@ def default_horizon(period: float, horizon: float = 1.0) -> float:
 
 
 def _common(dts: Sequence[float], horizon: float) -> float:
-    """The least common multiple of steps that are decimal numbers [s]."""
+    """Return the least common multiple of time steps, as decimal numbers [s]."""
     parts = [Fraction(repr(dt)).limit_denominator(10**9) for dt in dts]
     period = Fraction(
         math.lcm(*(p.numerator for p in parts)), math.gcd(*(p.denominator for p in parts))
@@ -191,7 +206,7 @@ def _common(dts: Sequence[float], horizon: float) -> float:
 
 
 def divides(dt: float, period: float) -> bool:
-    """Whether a period is a whole number of steps, as far as rounding tells."""
+    """Return whether a period is a whole number of time steps, within rounding."""
     count = period / dt
     return round(count) >= 1 and abs(count - round(count)) <= 1e-6 * count
 
@@ -207,7 +222,10 @@ def _check_divide(dts: Sequence[float], period: float) -> None:
 
 
 def _every(periods: int) -> int:
-    """Periods between samples: about 50 samples that fill the horizon, if that is possible."""
+    """Return the number of periods between samples, for about 50 samples.
+
+    If possible, the samples fill the horizon.
+    """
     whole = [n for n in range(1, periods + 1) if periods % n == 0]
     best = min(whole, key=lambda n: abs(math.log(periods / n / SAMPLES)))
     near = max(1, round(periods / SAMPLES))
@@ -215,7 +233,7 @@ def _every(periods: int) -> int:
 
 
 def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
-    """A key's state and controls; by default the first key's, or the scene's pose at rest."""
+    """Return the state and controls of a keyframe; by default the first, or the pose at rest."""
     if key is None and not model.keys:
         return Start(model.qpos0, np.zeros(model.nv)), np.zeros(model.nu)
     frame = model.keys[0 if key is None else model.index("key", key)]
@@ -224,11 +242,11 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
 
 
 def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Generator) -> Start:
-    """A start near `home`, within the joints' ranges.
+    """Return a random start near `home`, within the joint ranges.
 
-    It is at most 0.1 mm deeper in contact where contacts are springs. A law that undoes a share of
-    an overlap in a step throws a body out of it at a speed that grows as 1/dt: there the start is
-    not deeper at all.
+    Under laws whose contacts are springs, the overlap of the start exceeds that of `home` by at
+    most 0.1 mm. Other laws correct a share of an overlap in each step, which ejects a body at a
+    speed that grows as 1/dt. Under these laws the overlap does not increase.
     """
     sim = Sim(model)
 
@@ -254,9 +272,12 @@ def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Gen
 def smooth(
     model: Model, held: np.ndarray, periods: int, period: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """A few sines in every actuator's range, around the keyframe's control, (periods, nu).
+    """Return smooth controls: a few random sines around the keyframe's control, (periods, nu).
 
-    An actuator without a range swings by a quarter of the keyframe's control.
+    The sines stay within the control range. The amplitude of an actuator without a range is a
+    quarter of the keyframe's control.
+
+    held: the keyframe's controls, (nu,). period: the control period [s].
     """
     times = period * np.arange(periods)
     values = np.empty((periods, model.nu))
@@ -275,12 +296,15 @@ def smooth(
 
 
 def undriven(model: Model, held: np.ndarray) -> list[str]:
-    """Actuators without a control range; `smooth` holds them still."""
+    """Return the names of the actuators without a control range and with keyframe control 0.
+
+    `smooth` keeps the controls of these actuators at 0.
+    """
     names = enumerate(model.called("actuator"))
     return [name for k, name in names if not _clamped(model, k) and held[k] == 0]
 
 
 def _clamped(model: Model, actuator: int) -> bool:
-    """Whether an actuator's control is clamped to a range."""
+    """Return whether an actuator's control is clamped to a range."""
     ranged = bool(np.isfinite(model.actuator_ctrlrange[actuator]).all())
     return ranged and model.scene.features.clampctrl

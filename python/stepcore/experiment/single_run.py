@@ -1,4 +1,4 @@
-"""One run of a Sim under a user's controls and pushes, observed by probes; what a step costs."""
+"""One run of a Sim under a user's controls and pushes, observed by probes and timed."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from stepcore.experiment.run import Probe
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import time_of
 
-# About how many times probes observe a run.
+# The approximate number of observations of a run by its probes.
 LOOKS = 2000
-# How many times a run reports its progress.
+# The number of progress reports of a run.
 TOLD = 100
-# How long a push lasts where nobody says it [s], and how one is written.
+# The default duration of a push [s], and the text form of a push.
 PUSH = 0.1
 PUSH_FORM = "BODY:FX,FY,FZ@T or BODY:FX,FY,FZ@T+DURATION, in N and s"
-# So many states along a run are kept; from each so many steps are timed, so often, and the quickest
-# counts, as whatever else the machine does only adds.
+# The number of states that are kept along a run, of steps timed from each, and of repetitions. The
+# shortest time counts, because other load on the machine only adds time.
 STATES, STEPS, TIMES = 20, 4, 3
 
 
@@ -37,8 +37,10 @@ STATES, STEPS, TIMES = 20, 4, 3
 class Push:
     """A force on a body's centre of mass for some time.
 
-    body: its name or index. force: in world axes [N], shape (3,). start: time since the run began
-    [s]. duration: [s]; it lasts for at least one step.
+    body: the name or index of the body.
+    force: the force in world axes [N], shape (3,).
+    start: the time since the beginning of the run [s].
+    duration: how long the force acts [s]; at least one time step.
 
     >>> Push.of("torso:50,0,0@1+0.2")
     Push(body='torso', force=(50.0, 0.0, 0.0), start=1.0, duration=0.2)
@@ -57,9 +59,9 @@ class Push:
 
     @classmethod
     def of(cls, push: Push | str | Sequence[Any]) -> Push:
-        """A push as it is, as its fields, or as "BODY:FX,FY,FZ@START" with "+DURATION" or not.
+        """Return a Push from a Push, its fields, or "BODY:FX,FY,FZ@START[+DURATION]".
 
-        Raises ValueError for anything else.
+        Raises ValueError for any other argument.
         """
         if isinstance(push, Push):
             return push
@@ -74,7 +76,7 @@ class Push:
         parts = force.split(",")
         if not colon or not at or len(parts) != 3:
             raise ValueError(f"push {push}: must be {PUSH_FORM}")
-        # A sign may stand in an exponent: "1e+0".
+        # The "+" may belong to an exponent, as in "1e+0".
         start, plus, length = when.partition("+") if "e+" not in when else (when, "", "")
         x, y, z = (_finite(push, part) for part in parts)
         times = _finite(push, start, time_of), _finite(push, length, time_of) if plus else PUSH
@@ -83,7 +85,10 @@ class Push:
         return cls(body, (x, y, z), *times)
 
     def on(self, model: Model) -> int:
-        """The index of its body; ValueError for a body that cannot be pushed."""
+        """Return the index of the body in a model.
+
+        Raises ValueError for an unknown body and for the world.
+        """
         if isinstance(self.body, str) and self.body not in model.body_names[1:]:
             near = checks.nearest(self.body, model.body_names[1:])
             raise ValueError(f"push {self}: no body is named '{self.body}'{near}")
@@ -93,7 +98,7 @@ class Push:
         return index
 
     def span(self, dt: float) -> range:
-        """The steps during which it acts."""
+        """Return the time steps during which the force acts."""
         first = round(self.start / dt)
         return range(first, first + max(1, round(self.duration / dt)))
 
@@ -104,14 +109,16 @@ class Push:
 
 @dataclass
 class SingleRun:
-    """Runs a Sim from the state that it has.
+    """One run of a Sim from its current state.
 
-    control: a function of (time, sim) that gives the controls, called every `control_dt` [s], by
-    default before every step; None leaves them as they are. pushes: forces, added to what is
-    applied already. probes: observe the run about `LOOKS` times. record: what the trajectory
-    holds, at every step; without any there is none.
-
-    progress: who is told how far the run is; see `Progress`.
+    sim: the Sim.
+    control: a function of (time, sim) that returns the controls. It is called every `control_dt`
+        [s], by default before every step. None keeps the controls constant.
+    pushes: forces that are added to the applied forces of the Sim.
+    probes: observe the run about `LOOKS` times.
+    record: the names of the arrays to record at every step.
+    progress: the choice of progress bar; see `Progress`.
+    trajectory: the recorded arrays; None without `record`.
     """
 
     sim: Sim
@@ -124,7 +131,10 @@ class SingleRun:
     trajectory: Trajectory | None = field(default=None, init=False)
 
     def run(self, steps: int) -> None:
-        """Takes `steps` steps; raises what `Sim.step` and the control raise."""
+        """Make `steps` steps.
+
+        Raises any exception of `Sim.step` and of the control function.
+        """
         sim, dt = self.sim, self.sim.settings.dt
         period = 1 if self.control_dt is None else whole_steps("control_dt", self.control_dt, dt, 1)
         stride = 1 if self.record else max(1, steps // LOOKS)
@@ -139,7 +149,7 @@ class SingleRun:
             with Progress("steps", steps, self.progress) as bar:
                 self._steps(steps, period, stride, spans, applied, data, taking, bar)
         finally:
-            # A run that fails keeps what was recorded until then.
+            # A failed run keeps the records up to the failure.
             sim.xfrc_applied[:] = applied
             if taking is not None:
                 arrays = {name: np.array(values) for name, values in data.items()}
@@ -195,12 +205,12 @@ class SingleRun:
 
 
 class Pace(Probe):
-    """Keeps states along a run; some steps from each are timed after the run.
+    """A probe that keeps states along a run, and times steps from these states after the run.
 
-    Steps are not timed during the run: a probe evicts the step's data from the processor's caches,
-    and the next step takes several times as long.
+    Steps are not timed during the run, because a probe evicts the data of the step from the
+    processor's caches, and the next step then takes several times as long.
 
-    looks: how often a run is looked at.
+    looks: the number of times that the probe observes the run.
     """
 
     def __init__(self, looks: int) -> None:
@@ -217,16 +227,16 @@ class Pace(Probe):
             self.states.append(sim.state())
 
     def seconds(self, sim: Any) -> float:
-        """Computing time of a step [s], in the mean of the states; 0 where none can be stepped.
+        """Return the mean computing time of a step over the states [s]; 0 if every state fails.
 
-        sim: a Sim of the run's model and settings, whose state is lost.
+        sim: a Sim of the run's model and settings; its state is overwritten.
         """
         times = [timed for state in self.states if (timed := _timed(sim, state)) is not None]
         return float(np.mean(times)) if times else 0.0
 
 
 def _timed(sim: Any, state: bytes) -> float | None:
-    """The time of a step from a state; None where it fails."""
+    """Return the computing time of a step from a state [s], or None if the step fails."""
     best = np.inf
     for _ in range(TIMES):
         sim.restore(state)
