@@ -112,7 +112,7 @@ class Change:
 
     what: the name of the change.
     xs: the values of x to try, from little change to large.
-    adds: whether x = 0, and not x = 1, is no change.
+    adds: whether x is an added amount, of which 0 is no change, instead of a factor.
     """
 
     what: str
@@ -176,7 +176,7 @@ def changed(
     model: the unchanged model.
     elements: the elements to change.
     change, x: the change and its number.
-    dt [s]: the step that must become stable.
+    dt: the step that must become stable [s].
     """
     scene = copy.deepcopy(model.scene)
     layout = Layout(scene)

@@ -12,12 +12,12 @@ the memory that the function has at the state, and with equally many calls witho
 times one period apart. The response is the difference to the last of these calls. Memory that no
 copy reaches, such as an integral in a closure, cancels in the difference of both signs.
 
-A control u = D x (+ C z) of an actuator with the force b u on the dofs is an element with K = −b
-D_q and D = −b D_v, "control of motor `ankle`". Unlike a spring it is held: in every stage of a
-step, and in all steps of a control period, its force is that of the sample. With a control period
-T, a step dt < T is stable if two maps are stable: the step with controls sampled at every step, and
-the map over T with controls held. The motion itself has continuous controls, so growth that is due
-to the hold belongs to the control.
+A control u = D x (+ C z) of an actuator with the force b u on the dofs is an element with
+K = −b D_q and D = −b D_v, "control of motor `ankle`". Unlike a spring it is held: in every stage
+of a step, and in all steps of a control period, its force is that of the sample. With a control
+period T, a step dt < T is stable if two maps are stable: the step with controls sampled at every
+step, and the map over T with controls held. The motion itself has continuous controls, so growth
+that is due to the hold belongs to the control.
 """
 
 from __future__ import annotations
@@ -73,7 +73,6 @@ def with_feedback(
 ) -> list[State]:
     """Return the states with the control function linearised at each, and its controls there.
 
-    model, states: the model and the states.
     control: the user's control function.
     dt: the time between two calls [s].
     horizon: the length of the motion [s]; the function is never called at or beyond this time.

@@ -264,7 +264,7 @@ def _rescaled(model: Model, state: State, rows: Sequence[int], by: tuple[float, 
 
 
 def _as_servo(model: Model, state: State, rows: Sequence[int]) -> State:
-    """Return the state with constant controls, those of resting servos, for some actuators."""
+    """Return the state with the controls of some actuators replaced by servos at rest."""
     old = state.feedback
     if old is None:
         return state

@@ -69,8 +69,8 @@ def solref_of(model: Model, element: Element) -> Vec | None:
 def may_limit_dt(solref: Vec, refsafe: bool) -> bool:
     """Return whether a row with this solref could limit dt.
 
-    For ζ > 1/√8, refsafe keeps rows of the standard form stable: h²/(tc ζ)² + 4h/tc < 4 at h =
-    tc/2.
+    For ζ > 1/√8, refsafe keeps rows of the standard form stable:
+    h²/(tc ζ)² + 4h/tc < 4 at h = tc/2.
     """
     return not refsafe or solref[0] <= 0 or solref[1] < math.sqrt(1 / 8)
 

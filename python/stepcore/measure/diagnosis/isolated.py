@@ -285,8 +285,8 @@ MOST_PAIRS = 1000
 def closed_form_bound(model: Model) -> float:
     """Return a step [s] that is stable for any interaction of the elements.
 
-    The frequency ω² of a spring on its dof is at least that of the element on its own: k·w, with w
-    the dof's diagonal entry of M⁻¹ at qpos0. All springs of a tree combined have at most the sum of
+    A spring on its dof has ω² = k·w, with w the dof's diagonal entry of M⁻¹ at qpos0. This ω² is at
+    least that of the element on its own. All springs of a tree combined have at most the sum of
     these ω² (the trace of M⁻¹K). Rows in direct form, or without `refsafe`, have the stiffness of
     their solref for any mass. Numbers out of range count as stiff. Nothing is linearised, so the
     bound is cheap enough for `load`.

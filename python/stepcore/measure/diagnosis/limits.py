@@ -191,7 +191,7 @@ class StepStability:
         return None
 
     def model_at(self, state: State) -> Model:
-        """Return the model, without its rows where none acts.
+        """Return the model, without constraint rows if none acts at the state.
 
         A row that only begins to act within the step belongs to the states where it acts.
         """
@@ -220,7 +220,6 @@ def step_stability(
 ) -> StepStability:
     """Return the stability of a model's step at those states where the motion has a derivative.
 
-    model, states: the model and the states.
     horizon: see `growth` [s].
     holds: see `StepStability`.
 

@@ -1,9 +1,9 @@
 """Split the linearised motion at a state into elements, and compose each integrator's step.
 
-With the mass matrix M and the elements' stiffnesses K_e and dampings D_e, J = [[J_qq, J_qv],
-[−M⁻¹ΣK_e, −M⁻¹ΣD_e]]. The element "inertial forces" is the remainder (gravity, Coriolis and
-centrifugal forces), so that the sum is exact. Each integrator's step is then a function of M, J and
-the damping that the integrator treats implicitly.
+With the mass matrix M and the elements' stiffnesses K_e and dampings D_e,
+J = [[J_qq, J_qv], [−M⁻¹ΣK_e, −M⁻¹ΣD_e]]. The element "inertial forces" is the remainder (gravity,
+Coriolis and centrifugal forces), so that the sum is exact. Each integrator's step is then a
+function of M, J and the damping that the integrator treats implicitly.
 """
 
 from __future__ import annotations
@@ -129,7 +129,6 @@ class LinearMotion:
 def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion | None:
     """Return the linearised motion at a state, or None if its accelerations are not finite.
 
-    model, state: the model and the state.
     dt: a step [s], to which `refsafe` adapts the rows; None: rows as the scene defines them.
     """
     rates = rates_matrix(model, state, dt)

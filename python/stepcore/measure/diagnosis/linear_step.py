@@ -196,7 +196,6 @@ def closed_step(sim: Sim, feedback: Feedback | None, hold: int = 1) -> Floats:
 def rates_matrix(model: Model, state: State, dt: float | None = None) -> Floats | None:
     """Return J of the motion, x' = J x, shape (2 nv, 2 nv) [1/s], or None if it is not finite.
 
-    model, state: the model and the state.
     dt: a step [s], to which `refsafe` adapts the rows; None: rows as the scene defines them. None
         also omits the rows of laws that act on velocities, whose stiffness is 1/dt².
     """

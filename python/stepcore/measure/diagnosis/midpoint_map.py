@@ -1,7 +1,7 @@
 """Linearise the step of the midpoint rule without rows, from one linearised acceleration.
 
-With h = dt/2, v_m = (v + v⁺)/2 and q_m = q ⊕ h v_m, the step is v⁺ = v + dt a(q_m, v_m), q⁺ = q ⊕
-dt v_m. Its derivative is the solution of one linear system,
+With h = dt/2, v_m = (v + v⁺)/2 and q_m = q ⊕ h v_m, the step is v⁺ = v + dt a(q_m, v_m),
+q⁺ = q ⊕ dt v_m. Its derivative is the solution of one linear system,
 
     (1 − h² a_q T − h a_v) δv_m = δv + h a_q E δq,
 

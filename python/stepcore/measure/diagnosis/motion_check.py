@@ -2,10 +2,10 @@
 
 The motion is run with the real step (`motion_runs`) and compared with a run at a fine step:
 
-- it explodes if it does not stay finite, or if its kinetic energy exceeds `LARGE` times the largest
-of the fine run;
+- it explodes if it does not stay finite, or if its kinetic energy exceeds `LARGE` times the
+  largest of the fine run;
 - it chatters if a servo's force repeatedly jumps from one end of its force range to the other
-within a step, and does not in the fine run.
+  within a step, and does not in the fine run.
 
 A limit is moved to the largest step at which the motion neither explodes nor chatters. If the state
 that limits dt is steady, the linearised step alone decides. If inertial forces limit dt at a state
@@ -159,7 +159,6 @@ class Judge:
     def judged(self, run: MotionRun, more: float = 1.0) -> Outcome:
         """Return the outcome of a run.
 
-        run: the run.
         more: as in `outcome`.
         """
         energy = run.peak / max(self.fine.peak, self.floor)

@@ -6,7 +6,7 @@ cases `Runner.follow` runs the motion with the step in question, and a probe obs
 
 - its kinetic energy, evenly sampled;
 - at every sample, over a few single steps, whether a servo's force jumps from one end of its force
-range to the other within a step.
+  range to the other within a step.
 
 The budget is in steps, so that the result is the same on every machine.
 """
@@ -252,7 +252,6 @@ def _energy(sim: Sim) -> float:
 def stays_bounded(model: Model, state: State, integrator: str, dt: float, horizon: float) -> bool:
     """Return whether a slightly pushed run from a state reaches no speed that shorter steps do not.
 
-    model, state: the model and the state.
     integrator, dt: the integrator and its step [s].
     horizon: the time of the run [s], at most `STEPS` steps.
     """
@@ -276,7 +275,6 @@ def largest_speeds(
 
     Controls are constant, or those of the state's control function.
 
-    model, state: the model and the state.
     integrator, dt: the integrator and its step [s].
     count: the number of steps.
     push: velocities to add at the start, shape (nv,).

@@ -166,7 +166,6 @@ def settles(model: Model, state: State, integrator: str, dt: float, servo: int) 
     The servo's control is constant, so that in fine steps the servo comes to rest. A servo whose
     kick would be faster than any practical motion passes without a run.
 
-    model, state: the model and the state.
     integrator, dt: the integrator and its step [s].
     servo: the index of the actuator.
     """

@@ -4,8 +4,8 @@ With gain kv, gear g, force range ±F and inverse inertia w of its dof, the forc
 the speed F/(kv |g|). A step changes the speed by F |g| w dt there, and jumps from one end of the
 range to the other for dt ≥ 2/(kv g² w).
 
-With gain kp the servo oscillates with ω = sqrt(kp g² w), and reaches the range above the speed F
-|g| w/ω. If friction stops the joint, or the force is clamped, no linearised step has this
+With gain kp the servo oscillates with ω = sqrt(kp g² w), and reaches the range above the speed
+F |g| w/ω. If friction stops the joint, or the force is clamped, no linearised step has this
 oscillation. The force goes from end to end above the dt at which the oscillator alone is unstable.
 """
 

@@ -3,8 +3,8 @@
 The share of an element is the derivative of log |μ| by its gain, as a fraction of the sum over all
 elements that push the eigenvalue μ outwards. A share shows the effect of a small change. An element
 with the largest share may be held in the mode by another element and permit a longer step alone; a
-large change then has little effect. Equal elements in a row hold each other, so that no single one
-limits dt.
+large change then has little effect. Equal elements in a chain hold each other, so that no single
+one limits dt.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def _limiting_shares(here: StepStability, limit: Limit) -> Shares:
 def _held_shares(
     here: StepStability, limit: Limit, state: State, motion: LinearMotion, dt: float
 ) -> Shares | None:
-    """Return the shares over a control period of several steps, or None if it does not grow."""
+    """Return the shares over a control period of several steps, or None without growth."""
     count, step = steps_held(state, dt)
     if count == 1 or motion.feedback is None:
         return None

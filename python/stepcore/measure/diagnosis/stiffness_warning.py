@@ -50,7 +50,6 @@ def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
     shows. A scene that does not compile, or whose numbers overflow, raises no warning: compiling or
     running the scene raises the error.
 
-    scene: the scene.
     stacklevel: as of `warnings.warn`, counted from this function.
     """
     try:

@@ -77,8 +77,6 @@ def visit(model: Model, motion: Motion, horizon: float) -> Visit:
 
     The run is made at a fraction of the least step that limits the start.
 
-    model: the model.
-    motion: the motion.
     horizon: the length of the motion [s].
     """
     settings, control = model.settings, motion.control
