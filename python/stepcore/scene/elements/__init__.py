@@ -1,8 +1,8 @@
-"""The elements of a `Scene`: records whose fields are checked whenever they are assigned.
+"""The elements of a `Scene`: records whose fields are checked on every assignment.
 
 Units are SI, angles are in radians, quaternions are w x y z and stored at unit length. A value
 outside its limits, of the wrong shape or not finite raises a ValueError that names the element,
-the field, the value and the limit, and leaves the element unchanged. Field names and defaults are
+the field, the value and the limit. The element then stays unchanged. Field names and defaults are
 MuJoCo's. Elements compare by identity.
 """
 

@@ -30,18 +30,18 @@ ACTUATOR_TYPES = tuple(LAWS)
 DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle")
 GAINS = ("fixed", "affine", "muscle")
 BIASES = ("none", "affine", "muscle")
-# What a control is between two samples of its past.
+# Interpolation of past controls between samples.
 INTERPS = ("zoh", "linear", "cubic")
 MOST_SAMPLES = 10**6
-# What an actuator can pull at: exactly one of these.
+# Transmission targets: an actuator has exactly one of these.
 TARGETS = ("joint", "jointinparent", "tendon", "site", "cranksite", "body")
-# What else goes with it.
+# Optional second fields, with the target that each field needs.
 SECOND = {"refsite": "site", "slidersite": "cranksite"}
 TARGET_FIELDS = (*TARGETS, *SECOND, "cranklength", "feeds")
 
 
 def _one_or(count: int) -> checks.Check:
-    """A number, or up to `count` of them."""
+    """Return a check for a number or up to `count` numbers."""
 
     def check(owner: Any, field: str, value: object) -> Any:
         if checks.listed(value) is None:
@@ -52,7 +52,7 @@ def _one_or(count: int) -> checks.Check:
 
 
 def _inputs(owner: Any, field: str, value: object) -> Any:
-    """Some of the inputs of a controller, in their order, or what an orientation is written as."""
+    """Return inputs of a controller in their order, or the representation of an orientation."""
     words = value.split() if isinstance(value, str) else []
     if value in (*CHARTS, *CHARTS["quat"]):
         return value
@@ -73,99 +73,108 @@ Samples = Annotated[int, replace(of.whole(0, MOST_SAMPLES), read=lambda value: m
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Actuator(Element):
-    """A motor, servo or muscle. What it pulls at feels gear × force, where force is
+    """A motor, servo or muscle. The force on its transmission target is gear × force.
 
-    - for a "motor", the control;
-    - for a "position" servo, kp × (control − length) − kv × velocity;
-    - for a "velocity" servo, kv × (control − velocity);
-    - for an "intvelocity" servo, kp × (w − length) − kv × velocity, where dw/dt = control;
-    - for a "pid", kp × (p − length) + kv × (v − velocity) + ki × x + f, where its controls are
-      those of p, v and f that its `input` names, the others are 0, and dx/dt = p − length within
-      ±imax;
-    - for a "dcmotor" of constant K = motorconst and resistance R, K/R × (voltage − K × velocity);
-      with the inputs "pos", "vel" or "ff" its controller asks for the force of a pid, and gets it;
-    - for an "input", none: its control is that of another input of the actuator that it `feeds`;
-    - for an "orientation", of a ball joint, a torque kp × r − kv × velocity about each axis of its
-      body, r being the rotation vector from its orientation to that of its controls;
-    - for a "damper", −kv × velocity × control;
-    - for a "cylinder", area × w + bias · (1, length, velocity), where w is the pressure, which
-      follows the control with the time constant timeconst;
-    - for an "adhesion", gain × control, with which the contacts of a body are pulled together;
-    - for a "muscle", that of MuJoCo's muscles at activation w (docs/method.md);
-    - for a "general" actuator, gain × u + bias: u is the control, or an activation w.
+    The force of each type is
 
-    Length and velocity are gear × those of what it pulls at. A Sim's `energy` does not include what
-    actuators store. Activations are a state of the simulation, `Sim.act`.
+    - "motor": control;
+    - "position": kp × (control − length) − kv × velocity;
+    - "velocity": kv × (control − velocity);
+    - "intvelocity": kp × (w − length) − kv × velocity, where dw/dt = control;
+    - "pid": kp × (p − length) + kv × (v − velocity) + ki × x + f, where dx/dt = p − length within
+      ±imax. The controls are those of p, v and f that `input` names; the others are 0;
+    - "dcmotor": K/R × (voltage − K × velocity), with K = motorconst and the resistance R. With the
+      inputs "pos", "vel" or "ff", a controller sets the voltage that gives the force of a pid;
+    - "input": none; its control is another input of the actuator that it `feeds`;
+    - "orientation", for a ball joint: a torque kp × r − kv × velocity about each axis of the body,
+      where r is the rotation vector from the current orientation to the target orientation;
+    - "damper": −kv × velocity × control;
+    - "cylinder": area × w + bias · (1, length, velocity), where the pressure w follows the control
+      with the time constant timeconst;
+    - "adhesion": gain × control, a force that pulls the contacts of a body together;
+    - "muscle": the force of MuJoCo's muscles at activation w (docs/method.md);
+    - "general": gain × u + bias, where u is the control, or an activation w.
+
+    Length and velocity are gear × the length and velocity of the target. A Sim's `energy` excludes
+    energy that actuators store. Activations are a state of the simulation, `Sim.act`.
 
     name: unique among actuators, or "".
-    joint: the `Joint` that it drives. The length of a ball is the part of its rotation vector along
-        gear, that of a free joint 0; a servo on a ball goes the shorter way round.
-    jointinparent: in its place, a joint whose axes of rotation are those of the frame it stands in.
-    tendon: in its place, the `Tendon` that it pulls.
-    site, refsite: in its place, a site at which force and torque act along gear, in the axes of the
-        site; with a refsite in the axes of that, and the length is that of the offset from it.
-    cranksite, slidersite, cranklength: in its place, a slider-crank: a rod of this length [m] from
-        the cranksite to the slidersite, which slides along its own z axis.
-    body: in its place, a `Body` whose contacts are pulled at along their normals, each with the
-        same part of the force.
-    type: one of those above. A field of another type is refused.
-    gear: shape (6,); a hinge, slide, tendon or slider-crank uses the first number, a ball 3, a free
-        joint and a site 6: a direction and an axis.
-    kp: stiffness of a position or intvelocity servo, an orientation or a pid; None means 1; of a
-        dcmotor's controller, where None means 0.
-    kv: damping of these (None means 0), gain of a velocity servo or a damper (None means 1).
-    dampratio: damping ratio of a position or intvelocity servo or a pid, in place of kv:
-        kv = 2 × dampratio × √(kp × m), where m is the inertia that it moves in the initial pose.
+    joint: the target `Joint`. The length of a ball is the component of its rotation vector along
+        gear; a servo on a ball takes the shorter way round. The length of a free joint is 0.
+    jointinparent: in place of joint, a joint with its rotation axes in the parent frame.
+    tendon: in place of joint, the target `Tendon`.
+    site, refsite: in place of joint, a site at which force and torque act along gear, in the axes
+        of the site. With a refsite, gear is in the axes of the refsite, and the length is the
+        offset of the site from the refsite along gear.
+    cranksite, slidersite, cranklength: in place of joint, a slider-crank: a rod of length
+        cranklength [m] connects the cranksite to a slider, which moves along the z axis of the
+        slidersite.
+    body: in place of joint, a `Body`; the force acts along the normals of the body's contacts, in
+        equal parts.
+    type: one of the types above. A field that the type does not use is refused.
+    gear: shape (6,). A hinge, slide, tendon or slider-crank uses the first number; a ball uses 3; a
+        free joint and a site use 6, a force direction and a torque axis.
+    kp: stiffness of a position or intvelocity servo, an orientation or a pid (None means 1), or of
+        a dcmotor's controller (None means 0).
+    kv: damping of the same types (None means 0), gain of a velocity servo or a damper (None means
+        1).
+    dampratio: damping ratio of a position or intvelocity servo, an orientation or a pid, in place
+        of kv: kv = 2 × dampratio × √(kp × m), where m is the inertia that the actuator moves in the
+        initial pose.
     timeconst: time constant [s] of a filter between control and target of a position servo (None
-        means 0, no filter), of a cylinder (None means 1), and two of a muscle, of activation and
-        deactivation (None means 0.01 and 0.04).
-    input: what the control of a pid is, "pos", "vel" or "ff"; of a dcmotor also "voltage" (None).
-        Several in this order, such as "pos vel": the first is its own control, and each of the
-        others that of an actuator of the type "input", whose `input` it is.
-        Of an orientation "expmap" (None), a rotation vector [rad], or "quat", a quaternion of any
-        length: its own control is the first part, and those of actuators of the type "input" with
-        the inputs "y" and "z", or "x", "y" and "z", the others. They pull about the other axes, and
-        its forcerange (0, most) bounds the length of the torque.
-    feeds: of an "input": the pid, dcmotor or orientation.
-    ki, imax: of a pid and a dcmotor's controller with the input "pos": gain of the integral of the
-        error, and its bound; None means 0, without.
-    slewmax: of these: how fast the first target moves at most [1/s]; None means 0, at once.
+        means 0, no filter) or of a cylinder (None means 1); two time constants of a muscle, for
+        activation and deactivation (None means 0.01 and 0.04).
+    input: the meaning of the controls. For a pid: "pos", "vel" or "ff"; for a dcmotor also
+        "voltage" (None). Several inputs are given in this order, such as "pos vel": the first is
+        the control of the actuator itself, and each other input is the control of an actuator of
+        type "input" with this `input`.
+        For an orientation: "expmap" (None), a rotation vector [rad], or "quat", a quaternion of any
+        length. The first component is the control of the orientation itself. The other components
+        are the controls of actuators of type "input" with the inputs "y" and "z", or "x", "y" and
+        "z"; these actuators apply the torque about the other axes. The forcerange (0, upper bound)
+        of an orientation bounds the norm of the torque.
+    feeds: for an "input", the pid, dcmotor or orientation that the control goes to.
+    ki, imax: gain of the integral of the error, and bound of the integral, for a pid or a dcmotor's
+        controller with the input "pos"; None means 0: no integral, no bound.
+    slewmax: largest rate of change of the first target, for the same types [1/s]; None means 0: no
+        bound.
     motorconst, resistance: of a dcmotor [N·m/A, Ω], > 0.
-    inductance: of a dcmotor [H]; None means 0. Its current is then an activation.
-    vmax, current_rate: bounds of the voltage of its controller [V], and of how fast its current
-        changes [A/s]; None means 0, without. Its forcerange bounds what its current makes.
-    thermal: its thermal resistance [K/W] and capacity [J/K], how much its resistance grows with
-        each degree [1/K], and the temperatures of that resistance and of the surroundings [°C].
-        The temperature above the surroundings is then an activation.
-    cogging: amplitude A, n and phase φ of a force A sin(n × length + φ).
-    lugre: LuGre friction: stiffness and damping of bristles, friction at speed and at rest, and the
-        speed between these. The bristles' deflection is then an activation. Activations stand in
-        the order target, integral, temperature, bristles, current.
+    inductance: of a dcmotor [H]; None means 0. With an inductance, the current is an activation.
+    vmax, current_rate: bounds of the voltage of a dcmotor's controller [V] and of the rate of
+        change of the current [A/s]; None means 0: no bound. The forcerange bounds the force of the
+        current.
+    thermal: thermal resistance [K/W], heat capacity [J/K], temperature coefficient of the
+        electrical resistance [1/K], temperature at which `resistance` is valid and ambient
+        temperature [°C] of a dcmotor. The temperature above ambient is then an activation.
+    cogging: amplitude A, n and phase φ of the cogging force A sin(n × length + φ) of a dcmotor.
+    lugre: LuGre friction of a dcmotor: stiffness and damping of the bristles, Coulomb and static
+        friction, Stribeck velocity. The deflection of the bristles is then an activation. The order
+        of activations is target, integral, temperature, bristles, current.
     gain: of an adhesion [N]; None means 1.
     area, bias: of a cylinder [m²]; None means 1 and zeros.
     range, force, scale, lmin, lmax, vmax, fpmax, fvmax, tausmooth: of a muscle, as in MJCF.
     gaintype, gainprm: of a general actuator. "fixed" (None): gain = gainprm (None means 1);
         "affine": gainprm · (1, length, velocity); "muscle": gainprm are range (2), force, scale,
         lmin, lmax, vmax, fpmax, fvmax.
-    biastype, biasprm: "none", "affine" (None, where there is a biasprm) or "muscle". If
+    biastype, biasprm: "none", "affine" (None, if a biasprm is given) or "muscle". If
         gainprm = −biasprm[1], a positive biasprm[2] is a damping ratio, as in MuJoCo.
     dyntype: "none" (None); "integrator": dw/dt = control; "filter": dw/dt = (control −
         w)/dynprm[0]; "filterexact": the same with exact steps; "muscle".
     dynprm: of a general actuator; None means 1 [s].
     ctrlrange, actrange, forcerange: (lower, upper) bounds to which control, activation and force
         are clamped, or None.
-    actearly: True takes the force from the activation at the end of the step.
-    lengthrange: least and greatest length, which muscles refer to; None: found when the scene is
+    actearly: True computes the force from the activation at the end of the step.
+    lengthrange: (least, greatest) length, which muscles refer to; None: found when the scene is
         compiled (`Scene.lengthrange`).
-    damping, dampingpoly, armature: of the actuator itself; gear² times these are added to those of
-        the joint or tendon that it drives.
-    delay: the control is that of so long ago [s]; 0: the present one. Steps are counted back from
-        the present, and a delay shorter than a step is one step.
-    nsample: how many past controls are kept (`Sim.ctrl_history`), at least 1 with a delay; a delay
-        of more steps reads the oldest.
-    interp: between samples, "zoh" takes the earlier one, "linear" a line, "cubic" a Catmull-Rom
-        spline.
-    enabled: False leaves it out.
+    damping, dampingpoly, armature: of the actuator itself; gear² times these values are added to
+        the values of the target joint or tendon.
+    delay: delay of the control [s]; 0: no delay. A delay counts in steps back from the present, and
+        is at least one step.
+    nsample: number of past controls that are kept (`Sim.ctrl_history`), at least 1 with a delay; a
+        delay of more steps reads the oldest control.
+    interp: interpolation between samples: "zoh" takes the earlier sample, "linear" a line, "cubic"
+        a Catmull-Rom spline.
+    enabled: False leaves the actuator out.
     """
 
     name: of.Text = ""
@@ -229,32 +238,32 @@ class Actuator(Element):
 
     @property
     def target(self) -> tuple[str, Any]:
-        """The field that says what it pulls at, and that element; ("joint", None) without one."""
+        """The field of the transmission target, and its element; ("joint", None) if not given."""
         if self.feeds is not None:
             return self.feeds.target
         field = next((f for f in TARGETS if getattr(self, f) is not None), "joint")
         return field, getattr(self, field)
 
     def law_value(self, field: str) -> Any:
-        """The value of a field of the law; where it is None, the default of the actuator's type."""
+        """Return the value of a field of the law, with None replaced by the type's default."""
         value = getattr(self, field)
         return LAW_FIELDS[self.type].get(field) if value is None else value
 
     @property
     def law(self) -> Law:
-        """The law of its force, with defaults for fields that are None."""
+        """The force law of the actuator, with None replaced by the type's defaults."""
         if self.type == "input" and self.feeds is not None and self.axis is not None:
             return self.feeds.law
         return LAWS[self.type].to_law({f: self.law_value(f) for f in LAW_FIELDS[self.type]})
 
     @property
     def inputs(self) -> list[str]:
-        """What the controls are, its own first; the others are those of actuators that feed it."""
+        """The meanings of the controls: the own control first, then those of feeding actuators."""
         return inputs(self.type, self.input)
 
     @property
     def axis(self) -> int | None:
-        """The axis about which it turns a ball joint to an orientation; None: it does not."""
+        """The index of the body axis of an orientation's torque; None for other types."""
         owner = self.feeds or self
         if owner.type != "orientation":
             return None
@@ -263,12 +272,12 @@ class Actuator(Element):
         return at if at < 3 else None
 
     def plain(self, places: Places) -> dict[str, Any]:
-        """The actuator as the engine reads it: its law, what it pulls at, what its control is."""
+        """Return the actuator as the engine reads it: law, transmission target and inputs."""
         law, owner, axis = self.law, self.feeds or self, self.axis
         gear = list(owner.gear)
         if axis is not None:
             gear = [float(k == axis) for k in range(3)] + list(ORIGIN)
-        # Where the range of a muscle is left out, `length_ranges.fill` puts what it found.
+        # A placeholder for muscles without a range: `length_ranges.fill` replaces it.
         lengthrange = self.lengthrange or (0.0, 1.0 if law.is_muscle else 0.0)
         bounds = owner if axis is not None else self
         return self.record("type", *ALL_LAW_FIELDS, *TARGET_FIELDS) | {
@@ -301,7 +310,7 @@ class Actuator(Element):
         return target
 
     def check(self, places: Places) -> None:
-        """Refuses fields that the type does not have, or that contradict each other."""
+        """Raise ElementError for fields that the type does not use, or that are contradictory."""
         for field in TARGET_FIELDS:
             end = getattr(self, field)
             if isinstance(end, Element) and places.place(end) is None:
@@ -343,7 +352,7 @@ class Actuator(Element):
         return checks.refuse(self, field, getattr(self, field), limit)
 
     def _check_curves(self, law: Law) -> None:
-        """A muscle's curves divide by these numbers; MuJoCo's limits."""
+        """Raise for muscle parameters outside MuJoCo's limits: its curves divide by them."""
         for field, numbers in (("gainprm", law.muscle_gain), ("biasprm", law.muscle_bias)):
             if numbers is None:
                 continue
@@ -405,7 +414,7 @@ class Actuator(Element):
             raise self._bad("slewmax", f"None without the input {what}")
         if self.refsite is None and getattr(self.target[1], "type", "") != "ball":
             return
-        # On a circle only a target without a state of its own is taken the shorter way.
+        # The shorter way round needs a position target without a state of its own.
         if self.kp and (motor or "pos" not in words):
             raise self._bad("kp", "0 on a ball or a refsite, but for a pid with the input pos")
         for field in ("ki", "slewmax"):
@@ -448,7 +457,7 @@ class Actuator(Element):
 
 
 def check_inputs(actuators: Sequence[Actuator]) -> None:
-    """Refuses an input of an actuator that has no control, or has two."""
+    """Raise ElementError unless every additional input has exactly one feeding actuator."""
     fed: dict[int, list[str]] = {}
     for actuator in actuators:
         if actuator.feeds is not None and actuator.input is not None:

@@ -1,9 +1,10 @@
 """The force laws of actuators: one row for each type.
 
 A force is gain × u + bias, where u is the control or the activation. Gain and bias are
-(g₀, g₁, g₂) · (1, length, velocity) or those of a muscle; length and velocity are gear × those of
-what the actuator pulls at, which feels gear × force. Conventions are MuJoCo's (documentation, XML
-reference, "actuator"). Its ``<general>`` can hold every law that is no controller's.
+(g₀, g₁, g₂) · (1, length, velocity) or the curves of a muscle. Length and velocity are gear × those
+of the transmission target; the force on the target is gear × force. Conventions are MuJoCo's
+(documentation, XML reference, "actuator"). MuJoCo's ``<general>`` can express every law without a
+controller.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from stepcore.scene.frames import ORIGIN, Vec
 Values = Mapping[str, Any]
 
 INPUTS = ("pos", "vel", "ff", "voltage")
-# The parts of an orientation, by how it is written.
+# The components of an orientation, by representation.
 CHARTS = {"expmap": ("x", "y", "z"), "quat": ("w", "x", "y", "z")}
-# What other actuators can feed.
+# Types that accept controls of other actuators.
 FED = ("pid", "dcmotor", "orientation")
-# A muscle's numbers in the order of gainprm, with their defaults.
+# A muscle's parameters in the order of gainprm, with their defaults.
 MUSCLE: dict[str, Any] = {
     "range": (0.75, 1.05),
     "force": -1.0,
@@ -36,12 +37,14 @@ CONTROL = ("ki", "imax", "slewmax")
 
 
 class Law(NamedTuple):
-    """The law of an actuator, in the words of MuJoCo's ``<general>``.
+    """The force law of an actuator, with the fields of MuJoCo's ``<general>``.
 
-    gaintype: "fixed", "affine" or "muscle"; biastype: "none", "affine" or "muscle".
-    dampratio: other than 0, it replaces bias₂ by −2 × dampratio × √(kp × m), where m is the inertia
-        that the actuator moves in the pose of the scene. MuJoCo writes it as a positive bias₂.
-    controller: what of a pid or a dcmotor gain and bias do not hold, in the engine's words.
+    gaintype: "fixed", "affine" or "muscle".
+    biastype: "none", "affine" or "muscle".
+    dampratio: a value other than 0 replaces bias₂ by −2 × dampratio × √(kp × m), where m is the
+        inertia that the actuator moves in the initial pose. MuJoCo writes it as a positive bias₂.
+    controller: the parameters of a pid or a dcmotor that gain and bias cannot express, under the
+        engine's names.
     """
 
     gaintype: str = "fixed"
@@ -67,12 +70,12 @@ class Law(NamedTuple):
 
     @property
     def muscle_gain(self) -> dict[str, Any] | None:
-        """The numbers of a muscle's gain; None for another gain."""
+        """The parameters of a muscle's gain; None for other gains."""
         return _muscle(self.gainprm) if self.gaintype == "muscle" else None
 
     @property
     def muscle_bias(self) -> dict[str, Any] | None:
-        """The numbers of a muscle's bias; None for another bias."""
+        """The parameters of a muscle's bias; None for other biases."""
         return _muscle(self.biasprm) if self.biastype == "muscle" else None
 
     @property
@@ -81,7 +84,7 @@ class Law(NamedTuple):
 
     @property
     def holds_length(self) -> bool:
-        """Whether it is a position servo's: force kp × (control − length), in MuJoCo's sense."""
+        """Whether MuJoCo takes this for a position servo: force kp × (control − length)."""
         fixed = self.gaintype == "fixed" and self.biastype == "affine"
         return fixed and self.gainprm[0] == -(*self.biasprm, *ORIGIN)[1]
 
@@ -94,7 +97,7 @@ class Law(NamedTuple):
 
     @property
     def states(self) -> int:
-        """How many activations an actuator of this law has."""
+        """The number of activations of an actuator with this law."""
         if self.controller is None:
             return int(self.dyntype != "none")
         motor = self.controller["motor"] or dict.fromkeys(("thermal", "lugre", "inductance"))
@@ -102,7 +105,7 @@ class Law(NamedTuple):
         return sum(map(bool, (*kept, motor["thermal"], motor["lugre"], motor["inductance"])))
 
     def general(self) -> dict[str, Any]:
-        """The fields of an actuator of type "general" with this law."""
+        """Return the fields of an actuator of type "general" with this law."""
         fields = dict(zip(GENERAL, self, strict=False))
         if self.dampratio:
             fields["biasprm"] = (*self.biasprm[:2], self.dampratio)
@@ -117,7 +120,7 @@ def _muscle(numbers: Vec) -> dict[str, Any]:
     return dict(zip(MUSCLE, (numbers[:2], *numbers[2:]), strict=True))
 
 
-# What becomes of the fields of a type. A field that is None has its default here.
+# From the fields of a type to its law, and back. Fields that are None have their defaults here.
 
 
 def _general(values: Values) -> Law:
@@ -146,7 +149,7 @@ def _from_servo(law: Law) -> dict[str, Any]:
 
 
 def damping(number: float) -> dict[str, Any]:
-    """The field of MuJoCo's biasprm[2]: a damping ratio above 0, else −kv."""
+    """Return the field that MuJoCo's biasprm[2] means: a damping ratio above 0, otherwise −kv."""
     return {"dampratio": number} if number > 0 else {"kv": 0.0 - number}
 
 
@@ -172,7 +175,7 @@ def _of_muscle(values: Values) -> Law:
 
 def _pid(values: Values) -> Law:
     words = inputs("pid", values["input"])
-    # What a damping ratio makes of kv is the gain of a velocity too, which the engine knows.
+    # With a damping ratio the velocity gain depends on kv, which only the engine computes.
     by_ratio = words == ["vel"] and bool(values["dampratio"])
     own = {field: values[field] or 0.0 for field in CONTROL}
     kp, kv = values["kp"], values["kv"]
@@ -215,10 +218,10 @@ def _dcmotor(values: Values) -> Law:
 class LawType:
     """A type of actuator.
 
-    fields: those of its law, each with the value that None stands for; others are refused.
-    to_law: the law of these fields.
-    from_law: the fields that a class of MJCF hands down to the type where it holds a law as
-        ``<general>``; None for a type that takes over no such law.
+    fields: the fields of the type's law, with their defaults; other fields are refused.
+    to_law: returns the law for values of these fields.
+    from_law: returns the fields for a law that an MJCF default class gives as ``<general>``; None
+        for a type that inherits no such law.
     """
 
     fields: dict[str, Any]
@@ -241,7 +244,7 @@ LAWS = {
     ),
     "pid": LawType(_SERVO | {"input": None} | _CONTROL, _pid),
     "dcmotor": LawType({"kp": 0.0, "kv": 0.0, "input": "voltage"} | _CONTROL | _MOTOR, _dcmotor),
-    # It has the force of what it feeds, or none (`Actuator.law`).
+    # Without a force, except where it feeds an orientation (`Actuator.law`).
     "input": LawType({"input": None}, lambda _: Law(gainprm=(0.0,))),
     "orientation": LawType(_SERVO | {"input": "expmap"}, _servo),
     "damper": LawType(
@@ -263,12 +266,14 @@ LAWS = {
     ),
 }
 LAW_FIELDS = {name: each.fields for name, each in LAWS.items()}
-# The fields of all laws.
 ALL_LAW_FIELDS = tuple(sorted({field for fields in LAW_FIELDS.values() for field in fields}))
 
 
 def inputs(kind: str, given: str | None) -> list[str]:
-    """What the controls of an actuator are, its own first. given: its field `input`."""
+    """Return the meanings of an actuator's controls, its own first.
+
+    given: the actuator's field `input`.
+    """
     if kind == "orientation":
         return list(CHARTS[given or "expmap"])
     return (given or "voltage").split() if kind in FED else ["pos"]

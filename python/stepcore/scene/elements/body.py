@@ -9,9 +9,10 @@ from stepcore.scene.element import Element, Places, place_of
 from stepcore.scene.elements import field_types as of
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec, turned_inertia
 
-# Who may sleep, said of the root of a tree.
+# Sleep policies of a tree, set on its root.
 SLEEP = ("auto", "never", "allowed", "init")
-# Products of inertia in principal axes, of the trace; the engine allows a little more.
+# Largest products of inertia in principal axes, relative to the trace. The engine's limit is
+# slightly larger.
 PRINCIPAL = 1e-10
 
 
@@ -20,24 +21,26 @@ class Body(Element):
     """A rigid body.
 
     name: unique among bodies, or "".
-    parent: the `Body` that carries it; None for the world.
+    parent: the parent `Body`; None for the world.
     pos: position in the parent's frame [m], shape (3,).
     quat: orientation in the parent's frame, shape (4,).
     mass: [kg], >= 0; None takes mass, centre of mass and inertia from the body's geoms.
     ipos: centre of mass in the body's frame [m], shape (3,).
     inertia: about the centre of mass, in body axes [kg·m²], shape (6,): xx yy zz xy xz yz. Three
         numbers give a diagonal.
-    iquat: orientation of the principal axes of that inertia in the body's frame, shape (4,); None
-        finds them from it. It matters where moments are equal: a fluid drags a body by its axes
-        (``density``), and sensors of frames of type "body" turn with them. It becomes None where
-        an inertia is assigned that has other axes.
-    gravcomp: share of its weight that a force at its centre of mass holds up; 1 floats.
-    mocap: True for a body whose pose is an input (`Sim.mocap_pos`, `Sim.mocap_quat`): a child of
-        the world without joints, that stands still in every step, and holds what is welded to it.
-    sleep: whether the tree of which this body is the root may sleep (`Settings.sleep`): "auto"
-        unless an actuator drives it, a tendon with a spring or damper ties it to another tree, or
-        a tendon joins three; "never"; "allowed" in any case; "init" in any case, and it sleeps
-        from the start.
+    iquat: orientation of the principal axes of the inertia in the body's frame, shape (4,); None
+        computes the axes from the inertia. The choice of axes matters if principal moments are
+        equal: fluid drag (``density``) acts along these axes, and sensors of frames of type "body"
+        rotate with these axes. Assigning an inertia with other axes resets iquat to None.
+    gravcomp: fraction of the body's weight that a force at the centre of mass compensates; at 1
+        the body floats.
+    mocap: True for a body whose pose is an input (`Sim.mocap_pos`, `Sim.mocap_quat`). A mocap body
+        is a child of the world without joints. The pose is constant during a step, and bodies that
+        are welded to the mocap body follow the pose.
+    sleep: whether the tree with this root may sleep (`Settings.sleep`). "auto" allows sleep unless
+        an actuator drives the tree, a tendon with a spring or damper connects it to another tree,
+        or a tendon connects three trees. "never" forbids sleep. "allowed" always allows sleep.
+        "init" always allows sleep, and the tree sleeps from the start.
     """
 
     name: of.Text = ""
@@ -59,7 +62,7 @@ class Body(Element):
             self.iquat = None
 
     def plain(self, places: Places) -> dict[str, Any]:
-        """As for every element; what the body weighs by itself stands together."""
+        """Return the body as the engine reads it, with its own mass and inertia in one dict."""
         weight = ("mass", "ipos", "inertia", "iquat")
         inertial = None
         if self.mass is not None:
@@ -76,6 +79,6 @@ def _principal(axes: Vec, inertia: Vec) -> bool:
     return max(map(abs, products)) <= PRINCIPAL * (xx + yy + zz) and any(inertia)
 
 
-# A reference to a body, and one that may be missing.
+# A required and an optional reference to a body.
 ABody = Annotated[Body, of.element("Body")]
 SomeBody = Annotated[Body | None, of.optional(of.element("Body"))]

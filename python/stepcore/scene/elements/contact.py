@@ -1,4 +1,4 @@
-"""`Pair` and `ContactOverride`: what contacts have beside their geoms."""
+"""`Pair` and `ContactOverride`: contact parameters that do not come from geoms."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from stepcore.scene.elements.geom import AGeom
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Pair(Element):
-    """Two geoms that can collide, with contact parameters of their own.
+    """Two geoms that can collide, with contact parameters of the pair's own.
 
-    Neither the parameters of the geoms count, nor their masks, nor what is excluded: they collide
-    even if one's body is the parent of the other's.
+    The parameters and masks of the geoms have no effect on the pair, nor do excluded bodies. The
+    geoms collide even if the body of one geom is the parent of the body of the other geom.
 
     name: unique among pairs, or "".
     geom1, geom2: the two `Geom` objects.
@@ -23,11 +23,12 @@ class Pair(Element):
         normal) or 6 (and rolling).
     friction: sliding along both tangents [1], torsional [m], and rolling about both [m], shape
         (5,), >= 0. A pyramid or cone can be narrower along one tangent than along the other.
-    solref, solimp: softness of its contacts.
+    solref, solimp: softness of the pair's contacts.
     solreffriction: solref of the friction rows of an elliptic cone, where only the damping counts;
-        None means that of the normal.
-    margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
-    adhesion: with how much each contact can pull [N].
+        None means the solref of the normal row.
+    margin: distance below which contacts act [m].
+    gap: contacts are listed at distances below margin + gap [m].
+    adhesion: largest pulling force of each contact [N].
     """
 
     name: of.Text = ""
@@ -45,11 +46,13 @@ class Pair(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class ContactOverride(Element):
-    """Contact parameters that replace those of every contact while `enable` is True.
+    """Contact parameters that replace the parameters of every contact while `enable` is True.
 
     MJCF's ``o_margin``, ``o_solref``, ``o_solimp``, ``o_friction`` and the flag ``override``.
 
-    margin: [m]. solref, solimp: softness. friction: as in `Pair`, shape (5,).
+    margin: distance below which contacts act [m].
+    solref, solimp: softness.
+    friction: as in `Pair`, shape (5,).
     """
 
     enable: of.Flag = False

@@ -15,7 +15,7 @@ from stepcore.scene.elements.site import Site, SomeSite
 from stepcore.scene.elements.tendon import SomeTendon, Tendon
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
 
-# By type: what its rows are called.
+# By type: the name of the constraint rows.
 ROW_KINDS = {
     "connect": "connect",
     "weld": "weld",
@@ -23,7 +23,7 @@ ROW_KINDS = {
     "tendon": "tendon equality",
 }
 
-# By type: the fields that it can have beside its name, softness and `active`.
+# By type: the allowed fields apart from the common fields.
 _COMMON = ("name", "type", "active", "solref", "solimp")
 _BODIES, _SITES = ("body1", "body2", "anchor"), ("site1", "site2")
 FIELDS = {
@@ -32,27 +32,27 @@ FIELDS = {
     "joint": ("joint1", "joint2", "polycoef"),
     "tendon": ("tendon1", "tendon2", "polycoef"),
 }
-# Fields that say what is tied, and where.
+# Fields of the two ends and their frames.
 _ENDS = (*_BODIES, *_SITES, "relpose", "joint1", "joint2", "tendon1", "tendon2")
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Equality(Element):
-    """A constraint that ties two bodies, two joints or two tendons together.
+    """A constraint between two bodies, two joints or two tendons.
 
     name: unique among equalities, or "".
-    type: "connect": two bodies share one point; "weld": they share one frame; "joint": a hinge or
-        slide follows another, q₁ − ref₁ = p(q₂ − ref₂), or stays where it is; "tendon": a tendon
-        does, by its length beside that in the pose of the scene.
-    body1, body2: the two `Body` objects of a connect or weld.
-    site1, site2: in place of them, two `Site` objects, which the constraint brings together.
-    anchor: the shared point [m], shape (3,); of a connect in the frame of body1, in the pose of the
-        scene; of a weld in the frame of body2.
-    relpose: of a weld: position [m] of the point and orientation of body2, in the frame of body1,
-        shape (7,); None for that in the pose of the scene.
-    torquescale: of a weld: by what its turns are multiplied beside its displacements, MuJoCo's
-        scale [m/rad]. 0: it does not mind turns.
-    joint1, joint2: hinges or slides. Without joint2, joint1 stays at ref₁ + polycoef[0].
+    type: "connect": two bodies share a point. "weld": two bodies share a frame. "joint": a hinge or
+        slide follows another, q₁ − ref₁ = p(q₂ − ref₂), or is fixed. "tendon": a tendon follows
+        another in the same way, or is fixed; its ref is its length in the initial pose.
+    body1, body2: the two `Body` objects of a connect or weld; None for body2 is the world.
+    site1, site2: in place of the bodies, two `Site` objects; the constraint makes them coincide.
+    anchor: the shared point [m], shape (3,): for a connect in the frame of body1, in the initial
+        pose; for a weld in the frame of body2.
+    relpose: for a weld, position [m] of the anchor and orientation of body2, in the frame of body1,
+        shape (7,); None takes both from the initial pose.
+    torquescale: for a weld, factor on rotations relative to displacements, MuJoCo's scale [m/rad];
+        0 leaves rotations free.
+    joint1, joint2: hinges or slides. Without joint2, joint1 is fixed at ref₁ + polycoef[0].
     tendon1, tendon2: `Tendon` objects, in the same way.
     polycoef: coefficients of the polynomial p by ascending powers [rad or m], shape (5,).
     active: False leaves the constraint out.
@@ -79,12 +79,12 @@ class Equality(Element):
 
     @property
     def row_kind(self) -> str:
-        """What its rows are called, in `Sim.rows` and `Model.element_name`."""
+        """The name of the constraint rows in `Sim.rows` and `Model.element_name`."""
         return ROW_KINDS[self.type]
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """The bodies that it ties, directly or by their sites, joints or tendons."""
+        """The constrained bodies, directly or through their sites, joints or tendons."""
         holders = (self.site1, self.site2, self.joint1, self.joint2)
         own = tuple(body for body in (self.body1, self.body2) if body is not None)
         own += tuple(holder.body for holder in holders if holder is not None)
@@ -94,17 +94,17 @@ class Equality(Element):
 
     @property
     def ties_lengths(self) -> bool:
-        """Whether it ties joints or tendons, not bodies."""
+        """Whether the constraint is between joints or tendons, not bodies."""
         return self.type in ("joint", "tendon")
 
     def given(self) -> dict[str, Any]:
-        """The fields that say what is tied, where they differ from their defaults."""
+        """Return the fields of the ends and the polynomial that differ from their defaults."""
         rows = (row for row in table(Equality).values() if row.name not in _COMMON)
         values = {row.name: getattr(self, row.name) for row in rows}
         return {f: value for f, value in values.items() if value != table(Equality)[f].default}
 
     def check(self, places: Places) -> None:
-        """Checks that it has what its type needs, and nothing else."""
+        """Raise ElementError unless the given fields are those that the type needs."""
         fields, kind = self.given(), self.type
         for field, value in fields.items():
             if field not in FIELDS[kind]:
@@ -152,15 +152,15 @@ class Equality(Element):
         return self.tendon1, self.tendon2
 
     def _tied_bodies(self, places: Places) -> tuple[Any, Any]:
-        """The two bodies of a connect or weld; the second is the world where none is given."""
+        """Return the two bodies of a connect or weld; a missing second body is the world."""
         if self.site1 is not None and self.site2 is not None:
             return self.site1.body, self.site2.body
         return self.body1, self.body2 or places.bodies[0]
 
     def plain(self, places: Places) -> dict[str, Any]:
-        """The equality as the engine reads it: its two ends, and their frames on bodies.
+        """Return the equality as the engine reads it: its two ends and their frames on bodies.
 
-        A frame is None where it follows from the pose of the scene.
+        A frame that follows from the initial pose is None.
         """
         record: dict[str, Any] = self.record(*_ENDS) | {"frame1": None, "frame2": None}
         if self.ties_lengths:
@@ -171,7 +171,7 @@ class Equality(Element):
         return record | {"first": first, "second": second}
 
     def _frames(self) -> dict[str, Any]:
-        """What becomes one on the two bodies."""
+        """Return the frames on the two bodies that the constraint makes coincide."""
         if self.site1 is not None and self.site2 is not None:
             ends = (("frame1", self.site1), ("frame2", self.site2))
             return {name: _frame(site.pos, site.quat) for name, site in ends}

@@ -1,4 +1,4 @@
-"""The types of fields: the check of every assigned value, and MJCF's notation of the attribute."""
+"""The types of fields: the check of assigned values, and MJCF's notation of the attribute."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ STILL: Vec = (0.0,) * 6
 FLUIDCOEF: Vec = (0.5, 0.25, 1.5, 1.0, 1.0)
 POLYCOEF: Vec = (0.0, 1.0, 0.0, 0.0, 0.0)
 GEAR: Vec = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-# MJCF's notation of a switch, and of one that other attributes can turn.
+# MJCF's notation of a flag, and of a flag whose default depends on other attributes.
 BOOL, AUTO = "false|true", "false|true|auto"
 
 
 def real(low: float = -math.inf, above: float = -math.inf) -> FieldType:
-    """A number within limits."""
+    """Return the type of a number within limits."""
     return FieldType(checks.real(low, above), "float", "1")
 
 
 def vector(count: int, *, low: float = -math.inf, fill: Vec = ()) -> FieldType:
-    """`count` numbers; with `fill` fewer may be given."""
+    """Return the type of `count` numbers; with `fill`, fewer numbers may be given."""
     check = checks.vector(count, low=low, fill=fill)
     return (
         FieldType(check, "Numbers", f"1-{count}")
@@ -39,34 +39,34 @@ def vector(count: int, *, low: float = -math.inf, fill: Vec = ()) -> FieldType:
 
 
 def unit(count: int) -> FieldType:
-    """A direction, or a quaternion."""
+    """Return the type of a direction or a quaternion."""
     return FieldType(checks.unit(count), "Vector", str(count))
 
 
 def words(*allowed: str) -> FieldType:
-    """One of a few words."""
+    """Return the type of a word from a list."""
     return FieldType(checks.one_of(*allowed), "str", "|".join(allowed))
 
 
 def whole(low: int, high: int) -> FieldType:
-    """A whole number within limits."""
+    """Return the type of a whole number within limits."""
     return FieldType(checks.whole(low, high), "int", "int")
 
 
 def element(*kinds: str) -> FieldType:
-    """An element of one of these classes, which MJCF names."""
+    """Return the type of a reference to an element of these classes; MJCF gives its name."""
     return FieldType(checks.element(*kinds), "", "", refers=kinds)
 
 
 def optional(held: FieldType) -> FieldType:
-    """None, or what a field of this type holds."""
+    """Return the type that also allows None."""
     given = held.given and f"{held.given} | None"
     return replace(held, check=checks.optional(held.check), given=given)
 
 
 Text = Annotated[str, FieldType(checks.text, "str", "")]
 Flag = Annotated[bool, FieldType(checks.flag, "bool", BOOL)]
-# A switch that MJCF has no attribute for.
+# A flag without an MJCF attribute.
 OwnFlag = Annotated[bool, FieldType(checks.flag, "bool")]
 Real = Annotated[float, real()]
 Gain = Annotated[float | None, optional(real())]
@@ -95,13 +95,13 @@ PairFriction = Annotated[Vec, vector(5, low=0, fill=PAIR_FRICTION)]
 Gear = Annotated[Vec, vector(6, fill=GEAR)]
 SurfaceVel = Annotated[Vec, vector(6, fill=STILL)]
 FluidCoef = Annotated[Vec, vector(5, fill=FLUIDCOEF)]
-# Both count only where both are positive.
+# In MJCF the two numbers count only if both are positive.
 SpringDamper = Annotated[
     Vec | None,
     replace(optional(vector(2, low=0)), read=lambda value: value if min(value) > 0 else None),
 ]
 PolyCoef = Annotated[Vec, vector(5, fill=POLYCOEF)]
-# MuJoCo's "0 1 0 0 0 0 0" means: as in the pose of the scene.
+# A zero quaternion in MJCF means: as in the initial pose.
 RelPose = Annotated[
     Vec | None,
     FieldType(
@@ -111,14 +111,14 @@ RelPose = Annotated[
         read=lambda value: value if any(value[3:]) else None,
     ),
 ]
-# The higher coefficients of a polynomial, which MJCF writes behind the first.
+# The higher coefficients of a polynomial; MJCF writes them in the attribute of the first.
 Poly = Annotated[Vec, replace(vector(2, fill=(0.0, 0.0)), attribute=None)]
 DynPrm = Annotated[Vec | None, replace(optional(vector(3, fill=(1.0, 0.0, 0.0))), attribute="*")]
 Bias = Annotated[Vec | None, replace(optional(vector(3, fill=ORIGIN)), attribute="3")]
 SolRef = Annotated[
     Vec, FieldType(checks.solref, "Vector", "1-2", read=lambda value: value + SOLREF[len(value) :])
 ]
-# MuJoCo's "0 0" means: as the normal.
+# MuJoCo's "0 0" means: the solref of the normal.
 SolRefFriction = Annotated[
     Vec | None,
     FieldType(
@@ -132,12 +132,12 @@ SolImp = Annotated[Vec, vector(5, fill=SOLIMP)]
 Range = Annotated[
     tuple[float, float] | None, FieldType(checks.optional(checks.interval), "Vector | None", "2")
 ]
-# Of a ball joint, which may turn through no angle.
+# The range of a joint: a ball may have the range (0, 0).
 Reach = Annotated[
     tuple[float, float] | None,
     FieldType(checks.optional(checks.interval_or_zero), "Vector | None", "2"),
 ]
-# A range that is empty in a file is none.
+# An empty range in MJCF means no range.
 Lengths = Annotated[
     tuple[float, float] | None,
     FieldType(

@@ -18,39 +18,46 @@ GEOM_TYPES = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Geom(Element):
-    """A shape fixed to a body: it collides, and it gives the body mass.
+    """A shape fixed to a body. A geom collides and gives mass to its body.
 
     name: unique among geoms, or "".
-    body: the `Body` that it is fixed to.
+    body: the `Body` that the geom is fixed to.
     type: "plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box" or "mesh".
     size: [m], shape (3,): radius of a sphere; radius and half length of a capsule or cylinder; half
         sizes of a box or ellipsoid; for a plane, half sizes and grid spacing for drawing (0 is
         infinite). Fewer numbers may be given.
-    pos, quat: position [m], shape (3,), and orientation, shape (4,), in the body's frame. Those of
-        a mesh are of the coordinates of its vertices; the compiled geom stands at its centre.
-    mesh: the `Mesh` of a geom of type "mesh", or one that a primitive is fitted to: its size and
-        pose are then found from the mesh (see `MassRules.fitaabb`). fitscale: times that size.
+    pos, quat: position [m], shape (3,), and orientation, shape (4,), in the body's frame. For a
+        mesh, this is the frame of the vertices; the compiled geom has its origin at the mesh's
+        centre.
+    mesh: the `Mesh` of a geom of type "mesh", or the `Mesh` that a primitive is fitted to. A fitted
+        primitive takes its size and pose from the mesh (see `MassRules.fitaabb`).
+    fitscale: factor on the size of a fitted primitive.
     hfield: the `HField` of a geom of type "hfield".
     mass: [kg], >= 0; None means density × volume.
     density: [kg/m³], or [kg/m²] with shellinertia; >= 0.
     shellinertia: True puts the mass on the surface.
-    group: an integer that `MassRules.inertiagrouprange` refers to.
+    group: an integer; `MassRules.inertiagrouprange` selects geoms by group.
     contype, conaffinity: 32-bit masks; two geoms can collide if the contype of one and the
         conaffinity of the other share a bit.
     condim: dimension of the contact: 1 (frictionless), 3 (sliding), 4 (and torsion about the
         normal) or 6 (and rolling).
     friction: sliding, torsional [m] and rolling [m] coefficient, shape (3,), >= 0.
-    solref, solimp: softness of its contacts.
-    priority, solmix: which of two geoms decides their contact's parameters, and how they are mixed.
-    fluidshape: what a fluid around the scene takes the geom for: "ellipsoid", or "none", a part of
-        a box with the inertia of its body, which counts where none of its geoms is an ellipsoid.
-    fluidcoef: of an ellipsoid: blunt, slender and angular drag, Kutta and Magnus lift, shape (5,).
-    hidden: True: rays and rangefinders pass through it, as through MJCF's geoms of opacity 0.
-    margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
-    surfacevel: how its surface moves as contacts feel it, in the geom's frame, shape (6,): a
-        velocity [m/s], and an angular velocity about the frame's origin [rad/s]: belts, turntables.
-    adhesion: with how much each of its contacts can pull [N]; of two geoms the sum, or that of the
-        one whose priority is higher. They pull as far as the gap reaches.
+    solref, solimp: softness of the geom's contacts.
+    priority: the geom with the higher priority sets the parameters of a contact. At equal priority
+        the larger condim and friction count, and the softness is mixed.
+    solmix: weight of the geom's softness in the mixture.
+    fluidshape: model of fluid forces on the geom. "ellipsoid" applies forces to the geom. "none"
+        leaves fluid forces to the box with the inertia of the body; this box counts only if no geom
+        of the body is an ellipsoid.
+    fluidcoef: blunt, slender and angular drag, Kutta and Magnus lift of an ellipsoid, shape (5,).
+    hidden: True lets rays and rangefinders pass through the geom, as for MJCF's geoms of opacity 0.
+    margin: distance below which contacts act [m].
+    gap: contacts are listed at distances below margin + gap [m].
+    surfacevel: velocity of the surface in contacts (belts, turntables), in the geom's frame, shape
+        (6,): linear velocity [m/s], angular velocity about the frame's origin [rad/s].
+    adhesion: largest pulling force of each contact [N]. For two geoms, their adhesions add up; with
+        different priorities, only the adhesion of the higher priority counts. Contacts pull at
+        distances up to the gap.
     """
 
     name: of.Text = ""
@@ -84,7 +91,7 @@ class Geom(Element):
 
     @property
     def half_size(self) -> float:
-        """The largest half size [m]; 0 of ground, which has none of its own."""
+        """The largest half size [m]; 0 for planes and height fields."""
         if self.type in ("plane", "hfield"):
             return 0.0
         if self.mesh is not None:

@@ -18,28 +18,27 @@ class Joint(Element):
     """A joint between a body and its parent. Several joints of one body act in order.
 
     name: unique among joints, or "".
-    body: the `Body` that it moves.
+    body: the `Body` that the joint moves.
     type: "hinge", "slide", "ball" or "free".
     pos: anchor in the body's frame [m], shape (3,).
-    axis: of a hinge or slide, in the body's frame, shape (3,), stored at unit length.
+    axis: axis of a hinge or slide in the body's frame, shape (3,), stored at unit length.
     range: (lower, upper) limit [rad or m], or None for no limit; (0, largest angle) for a ball.
-    margin: distance from a limit at which it starts to act [rad or m].
-    ref: coordinate of a hinge or slide in the pose in which the scene is described [rad or m].
+    margin: distance from a limit at which the limit starts to act [rad or m].
+    ref: coordinate of a hinge or slide in the initial pose of the scene [rad or m].
     springref: coordinate at which the spring is relaxed [rad or m].
-    stiffness: of the spring [N·m/rad or N/m].
-    stiffnesspoly: b [.../rad or m] and c [.../rad² or m²] of a spring that pulls back with
-        (stiffness + b x + c x²) x at a stretch x; of a ball, and of a free joint's way and turn
-        apart, x is the length of the stretch.
+    stiffness: stiffness of the spring [N·m/rad or N/m].
+    stiffnesspoly: b [.../rad or m] and c [.../rad² or m²] of a spring with the restoring force
+        (stiffness + b x + c x²) x at a stretch x. For a ball, x is the norm of the stretch; for a
+        free joint, translation and rotation have a norm each.
     damping: [N·m·s/rad or N·s/m].
-    dampingpoly: b and c of a damper that pulls with (damping + b |v| + c v²) v.
-    springdamper: time constant [s] and damping ratio, > 0, of spring and damper on the inertia that
-        the joint moves in the pose of the scene, in place of `stiffness` and `damping`; None for
-        those.
-    actuatorgravcomp: the gravity compensation of bodies counts on this joint as a force of its
-        actuators.
-    armature: inertia added to each of its dofs [kg·m² or kg], >= 0.
-    actuatorfrcrange: (lower, upper) bounds of the force of all actuators on a hinge or slide
-        together [N·m or N], or None.
+    dampingpoly: b and c of a damper with the force (damping + b |v| + c v²) v.
+    springdamper: time constant [s] and damping ratio, > 0, of spring and damper, for the inertia
+        that the joint moves in the initial pose; None uses `stiffness` and `damping`.
+    actuatorgravcomp: True counts the gravity compensation of bodies on this joint as a force of
+        the joint's actuators.
+    armature: inertia added to each dof of the joint [kg·m² or kg], >= 0.
+    actuatorfrcrange: (lower, upper) bounds of the sum of all actuator forces on a hinge or slide
+        [N·m or N], or None.
     frictionloss: dry friction [N·m or N], >= 0.
     solreflimit, solimplimit: softness of the limit.
     solreffriction, solimpfriction: softness of the dry friction.
@@ -70,16 +69,16 @@ class Joint(Element):
 
     @property
     def sprung(self) -> bool:
-        """Whether it has a spring."""
+        """Whether the joint has a spring."""
         return self.springdamper is not None or any((self.stiffness, *self.stiffnesspoly))
 
     @property
     def damped(self) -> bool:
-        """Whether it has a damper."""
+        """Whether the joint has a damper."""
         return self.springdamper is not None or any((self.damping, *self.dampingpoly))
 
     def record(self, *skip: str) -> dict[str, Any]:
-        """As for every element; without a springdamper its two numbers are zero."""
+        """Return the fields as the engine reads them; a missing springdamper becomes two zeros."""
         return super().record(*skip) | {"springdamper": list(self.springdamper or (0.0, 0.0))}
 
 

@@ -1,4 +1,4 @@
-"""`Mesh` and `HField`: elements that geoms refer to, with their numbers in arrays."""
+"""`Mesh` and `HField`: arrays that geoms refer to."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ MESH_INERTIAS = ("convex", "exact", "legacy", "shell")
 
 
 class Asset(Element):
-    """Base of meshes and height fields: arrays are read-only, and shared by copies."""
+    """Base class of meshes and height fields: copies share the read-only arrays."""
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        # Its values are constants all of them.
+        # All values are immutable.
         result = object.__new__(type(self))
         result.__dict__.update(self.__dict__)
         memo[id(self)] = result
@@ -54,17 +54,20 @@ Heights = Annotated[NDArray[Any], FieldType(checks.table(None), "ArrayLike")]
 class Mesh(Asset):
     """A surface of triangles, for geoms of type "mesh" and primitives fitted to it.
 
-    Its convex hull collides. Numbers are kept in double precision (MuJoCo rounds to single).
+    Collisions use the convex hull. Numbers are stored in double precision (MuJoCo rounds to
+    single).
 
     name: unique among meshes, or "".
     vertices: [m before `scale`], shape (n, 3), n >= 4.
-    faces: indices of vertices, counter-clockwise from outside, shape (m, 3); None: the hull's.
-    scale: of each axis, shape (3,); a negative number mirrors.
-    refpos, refquat: position [m] and orientation of the frame that the vertices are meant in.
-    inertia: how volume and inertia are found: "convex" (of the hull), "exact" (a closed surface,
-        well oriented), "legacy" (MuJoCo's default, which counts hollows as full) or "shell".
-    maxhullvert: the most vertices of the hull (> 3); -1: any number.
-    file: the file that it was read from, or "".
+    faces: indices of vertices, counter-clockwise from outside, shape (m, 3); None: the faces of the
+        hull.
+    scale: factor for each axis, shape (3,); a negative factor mirrors.
+    refpos, refquat: position [m] and orientation of the reference frame of the vertices.
+    inertia: method for volume and inertia: "convex" (of the hull), "exact" (of a closed surface,
+        consistently oriented), "legacy" (MuJoCo's default, which counts hollows as solid) or
+        "shell".
+    maxhullvert: largest number of vertices of the hull (> 3); -1: no limit.
+    file: the source file, or "".
     """
 
     name: of.Text = ""
@@ -78,7 +81,7 @@ class Mesh(Asset):
     file: FilePath = ""
 
     def placed(self) -> NDArray[Any]:
-        """The vertices in the frame of the geom: scale · refquatᵀ (vertex − refpos)."""
+        """Return the vertices in the frame of the geom: scale · refquatᵀ (vertex − refpos)."""
         vertices: NDArray[Any] = self.vertices
         if self.refpos != ORIGIN:
             vertices = vertices - np.array(self.refpos)
@@ -90,7 +93,10 @@ class Mesh(Asset):
         return np.ascontiguousarray(vertices)
 
     def record(self, *_: str) -> dict[str, Any]:
-        """The mesh as the engine reads it: in place, a mirrored one with its faces turned over."""
+        """Return the mesh as the engine reads it, in the geom's frame.
+
+        The faces of a mirrored mesh are flipped.
+        """
         faces = np.empty((0, 3), np.uintp) if self.faces is None else self.faces
         if np.prod(np.sign(self.scale)) < 0:
             faces = np.ascontiguousarray(faces[:, [0, 2, 1]])
@@ -112,7 +118,7 @@ class HField(Asset):
         base below the lowest [m], shape (4,), > 0.
     elevation: heights of any scale, shape (rows, columns), at least 2 × 2: the first row is at the
         largest y, as in an image; the lowest height becomes 0 and the highest `size[2]`.
-    file: the file that it was read from, or "".
+    file: the source file, or "".
     """
 
     name: of.Text = ""

@@ -11,7 +11,7 @@ from stepcore import checks
 from stepcore.scene.element import Element, FieldType, Places
 from stepcore.scene.elements import field_types as of
 
-# By type: the kinds of elements that it can look at, and those of its reference.
+# By type: the allowed kinds of the object and of the reference.
 FRAMES = ("site", "body", "geom")
 AT_SITE = (
     *("touch", "accelerometer", "velocimeter", "gyro", "force", "torque", "magnetometer"),
@@ -47,19 +47,19 @@ OBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     **dict.fromkeys(OF_WHOLE, ((), ())),
     "user": ((*FRAMES, "joint", "tendon", "actuator"), ()),
 }
-# Types whose object, or whose reference, may be missing.
+# Types whose object is optional, and types whose reference is required.
 NO_OBJECT = ("contact", "user", *OF_WHOLE)
 REFERENCE = ("insidesite", *OF_GAP)
-# Types whose readings have no bound, and the joints that types can look at.
+# Types without a cutoff; by type, the allowed types of joint.
 _DIRECTIONS = ("ballquat", "framequat", "framexaxis", "frameyaxis", "framezaxis")
 _JOINTS = {
     **dict.fromkeys(OF_SCALAR_JOINT, ("hinge", "slide")),
     **dict.fromkeys(OF_BALL, ("ball",)),
     **dict.fromkeys(OF_LIMIT, ("hinge", "slide", "ball")),
 }
-# Why a sensor of an adhesion's speed is not computed.
+# The error text for a sensor of an adhesion's speed.
 ADHERES = "the speed along the contacts of an adhesion is not computed"
-# The most contacts of a contact sensor, and numbers of one of type "user".
+# Largest number of contacts of a contact sensor, and of values of a sensor of type "user".
 MOST_NUMBERS = 10_000
 
 CONTACT_DATA = (
@@ -69,7 +69,7 @@ RAY_DATA = ("dist", "dir", "origin", "point", "normal", "depth")
 
 
 def _words(owner: object, field: str, value: object) -> tuple[str, ...]:
-    """Words that name quantities; a text holds them with blanks between."""
+    """Return names of quantities from a list, or from a string separated by blanks."""
     words = value.split() if isinstance(value, str) else checks.listed(value)
     known = dict.fromkeys((*CONTACT_DATA, *RAY_DATA))
     if words is None or not all(isinstance(word, str) and word in known for word in words):
@@ -77,35 +77,38 @@ def _words(owner: object, field: str, value: object) -> tuple[str, ...]:
     return tuple(words)
 
 
-# What a body stands for; MJCF says it by the name of the attribute.
+# The frame or part that a body means; in MJCF the name of the attribute gives this.
 STANDS_FOR = replace(of.words("", "body", "xbody", "subtree"), attribute=None)
 AnObject = of.element("Site", "Body", "Geom", "Joint", "Tendon", "Actuator")
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Sensor(Element):
-    """Something that is read of the world under a name. It changes nothing, and costs nothing
-    until it is read. Types, conventions and units are MuJoCo's; docs/sensors.md lists them.
+    """A named measurement of the world.
+
+    A sensor does not change the motion, and is computed only when its value is read. Types,
+    conventions and units are MuJoCo's; docs/sensors.md lists the types.
 
     name: unique among sensors, or "".
     type: "accelerometer", "touch", "jointpos", "framepos", "contact" and so on.
-    object: what it looks at: a `Site`, `Body`, `Geom`, `Joint`, `Tendon` or `Actuator`, as the
-        type needs; None for types that look at the whole world. One of type "user" may have any of
-        these or none: it is for its user to know.
-    objtype: what a body stands for: its own frame ("xbody", which frames mean by default), its
-        centre of mass and principal axes ("body"); in a contact sensor the body alone ("body",
-        the default) or all that hangs on it as well ("subtree").
-    reference: the frame of reference of a frame sensor, the second end of a distance or a contact
-        sensor, the volume of an insidesite. reftype: as objtype.
-    cutoff: bound of the absolute value where positive; of distances, how far apart the geoms may
-        be.
-    noise: standard deviation, kept for its reader: as in MuJoCo nothing is added.
-    data: of a contact sensor or a rangefinder, the quantities that it gives, in this order:
-        "found", "force", "torque", "dist", "pos", "normal", "tangent", "linvel", "angvel", or
-        "dist", "dir", "origin", "point", "normal", "depth". Empty means "found", or "dist".
-    reduce: which contacts a contact sensor gives first: "none", "mindist", "maxforce", "netforce".
-    num: how many contacts a contact sensor gives; how many numbers a sensor of type "user", which
-        are 0: they are its user's to compute.
+    object: the observed `Site`, `Body`, `Geom`, `Joint`, `Tendon` or `Actuator`, as the type needs;
+        None for types that observe the whole world. A sensor of type "user" may have any object or
+        None, without effect.
+    objtype: the meaning of a body as object. For frame sensors, "xbody" (default) is the body's own
+        frame, and "body" is the frame of its centre of mass and principal axes. For contact
+        sensors, "body" (default) is the body alone, and "subtree" includes all its descendants.
+    reference: the reference frame of a frame sensor, the second end of a distance or a contact
+        sensor, the volume of an insidesite.
+    reftype: as objtype, for the reference.
+    cutoff: bound of the absolute value if positive; for distances, the largest distance between the
+        geoms that is measured.
+    noise: standard deviation, as a note for users; as in MuJoCo, no noise is added.
+    data: the quantities of a contact sensor or a rangefinder, in this order: "found", "force",
+        "torque", "dist", "pos", "normal", "tangent", "linvel", "angvel", or "dist", "dir",
+        "origin", "point", "normal", "depth". Empty means "found", or "dist".
+    reduce: order of the contacts of a contact sensor: "none", "mindist", "maxforce", "netforce".
+    num: number of contacts of a contact sensor; number of values of a sensor of type "user". The
+        values of type "user" are 0 for the user to compute.
     """
 
     name: of.Text = ""
@@ -122,11 +125,11 @@ class Sensor(Element):
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What it gives, of what some sensors choose from."""
+        """The quantities of a contact sensor or a rangefinder; () for other types."""
         return self.data or {"contact": ("found",), "rangefinder": ("dist",)}.get(self.type, ())
 
     def check(self, places: Places) -> None:
-        """Raises ValueError where the sensor does not look at what its type needs."""
+        """Raise ElementError if object, reference or data do not fit the sensor's type."""
         kinds, reference_kinds = OBJECTS[self.type]
         self._check_end(places, "object", kinds, self.type in NO_OBJECT)
         self._check_end(places, "reference", reference_kinds, self.type not in REFERENCE)
@@ -174,9 +177,9 @@ class Sensor(Element):
             raise checks.ElementError(self, "a net force has no velocity (linvel, angvel)")
 
     def plain(self, places: Places) -> dict[str, Any]:
-        """The sensor as the engine reads it.
+        """Return the sensor as the engine reads it.
 
-        A sensor of type "user" gives zeros, whatever it is attached to.
+        The object of a sensor of type "user" is left out, because its values are zeros.
         """
         looked_at = None if self.type == "user" else self.object
         return self.record("objtype", "reftype", "noise") | {

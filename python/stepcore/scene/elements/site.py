@@ -16,11 +16,13 @@ SITE_SIZE = (0.005, 0.005, 0.005)
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Site(Element):
-    """A named place on a body, with a volume that some sensors use.
+    """A named frame on a body, with a volume that some sensors use.
 
+    name: unique among sites, or "".
+    body: the `Body` that the site is fixed to.
     pos, quat: position [m], shape (3,), and orientation, shape (4,), in the body's frame.
-    type: of its volume: "sphere", "capsule", "ellipsoid", "cylinder" or "box".
-    size: of its volume [m], as that of a geom, shape (3,). Fewer numbers may be given.
+    type: shape of the volume: "sphere", "capsule", "ellipsoid", "cylinder" or "box".
+    size: size of the volume [m], as for a geom, shape (3,). Fewer numbers may be given.
     """
 
     name: of.Text = ""

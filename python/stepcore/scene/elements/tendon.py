@@ -1,4 +1,4 @@
-"""`Tendon`, and what its path passes."""
+"""`Tendon`, and the stops of its path."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from stepcore.scene.elements.geom import Geom
 from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
 
-# MuJoCo's: the length at which the springs of joints are at rest.
+# MuJoCo's code for the length at which all joints are at their springref.
 AUTOMATIC = (-1.0, -1.0)
 
 
 class Share(NamedTuple):
-    """A joint of a fixed tendon, whose length has coef × its position."""
+    """A joint of a fixed tendon; the joint adds coef × its position to the length."""
 
     joint: Joint
     coef: float
 
 
 class Around(NamedTuple):
-    """A sphere or cylinder round which a tendon goes where it is in the way.
+    """A sphere or cylinder that a tendon wraps around where the geom obstructs its path.
 
-    sidesite: the site past which it goes; one that is nearer to the geom's centre than its radius
-    makes it pass through the geom instead.
+    sidesite: the site on the side where the tendon wraps. If the site is inside the geom, the
+        tendon passes through the geom instead.
     """
 
     geom: Geom
@@ -36,7 +36,7 @@ class Around(NamedTuple):
 
 
 class Pulley(NamedTuple):
-    """Starts a branch of a tendon, whose length counts divided by the divisor, > 0."""
+    """The start of a branch of a tendon; the length of the branch is divided by `divisor`, > 0."""
 
     divisor: float
 
@@ -45,18 +45,18 @@ Stop = Share | Around | Pulley | Site
 
 
 class Path(tuple[Stop, ...]):
-    """What a tendon passes, in order."""
+    """The stops of a tendon in order."""
 
     __slots__ = ()
 
     @property
     def fixed(self) -> bool:
-        """Whether it runs over joints."""
+        """Whether the path runs over joints."""
         return bool(self) and isinstance(self[0], Share)
 
 
 def path(owner: Any, field: str, value: object) -> Path:
-    """Joints with their coefficients, or sites, geoms and pulleys."""
+    """Return the path of joints with coefficients, or of sites, geoms and pulleys."""
     stops = value if isinstance(value, (list, tuple)) else None
     if stops is None:
         raise checks.refuse(owner, field, value, "a list of joints, or of sites, geoms and pulleys")
@@ -80,7 +80,7 @@ def _stop(owner: Any, field: str, stop: object) -> Stop:
 
 
 def spring_length(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """One length, or two of which the second is not smaller."""
+    """Return (low, high) from one length or from two lengths in ascending order."""
     number = checks.number(value)
     pair = (number, number) if number is not None else value
     low, high = checks.vector(2)(owner, field, pair)
@@ -94,26 +94,29 @@ SpringLength = Annotated[tuple[float, ...], FieldType(spring_length, "Numbers", 
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Tendon(Element):
-    """A length, with what holds it and pulls along it.
+    """A length, with limits and forces along it.
 
-    A fixed tendon runs over hinges and slides, and its length is the sum of coef × position. A
-    spatial one is the shortest way through sites and round geoms [m]. Forces along it are positive
-    where they lengthen it. A tendon without a force, a limit or an actuator costs no step anything.
+    A fixed tendon runs over hinges and slides; its length is the sum of coef × position. A spatial
+    tendon takes the shortest path through sites and around geoms; its length is that of the path
+    [m]. A positive force lengthens the tendon. A tendon without a force, a limit or an actuator
+    does not slow down the step.
 
     name: unique among tendons, or "".
-    path: of a fixed tendon, (joint, coef) each; of a spatial one, a `Site`, a `Geom` (a sphere or
-        cylinder; without ends), a (geom, side site) or a `Pulley`. Every branch begins and ends
-        with a site, and has sites between its geoms.
+    path: for a fixed tendon, a list of (joint, coef). For a spatial tendon, a list of stops: a
+        `Site`, a `Geom` (a sphere or an infinite cylinder), a (geom, side site) or a `Pulley`.
+        Every branch begins and ends with a site, and has sites between its geoms.
     range: (shortest, longest) length, or None for no limit.
-    margin: distance from a limit at which it starts to act.
+    margin: distance from a limit at which the limit starts to act.
     springlength: length at which the spring is relaxed, or (low, high) between which it is slack;
         (-1, -1): the length where joints are at their springref.
-    stiffness: of the spring [N/m]. stiffnesspoly: b and c of a spring that pulls back with
-        (stiffness + b x + c x²) x at a stretch x.
-    damping: [N·s/m]. dampingpoly: b and c of a damper that pulls with (damping + b |v| + c v²) v.
-    armature: inertia of a change of its length [kg], >= 0.
+    stiffness: stiffness of the spring [N/m].
+    stiffnesspoly: b and c of a spring with the restoring force (stiffness + b x + c x²) x at a
+        stretch x.
+    damping: [N·s/m].
+    dampingpoly: b and c of a damper with the force (damping + b |v| + c v²) v.
+    armature: inertia against a change of length [kg], >= 0.
     frictionloss: dry friction [N], >= 0.
-    actuatorfrcrange: bounds of the sum of forces of the actuators on it [N], or None.
+    actuatorfrcrange: bounds of the sum of actuator forces on the tendon [N], or None.
     solreflimit, solimplimit: softness of the limit.
     solreffriction, solimpfriction: softness of the dry friction.
     """
@@ -137,27 +140,27 @@ class Tendon(Element):
 
     @property
     def fixed(self) -> bool:
-        """Whether it runs over joints, and not through sites."""
+        """Whether the tendon runs over joints, not through sites."""
         return self.path.fixed
 
     @property
     def sprung(self) -> bool:
-        """Whether it has a spring."""
+        """Whether the tendon has a spring."""
         return any((self.stiffness, *self.stiffnesspoly))
 
     @property
     def damped(self) -> bool:
-        """Whether it has a damper."""
+        """Whether the tendon has a damper."""
         return any((self.damping, *self.dampingpoly))
 
     def elements(self) -> Iterable[Joint | Site | Geom]:
-        """The joints, sites and geoms that it refers to."""
+        """Yield the joints, sites and geoms that the tendon refers to."""
         for stop in self.path:
             parts = (stop,) if isinstance(stop, Site) else stop
             yield from (part for part in parts if isinstance(part, (Joint, Site, Geom)))
 
     def plain(self, places: Places) -> dict[str, Any]:
-        """As for every element; each stop of the path says what it is."""
+        """Return the tendon as the engine reads it, with each stop of the path as a dict."""
         return self.record("path") | {"path": [_plain_stop(stop, places) for stop in self.path]}
 
 

@@ -1,4 +1,4 @@
-"""`Key`, `MassRules`, `LengthRange` and `Features`: what concerns the whole scene."""
+"""`Key`, `MassRules`, `LengthRange` and `Features`: records about the whole scene."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Key(Element):
 
     name: unique among keyframes, or "".
     time: [s].
-    qpos, qvel, act, ctrl: in the order of the compiled model, shapes (nq,), (nv,), (na,) and (nu,);
-        None means the pose of the scene, rest, zero and zero.
+    qpos, qvel, act, ctrl: in the order of the compiled model, shapes (nq,), (nv,), (na,) and (nu,).
+        None means the pose of the scene for qpos, and zeros for the others.
     mpos, mquat: positions [m], shape (3 n,), and quaternions, shape (4 n,), of the n mocap bodies;
         None means the pose of the scene.
     """
@@ -45,10 +45,10 @@ FromGeoms = Annotated[
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class MassRules(Element):
-    """How the masses of bodies are made, with the words of MJCF's ``<compiler>``.
+    """Rules for the masses of bodies, named as in MJCF's ``<compiler>``.
 
-    inertiafromgeom: True takes every body's mass from its geoms, False none, and None that of the
-        bodies that have no mass of their own.
+    inertiafromgeom: True takes the mass of every body from its geoms, False of no body, and None
+        of the bodies that have no mass of their own.
     inertiagrouprange: (first, last) group of the geoms that have mass.
     boundmass, boundinertia: lower bounds of a body's mass [kg] and principal inertias [kg·m²].
     balanceinertia: True repairs inertias that violate A + B >= C.
@@ -71,22 +71,23 @@ class MassRules(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class LengthRange(Element):
-    """How the least and greatest length of a muscle that gives none is found, as MuJoCo does.
+    """Settings of the simulation that finds the length range of muscles, as in MuJoCo.
 
-    When the scene is compiled the actuator is pulled both ways from the initial pose, without
-    gravity, contacts, friction, passive forces and other actuators, until limits or geometry hold
-    it.
+    The simulation concerns muscles that give no range. It runs when the scene is compiled. It pulls
+    the actuator both ways from the initial pose, without gravity, contacts, friction, passive
+    forces and other actuators, until limits or geometry stop the motion.
 
-    mode: "none" refuses such muscles; the others, which MuJoCo tells apart, find their ranges.
+    mode: "none" refuses muscles without a range. All other modes find the ranges of muscles;
+        MuJoCo distinguishes these modes.
     useexisting: False finds the ranges of all muscles.
-    uselimit: True takes the range of the joint or tendon, where it has one.
+    uselimit: True takes the range of the joint or tendon if the joint or tendon has a range.
     accel: norm of the acceleration of all dofs under the pull [m/s² and rad/s²].
-    maxforce: norm of the pull that is not exceeded [N or N·m]; 0: none.
-    timeconst: time constant with which velocities decay [s].
-    timestep: its step [s]; 0: the scene's.
-    inttotal: for how long it pulls [s].
-    interval: the last part of that, in which it must rest [s].
-    tolrange: how far it may move there, of the whole range.
+    maxforce: upper bound of the norm of the pull [N or N·m]; 0: no bound.
+    timeconst: time constant of the decay of velocities [s].
+    timestep: time step of the simulation [s]; 0: the scene's time step.
+    inttotal: duration of the pull [s].
+    interval: final part of the pull, in which the length must settle [s].
+    tolrange: largest change of length in the interval, as a fraction of the range.
     """
 
     mode: Annotated[str, of.words("none", "muscle", "muscleuser", "all")] = "muscle"
@@ -106,7 +107,7 @@ class LengthRange(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Features(Element):
-    """What a model takes into account. Each field is a flag; False leaves the feature out.
+    """Flags of the physical effects that a model includes; False leaves an effect out.
 
     The names are those of MJCF's flags, except `coriolis`: Coriolis, centrifugal and gyroscopic
     forces.
