@@ -1,4 +1,4 @@
-"""`check`: the first thing to run on a scene that misbehaves: what is wrong with it, in seconds."""
+"""`check`: finds what makes a scene misbehave, in seconds; the first thing to run."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ from stepcore.report.units import beginning, counted
 
 __all__ = ["Check", "check"]
 
-# Control periods of the run where nothing sets them.
+# Default number of control periods of the run.
 PERIODS = 100
-# The most steps of a run whose horizon is not given: some seconds of computing.
+# Largest number of steps if no horizon is given: some seconds of computing.
 LONGEST = 200_000
-# What a length in "0.1%" is a share of has no meaning here.
+# No scene size: lengths in "0.1%" are not supported here.
 NO_SIZE = 1.0
-# The first sentences of a failure say when it was and what began it; the diagnosis cures it.
+# A failure keeps only the sentences on its time and its cause; the diagnosis gives the cure.
 SENTENCES = 2
-# So many commands are named; `diagnose` where the stability margin is below MARGIN.
+# Largest number of commands; and the stability margin below which `diagnose` is named.
 COMMANDS, MARGIN = 3, 2.0
-# Worth running on any scene.
+# Commands for any scene.
 ALWAYS = (
     Next("trade", "how large the error is, and what is cheaper", ("--error", "1mm")),
     Next("predict", "for how long its motion can be predicted"),
     Next("plan", "what a step computes"),
 )
-# The options of the motion that commands take, by its fields; `run` and `plan` take fewer.
+# Command options by fields of the motion; `run` and `plan` accept fewer.
 MOTION = {name: f"--{name.replace('_', '-')}" for name in MotionFields.__annotations__}
 TAKEN = {
     "run": MOTION | {"horizon": "--duration", "seed": ""},
@@ -64,16 +64,17 @@ TAKEN = {
 
 @dataclass(eq=False, repr=False)
 class Check(Result):
-    """What is wrong with a scene, or may be; `stepcore.check` returns it.
+    """The problems of a scene; `stepcore.check` returns it.
 
     name: the name of the scene.
-    settings: its own settings, under which it ran.
+    settings: the scene's own settings, under which it ran.
     motion: the motion that was run.
-    findings: what was found, the most severe first.
-    diagnosis: the `Diagnosis` of the time step; None where it failed, and a note says why.
-    ran: what motion was run, in words.
-    file: what commands call the scene, with the options that change how it is read.
-    options: the motion as commands take it, by the field of `Motion`.
+    findings: the problems, most severe first.
+    diagnosis: the `Diagnosis` of the time step; None if the diagnosis failed, and a note gives the
+        reason.
+    ran: the motion in words.
+    file: the file argument of the commands, with the options that change how the file is read.
+    options: the options of the motion for the commands, by the field of `Motion`.
     """
 
     kind = "check"
@@ -91,7 +92,7 @@ class Check(Result):
 
     @property
     def commands(self) -> list[tuple[str, str]]:
-        """What to run next on the same scene and motion, and why; the most useful first."""
+        """Commands to run next on the same scene and motion, with reasons; most useful first."""
         each = ((self._command(following), following.why) for following in self._following())
         return list(dict(each).items())[:COMMANDS]
 
@@ -115,14 +116,15 @@ class Check(Result):
 
     @property
     def title(self) -> str:
-        """What was checked."""
+        """The scene checked."""
         return f"{self.name}: check"
 
     @property
     def setup(self) -> str:
-        """Under which settings, and on what motion the time step was judged."""
+        """The settings, and the motion on which the time step was judged."""
         said = f"Under {label(self.settings)}."
-        # Controls that the user gives drive both; without them this run holds the keyframe's.
+        # The user's controls drive both runs; without them, this run holds the keyframe's controls
+        # constant.
         driven = self.motion.control is not None or self.motion.ctrl is not None
         if self.diagnosis is not None and not driven and self.diagnosis.ran not in ("", self.ran):
             said += f"\nThe time step was judged on another motion: {self.diagnosis.ran}."
@@ -135,7 +137,7 @@ class Check(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """What was found with its cures, the diagnosis' answer, and the commands to run next."""
+        """The problems with their cures, the diagnosis' answer, and the commands to run next."""
         return list(self._said())
 
     def _said(self) -> Iterator[str]:
@@ -161,14 +163,14 @@ class Check(Result):
         return Table((finding.record() for finding in self.findings), columns)
 
     def tables(self, full: bool) -> list[Table]:
-        """The numbers that the findings are judged by."""
+        """Return the numbers by which the findings are judged."""
         if not self.findings:
             return []
         table = self.table
         return [Table(table, table.columns[:-1], heading="By element and value")]
 
     def details(self) -> dict[str, Any]:
-        """The commands, and the diagnosis as data."""
+        """Return the commands and the diagnosis as plain data."""
         diagnosis = None if self.diagnosis is None else self.diagnosis.to_dict()
         return {"next": [command for command, _ in self.commands], "diagnosis": diagnosis}
 
@@ -187,20 +189,20 @@ def check(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Check:
-    """Looks for what makes a scene misbehave: the first thing to run, in seconds.
+    """Find what makes a scene misbehave, in seconds; the first thing to run.
 
-    It reads the scene (masses and inertias that no real thing has, units that look like mm or
+    `check` reads the scene (implausible masses and inertias, units that look like mm or
     degrees, starts and keyframes outside of limits, servos that are too weak, too stiff or
-    saturated, limits that an actuator overpowers), watches one run as shipped (overlaps, creep,
+    saturated, limits that an actuator overpowers), monitors one run as shipped (overlaps, creep,
     gaps, depths, saturation), and diagnoses the time step. Each finding is a sentence with its
-    cure, the most severe first; then come the diagnosis' answer and the commands to run next.
+    cure, most severe first. The diagnosis' answer and the commands to run next follow.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: the `Motion` that is run; or write its fields as arguments, except `starts`, because
-        there is one start. Without controls those of the keyframe are held (zero without one).
-        The horizon is 1 s by default, or 200,000 steps if that is shorter.
-    depth: at which contacts are wanted to rest, a length such as 1e-4 or "0.1mm"; the result then
-        names the solref that gives it, wherever contacts rest deeper.
+        there is one start. Without controls, those of the keyframe are held constant (zero without
+        a keyframe). The horizon is 1 s by default, or 200,000 steps if that is shorter.
+    depth: the wanted depth of resting contacts, a length such as 1e-4 or "0.1mm". For contacts
+        that rest deeper, the result names the solref that gives this depth.
     threads: the number of integrators diagnosed at the same time (default: one per core).
     executor: any concurrent.futures executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
@@ -234,7 +236,7 @@ def check(
     failure, seen = _monitored(compiled, schedule, wanted)
     driven = motion.ctrl is not None or motion.control is not None
     if not driven and not compiled.keys:
-        # A control of 0 that nothing asked for may be outside of its range.
+        # A default control of 0 may be outside its range; this is not the user's error.
         seen = [finding for finding in seen if finding.kind != "clamped control"]
     start, held = home(compiled, motion.key)
     read = list(_read(compiled, start, held, _key(compiled, motion.key)))
@@ -255,7 +257,7 @@ def check(
 
 
 def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
-    """The motion, with the keyframe's controls held where the user gives none."""
+    """Return the motion, with the keyframe's controls held constant if the user gives none."""
     dt = model.settings.dt
     if motion.ctrl is None and motion.control is None and model.nu:
         held = home(model, motion.key)[1]
@@ -268,7 +270,7 @@ def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
 def _monitored(
     model: Model, schedule: Schedule, depth: float | None
 ) -> tuple[list[Finding], list[Finding]]:
-    """Why the run fails, if it does, and what it showed until its end."""
+    """Return the failure of the run, if any, and the findings of its monitor."""
     runner = Runner(model, schedule)
     monitor = Monitor(model, runner.bodies, schedule.periods)
     failure = runner.run(model.settings.replace(ledger=True), 0, [monitor]).failure
@@ -281,16 +283,19 @@ def _monitored(
 
 
 def _read(model: Model, start: Start, held: np.ndarray, key: int | None) -> Iterator[Finding]:
-    """What the scene alone shows; key: the keyframe that is the start."""
+    """Yield the findings from the scene alone; key: the keyframe of the start."""
     yield from about_bodies(model, Sizes(model))
     yield from about_ranges(model, start, key)
     yield from about_servos(model, start, held)
 
 
 def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
-    """What was read and what was seen, the same thing once: as read, but a limit as seen."""
+    """Yield the findings of the scene and of the run without duplicates.
+
+    Of a duplicate, the scene's finding is kept; of a limit, the run's.
+    """
     if any(finding.kind == "units" for finding in read):
-        # A control range in degrees overpowers every limit.
+        # With a control range in degrees, every limit is overpowered; report the range only.
         read = [finding for finding in read if finding.kind != "limit"]
     beyond = {at for finding in seen if finding.kind == "limit" for at in finding.elements}
     known = set()
@@ -304,14 +309,14 @@ def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
 
 
 def _key(model: Model, key: str | int | None) -> int | None:
-    """The keyframe that is the start."""
+    """Return the index of the start's keyframe."""
     if key is None:
         return 0 if model.keys else None
     return model.index("key", key)
 
 
 def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str]]:
-    """The diagnosis of the time step, or why there is none."""
+    """Return the diagnosis of the time step, or None and the reason."""
     workers = setup.workers
     try:
         diagnosis = diagnose(
@@ -322,7 +327,7 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
             progress=workers.progress,
         )
     except Exception as error:
-        # A scene that misbehaves may do so in its diagnosis; what was found is still to be said.
+        # The diagnosis may fail on a misbehaving scene; the findings must still be reported.
         return None, [
             f"the time step was not diagnosed ({type(error).__name__}: {one_line(error)})"
         ]
@@ -330,9 +335,9 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
 
 
 def _file(source: Source, model: Model) -> str:
-    """What the next commands call the scene."""
+    """Return the file argument of the commands."""
     kinds = [line.partition(" ")[0] for line in model.scene.without]
-    # A scene without some of its file is that of its file, with the kinds that are left out.
+    # A scene with kinds left out is named by its file and the kinds left out.
     read = model.scene._source if kinds else None
     file = read.files[0] if read else "FILE"
     if isinstance(source, (str, os.PathLike)):
@@ -341,14 +346,14 @@ def _file(source: Source, model: Model) -> str:
 
 
 def file_in_words(file: str, without: list[str], fuse: bool = True) -> str:
-    """The file as a command takes it, without some kinds of things."""
+    """Return a file argument with the options that leave out some kinds of elements."""
     left_out = [word for kind in without for word in ("--without", kind)]
     words = [file, *left_out, *(() if fuse else ("--no-fuse",))]
     return " ".join(map(shlex.quote, words))
 
 
 def _options(motion: Motion) -> dict[str, str]:
-    """The motion as commands take it; a file stands for a function or an array of Python's."""
+    """Return the motion as command options; placeholder files stand for functions and arrays."""
     options = {}
     for name in MOTION:
         value, default = getattr(motion, name), getattr(Motion, name)

@@ -1,4 +1,4 @@
-"""Masses and inertias that no real thing has, and numbers that look like another unit's."""
+"""Checks for implausible masses and inertias, and for numbers that look like another unit."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from stepcore.report.units import metres, times
 from stepcore.scene.elements import Geom
 from stepcore.scene.layout import Layout
 
-# Gravity in m/s² is near this; in mm/s² it is above that.
+# Range of gravity in m/s², and the least value that looks like mm/s².
 EARTH, MILLI = (1.0, 50.0), 500.0
-# Sizes of things that move which millimetres look like, and which metres look like [m].
+# Sizes of moving bodies above which millimetres are likely, and below which metres are likely [m].
 LARGE, SMALL = 10.0, 5.0
-# Radians written where degrees are read, in degrees: never more than a turn, seldom less than this.
+# Radians read as degrees [°]: at most one turn of 2π, and seldom less than LEAST.
 TURN, LEAST = 2 * math.pi * 1.001, 0.5
-# Degrees written where radians are read, in radians: more turns than a joint with limits makes.
+# Degrees read as radians [rad]: more turns than a limited joint makes.
 TURNS = 20.0
-# A control range in degrees over a joint range in radians.
+# Ratio of degrees to radians between a control range and a joint range, and the tolerance.
 DEGREES, NEAR = 180 / math.pi, 0.1
-# [kg/m³]: of water, of steel; above osmium and below air there is nothing solid.
+# Densities of water and steel [kg/m³]; then bounds: above osmium and below air nothing is solid.
 WATER, STEEL = 1000.0, 7850.0
 DENSEST, LIGHTEST = 25_000.0, 1.0
-# A body's radius of gyration is below its largest extent, and not far below: allowed factors.
+# Bounds of the radius of gyration, relative to the body's extent.
 TOO_FAR, TOO_NEAR = 3.0, 0.02
-# Bodies that touch and whose masses differ by more are hard to solve with sweeps.
+# Mass ratio of touching bodies above which sweeps converge slowly.
 RATIO = 1e4
 LIST = (Next("plan", "every body, geom and row that a step computes", ("--all",)),)
 
 
 def about_bodies(model: Model, sizes: Sizes) -> Iterator[Finding]:
-    """Units, and the densities, inertias and mass ratios of the bodies that move."""
+    """Yield findings on units, and on densities, inertias and mass ratios of moving bodies."""
     layout, moving = Layout(model.scene), Coordinates(model).moving
     yield from _lengths(model, moving, sizes)
     yield from _angles(model)
@@ -93,7 +93,7 @@ def _lengths(model: Model, moving: list[int], sizes: Sizes) -> Iterator[Finding]
 
 
 def _angles(model: Model) -> Iterator[Finding]:
-    """Ranges of hinges that are all below a turn in degrees; ranges and keyframes of many turns."""
+    """Yield hinge ranges that look like radians read as degrees, and ranges of many turns."""
     joints: list[int] = []
     if model.scene.features.limit:
         finite = np.isfinite(model.jnt_range).all(axis=1)
@@ -134,7 +134,7 @@ def _angles(model: Model) -> Iterator[Finding]:
 
 
 def _controls(model: Model) -> Iterator[Finding]:
-    """Servos whose control range is the joint's range in degrees: it is not converted."""
+    """Yield servos whose control range is the joint's range in degrees; MuJoCo keeps degrees."""
     wrong = []
     for k, joint in enumerate(model.actuator_joint.tolist()):
         servo = model.actuator_bias[k, 1] < 0 and joint >= 0
@@ -162,7 +162,7 @@ def _controls(model: Model) -> Iterator[Finding]:
 
 
 def volume(model: Model, geom: Geom, index: int) -> float:
-    """The volume of a geom [m³]; of a mesh that of its hull, inf of planes and height fields."""
+    """Return the volume of a geom [m³]; a mesh's hull counts; inf for planes and height fields."""
     if geom.type == "mesh":
         return _hull_volume(*model.geom_hull(index))
     if geom.type == "hfield":
@@ -180,7 +180,7 @@ def volume(model: Model, geom: Geom, index: int) -> float:
 
 
 def _hull_volume(vertices: NDArray[np.float64], triangles: NDArray[np.int_]) -> float:
-    """Of a closed surface, by tetrahedra from one of its points; inf where there is none."""
+    """Return the volume of a closed surface by tetrahedra [m³]; inf without a surface."""
     if not len(triangles):
         return math.inf
     a, b, c = np.moveaxis(vertices[triangles] - vertices[0], 1, 0)
@@ -188,7 +188,7 @@ def _hull_volume(vertices: NDArray[np.float64], triangles: NDArray[np.int_]) -> 
 
 
 def _geoms(layout: Layout, body: int, heavy: bool) -> dict[int, Geom]:
-    """A body's geoms by index; heavy: those that give it mass."""
+    """Return a body's geoms by index; heavy: only the geoms that give the body mass."""
     rules = layout.scene.mass_rules
     low, high = rules.inertiagrouprange
     return {
@@ -203,7 +203,7 @@ def _geoms(layout: Layout, body: int, heavy: bool) -> dict[int, Geom]:
 
 
 def _densities(model: Model, layout: Layout, moving: list[int]) -> Iterator[Finding]:
-    """Bodies whose mass comes from geoms, against their volume."""
+    """Yield bodies whose geoms give them an implausible density."""
     dense, light = [], []
     for body in moving:
         if layout.bodies[body].mass is not None and not model.scene.mass_rules.inertiafromgeom:
@@ -236,7 +236,7 @@ def _densities(model: Model, layout: Layout, moving: list[int]) -> Iterator[Find
 
 
 def _repaired(model: Model, layout: Layout, moving: list[int]) -> Iterator[Finding]:
-    """Inertias that balanceinertia repairs: without it, no scene with them is compiled."""
+    """Yield inertias that only balanceinertia makes valid; without it compiling fails."""
     if not model.scene.mass_rules.balanceinertia:
         return
     wrong = []
@@ -261,8 +261,8 @@ def _repaired(model: Model, layout: Layout, moving: list[int]) -> Iterator[Findi
 
 
 def _inertias(model: Model, layout: Layout, moving: list[int], sizes: Sizes) -> Iterator[Finding]:
-    """Inertias that are written, against the extent of the body."""
-    # Where meshes were not read, nothing tells how far a body reaches.
+    """Yield explicit inertias that do not fit the extent of the body."""
+    # Without the meshes, the extent of a body is unknown.
     if any("only draws" in line for line in model.scene.ignored):
         return
     wrong = []
@@ -297,11 +297,11 @@ def _inertias(model: Model, layout: Layout, moving: list[int], sizes: Sizes) -> 
 
 
 def _ratios(model: Model) -> Iterator[Finding]:
-    """Bodies that can touch, one much heavier than the other."""
+    """Yield pairs of bodies that can touch and differ much in mass."""
     if model.settings.solver != "pgs":
         return
     worst, pair = 0.0, (0, 0)
-    # In a heap any two bodies are taken to meet, as their extremes do.
+    # In a heap any two bodies can meet, so the extremes are compared.
     every = _extremes(model) if model.is_heap else model.pair_geoms
     for a, b in {tuple(sorted(model.geom_body[pair].tolist())) for pair in every}:
         light, heavy = sorted((a, b), key=lambda body: float(model.body_mass[body]))
@@ -321,7 +321,7 @@ def _ratios(model: Model) -> Iterator[Finding]:
 
 
 def _extremes(model: Model) -> list[list[int]]:
-    """A geom of the lightest and one of the heaviest body that moves and has geoms."""
+    """Return a geom of the lightest and a geom of the heaviest moving body with geoms."""
     owner = model.geom_body
     movers = [g for g in range(model.ngeom) if owner[g] and model.body_mass[owner[g]] > 0]
     if not movers:

@@ -1,5 +1,4 @@
-"""Starts and keyframes outside of limits, controls outside of their range, limits that do not hold,
-tendons that nothing uses."""
+"""Checks starts, keyframes, controls and limits against their ranges, and finds unused tendons."""
 
 from __future__ import annotations
 
@@ -27,12 +26,12 @@ from stepcore.mjcf.worldbody import EmptyRange
 from stepcore.report.units import metres
 from stepcore.scene.layout import Layout
 
-# A value this part of its range beyond a limit is outside: a pose of rest is not.
+# Least excess over a limit, relative to the range; rest poses are often slightly outside.
 OUTSIDE = 0.02
 
 
 def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Finding]:
-    """The start, every keyframe and every range; key: the keyframe that is the start."""
+    """Yield findings on the start, the keyframes and the ranges; key: the keyframe of the start."""
     yield from _inverted(model)
     states = [(start.qpos, "The start", False)] if key is None else []
     states += [
@@ -52,7 +51,7 @@ def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Findin
 
 
 def _inverted(model: Model) -> Iterator[Finding]:
-    """Ranges of the file whose first number is not the smaller one: they limit nothing."""
+    """Yield ranges of the file whose first number is not the smaller: such ranges limit nothing."""
     for note in model.scene.notes:
         if isinstance(note, EmptyRange):
             low, high = (f"{bound:g}" for bound in note.bounds)
@@ -68,7 +67,7 @@ def _inverted(model: Model) -> Iterator[Finding]:
 def _outside(
     model: Model, sim: Sim, qpos: np.ndarray, where: str, keyed: bool
 ) -> Iterator[Finding]:
-    """Joints and tendons that a state puts outside of their limits."""
+    """Yield joints and tendons that a state places outside their limits."""
     lengths = []
     if model.ntendon:
         sim.qpos = qpos
@@ -87,7 +86,7 @@ def _outside(
         for k, value in values:
             low, high = ranges[k]
             over = max(low - value, value - high)
-            # Without a limit the range is infinite, and nothing is outside of it.
+            # Without a limit the range is infinite.
             if math.isfinite(high - low) and over > OUTSIDE * (high - low):
                 outside.append((over / (high - low), k, value))
         if not outside:
@@ -116,7 +115,7 @@ def _outside(
 
 
 def _unit(model: Model, tendon: int) -> str:
-    """That of its length; a fixed tendon's length is a sum of joints, and has none of its own."""
+    """Return the unit of a tendon's length; a fixed tendon's length, a sum of joints, has none."""
     return "" if model.scene.tendons[tendon].path.fixed else "m"
 
 
@@ -125,7 +124,7 @@ def _tendon(model: Model, tendon: int, length: float) -> str:
 
 
 def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
-    """Controls of a keyframe that will be clamped."""
+    """Yield controls of a keyframe that will be clamped."""
     if not model.nu or not model.scene.features.clampctrl:
         return
     bounds = model.actuator_ctrlrange
@@ -144,7 +143,7 @@ def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
 
 
 def _one_sided(model: Model) -> Iterator[Finding]:
-    """Servos whose force range does not hold 0, or only one direction."""
+    """Yield servos whose force range excludes 0, or allows only one direction."""
     low, high = model.actuator_forcerange.T
     wrong = np.flatnonzero((model.actuator_bias[:, 1] < 0) & ((low >= 0) | (high <= 0)))
     if len(wrong):
@@ -159,9 +158,10 @@ def _one_sided(model: Model) -> Iterator[Finding]:
 
 
 def _overpowered(model: Model) -> Iterator[Finding]:
-    """Actuators that can push their joint far beyond its limit, by the closed form of a soft row.
+    """Yield actuators that can push their joint far beyond its limit, by the soft row's closed
+    form.
 
-    By their largest force outwards; gravity and other actuators are left out.
+    Only the actuator's largest outward force counts; gravity and other actuators are left out.
     """
     features, settings = model.scene.features, model.settings
     if settings.law != "solref" or not features.limit or not features.actuation:
@@ -199,12 +199,12 @@ def _overpowered(model: Model) -> Iterator[Finding]:
 
 
 def _largest_force(model: Model, k: int, low: float, high: float) -> float:
-    """The largest force that an actuator pushes outwards with at an end of a joint's range."""
+    """Return an actuator's largest outward force at an end of a joint's range."""
     gear, gain = float(model.actuator_gear[k, 0]), model.actuator_gain[k]
     bias, controls = model.actuator_bias[k], model.actuator_ctrlrange[k]
     if not model.scene.features.clampctrl or not np.isfinite(controls).all():
         if bias[1] < 0 or not np.isfinite(model.actuator_forcerange[k]).all():
-            # Nothing says how far the control of a servo may go.
+            # The control of this servo has no range.
             return 0.0
         controls = np.array([-np.inf, np.inf])
     most = 0.0
@@ -218,7 +218,7 @@ def _largest_force(model: Model, k: int, low: float, high: float) -> float:
 
 
 def _pressed(model: Model) -> Iterator[Finding]:
-    """Springs that are at rest beyond the tendon's range: they always press on its limit."""
+    """Yield springs at rest beyond the tendon's range, which always press on the limit."""
     if not (model.scene.features.limit and model.scene.features.spring):
         return
     rests, ranges = model.tendon_lengthspring.tolist(), model.tendon_range.tolist()
@@ -242,7 +242,7 @@ def _pressed(model: Model) -> Iterator[Finding]:
 
 
 def _unused(model: Model) -> Iterator[Finding]:
-    """Tendons without a force, a limit or an armature that nothing refers to."""
+    """Yield tendons without a force, a limit, an armature or a reference."""
     scene = model.scene
     used = {id(actuator.tendon) for actuator in scene.actuators}
     used |= {id(end) for tie in scene.equalities for end in (tie.tendon1, tie.tendon2)}

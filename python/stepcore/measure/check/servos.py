@@ -1,4 +1,4 @@
-"""Servos at a state: saturated, too weak for their load, stiff on a joint without armature."""
+"""Checks servos at a state: saturated, too weak for the load, or too stiff without armature."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from stepcore.measure.monitors.finding import PLOT, Finding, listed, named
 from stepcore.report.units import hertz, seconds
 from stepcore.scene.layout import Layout
 
-# ω dt and the damping rate × dt from which a servo on a joint without armature is too stiff.
+# ω dt, and damping rate × dt, above which a servo without armature is too stiff.
 STIFF, DAMPED = 0.5, 1.0
-# A force this part beyond its range is beyond rounding.
+# A force beyond its range by this factor is more than rounding.
 BEYOND_RANGE = 1.01
 
 
 def about_servos(model: Model, start: Start, ctrl: np.ndarray) -> Iterator[Finding]:
-    """The start, with its controls, and every keyframe."""
+    """Yield findings on servos at the start, with its controls, and at every keyframe."""
     if not model.nu or not model.scene.features.actuation:
         return
     yield from _saturated(model, start, ctrl)
@@ -35,7 +35,7 @@ def about_servos(model: Model, start: Start, ctrl: np.ndarray) -> Iterator[Findi
 
 
 def _saturated(model: Model, start: Start, ctrl: np.ndarray) -> Iterator[Finding]:
-    """Servos that ask for more than their force range at the start."""
+    """Yield servos whose wanted force exceeds their force range at the start."""
     if model.scene.features.clampctrl:
         ctrl = np.clip(ctrl, *model.actuator_ctrlrange.T)
     full = []
@@ -67,9 +67,9 @@ def _saturated(model: Model, start: Start, ctrl: np.ndarray) -> Iterator[Finding
 
 
 def _too_weak(model: Model, qpos: np.ndarray, where: str, seen: set[int]) -> Iterator[Finding]:
-    """Actuators whose largest force is below the load of a pose that hangs on its joints alone."""
+    """Yield actuators weaker than the static load of a pose that only joints carry."""
     joints = model.actuator_joint
-    # Where something else than a joint is driven too, it may carry the load.
+    # An actuator on anything but a joint may carry the load.
     if (joints < 0).any():
         return
     loads = _static_loads(model, qpos)
@@ -105,7 +105,7 @@ def _too_weak(model: Model, qpos: np.ndarray, where: str, seen: set[int]) -> Ite
 
 
 def _forces(model: Model, k: int) -> tuple[float, float]:
-    """The least and the largest force of an actuator at rest, before the gear."""
+    """Return the smallest and the largest force of an actuator at rest, before the gear."""
     low, high = (float(end) for end in model.actuator_forcerange[k])
     if not model.actuator_bias[k].any() and model.scene.features.clampctrl:
         ends = sorted(float(model.actuator_gain[k] * end) for end in model.actuator_ctrlrange[k])
@@ -114,10 +114,10 @@ def _forces(model: Model, k: int) -> tuple[float, float]:
 
 
 def _static_loads(model: Model, qpos: np.ndarray) -> dict[int, float]:
-    """What holds each dof still at a pose [N·m or N], where nothing but joints carries it.
+    """Return the static load of each dof at a pose [N·m or N], if only joints carry the load.
 
-    Bias less passive forces at zero velocity; without the dofs of trees that hang on a free joint
-    or that a contact or a connection holds too.
+    The load is the bias force less passive forces at zero velocity. Trees on a free joint, and
+    trees held by a contact or a connection, are left out.
     """
     sim = Sim(model, model.settings.replace(precision="f64"))
     sim.qpos[:] = qpos
@@ -135,7 +135,7 @@ def _static_loads(model: Model, qpos: np.ndarray) -> dict[int, float]:
 
 
 def _held_bodies(model: Model, sim: Sim) -> Iterator[int]:
-    """The bodies that contacts and connections act on."""
+    """Yield the bodies on which contacts and connections act."""
     layout = Layout(model.scene)
     for kind, index in {(str(row["kind"]), int(row["index"])) for row in sim.rows}:
         if kind == "contact":
@@ -146,7 +146,7 @@ def _held_bodies(model: Model, sim: Sim) -> Iterator[int]:
 
 
 def _without_armature(model: Model) -> Iterator[Finding]:
-    """Servos that are stiff beside the inertia that their joint moves."""
+    """Yield servos that are stiff relative to the inertia that their joint moves."""
     joints, dt = Layout(model.scene).joints, model.settings.dt
     gains = {gain.index: gain for gain in joint_gains(model) if gain.kind == "actuator"}
     stiff = []
@@ -184,6 +184,6 @@ def _without_armature(model: Model) -> Iterator[Finding]:
 
 
 def _up(value: float) -> float:
-    """Two digits, rounded up."""
+    """Return a value rounded up to two digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / step - 1e-9) * step:.2g}")

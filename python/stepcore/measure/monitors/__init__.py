@@ -1,6 +1,6 @@
-"""`Monitor`: watches any run, and finds what goes wrong in it: creep, gaps, depths, saturation.
+"""`Monitor`: finds problems in any run: creep, gaps, contact depths, saturation, unsolved rows.
 
-What it finds is measured on the run itself and needs no reference. `run`, `trade`, `converge` and
+The findings are measured on the run itself and need no reference. `run`, `trade`, `converge` and
 `check` monitor a run of the scene as shipped.
 """
 
@@ -27,16 +27,21 @@ from stepcore.report.units import percent, speed, times
 
 __all__ = ["Finding", "Monitor", "Next", "monitored", "ordered"]
 
-# A run is looked at about this often.
+# Approximate number of readings in a run.
 LOOKS = 1000
-# What a run that failed still shows; the rest is what it exploded into.
+# Findings reported after a failure; the others would describe the explosion.
 BEFORE = ("overlap at the start", "clamped control")
-# Rows are unsolved where this share of the speed that gravity gives in a step remains.
+# Rows are unsolved if the residual exceeds this share of gravity's speed gain in one step.
 UNSOLVED = 0.1
 
 
 class Monitor(Probe):
-    """Watches a run. periods: the control periods of the run, in each of which it looks."""
+    """A probe that finds problems in a run.
+
+    model: the model of the run.
+    bodies: the bodies of the model; made from the model by default.
+    periods: the number of control periods of the run; each is read at least once.
+    """
 
     def __init__(self, model: Model, bodies: Bodies | None = None, periods: int = 1) -> None:
         bodies = bodies or Bodies(model, Coordinates(model))
@@ -45,14 +50,14 @@ class Monitor(Probe):
         self.contacts = ContactMonitor(model, bodies.friction, sizes)
         self.joints = JointMonitor(model, bodies.joints, sizes)
         self.actuators = ActuatorMonitor(model)
-        # When it looked [s]; the residual of each look [m/s], the worst, and the row that had it.
+        # The times of the readings [s]; their residuals [m/s]; the worst residual and its row.
         self.times: list[float] = []
         self.residuals: list[float] = []
         self.worst, self.unsolved = 0.0, ("", 0)
 
     @property
     def span(self) -> float:
-        """How long was watched [s]."""
+        """The monitored time [s]."""
         return self.times[-1] - self.times[0] if self.times else 0.0
 
     def stride(self, steps: int) -> int:
@@ -75,10 +80,11 @@ class Monitor(Probe):
         self.actuators.look(sim)
 
     def findings(self, depth: float | None = None, failed: bool = False) -> list[Finding]:
-        """What the run shows, the most severe first.
+        """Return the findings of the run, most severe first.
 
-        depth: at which contacts are wanted to rest [m]; by default a depth is only a finding where
-        it is large beside the geoms. failed: whether the run did.
+        depth: the wanted depth of resting contacts [m]. By default a depth is a finding only if
+            large relative to the geoms.
+        failed: whether the run failed.
         """
         every = (
             *self.contacts.findings(self.times, depth),
@@ -89,7 +95,7 @@ class Monitor(Probe):
         return ordered(each for each in every if not failed or each.kind in BEFORE)
 
     def _unsolved_rows(self) -> Iterator[Finding]:
-        """A residual that stays: the median over the last part of the run, beside gravity."""
+        """Yield a lasting residual: the median over the end of the run, relative to gravity."""
         model, settings = self.model, self.model.settings
         gravity = float(np.linalg.norm(model.scene.gravity)) if model.scene.features.gravity else 0
         given = gravity * settings.dt
@@ -114,7 +120,7 @@ class Monitor(Probe):
 
 
 def monitored(runner: Runner, settings: Settings) -> list[Finding]:
-    """The findings of a measurement's motion from its first start, under some settings."""
+    """Return the findings of a measurement's motion from the first start, under some settings."""
     monitor = Monitor(runner.model.with_settings(settings), runner.bodies, runner.schedule.periods)
     path = runner.run(settings, 0, [monitor])
     return monitor.findings(failed=path.failure is not None)

@@ -1,4 +1,4 @@
-"""What a run's actuators do: clamped controls, saturated forces, servos that do not hold."""
+"""Findings on actuators in a run: clamped controls, saturated forces, servos that sag."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from stepcore.measure.monitors.contacts import FEWEST, REST
 from stepcore.measure.monitors.finding import PLOT, Finding, named
 from stepcore.report.units import FORCES, TORQUES, metres, percent, plural, quantity, radians
 
-# A force this near to the end of its range is at it.
+# Relative distance from the end of the force range within which a force is at the end.
 AT_END = 1e-9
-# A servo pushes against what carries this part of its force.
+# Least share of the servo's force that a load must have to be the cause.
 HALF = 0.5
-# At rest an error changes by less than this share of itself over the end of a run.
+# At rest, a servo's error changes by less than this share over the end of a run.
 STEADY = 0.05
-# Clamping and saturation are worth saying from these shares of a run on.
+# Shares of a run above which clamping and saturation are reported.
 CLAMPED, SATURATED = 0.05, 0.5
-# How far a servo may sag: of a radian, or of the range of a slide; and what a cure leaves of that.
+# Largest sag, in rad or relative to a slide's range; and the share of this that a cure leaves.
 SAGS, LEFT = 0.1, 0.1
 
 
@@ -30,7 +30,7 @@ SAGS, LEFT = 0.1, 0.1
 class AtEnd:
     """An actuator that was at or beyond the end of a range for a share of the run.
 
-    value: the control furthest outside of its range, or the end of the force range.
+    value: the control furthest outside the range, or the end of the force range.
     """
 
     actuator: int
@@ -42,9 +42,11 @@ class AtEnd:
 class Servo:
     """A position servo at rest under a constant control.
 
-    error: of its length from what the control asks for [rad or m], before the gear. force: what it
-    pushes with [N·m or N]; saturated: whether that is the end of its force range. loaded: whether
-    it pushes against a weight, and not against a limit or a thing that it holds or presses.
+    error: length minus commanded length [rad or m], before the gear.
+    force: the servo's force [N·m or N].
+    saturated: whether the force is at the end of the force range.
+    loaded: whether the servo pushes against a weight rather than a limit or an object it grips or
+        presses.
     """
 
     actuator: int
@@ -55,12 +57,12 @@ class Servo:
 
 
 class ActuatorMonitor:
-    """The actuators of one run."""
+    """A record of the actuators of one run."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
         self.works = model.nu > 0 and model.scene.features.actuation
-        # Position feedback that pulls back, on a joint of one coordinate.
+        # Position feedback with a restoring sign, on a joint of one coordinate.
         servos = [k for k in on_one_dof(model) if model.actuator_bias[k, 1] < 0]
         self.servos = np.array(servos, dtype=int)
         self.joints = [int(joint) for joint in model.actuator_joint[self.servos]]
@@ -71,7 +73,7 @@ class ActuatorMonitor:
         self.sim: Sim | None = None
 
     def look(self, sim: Sim) -> None:
-        """Records every actuator."""
+        """Record every actuator."""
         if self.works:
             self.sim = sim
             self.ctrl.append(np.array(sim.ctrl))
@@ -80,7 +82,7 @@ class ActuatorMonitor:
             self.length.append(gear * np.array(sim.qpos)[self.at])
 
     def clamped(self) -> Iterator[AtEnd]:
-        """Controls outside of their range."""
+        """Yield controls outside their range."""
         if not self.ctrl or not self.model.scene.features.clampctrl:
             return
         ctrl, bounds = np.array(self.ctrl), self.model.actuator_ctrlrange
@@ -90,21 +92,21 @@ class ActuatorMonitor:
             yield AtEnd(int(k), share, float(ctrl[outside[:, k].argmax(), k]))
 
     def saturated(self) -> Iterator[AtEnd]:
-        """Forces at the end of their range."""
+        """Yield forces at the end of their range."""
         if not self.force:
             return
         force, bounds = np.array(self.force), self.model.actuator_forcerange
         room = AT_END * np.abs(bounds)
         with np.errstate(invalid="ignore"):
             low, high = force <= bounds[:, 0] + room[:, 0], force >= bounds[:, 1] - room[:, 1]
-        # One that rests at 0 is not saturated where its range begins there.
+        # A force of 0 is not saturated, even if the range begins at 0.
         low, high = low & (force != 0), high & (force != 0)
         for k in np.flatnonzero((low | high).any(axis=0)):
             end = bounds[k, 0] if low[:, k].sum() > high[:, k].sum() else bounds[k, 1]
             yield AtEnd(int(k), float(np.mean(low[:, k] | high[:, k])), float(end))
 
     def at_rest(self) -> Iterator[Servo]:
-        """Position servos whose control and error are constant over the end of the run."""
+        """Yield position servos whose control and error are constant over the end of the run."""
         count = max(FEWEST, int(REST * len(self.ctrl)))
         if len(self.ctrl) < count or not len(self.servos):
             return
@@ -126,9 +128,10 @@ class ActuatorMonitor:
                 yield Servo(int(k), mean, force, full, loaded)
 
     def _loaded(self, column: int, asked: float, force: float) -> bool:
-        """Whether a servo pushes against a weight at the end of the run.
+        """Return whether a servo pushes against a weight at the end of the run.
 
-        The weight of what hangs on its joint, or, in a tree that stands on a floor, of the tree.
+        The weight is that of the bodies that hang on the servo's joint, or, in a tree that rests on
+        a floor, that of the tree.
         """
         model, joint, sim = self.model, self.joints[column], self.sim
         gear = float(model.actuator_gear[self.servos[column], 0])
@@ -151,10 +154,11 @@ class ActuatorMonitor:
         return bool(touches) and all(pair <= {tree, 0} for pair in touches)
 
     def findings(self) -> Iterator[Finding]:
-        """All findings on actuators."""
+        """Yield all findings on actuators."""
         model, explained = self.model, set()
         for servo in self.at_rest():
-            # One that presses against a thing or a limit is meant to, and may be saturated.
+            # A servo that presses against an object or a limit does so on purpose, and may be
+            # saturated.
             finding = self._sags(servo) if servo.loaded else None
             if finding is not None or not servo.loaded:
                 explained.add(servo.actuator)
@@ -178,7 +182,7 @@ class ActuatorMonitor:
             yield self._saturated(sorted(full, key=lambda saturated: -saturated.share))
 
     def _saturated(self, full: list[AtEnd]) -> Finding:
-        """Servos at the ends of their force ranges, in one sentence; the longest there first."""
+        """Return one finding on all saturated servos, the longest saturated first."""
         model = self.model
         actuators = named(model, "actuator", [saturated.actuator for saturated in full])
         ends = dict.fromkeys(strength(model, at.actuator, abs(at.value)) for at in full)
@@ -198,7 +202,9 @@ class ActuatorMonitor:
         return Finding("saturation", "warning", problem, cure, actuators, value, "1", PLOT)
 
     def _sags(self, servo: Servo) -> Finding | None:
-        """A servo that rests away from what its control asks for, if its load causes that."""
+        """Return a finding on a servo whose load keeps the servo from its commanded length, or
+        None.
+        """
         model, k = self.model, servo.actuator
         joint = int(model.actuator_joint[k])
         angular = model.jnt_type[joint] == "hinge"
@@ -231,7 +237,7 @@ class ActuatorMonitor:
 
 
 def on_one_dof(model: Model) -> list[int]:
-    """Actuators on a hinge or a slide that have no activation."""
+    """Return the actuators on a hinge or a slide that have no activation."""
     both = zip(model.actuator_joint, model.actuator_actadr, strict=True)
     return [
         k
@@ -241,14 +247,14 @@ def on_one_dof(model: Model) -> list[int]:
 
 
 def strength(model: Model, actuator: int, force: float) -> str:
-    """An actuator's force in words, as a torque where its joint turns."""
+    """Return an actuator's force in words, as a torque if the joint turns."""
     joint = int(model.actuator_joint[actuator])
     linear = joint < 0 or model.jnt_type[joint] == "slide"
     return quantity(force, FORCES if linear else TORQUES)
 
 
 def _all(actuators: Sequence[Element]) -> str:
-    """All of some actuators by name: "servos `a`, `b` and `c`"."""
+    """Return the names of actuators in words: "servos `a`, `b` and `c`"."""
     if len(actuators) == 1:
         return actuators[0].name
     *labels, last = (actuator.label for actuator in actuators)

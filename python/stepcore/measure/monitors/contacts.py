@@ -1,4 +1,4 @@
-"""What a run's contacts do: overlap at the start, creep, rest too deep, slide without friction."""
+"""Findings on contacts in a run: initial overlap, creep, resting depth, frictionless sliding."""
 
 from __future__ import annotations
 
@@ -19,30 +19,39 @@ from stepcore.measure.monitors.finding import Finding, Next, listed, named, othe
 from stepcore.measure.monitors.soft_rows import advised, pair_solimp
 from stepcore.report.units import metres, newtons, percent, speed
 
-# Something may have come to rest in this part of a run, at its end. At rest a quantity varies by
-# less than this share of its mean. Fewer looks than this say nothing of rest or of creep.
+# The last share of a run, in which rest is judged; the largest relative variation of a quantity at
+# rest; and the fewest readings from which rest or creep is judged.
 REST, STEADY, FEWEST = 0.25, 0.2, 8
-# A creep's velocity differs by less than this share from its mean, over this many time constants;
-# it is under a load of more than this share of what friction could be.
+# Creep: largest relative deviation from the mean velocity; length of the window in time constants;
+# and least load, as a share of the largest friction.
 UNSTEADY, WINDOW, RUBS = 0.5, 10.0, 0.05
-# An edge of a friction pyramid does not push if its force is below this share of the strongest.
+# An edge of a friction pyramid pushes if its force exceeds this share of the strongest edge's.
 EDGE = 1e-6
-# Worth saying, as a part of the thickness of the thinner geom: creep in a second, a depth at rest,
-# an overlap at the start, an overlap that joints keep up, sliding without friction in a second.
+# Thresholds of findings, relative to the thickness of the thinner geom: creep in one second, a
+# depth at rest, an overlap at the start, an overlap that joints maintain, frictionless sliding in
+# one second.
 CREEP, DEEP, OVERLAP, JAMMED, SLIDES = 0.01, 0.1, 0.01, 0.2, 0.1
-# An overlap at the start that is at most this many times as deep at rest is how the scene rests.
+# An initial overlap up to this many times the resting depth is the scene's resting state.
 RESTS = 3.0
-# What a cure leaves, as a part of what is worth saying.
+# The share of a threshold that a cure leaves.
 LEFT = 0.1
-# A larger impratio is not advised: the rows would be too unequal to be solved.
+# Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved.
 IMPRATIO = 1e4
 
-# A pair of geoms, and which of its contacts.
+# A pair of geoms, and the index of one of its contacts.
 Key = tuple[int, int]
 
 
 class Look(NamedTuple):
-    """One contact at one look: held says whether friction holds it; past: tangential velocity."""
+    """One contact at one reading.
+
+    look: the index of the reading.
+    depth: the overlap [m].
+    force: the normal force [N].
+    share: friction over μ × normal force.
+    held: whether friction holds the contact.
+    past: the tangential velocity [m/s].
+    """
 
     look: int
     depth: float
@@ -54,11 +63,14 @@ class Look(NamedTuple):
 
 @dataclass(frozen=True)
 class Contact:
-    """What a contact of a pair of geoms does, as far as it was asked.
+    """The behaviour of one contact of a pair of geoms.
 
-    depth: at the start, or at rest [m]. force: normal, at rest [N]. speed: mean of its tangential
-    velocity, or at which its geoms left their overlap [m/s]. share: friction over μ × normal force.
-    held: for how long friction held it [s]. movable: whether some joint moves its geoms apart.
+    depth: the overlap at the start, or at rest [m].
+    force: the normal force at rest [N].
+    speed: the mean tangential speed, or the speed at which the geoms left their overlap [m/s].
+    share: friction over μ × normal force.
+    held: the time for which friction held the contact [s].
+    movable: whether some joint can separate the geoms.
     """
 
     pair: int
@@ -72,7 +84,7 @@ class Contact:
 
 
 class ContactMonitor:
-    """The contacts of one run."""
+    """A record of the contacts of one run."""
 
     def __init__(self, model: Model, friction: Friction, sizes: Sizes) -> None:
         self.model, self.friction, self.sizes = model, friction, sizes
@@ -81,7 +93,7 @@ class ContactMonitor:
         self.looks = 0
 
     def begin(self, sim: Sim) -> None:
-        """The overlaps of the start, by another Sim: this one keeps its warm impulses."""
+        """Record the overlaps at the start with another Sim, to keep this Sim's warm impulses."""
         if not self.model.npair:
             return
         aside = Sim(self.model, sim.settings)
@@ -93,7 +105,7 @@ class ContactMonitor:
             self.separation = Separation(aside, contacts, movable, sim.time)
 
     def look(self, sim: Sim) -> None:
-        """Records every contact."""
+        """Record every contact."""
         if not self.model.npair:
             return
         look, self.looks = self.looks, self.looks + 1
@@ -102,7 +114,7 @@ class ContactMonitor:
         contacts = sim.contacts
         if not len(contacts):
             return
-        # What diverges may be too large to multiply.
+        # Diverging values may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             force, normal = contacts["force"], contacts["normal"]
             pushed = np.einsum("ci,ci->c", force, normal)
@@ -120,9 +132,9 @@ class ContactMonitor:
             self.seen.setdefault(key, []).append(seen)
 
     def _sticks(self, sim: Sim) -> dict[Key, bool]:
-        """Contacts whose friction is within its pyramid, because every edge pushes.
+        """Return the contacts whose friction is inside its pyramid, because every edge pushes.
 
-        Between its edges a pyramid yields at less friction than along them.
+        Between its edges, a pyramid yields at less friction than along an edge.
         """
         settings = sim.settings
         if settings.law != "solref" or settings.cone != "pyramidal":
@@ -134,19 +146,21 @@ class ContactMonitor:
             forces.setdefault((int(index), int(part)), []).append(float(force))
         return {key: min(edges) > EDGE * max(edges) for key, edges in forces.items()}
 
-    # What the looks show.
+    # Analysis of the readings.
 
     @property
     def starts(self) -> list[Contact]:
-        """The overlaps at the start, the deepest first."""
+        """Return the overlaps at the start, deepest first."""
         return [] if self.separation is None else self.separation.overlaps()
 
     def creeps(self, times: list[float]) -> Iterator[Contact]:
-        """Contacts that move steadily for a while although friction holds them.
+        """Yield contacts that move steadily for a while although friction holds.
 
-        Soft friction is a damper: the speed that a contact begins with dies away within its time
-        constant, and under a load a speed remains. Of all windows of `WINDOW` time constants (and
-        at least a tenth of the run) the fastest steady speed counts. times: of the looks [s].
+        Soft friction is a damper: the initial speed of a contact decays within the time constant,
+        and under a load a speed remains. Of all windows of `WINDOW` time constants (and at least a
+        tenth of the run), the fastest steady speed counts.
+
+        times: the times of the readings [s].
         """
         spacing = (times[-1] - times[0]) / max(1, len(times) - 1) if len(times) > 1 else 0.0
         for (pair, part), seen in self.seen.items():
@@ -165,7 +179,7 @@ class ContactMonitor:
                 yield max(creeps, key=lambda creep: creep.speed)
 
     def slides(self) -> Iterator[Contact]:
-        """Contacts without friction that were there for a fifth of the run or more."""
+        """Yield frictionless contacts that lasted a fifth of the run or more."""
         for (pair, part), seen in self.seen.items():
             if self.friction.of(pair) > 0 or len(seen) < max(FEWEST, 0.2 * self.looks):
                 continue
@@ -173,7 +187,7 @@ class ContactMonitor:
             yield Contact(pair, part, speed=speed)
 
     def resting(self) -> Iterator[Contact]:
-        """Contacts that keep their depth to the end of the run."""
+        """Yield contacts whose depth is constant to the end of the run."""
         first = self.looks - max(FEWEST, int(REST * self.looks))
         for (pair, part), seen in self.seen.items():
             late = [at for at in seen if at.look >= first]
@@ -184,10 +198,12 @@ class ContactMonitor:
                 force = float(np.mean([at.force for at in late]))
                 yield Contact(pair, part, float(depth.mean()), force)
 
-    # What is worth saying of them.
+    # Findings.
 
     def findings(self, times: list[float], depth: float | None) -> Iterator[Finding]:
-        """All findings on contacts; times: of the looks [s]; depth: see `Monitor.findings`."""
+        """Yield all findings on contacts; times: of the readings [s]; depth: see
+        `Monitor.findings`.
+        """
         resting, starts = list(self.resting()), self.starts
         jammed = self._jammed(starts, resting)
         if jammed:
@@ -206,7 +222,7 @@ class ContactMonitor:
         return named(self.model, "contact", pairs)
 
     def _geoms(self, pair: int) -> str:
-        """The two geoms of a pair as the subject of a sentence."""
+        """Return the two geoms of a pair as the subject of a sentence."""
         model, geoms = self.model, self.model.contact_pair(pair).geoms
         names = [model.geom_names[geom] for geom in geoms]
         if all(names):
@@ -214,7 +230,7 @@ class ContactMonitor:
         return " and ".join(model.element_name("geom", geom) for geom in geoms)
 
     def _jammed(self, starts: list[Contact], resting: list[Contact]) -> dict[int, Contact]:
-        """Pairs of one tree that overlap from the start to the end: their joints hold them."""
+        """Return pairs of one tree that overlap throughout because joints keep the geoms there."""
         rest = {at.pair: at for at in resting}
         jammed: dict[int, Contact] = {}
         for start in starts:
@@ -237,7 +253,7 @@ class ContactMonitor:
         return Finding("overlap", "warning", problem, cure, contacts, depth, "m", TEST_CONTACTS)
 
     def _overlaps(self, starts: list[Contact], resting: list[Contact]) -> Iterator[Finding]:
-        """Pairs that overlap at the start, and not because they rest like that."""
+        """Yield pairs that overlap at the start and do not rest at that depth."""
         rest: dict[int, float] = {}
         for at in resting:
             rest[at.pair] = max(rest.get(at.pair, 0.0), at.depth)
@@ -266,13 +282,13 @@ class ContactMonitor:
         yield Finding(kind, severity, problem, cure, contacts, worst.depth, "m", TEST_CONTACTS)
 
     def _thrown(self, overlap: Contact) -> bool:
-        """Whether an overlap threw its geoms further apart than it was deep: v²/2g > depth."""
+        """Return whether an overlap threw the geoms further apart than its depth: v²/2g > depth."""
         features = self.model.scene.features
         gravity = float(np.linalg.norm(self.model.scene.gravity)) if features.gravity else 0.0
         return overlap.speed > (2 * gravity * overlap.depth) ** 0.5
 
     def _apart(self, pair: int) -> str:
-        """How two geoms come apart: other positions, or no contact between the two bodies."""
+        """Return the cure for an overlap: other positions, or no contact between the two bodies."""
         model = self.model
         bodies = [int(model.geom_body[geom]) for geom in model.contact_pair(pair).geoms]
         tree = [model.root(body) for body in bodies]
@@ -284,7 +300,7 @@ class ContactMonitor:
         return f"move {mover} away by that much in the model or in the keyframe"
 
     def _creeps(self, times: list[float]) -> Iterator[Finding]:
-        """Contacts that move although their friction holds."""
+        """Yield contacts that move although friction holds."""
         settings = self.model.settings
         creeps = [
             (ratio, creep)
@@ -314,7 +330,7 @@ class ContactMonitor:
         yield Finding("creep", "warning", problem, cure, contacts, value, unit, commands, changes)
 
     def _depths(self, resting: list[Contact], asked: float | None) -> Iterator[Finding]:
-        """How deep contacts rest, and the solref that makes it less."""
+        """Yield how deep contacts rest, with the solref that reduces the depth."""
         notable = []
         for at in resting:
             thick = self._thick(at.pair)
@@ -340,7 +356,7 @@ class ContactMonitor:
         yield Finding(kind, severity, problem, cure, contacts, worst.depth, "m", TEST_CONTACTS)
 
     def _slides(self) -> Iterator[Finding]:
-        """Contacts that have no friction, and slide."""
+        """Yield contacts that slide because they have no friction."""
         fast = [at for at in self.slides() if at.speed > SLIDES * self._thick(at.pair)]
         if not fast:
             return
@@ -364,14 +380,14 @@ TEST_CONTACTS = (
 
 
 class Separation:
-    """How fast the geoms that overlap at the start come apart."""
+    """A record of how fast geoms that overlap at the start separate."""
 
     def __init__(self, sim: Sim, contacts: np.ndarray, movable: list[bool], time: float) -> None:
         owner = sim.model.geom_body
         self.pairs, self.movable = contacts["index"].tolist(), movable
         self.depth, self.normal = -contacts["dist"], np.array(contacts["normal"])
         self.bodies = [owner[contacts[name]] for name in ("geom1", "geom2")]
-        # The point of the contact in the frame of each of the two bodies.
+        # The contact point in the frame of each body.
         self.points = [
             np.einsum("cji,cj->ci", sim.xmat[body], contacts["pos"] - sim.xpos[body])
             for body in self.bodies
@@ -380,7 +396,7 @@ class Separation:
         self.speed = np.zeros(len(contacts))
 
     def look(self, sim: Sim) -> None:
-        """Notes the speed of those that leave their overlap."""
+        """Record the speed of geoms that leave their overlap."""
         place, turn = sim.xpos, sim.xmat
         with np.errstate(over="ignore", invalid="ignore"):
             first, second = (
@@ -395,7 +411,7 @@ class Separation:
         self.time, self.moved = sim.time, moved
 
     def overlaps(self) -> list[Contact]:
-        """The overlaps with what became of them, the deepest first."""
+        """Return the overlaps with the speeds of separation, deepest first."""
         columns = (self.pairs, self.depth.tolist(), self.speed.tolist(), self.movable)
         overlaps = (
             Contact(pair, depth=depth, speed=speed, movable=movable)
@@ -405,7 +421,7 @@ class Separation:
 
 
 def settled(series: np.ndarray) -> float | None:
-    """The mean of the end of a series; None where it still varies there."""
+    """Return the mean of the end of a series; None if the series still varies there."""
     late = series[-max(FEWEST, int(REST * len(series))) :]
     mean = float(late.mean())
     steady = len(late) >= FEWEST and mean > 0 and float(np.ptp(late)) < STEADY * mean
@@ -413,7 +429,7 @@ def settled(series: np.ndarray) -> float | None:
 
 
 def _spells(seen: list[Look]) -> Iterator[list[Look]]:
-    """Spells of looks in a row in which friction held."""
+    """Yield successive readings in which friction held."""
     spell: list[Look] = []
     for at in seen:
         if spell and (not at.held or at.look != spell[-1].look + 1):
@@ -426,7 +442,7 @@ def _spells(seen: list[Look]) -> Iterator[list[Look]]:
 
 
 def _steady(pair: int, part: int, held: list[Look], times: list[float]) -> Contact | None:
-    """The creep in a window; None where its speed changes, or nothing rubs."""
+    """Return the creep in a window; None if the speed changes, or without enough friction."""
     past = np.array([at.past for at in held])
     drift, share = past.mean(axis=0), float(np.mean([at.share for at in held]))
     mean = float(np.linalg.norm(drift))
@@ -437,6 +453,6 @@ def _steady(pair: int, part: int, held: list[Look], times: list[float]) -> Conta
 
 
 def _round_up(value: float) -> float:
-    """1, 2 or 5 times a power of ten, not below the value."""
+    """Return the next 1, 2 or 5 times a power of ten, at or above the value."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(power * step for step in (1, 2, 5, 10) if power * step >= value * (1 - 1e-9))

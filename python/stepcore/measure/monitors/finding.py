@@ -1,4 +1,4 @@
-"""`Finding`: something that is wrong, or may be, as data; its sentence is made at the end."""
+"""`Finding`: a problem, or a possible problem, as data; the sentence is made last."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from typing import Any, NamedTuple
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 
-# The most severe first: what cannot be right, what will be noticed, what may be meant.
+# Most severe first: certainly wrong, will be noticed, may be intended.
 SEVERITIES = ("error", "warning", "remark")
-# A sentence names the first element, and this many others.
+# Number of elements that a sentence names after the first.
 OTHERS = 3
 
 
 class Next(NamedTuple):
-    """A command worth running next: its name, its arguments after the file, and why."""
+    """A command to run next.
+
+    The fields are the command's name, the reason, and the arguments after the file.
+    """
 
     command: str
     why: str
@@ -30,13 +33,13 @@ PLOT = (Next("run", "energy over time", ("--plot", "run.png")),)
 class Finding:
     """One finding of `stepcore.check`.
 
-    kind: what it is about, in a word or two, such as "overlap" or "creep".
-    severity: "error" (cannot be right), "warning" (will be noticed) or "remark" (may be meant).
-    problem: what is wrong.
-    cure: what mends it; "" where nothing is known to.
-    elements: those that have the problem, the worst first; none if it is the whole scene.
-    value, unit: the number that it is judged by; None and "" where there is none.
-    commands: what to run next because of it.
+    kind: the subject in a word or two, such as "overlap" or "creep".
+    severity: "error" (certainly wrong), "warning" (will be noticed) or "remark" (may be intended).
+    problem: the problem in words.
+    cure: the cure in words; "" if no cure is known.
+    elements: the elements with the problem, worst first; empty for the whole scene.
+    value, unit: the number by which the finding is judged; None and "" without a number.
+    commands: the commands to run next because of the finding.
     settings: the settings that the cure changes, with their new values.
     """
 
@@ -52,45 +55,45 @@ class Finding:
 
     @property
     def element(self) -> str:
-        """The name of the worst element; "" if it is the whole scene."""
+        """The name of the worst element; "" for the whole scene."""
         return self.elements[0].name if self.elements else ""
 
     @property
     def text(self) -> str:
-        """A sentence that says what is wrong, and what cures it."""
-        # A problem of no element may begin with the name of a file.
+        """The problem and the cure as a sentence."""
+        # A problem without an element may begin with a file name, which keeps its case.
         problem = capital(self.problem) if self.elements else self.problem
         return f"{problem}: {self.cure}." if self.cure else f"{problem}."
 
     def record(self) -> dict[str, Any]:
-        """The finding as plain data."""
+        """Return the finding as plain data."""
         names = ("kind", "severity", "element", "text", "value", "unit")
         return {name: getattr(self, name) for name in names}
 
 
 def capital(text: str) -> str:
-    """A text as the beginning of a sentence."""
+    """Return a text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def ordered(findings: Iterable[Finding]) -> list[Finding]:
-    """The most severe first, and otherwise in the order in which they were found."""
+    """Return findings sorted by severity; equally severe findings stay in order."""
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
 def named(model: Model, kind: str, indices: Iterable[int]) -> tuple[Element, ...]:
-    """Elements of one kind, each once and in this order."""
+    """Return elements of one kind, in order and without duplicates."""
     return tuple(Element.of(model, kind, index) for index in dict.fromkeys(map(int, indices)))
 
 
 def listed(elements: Sequence[Element], noun: str) -> str:
-    """ "servo `a` (and servo `b`, servo `c` and 3 more servos)"; noun: of more than one."""
+    """Return "servo `a` (and servo `b`, servo `c` and 3 more servos)"; noun: the plural."""
     first, *rest = (element.name for element in elements)
     return first + others(rest, noun)
 
 
 def others(names: Sequence[str], noun: str) -> str:
-    """ " (and `b`, `c` and 3 more contacts)", or "" without names."""
+    """Return " (and `b`, `c` and 3 more contacts)", or "" without names; noun: the plural."""
     if not names:
         return ""
     more = len(names) - OTHERS

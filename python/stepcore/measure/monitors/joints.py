@@ -1,4 +1,4 @@
-"""What a run's connections and limits do: gape, and yield to a force that pushes beyond them."""
+"""Findings on connections and limits in a run: gaps, and limits that a force overcomes."""
 
 from __future__ import annotations
 
@@ -19,24 +19,27 @@ from stepcore.measure.monitors.soft_rows import advised
 from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
 from stepcore.scene.layout import Layout
 
-# A joint is kept beyond its limit where it is there for this share of a run; one that only runs
-# into its limit is not.
+# Least share of a run that a joint must be beyond its limit; a short impact does not count.
 KEPT = 0.05
-# Worth saying: a gap, of the size of the smaller body; how far beyond a limit, of the range.
+# Thresholds of findings: a gap, relative to the smaller body; an excess, relative to the range.
 GAPES, BEYOND = 0.01, 0.05
-# What a cure leaves of these.
+# The share of these thresholds that a cure leaves.
 LEFT = 0.1
-# A limit cannot bear a force that is this part of the limit's own.
+# A force overcomes a limit from this share of the limit's own force.
 OVERPOWERS = 0.5
-# A wider range says nothing of how exact a limit should be [rad].
+# Ranges wider than this do not define how exact a limit should be [rad].
 WIDEST = 3.0
-# What only resists motion pushes no joint beyond its limit.
+# Elements that only resist motion cannot push a joint beyond its limit.
 RESISTS = ("damper", "friction loss")
 
 
 @dataclass(frozen=True)
 class Gape:
-    """A connection that gapes. most: [m]; rest: where it settled [m], None where it did not."""
+    """A connection with a gap.
+
+    most: the largest gap [m].
+    rest: the gap at rest [m]; None if the gap did not settle.
+    """
 
     equality: int
     most: float
@@ -47,9 +50,12 @@ class Gape:
 class Beyond:
     """A joint beyond its range.
 
-    most: [rad or m]. rest: where it settled, None where it did not; kept: the same, or how far it
-    was for a twentieth of the run or more. forces: what acted outwards while it was kept there, an
-    element and its force [N·m or N], the strongest first; limit: the force of the limit itself.
+    most: the largest excess [rad or m].
+    kept: the excess at rest, or the excess reached for a twentieth of the run or more.
+    rest: the excess at rest; None if the joint did not settle.
+    forces: the elements that pushed outwards during the excess, with their forces [N·m or N],
+        strongest first.
+    limit: the force of the limit itself.
     """
 
     joint: int
@@ -61,18 +67,18 @@ class Beyond:
 
 
 class JointMonitor:
-    """The connections and limits of one run."""
+    """A record of the connections and limits of one run."""
 
     def __init__(self, model: Model, joints: Joints, sizes: Sizes) -> None:
         self.model, self.joints, self.sizes = model, joints, sizes
         self.gaps: list[np.ndarray] = []
         self.beyond: list[np.ndarray] = []
         self.dofs = [int(model.jnt_dofadr[joint]) for joint in joints.limited]
-        # By limit: how far beyond it was, and what acted on its dof.
+        # For each limit: the excess, and the forces on its dof.
         self.acted: dict[int, list[tuple[float, dict[tuple[str, int], float]]]] = {}
 
     def look(self, sim: Sim) -> None:
-        """Records every connection and limit."""
+        """Record every connection and limit."""
         with np.errstate(over="ignore", invalid="ignore"):
             if self.joints.connected:
                 frames = np.concatenate([sim.xpos, sim.xquat], axis=1)[None]
@@ -90,21 +96,21 @@ class JointMonitor:
                 self.acted.setdefault(k, []).append((float(beyond[k]), acting))
 
     def gapes(self) -> Iterator[Gape]:
-        """Every connection."""
+        """Yield every connection with its gap."""
         series = np.array(self.gaps)
         for column, equality in enumerate(self.joints.tied if len(series) else ()):
             gap = series[:, column]
             yield Gape(equality, float(gap.max()), settled(gap))
 
     def overshoots(self) -> Iterator[Beyond]:
-        """Every joint that was beyond its range."""
+        """Yield every joint that was beyond its range."""
         series = np.array(self.beyond)
         for k, seen in self.acted.items():
             joint, values = self.joints.limited[k], series[:, k]
             most, rest = float(values.max()), settled(values)
             often = float(np.sort(values)[-max(1, math.ceil(KEPT * len(values)))])
             kept = often if rest is None else rest
-            # What acts belongs to the step before: a limit that was just passed does not push yet.
+            # Forces belong to the previous step: a limit that was just passed does not push yet.
             pushed = [look for look in seen if ("limit", joint) in look[1]]
             if not pushed:
                 continue
@@ -115,7 +121,7 @@ class JointMonitor:
             yield Beyond(joint, most, kept, rest, tuple(forces), abs(limit))
 
     def findings(self) -> Iterator[Finding]:
-        """All findings on connections and limits."""
+        """Yield all findings on connections and limits."""
         if self.model.settings.law == "solref":
             yield from self._gaps()
         yield from self._overpowered()
@@ -127,7 +133,7 @@ class JointMonitor:
             bodies = [
                 layout.index[id(body)] for body in model.scene.equalities[gape.equality].bodies
             ]
-            # The world has no size of its own to compare with.
+            # The world has no size to compare with.
             sizes = self.sizes.bodies
             size = min((sizes[body] for body in bodies if body), default=sizes[0])
             if gape.most > GAPES * size:
@@ -155,11 +161,11 @@ class JointMonitor:
         yield Finding("gap", "warning", problem, cure, connections, now, "m", commands)
 
     def _overpowered(self) -> Iterator[Finding]:
-        """Limits that a force pushes beyond: the worst with its cure, the others by name."""
+        """Yield limits that a force overcomes: the worst with its cure, the others by name."""
         model = self.model
         beyond: list[tuple[float, Beyond]] = []
         for at in self.overshoots():
-            # A damper that pushes outwards holds back a joint that returns.
+            # A damper that pushes outwards only slows a joint that returns.
             pushing = tuple(force for force in at.forces if force[0][0] not in RESISTS)
             width = width_of(model, at.joint)
             if at.kept > BEYOND * width and pushing and pushing[0][1] > OVERPOWERS * at.limit:
@@ -196,23 +202,23 @@ class JointMonitor:
 
 
 def is_angular(model: Model, joint: int) -> bool:
-    """Whether a joint's coordinate is an angle."""
+    """Return whether a joint's coordinate is an angle."""
     return bool(model.jnt_type[joint] != "slide")
 
 
 def width_of(model: Model, joint: int) -> float:
-    """The width of a joint's range [rad or m], as far as it says how exact a limit should be."""
+    """Return the width of a joint's range [rad or m], at most `WIDEST` for an angle."""
     low, high = (float(bound) for bound in model.jnt_range[joint])
     return min(high - low, WIDEST) if is_angular(model, joint) else high - low
 
 
 def length_of(model: Model, joint: int, value: float) -> str:
-    """A joint's coordinate in words."""
+    """Return a joint's coordinate in words."""
     return radians(value) if is_angular(model, joint) else metres(value)
 
 
 def harder_limit(model: Model, joint: int, now: float, wanted: float) -> str:
-    """The solreflimit with which a limit that yields by `now` yields by `wanted`, in words."""
+    """Return the solreflimit, in words, that reduces a limit's excess from `now` to `wanted`."""
     if model.settings.law != "solref":
         return ""
     at = Layout(model.scene).joints[joint]

@@ -1,13 +1,13 @@
-"""How deep a soft row yields under a load, and the solref with which it yields less.
+"""Computes the violation of a soft row under a load, and the solref that reduces the violation.
 
-A row of `solref` at rest (MuJoCo's documentation, "Computation", "Constraint model"): its force f
-meets R f = k r, with r the violation, R = (1 − d)/d · Â, and
+For a row of `solref` at rest (MuJoCo's documentation, "Computation", "Constraint model"), the force
+f satisfies R f = k r, where r is the violation, R = (1 − d)/d · Â, and
 
     k = d / (dmax² tc² ζ²)        solref = (tc, ζ), a time constant [s] and a damping ratio
     k = d · stiffness / dmax²     solref = (−stiffness, −damping)
 
-where d = d(r) is the impedance of solimp. So r = f Â · (1 − d)/d² · dmax² · (tc ζ)²: under the same
-load r / ((1 − d)/d²) is proportional to tc², or to 1/stiffness.
+where d = d(r) is the impedance of solimp. So r = f Â · (1 − d)/d² · dmax² · (tc ζ)²: under a fixed
+load, r / ((1 − d)/d²) is proportional to tc², or to 1/stiffness.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from stepcore.scene.layout import Layout
 
 # MuJoCo's bounds of an impedance.
 LEAST, MOST = 1e-4, 0.9999
-# A solimp of hardly any softness.
+# A nearly rigid solimp.
 HARD = (0.99, 0.99, 0.001, 0.5, 2.0)
-# A finer solref is not advised: its step would be too short [s].
+# Shortest time constant that is advised: a shorter one needs too small a time step [s].
 SHORTEST = 1e-5
 
 
 def impedance(solimp: Sequence[float], violation: float) -> float:
-    """The impedance d of a row at a violation [m or rad]; MuJoCo's `solimp`."""
+    """Return the impedance d of a row at a violation [m or rad]; MuJoCo's `solimp`."""
     first, last, width, middle, power = solimp
     first, last = (min(max(d, LEAST), MOST) for d in (first, last))
     x = min(abs(violation) / width, 1.0) if width > 0 else 1.0
@@ -45,9 +45,10 @@ def impedance(solimp: Sequence[float], violation: float) -> float:
 
 
 def yielding(solref: Sequence[float], solimp: Sequence[float], load: float, dt: float) -> float:
-    """The violation at rest [m or rad] under a load: the unconstrained acceleration f Â.
+    """Return the violation at rest [m or rad] under a load.
 
-    load: [m/s² or rad/s²]. dt: below half of the time constant refsafe lengthens it [s]; 0 without.
+    load: the unconstrained acceleration f Â [m/s² or rad/s²].
+    dt: the time step [s]; refsafe raises the time constant to at least 2 dt. 0 without refsafe.
 
     >>> print(f"{1e3 * yielding((0.02, 1), (0.9, 0.95, 0.001, 0.5, 2), 9.81, 0.002):.3f} mm")
     0.367 mm
@@ -79,9 +80,9 @@ def stiffer(
     settings: Settings,
     other: Sequence[float] | None = None,
 ) -> tuple[float, float]:
-    """The solref with which a row that yields by `now` yields by `wanted` under the same load.
+    """Return the solref that reduces a row's violation from `now` to `wanted` under the same load.
 
-    other: the solimp that goes with it, where it is not the same.
+    other: the new solimp, if it changes too.
     """
     dt = settings.dt if settings.refsafe else 0.0
     softer = (wanted / now) * _slope(solimp, now) / _slope(other or solimp, wanted)
@@ -91,7 +92,7 @@ def stiffer(
 
 
 def _slope(solimp: Sequence[float], violation: float) -> float:
-    """(1 − d)/d² · dmax²."""
+    """Return (1 − d)/d² · dmax²."""
     d, most = impedance(solimp, violation), min(max(solimp[1], LEAST), MOST)
     return (1 - d) / d**2 * most**2
 
@@ -105,10 +106,10 @@ def advised(
     settings: Settings,
     length: str | None = None,
 ) -> str:
-    """The cure in words: 'solref="0.005 1" leaves 20 µm', with a solimp where that is needed.
+    """Return the cure in words: 'solref="0.005 1" leaves 20 µm', with a solimp if needed.
 
-    suffix: of the attributes' names, "" or "limit". length: `wanted` in words, where it is no
-    length.
+    suffix: of the attributes' names, "" or "limit".
+    length: `wanted` in words, if not a length.
     """
     leaves = f"leaves {length or metres(wanted)}"
     new, words = stiffer(solref, solimp, now, wanted, settings), ""
@@ -120,19 +121,19 @@ def advised(
         return f"smaller time constants in solref{suffix} and smaller time steps leave less"
     text = f'solref{suffix}="{new[0]:.3g} {new[1]:.3g}"{words} {leaves}'
     if not _resolved(new, settings):
-        # Rounded down: the three digits that are written are not to be softened.
+        # Round down, so that refsafe does not soften the three printed digits.
         half = math.floor(float(f"{new[0]:.3g}") / 2 * 1e6) / 1e6
         text += f" (refsafe asks for a dt of at most {seconds(half)})"
     return text
 
 
 def _resolved(solref: Sequence[float], settings: Settings) -> bool:
-    """Whether refsafe leaves a solref as it is."""
+    """Return whether refsafe leaves a solref unchanged."""
     return not settings.refsafe or solref[0] <= 0 or solref[0] >= 2 * settings.dt
 
 
 def pair_solimp(model: Model, geom1: int, geom2: int) -> Vec:
-    """The solimp that two geoms have together: of the higher priority, or mixed by solmix."""
+    """Return the solimp of a pair of geoms: of the higher priority, or mixed by solmix."""
     geoms = Layout(model.scene).geoms
     a, b = geoms[geom1], geoms[geom2]
     if a.priority != b.priority:
