@@ -1,7 +1,7 @@
 """The command line: `stepcore COMMAND`, also `python -m stepcore`.
 
-The module of a command has its help (`TEXTS`), adds its options (`add`) and runs it (`call`). Only
-the module of the command that was asked for is imported.
+The module of a command contains the help (`TEXTS`), adds the options (`add`) and runs the command
+(`call`). Only the module of the requested command is imported.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ scenes that come with stepcore (spring, drop, stack, grasp).
 
 exit status: 0 success, 1 run-time failure, 2 usage error, 130 interrupted
 """
-# Modules of the commands; `measurements` has all the others.
+# Modules of the commands; all other commands are in `measurements`.
 MODULES = {
     **dict.fromkeys(("run", "replay"), "run"),
     **dict.fromkeys(("lesson", "info"), "installation"),
@@ -58,7 +58,7 @@ MODULES = {
 
 
 class _Parser(argparse.ArgumentParser):
-    """Keeps the lines of descriptions, and writes an error in one line."""
+    """An argument parser that keeps line breaks in descriptions and prints one-line errors."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **kwargs)
@@ -70,7 +70,7 @@ class _Parser(argparse.ArgumentParser):
         super()._print_message(printable(message), file)
 
     def refuse(self, unknown: Sequence[str]) -> NoReturn:
-        """Say which arguments the command does not take, and what the first may have meant."""
+        """Report the unknown arguments, and the option nearest to the first unknown option."""
         option = next((arg.partition("=")[0] for arg in unknown if arg.startswith("-")), None)
         if option is None:
             self.error(f"unexpected argument '{unknown[0]}'")
@@ -81,7 +81,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Looks the version up only when it is asked for."""
+    """The action of --version, which looks the version up only when needed."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from importlib.metadata import version
@@ -91,7 +91,7 @@ class _Version(argparse.Action):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status."""
+    """Run one command; return the exit status."""
     debug = False
     print_what_can_be_printed()
     try:
@@ -105,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         say(f"interrupted after {done}" if done else "interrupted")
         return INTERRUPTED
     except BrokenPipeError:
-        # The pipe's reader has closed it.
+        # The reader has closed the pipe.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
@@ -115,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:
-    """The arguments; an unknown one is an error that names the nearest."""
+    """Return the parsed arguments; report an unknown argument with the nearest option."""
     asked = _asked(argv)
     argv = [ALIASES.get(word, word) if word == asked else word for word in argv]
     top = parser(argv)
@@ -134,7 +134,7 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _asked(argv: Sequence[str]) -> str | None:
-    """The command: the first argument that is no option."""
+    """Return the command: the first argument that is no option."""
     return next((arg for arg in argv if not arg.startswith("-")), None)
 
 
@@ -157,7 +157,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _failed(error: Exception) -> int:
-    """Print the error in one line and returns its exit status."""
+    """Print the error in one line and return its exit status."""
     say(reason(error))
     return 2 if isinstance(error, (ValueError, OSError)) else 1
 
@@ -170,12 +170,12 @@ def _warned(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning in one line, without the code that raised it."""
+    """Print a warning in one line, without the source line that raised the warning."""
     say(" ".join(str(message).split()))
 
 
 def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """All commands, and what the one in `argv` takes."""
+    """Create the parser of all commands, with the arguments of the command in `argv`."""
     top = _Parser(prog="stepcore", description=DESCRIPTION, epilog=EPILOG)
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")

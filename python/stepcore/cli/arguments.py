@@ -1,4 +1,4 @@
-"""Arguments that several commands take: the model, the motion and its controls."""
+"""Arguments common to several commands: the model, the motion and its controls."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from stepcore.report.units import counted, length_of, time_of
 
 
 def time(text: str) -> float:
-    """A time on the command line [s]."""
+    """Parse a time on the command line [s]."""
     value = time_of(text)
     if value is None:
         raise argparse.ArgumentTypeError(f"'{text}' must be a time: seconds, 1ms or 20us")
@@ -34,7 +34,7 @@ def time(text: str) -> float:
 
 
 def length(text: str) -> float:
-    """A length on the command line [m]."""
+    """Parse a length on the command line [m]."""
     value = length_of(text)
     if value is None:
         raise argparse.ArgumentTypeError(f"'{text}' must be a length: metres, 1mm or 2cm")
@@ -45,7 +45,7 @@ CTRL = (
     'constant controls, "1,0,-1" or "hip=1,knee=-1"; or a file (.csv, .npz, .npy) with a row for '
     "each control period, or with a column for each actuator or joint by name and one of times"
 )
-# Options by the field of `Motion` that they set.
+# Options, by the field of `Motion` that the option sets.
 OPTIONS: dict[str, dict[str, Any]] = {
     "horizon": {"type": time, "metavar": "S", "help": "simulated time [s]"},
     "starts": {
@@ -74,7 +74,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
-    """Add the model that a command works on."""
+    """Add the argument FILE, the model of a command, and the options of loading."""
     words = "path, package:name or lesson:name"
     command.add_argument("file", metavar="FILE", help=words + default.pop("words", ""), **default)
     command.add_argument(
@@ -96,7 +96,7 @@ def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
 
 
 def add_key(command: argparse.ArgumentParser) -> None:
-    """Add the option of the keyframe to start from."""
+    """Add the option --key, the initial keyframe."""
     command.add_argument("--key", **OPTIONS["key"])
 
 
@@ -105,8 +105,8 @@ def add_motion(
 ) -> None:
     """Add the options of the motion, and the number of threads.
 
-    fields: those of `Motion` that the measurement takes. default: what it takes for those that are
-    not given, which the help names.
+    fields: the fields of `Motion` that the measurement accepts. default: default values of these
+        fields, which the help shows.
     """
     motion = command.add_argument_group("motion")
     for name, option in OPTIONS.items():
@@ -124,13 +124,13 @@ def add_motion(
 
 
 def model_of(args: argparse.Namespace, warn: bool = True) -> Model:
-    """The compiled model of FILE; warn: of stiffness, as `stepcore.load` does."""
+    """Return the compiled model of FILE; warn: whether to warn of stiffness, as `stepcore.load`."""
     read = load if warn else find_scene
     return read(args.file, without=args.without, fuse=args.fuse).compile()
 
 
 def key_of(args: argparse.Namespace, model: Model) -> str | int | None:
-    """The keyframe of --key: a number is an index where no keyframe has that name."""
+    """Return the keyframe of --key; a number is an index unless it names a keyframe."""
     key: str | None = args.key
     if key is None or key in model.key_names or not key.isdecimal():
         return key
@@ -138,7 +138,7 @@ def key_of(args: argparse.Namespace, model: Model) -> str | int | None:
 
 
 def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
-    """The options of `add_motion` that were given, as arguments of a measurement."""
+    """Return the given options of `add_motion` as arguments of a measurement."""
     given = {name: getattr(args, name, None) for name in (*OPTIONS, "threads")}
     given["key"] = key_of(args, model)
     if given["ctrl"] is not None and given["control"] is not None:
@@ -151,7 +151,7 @@ def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
 
 
 def controls_of(text: str, model: Model) -> Any:
-    """The controls of --ctrl, as `Motion` takes them."""
+    """Return the controls of --ctrl as an argument of `Motion`."""
     if text == SINES:
         return text
     if text.endswith(ENDINGS):
@@ -167,7 +167,7 @@ def controls_of(text: str, model: Model) -> Any:
 
 
 def _constants(text: str, model: Model) -> list[list[float]] | dict[str, float]:
-    """Constant controls: a row of all of them, or some by the name of their actuator."""
+    """Return constant controls: a row for all actuators, or a dict by actuator name."""
     if not model.nu:
         raise Usage(f"--ctrl {text}: this model has no actuators")
     parts = [part.strip() for part in text.split(",")]
@@ -202,9 +202,9 @@ def _number(text: str, part: str) -> float:
 
 
 def control_function(text: str) -> Callable[..., Any]:
-    """The function that "file.py:function" or "module:function" names.
+    """Import the control function named by "file.py:function" or "module:function".
 
-    A module is found as `python -m` would from here.
+    A module is found as by `python -m` in the working directory.
     """
     module, colon, name = text.rpartition(":")
     if not colon or not module or not name:
@@ -225,13 +225,13 @@ def control_function(text: str) -> Callable[..., Any]:
     except TypeError:
         raise Usage(f"--control {text}: the control function must take (time, sim)") from None
     except ValueError:
-        # Some functions written in C have no signature.
+        # Some C functions have no signature.
         pass
     return _NamedControl(text, function)
 
 
 class _NamedControl:
-    """A control function whose errors name the option. Copying it copies the function."""
+    """A control function whose errors name the option; a copy contains a copy of the function."""
 
     def __init__(self, text: str, function: Callable[..., Any]) -> None:
         self.text, self.__wrapped__ = text, function
@@ -242,7 +242,7 @@ class _NamedControl:
         except SimulationError:
             raise
         except Exception as error:
-            # Not a ValueError, which a measurement would take for a failure of its settings.
+            # A measurement would interpret a ValueError as a failure of the settings.
             raise RuntimeError(f"--control {self.text}: {_place(error)}") from error
 
 
@@ -253,25 +253,25 @@ def _module(name: str) -> ModuleType:
 
 
 def _file(path: str) -> ModuleType:
-    """Import a file as a module, even if another module has its name.
+    """Import a file as a module, even if another module has the same name.
 
-    It can import the files beside it.
+    The file can import other files of its folder.
     """
     file = Path(path).resolve()
     if str(file.parent) not in sys.path:
-        # At the end, so that a file beside it does not shadow a module of Python.
+        # Appended, so that files of this folder do not shadow standard modules.
         sys.path.append(str(file.parent))
     spec = importlib.util.spec_from_file_location(file.stem, file)
     if spec is None or spec.loader is None:
         raise ImportError(f"{path}: is no Python file")
     module = importlib.util.module_from_spec(spec)
-    # Functions of the module can be pickled if it is known by its name.
+    # Pickling the module's functions requires the module to be importable by name.
     sys.modules.setdefault(file.stem, module)
     spec.loader.exec_module(module)
     return module
 
 
 def _place(error: Exception) -> str:
-    """An error of the user's code in one line: type, text and line."""
+    """Describe an error of the user's code in one line: type, text and line number."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {one_line(error)} ({Path(last.filename).name}:{last.lineno})"

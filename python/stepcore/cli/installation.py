@@ -1,4 +1,4 @@
-"""The commands about this installation: `lesson` checks the engine, `info` names versions."""
+"""Commands on the installation: `lesson` checks the engine, `info` prints versions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Example:
   stepcore info --json
 """,
 }
-# Its own, then those of the extras, and what has models.
+# stepcore and its dependency, then the packages of the extras, then packages with models.
 PACKAGES = (
     *("stepcore", "numpy", "matplotlib", "trimesh", "viser", "mitsuba", "imageio-ffmpeg"),
     *("pillow", "pandas", "xarray", "mcap", "distributed", "gymnasium", "mujoco"),
@@ -51,7 +51,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 
 
 def call(args: argparse.Namespace, name: str) -> int:
-    """Run a command; returns its exit status."""
+    """Run a command; return the exit status."""
     return _lesson(args) if name == "lesson" else _info(args)
 
 
@@ -70,10 +70,10 @@ def _info(args: argparse.Namespace) -> int:
     from stepcore import _core, vectors
 
     facts = {package: _version(package) for package in PACKAGES} | {
-        # Its name tells the stable ABI from a build for one free-threaded Python.
+        # The file name shows whether this is a stable-ABI or a free-threaded build.
         "module": os.path.basename(_core.__file__),
         "vectors": _core.VECTORS,
-        # What the variable STEPCORE_VECTORS could name here.
+        # The values of the variable STEPCORE_VECTORS that are valid on this machine.
         "levels": ", ".join(vectors.levels()),
         "python": platform.python_version() + (" free-threaded" if _free_threaded() else ""),
         "machine": f"{platform.system()} {platform.machine()}",

@@ -1,4 +1,4 @@
-"""The commands that measure a model: each calls the function of its name."""
+"""The measuring commands, each of which calls the function of the same name."""
 
 from __future__ import annotations
 
@@ -29,19 +29,21 @@ from stepcore.experiment import schedule
 from stepcore.report.result import Result
 
 LIST = "numbers a,b,c or FIRST:LAST:COUNT on a log scale"
-# How a command measures: its function, all that was given, and of it the function's arguments.
+# The arguments: the measuring function, the parsed command line, the model, and the function's
+# arguments.
 Call = Callable[[Callable[..., Any], argparse.Namespace, Model, Mapping[str, Any]], Result]
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A command that measures by the function of its name.
+    """A command that calls the measuring function of the same name.
 
-    module: where this function is. text: the help. options: by the argument that each sets;
-    "flags" are what it is called where that differs. excluding: options of which one is given.
-    full: what --all prints. warn: of stiffness, as `stepcore.load` does; not where the result says
-    so in full. model: how the model is given. motion: defaults that the help names; None for a
-    command that runs no motion. call: how it measures, where this is no plain call.
+    module: the module of the function. text: the help. options: the options by function argument;
+    "flags" gives the option's name where it differs from the argument. excluding: mutually
+    exclusive options. full: the description of --all in the help. warn: whether to warn of
+    stiffness, as `stepcore.load` does; False if the result reports stiffness in detail. model: the
+    settings of the argument FILE. motion: defaults shown in the help; None for a command without a
+    motion. call: a custom call of the function, where a plain call does not suffice.
     """
 
     module: str
@@ -56,14 +58,14 @@ class Measurement:
 
 
 def _function(name: str) -> Callable[..., Any]:
-    """The function that a command calls."""
+    """Return the function that a command calls."""
     module = importlib.import_module(MEASUREMENTS[name].module)
     function: Callable[..., Any] = getattr(module, name.replace("-", "_"))
     return function
 
 
 def add(command: argparse.ArgumentParser, name: str) -> None:
-    """Add the options of a command; their defaults are those of its function."""
+    """Add the options of a command, with the defaults of its function."""
     measurement, function = MEASUREMENTS[name], _function(name)
     takes = inspect.signature(function).parameters
     add_file(command, **(measurement.model or {}))
@@ -89,7 +91,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 
 
 def call(args: argparse.Namespace, name: str) -> Result:
-    """Measure what a command was asked for."""
+    """Run the measurement of a command."""
     measurement, function = MEASUREMENTS[name], _function(name)
     model = model_of(args, warn=measurement.warn)
     takes = inspect.signature(function).parameters
@@ -103,7 +105,7 @@ def call(args: argparse.Namespace, name: str) -> Result:
 
 
 def _source(args: argparse.Namespace, model: Model) -> Model | str:
-    """The name of a file, which its measurement reads itself, unless it was read in another way."""
+    """Return the file name if the measurement can read the file itself, else the model."""
     source: Model | str = model if args.without or args.fuse is False else args.file
     return source
 
@@ -114,7 +116,7 @@ def _check(
     from stepcore.measure.check import file_in_words
 
     result: Any = function(_source(args, model), **given)
-    # The commands that it names take the same file and motion.
+    # The commands recommended by the result get the same file and motion.
     said = {name: getattr(args, name, None) for name in OPTIONS}
     checked: Result = replace(
         result,
@@ -164,7 +166,7 @@ def _stability_map(
 
 
 def numbers(option: str, text: str, read: Callable[[str], float] = float) -> list[float]:
-    """A list as it is written on the command line."""
+    """Parse a list of numbers on the command line."""
     try:
         if ":" not in text:
             return [read(part) for part in text.split(",")]

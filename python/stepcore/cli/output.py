@@ -1,4 +1,4 @@
-"""How a command writes its result: as text, JSON, a plot or a page."""
+"""Output of a command's result as text, JSON, a plot or a page."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 from stepcore.report.table import jsonable
 
-# Arguments that are names of files to be written, and their options.
+# Arguments that name output files, and their options.
 OPTIONS = {name: f"--{name}" for name in ("plot", "html", "json", "save", "replay")}
 OPTIONS["page"] = "--html"
 
-# Files to be written, and what writes them.
+# Output files, and the functions that write them.
 Writes = list[tuple[str, Callable[[], object]]]
 
 
 def add_output(
     command: argparse.ArgumentParser, *, full: str = "print every row of the tables"
 ) -> None:
-    """Options of a command whose result is a `Result`; full: what --all prints."""
+    """Add the options of a command that returns a `Result`; full: the help of --all."""
     output = command.add_argument_group("output")
     output.add_argument("--plot", metavar="OUT", help="write the plot (.png, .svg, .pdf)")
     output.add_argument("--html", metavar="OUT", help="write a page of plot, text and tables")
@@ -40,7 +40,7 @@ def add_output(
 
 
 def add_force(command: argparse._ActionsContainer) -> None:
-    """The option of a command that writes files."""
+    """Add the option --force of a command that writes files."""
     command.add_argument(
         "--force",
         action="store_true",
@@ -50,12 +50,12 @@ def add_force(command: argparse._ActionsContainer) -> None:
 
 
 def add_json(command: argparse.ArgumentParser) -> None:
-    """The option of a command whose result is no `Result`."""
+    """Add the option --json of a command that returns no `Result`."""
     command.add_argument("--json", action="store_true", help="print JSON instead of text")
 
 
 def check_output(args: argparse.Namespace) -> None:
-    """Check before the run that every output can be written after it."""
+    """Check before the run that every output file can be written."""
     outputs = list(_outputs(args))
     files.outputs.clear()
     for option, out in outputs:
@@ -73,7 +73,7 @@ def check_output(args: argparse.Namespace) -> None:
 
 
 def _outputs(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    """The options of the command that name an output file, and the file of each."""
+    """Yield the options of the command that name an output file, and their files."""
     for name, option in OPTIONS.items():
         out = getattr(args, name, None)
         if isinstance(out, str) and out != "-":
@@ -81,7 +81,7 @@ def _outputs(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
 
 
 def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
-    """Refuse to write over a file that the command reads, now or later."""
+    """Refuse to overwrite a file that the command reads at any time."""
     control = getattr(args, "control", None) or ""
     inputs = (getattr(args, "file", None), getattr(args, "ctrl", None), control.rpartition(":")[0])
     for given in inputs:
@@ -94,7 +94,7 @@ def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
 
 
 def _same(one: str, other: str) -> bool:
-    """Whether two paths lead to one file."""
+    """Return whether two paths refer to the same file."""
     try:
         return os.path.samefile(one, other)
     except OSError:
@@ -111,7 +111,7 @@ def _check_path(out: str, option: str) -> None:
 
 
 def deliver(result: Result, args: argparse.Namespace) -> None:
-    """Write and prints a result as `add_output` was asked."""
+    """Write and print a result according to the options of `add_output`."""
     writes: Writes = []
     if args.plot is not None:
         writes.append((args.plot, lambda: result.plot(args.plot)))
@@ -130,7 +130,7 @@ def _write(out: str, text: str) -> None:
 
 
 def attempted(writes: Writes) -> list[Exception]:
-    """Write files; returns the errors, so that the result is printed before they are raised."""
+    """Write files and return the errors, so that the result can be printed before raising them."""
     failed: list[Exception] = []
     for out, write in writes:
         try:
@@ -143,7 +143,7 @@ def attempted(writes: Writes) -> list[Exception]:
 
 
 def print_json(data: Any) -> None:
-    """Plain data as JSON."""
+    """Print plain data as JSON."""
     put(json.dumps(jsonable(data), indent=2))
 
 

@@ -1,4 +1,4 @@
-"""The commands that run a model once: `run`, and `replay` of a run that failed."""
+"""The commands `run`, which runs a model once, and `replay`, which repeats a failed run."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from stepcore.report.result import Result
 from stepcore.report.units import time_of
 from stepcore.viewing.needs import need
 
-# Endings of --save, and what it has of every step where --record does not say.
+# Extensions of --save, and the quantities that --save records without --record.
 SAVED = (".npz", ".mcap", ".html")
 RECORD = ("qpos", "qvel", "ctrl", "energy", "overlap")
-# Settings that are times.
+# Settings with the unit of time.
 TIMES = ("dt", "sleep_time")
 TEXTS = {
     "run": """\
@@ -92,7 +92,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 
 
 def add_inputs(command: argparse.ArgumentParser) -> None:
-    """The options that drive a run."""
+    """Add the options of the inputs of a run."""
     inputs = command.add_argument_group("inputs")
     ctrl = OPTIONS["ctrl"]["help"].partition(" (default")[0]
     words = f'{ctrl}; or "{SINES}", the seeded sines that measurements run'
@@ -112,7 +112,7 @@ def add_inputs(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace, name: str) -> Result | int:
-    """Run a command; returns its result or its exit status."""
+    """Run a command; return its result or its exit status."""
     return replay(args.file) if name == "replay" else _run(args)
 
 
@@ -124,7 +124,7 @@ def _run(args: argparse.Namespace) -> int:
     if not 0 <= duration < float("inf"):
         raise Usage(f"--duration {duration:g}: must be finite and >= 0 s")
     model = model_of(args).with_settings(**changes)
-    # The ledger explains a failure in full, and costs a few percent.
+    # The ledger is needed to explain a failure in full, and costs only a few per cent.
     sim = Sim(model, **({"ledger": True} | changes))
     dt = model.settings.dt
     if not duration / dt < MOST_STEPS:
@@ -135,7 +135,7 @@ def _run(args: argparse.Namespace) -> int:
     result = simulated(sim, model.settings, motion, duration, pushes, record, None, True)
     if result.error is not None:
         said = [f"{one_line(result.error)}.", *(finding.text for finding in result.findings)]
-        # Printed first: saving may fail too.
+        # Printed first, because saving can fail too.
         say(" ".join(said), end=" ")
         _keep(result.error, args, result.trajectory)
         return 1
@@ -147,14 +147,14 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def motion_of_run(args: argparse.Namespace, sim: Sim) -> Motion:
-    """The motion of --key, --ctrl, --control and --control-dt."""
+    """Return the motion of --key, --ctrl, --control and --control-dt."""
     if args.control_dt is not None:
         whole_steps("--control-dt", args.control_dt, sim.settings.dt, least=1)
     return Motion(horizon=args.duration or None, **motion_of(args, sim.model))
 
 
 def pushes_of(args: argparse.Namespace, model: Model) -> list[Push]:
-    """The pushes of --push."""
+    """Return the pushes of --push."""
     try:
         pushes = [Push.of(text) for text in args.push]
         for push in pushes:
@@ -165,14 +165,14 @@ def pushes_of(args: argparse.Namespace, model: Model) -> list[Push]:
 
 
 def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
-    """What is recorded of every step, checked before the run."""
+    """Return the quantities to record at every step, after checking them."""
     if args.plot is None and args.save is None and args.html is None:
         if args.record is not None:
             raise Usage("--record is what --plot and --save have: give one of them")
         return ()
     if args.save is not None and not args.save.endswith(SAVED):
         raise Usage(f"--save {args.save}: must end in {', '.join(SAVED)}")
-    # A missing package is named before the run.
+    # A missing package is reported before the run.
     if args.save is not None and args.save.endswith(".mcap"):
         need("mcap", f"--save {args.save}", "mcap")
     if args.save is not None and args.save.endswith(".html"):
@@ -188,7 +188,7 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
-    """How to write the recorded run."""
+    """Return the files of --save and the functions that write them."""
     saves: Writes = []
     if run is not None and args.save is not None:
         ending = SAVED.index(args.save[args.save.rindex(".") :])
@@ -198,7 +198,7 @@ def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
 
 
 def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | None) -> None:
-    """Save the replay of a failure, and what the run did until then."""
+    """Save the replay of a failure, and the recorded run up to the failure."""
     path = args.replay or _replay_name(error)
     failed = attempted([(path, lambda: error.replay.save(path))])
     if failed:
@@ -213,7 +213,7 @@ def _keep(error: SimulationError, args: argparse.Namespace, run: Trajectory | No
 
 
 def _replay_name(error: SimulationError) -> str:
-    """A free file name for the replay of a failure."""
+    """Return an unused file name for the replay of a failure."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
     path = f"{name or 'run'}-step{error.step}.replay.json"
     while not is_replaceable(path):
@@ -222,7 +222,7 @@ def _replay_name(error: SimulationError) -> str:
 
 
 def _setting(text: str) -> tuple[str, Any]:
-    """ "name=value" as a field of Settings and its value."""
+    """Parse "name=value" as a field of Settings and its value."""
     name, equals, value = text.partition("=")
     if not equals:
         raise Usage(f"--set {text}: must be NAME=VALUE")

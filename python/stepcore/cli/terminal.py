@@ -1,4 +1,4 @@
-"""Output of commands: the error stream, and terminals that lack some characters."""
+"""Printing for commands: error stream, and terminals without some characters."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import TextIO
 from stepcore.checks import one_line
 from stepcore.escapes import printable
 
-# As a shell reports a program that Ctrl-C has ended.
+# The exit status that shells report for a program interrupted by Ctrl-C.
 INTERRUPTED = 130
 ERRORS = "stepcore.plain"
 REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}
-# Errors of the user's arguments and files, and of runs that fail.
+# Errors caused by the user's arguments and files, or by failing runs.
 EXPECTED = (ValueError, OSError, RuntimeError, ImportError)
 # Replacements for characters that cannot be printed.
 SPELT = """
@@ -33,16 +33,16 @@ def _plain(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     lost = error.object[error.start : error.end]
-    # Bytes of a file name that are not text arrive as lone surrogates.
+    # Non-text bytes of a file name are lone surrogates.
     return "".join(PLAIN.get(character, "?") for character in lost), error.end
 
 
 def print_what_can_be_printed() -> None:
-    """Replace characters that the output cannot encode instead of failing."""
+    """Make the output streams replace characters that cannot be encoded."""
     codecs.register_error(ERRORS, _plain)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
-        # Python chooses the second where the locale is C.
+        # Python uses "surrogateescape" in the C locale.
         strict = getattr(stream, "errors", "") in ("strict", "surrogateescape")
         if reconfigure is not None and strict:
             reconfigure(errors=ERRORS)
@@ -59,11 +59,11 @@ def put(text: str, end: str = "\n", stream: TextIO | None = None) -> None:
 
 
 def reason(error: BaseException) -> str:
-    """What went wrong, in one line."""
+    """Describe an error in one line."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{os.fspath(error.filename)}: {REASONS.get(type(error)) or error.strerror}"
     if isinstance(error, EXPECTED):
         return one_line(error)
-    # Any other error is a defect of stepcore.
+    # Any other error is a bug in stepcore.
     kind = type(error).__name__
     return f"internal error ({kind}: {one_line(error)}); --debug shows the traceback"

@@ -28,7 +28,7 @@ Example:
   stepcore view gymnasium:half_cheetah --ctrl bthigh=1,fthigh=-1 --html run.html
 """
 }
-# How long the run of a page is [s].
+# Default duration of the run on a page [s].
 DURATION = 5.0
 
 
@@ -57,7 +57,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 
 
 def call(args: argparse.Namespace, name: str) -> int:
-    """Show the model, or writes the page; returns the exit status."""
+    """Show the model, or write the page; return the exit status."""
     if args.page is not None:
         need("trimesh", f"--html {args.page}")
     elif args.duration is not None:
@@ -76,7 +76,7 @@ def call(args: argparse.Namespace, name: str) -> int:
     run = simulated(sim, sim.settings, motion, duration, pushes, ("qpos",), None)
     if run.error is not None:
         say(one_line(run.error))
-    # Of a run that fails its motion until then is seen.
+    # The page of a failed run shows the motion up to the failure.
     seen = run.trajectory
     if seen is not None:
         for unsaved in attempted([(args.page, lambda: seen.save_html(args.page))]):

@@ -350,8 +350,7 @@ class RemovableFeatures:
         return pairs
 
     def reduced(self, removal: Removal, usage: MotionUsage) -> Removal | None:
-        """Restrict a removal of unused limits or pairs to those that another motion did not use
-        either.
+        """Restrict a removal of unused limits or pairs to those that another motion did not use.
 
         The result is None if nothing is left of the removal. Other removals are returned unchanged.
         """

@@ -156,8 +156,7 @@ class Model:
 
     @functools.cached_property
     def is_heap(self) -> bool:
-        """Whether nearby pairs of geoms are found during the run, because too many pairs can
-        collide.
+        """Whether pairs of geoms are found during the run, because too many pairs can collide.
 
         Compilation lists up to 2000 pairs in `pairs`, or up to 20,000 where fewer than eight trees
         move. A model with more pairs is a heap.
@@ -197,9 +196,7 @@ class Model:
         return self._core.element_name(checks.word("kind", kind), index, part)
 
     def element_words(self, kind: str, index: int, part: int = -1) -> tuple[str, str, str]:
-        """Return the parts of `element_name`: noun, owner and label, e.g. "spring", "joint",
-        "`knee`".
-        """
+        """Return noun, owner and label of an element's name, as in "spring", "joint", "`knee`"."""
         return self._core.element_words(kind, index, part)
 
     def called(self, kind: str) -> tuple[str, ...]:
@@ -247,9 +244,7 @@ class Model:
         return force.reshape((*leading, self.nv))
 
     def root(self, body: int) -> int:
-        """Return the index of the child of the world whose subtree contains a body; 0 for the
-        world.
-        """
+        """Return the index of a body's root, a child of the world; 0 for the world itself."""
         parents, body = self.body_parent, self.index("body", body)
         while body and parents[body]:
             body = int(parents[body])

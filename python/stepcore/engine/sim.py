@@ -122,8 +122,7 @@ class Sim(World):
             raise
 
     def balance(self) -> None:
-        """Check the energy balance that the setting ``ledger`` keeps; do nothing without
-        ``ledger``.
+        """Check the energy balance; do nothing without the setting ``ledger``.
 
         The balance is also checked every 64 steps, and at the end of `run` and of a `step` with n
         >= 128. Raises SimulationError if the motion has more energy than is physically possible.
@@ -163,8 +162,7 @@ class Sim(World):
         return linearized(self._model, self.settings.dt, *self._core.linearize())
 
     def element_slopes(self) -> dict[Element, ElementSlopes]:
-        """Compute stiffness, damping, force and energy of every element active at the present
-        state.
+        """Compute stiffness, damping, force and energy of every active element.
 
         The derivatives are exact, as in `linearize`: dual numbers are propagated through the forces
         and through the solve of the constraint rows with the present active set. Gravity is an
@@ -318,8 +316,10 @@ class Sim(World):
 
     @property
     def contacts(self) -> NDArray[Any]:
-        """Contacts of the last solve, a structured array with the fields below. The array is empty
-        from a `reset` to the next `step` or `forward`; `overlap` describes the present state.
+        """Contacts of the last solve, a structured array with the fields below.
+
+        The array is empty from a `reset` to the next `step` or `forward`; `overlap` describes the
+        present state.
 
         - kind ("contact"), index (the argument of `Model.contact_pair`), part (the number of the
           contact within its pair);

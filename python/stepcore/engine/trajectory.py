@@ -169,10 +169,10 @@ class Trajectory:
         return cls(time, data, unsolved, _axes=axes)
 
     def to_pandas(self) -> Any:
-        """Return the run as a pandas DataFrame: a row for each instant, columns such as
-            "qpos[knee]".
+        """Return the run as a pandas DataFrame.
 
-        Needs pandas (the extra "data").
+        The frame has a row for each instant and columns such as "qpos[knee]". Needs pandas (the
+        extra "data").
         """
         return trajectory_file.to_pandas(self.time, self.data, self._every_axis())
 

@@ -49,9 +49,7 @@ def compiled(model: Any) -> Model:
 
 
 class World(checks.KnownNames, ABC):
-    """One world of a model, or many. Shapes are those of one world; a `Batch` adds a leading axis
-    n.
-    """
+    """One world of a model, or many. A `Batch` adds a leading axis n to the shapes given here."""
 
     qpos = StateArray("Positions [m or rad], shape (nq,); quaternions w x y z.")
     qvel = StateArray("Velocities [m/s or rad/s], shape (nv,).")

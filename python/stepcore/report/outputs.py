@@ -1,7 +1,8 @@
-"""Files that stepcore writes carry a mark, by which an earlier output is told from anything else.
+"""Mark in every file that stepcore writes, which distinguishes earlier outputs from other files.
 
-Pages, plots, JSON, trajectories and logs have it where their format keeps remarks, replay files in
-their kind. An MJCF file has none, nor have formats of pictures without remarks, such as JPEG.
+Pages, plots, JSON, trajectories and logs have the mark in a comment field of their format; replay
+files have it in their kind. MJCF files have no mark, nor have picture formats without comments,
+such as JPEG.
 """
 
 from __future__ import annotations
@@ -14,21 +15,21 @@ from stepcore.files import LARGEST
 
 MARK = "written by stepcore"
 MARKS = (MARK.encode(), b'"kind": "stepcore replay"')
-# Where matplotlib puts a remark, by the ending of the file.
+# The comment field that matplotlib writes, by file extension.
 REMARKS = {"png": "Software", "svg": "Creator", "pdf": "Creator", "ps": "Creator", "eps": "Creator"}
 
 
 def remark(path: str) -> dict[str, Any]:
-    """The options with which matplotlib writes the mark, in formats that take it."""
+    """Return matplotlib's options that write the mark, in formats with a comment field."""
     field = REMARKS.get(os.path.splitext(path)[1][1:].lower())
     return {} if field is None else {"metadata": {field: MARK}}
 
 
 def is_replaceable(path: str) -> bool:
-    """Whether nothing is lost if a file is written there: none, an empty one, or one of these."""
+    """Return whether overwriting loses nothing: no file, an empty file or an output of stepcore."""
     try:
         status = os.stat(path)
-        # What is no regular file, such as /dev/stdout, is not replaced.
+        # Writing to a special file, such as /dev/stdout, replaces nothing.
         if not stat.S_ISREG(status.st_mode) or not status.st_size:
             return True
         with open(path, "rb") as file:

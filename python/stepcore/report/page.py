@@ -1,4 +1,4 @@
-"""Pages of results: one file each, with the answer on top, the plot, and tables that sort."""
+"""Result pages: self-contained files with the answer, the plot and sortable tables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PAGE = """<!doctype html>
 
 
 def page(title: str, answer: str, picture: str, details: str) -> str:
-    """A page that needs no other file and no network; answer, picture, details: as HTML."""
+    """Return a page that needs no other file and no network; answer, picture, details: HTML."""
     return PAGE.format(
         title=html.escape(escapes.printable(title)),
         mark=MARK,
@@ -39,7 +39,7 @@ def page(title: str, answer: str, picture: str, details: str) -> str:
 
 
 def picture(drawn: bytes, title: str) -> str:
-    """A drawing (SVG) as an image within the text."""
+    """Return an SVG drawing as an inline image."""
     coded = base64.b64encode(drawn).decode("ascii")
     alt = html.escape(escapes.printable(title), quote=True)
     style = "max-width: 100%; height: auto"

@@ -1,8 +1,8 @@
-"""A progress bar on the error stream of a terminal or a notebook, with the time that is left.
+"""A progress bar on the error stream of a terminal or a notebook, with the remaining time.
 
-tqdm was weighed. It has the same bar, time left and notebooks, but numpy is the only package that
-stepcore needs at run time: tqdm would be an extra, beside which this bar would still be needed for
-those who do not have it. Whoever prefers tqdm passes a function as `progress`:
+tqdm has the same features, but numpy is stepcore's only dependency at run time. tqdm would be an
+optional dependency, and users without tqdm would still need this bar. Users who prefer tqdm pass a
+function as `progress`:
 
 >>> shown = []
 >>> with Progress("runs", 2, lambda label, done, total: shown.append((label, done, total))) as bar:
@@ -24,19 +24,19 @@ from stepcore import checks
 from stepcore.report.table import window
 from stepcore.report.units import seconds
 
-# What users may pass as `progress`: None (a bar where somebody watches), False (nothing), or a
+# The argument `progress` of users: None (a bar in a terminal or a notebook), False (nothing), or a
 # function of the label, the count done and the total.
 Choice = Callable[[str, int, int], None] | bool | None
 
 BAR = 28
-# The time left is shown from here on [s]: before, it is not known.
+# The remaining time is shown only after this time [s], because earlier estimates are unreliable.
 BEGUN = 2.0
 
 
 class Progress:
-    """Counts work done under a label; safe to advance from several threads.
+    """A labelled count of work done; several threads can advance it.
 
-    after: work that takes less time has no bar [s].
+    after: the bar appears only after this time [s].
     """
 
     def __init__(self, label: str, total: int, choice: Choice = None, after: float = 0.0) -> None:
@@ -51,7 +51,7 @@ class Progress:
         self._begun = monotonic()
 
     def advance(self, count: int = 1) -> None:
-        """Note that `count` more pieces of work are done."""
+        """Count `count` more pieces of work as done."""
         with self._lock:
             self.done += count
             if self._call is not None:
@@ -67,13 +67,13 @@ class Progress:
                 return
             self._stream = sys.stderr
             self._room = window()
-        # More work than was foreseen is not done when the bar is full.
+        # The work can exceed the announced total.
         total = max(self.total, self.done)
         full = self.done * BAR // total
         bar = f"[{'#' * full}{'.' * (BAR - full)}]"
         line = f"{self.label:<24} {bar} {self.done}/{total}{self._left()}"
         if len(line) >= self._room:
-            # A line that wraps cannot be drawn over.
+            # A wrapped line cannot be overwritten.
             line = f"{self.label} {self.done}/{total}{self._left()}"[: self._room - 1]
         if line != self._drawn:
             self._stream.write("\r" + line.ljust(len(self._drawn)))
@@ -81,7 +81,7 @@ class Progress:
             self._drawn = line
 
     def _left(self) -> str:
-        """The time left at the present pace, in words."""
+        """Return the remaining time at the present pace, in words."""
         spent = monotonic() - self._begun
         if spent < BEGUN or not 0 < self.done < self.total:
             return ""
@@ -99,7 +99,7 @@ class Progress:
         trace: TracebackType | None,
     ) -> None:
         if isinstance(error, KeyboardInterrupt):
-            # What an interrupted command says of the work that it had done.
+            # The message of an interrupted command contains this note.
             error.add_note(f"{self.done} of {self.total} {self.label}")
         if self._stream is not None:
             self._stream.write("\r" + " " * len(self._drawn) + "\r")
@@ -107,7 +107,7 @@ class Progress:
 
 
 def _watched() -> bool:
-    """Whether the error stream is a terminal's or a notebook's."""
+    """Return whether the error stream is that of a terminal or a notebook."""
     stream = sys.stderr
     return stream is not None and (
         stream.isatty() or type(stream).__module__.startswith("ipykernel")

@@ -1,7 +1,7 @@
-"""`Report`: what a measurement says: the answer in sentences, then tables, then notes.
+"""`Report`: the printed form of a result: answer in sentences, then tables, then notes.
 
-The same blocks are printed as text, shown in a notebook and written as a page; `Result` writes
-them as JSON.
+The same blocks are printed as text, shown in a notebook and written as a page. `Result` writes them
+as JSON.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from stepcore.report import page as pages
 from stepcore.report.table import Table, window
 from stepcore.report.units import NAMES, counted
 
-# A narrower line is of no use, and sentences in wider lines are hard to read.
+# The minimum width of a line, and the maximum width of prose.
 NARROWEST, PROSE = 20, 100
-# A report fills at most so many lines; notes beyond are counted.
+# The maximum number of lines of a short report; further notes are only counted.
 SCREEN = 40
-# How a sentence begins that is an item of the list under the sentence before it.
+# The prefix of a sentence that is a list item below the preceding sentence.
 ITEM = "- "
-# The blank between a number and its unit, where no line ends.
+# A number and its unit are joined by this space, to keep both on one line.
 FIXED = "\N{NO-BREAK SPACE}"
 CODE = re.compile(r"`([^`]+)`")
 BEFORE_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, NAMES))})(?!\w))")
@@ -32,10 +32,10 @@ BEFORE_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, NAMES))})(?!\
 
 @dataclass(frozen=True)
 class Report:
-    """A title, sentences, lines on what was measured and how, tables and notes.
+    """A title, sentences, a description of the measurement, tables and notes.
 
-    sentences: the answer first. One that begins with "- " is an item of a list under the
-    sentence before it.
+    sentences: the answer first. A sentence that begins with "- " is a list item below the preceding
+    sentence.
 
     >>> table = Table([{"dt": 0.01, "error": 1.5e-3}], heading="Error [m] by time step [s]")
     >>> print(Report("ball: error", ["The error is 1.5 mm."], [table], ["one start"]).text())
@@ -57,9 +57,9 @@ class Report:
     setup: str = ""
 
     def text(self, width: int | None = None, full: bool = True) -> str:
-        """The report in lines of at most `width` characters (default: the terminal's).
+        """Return the report in lines of at most `width` characters (default: the terminal's).
 
-        full: every note; else those that fit on a screen, and how many there are beyond.
+        full: every note; else the notes that fit on a screen, and the number of further notes.
         """
         size = window() if width is None else checks.count("width", width, NARROWEST)
         said = [line for sentence in self.sentences for line in _wrapped(sentence, size)]
@@ -71,17 +71,17 @@ class Report:
         return "\n\n".join("\n".join(block) for block in blocks if block)
 
     def html(self, picture: str = "") -> str:
-        """The report as a fragment of HTML; picture: an image, which stands below the answer."""
+        """Return the report as an HTML fragment; picture: an image below the answer."""
         return "\n".join(filter(None, [*_prose(self.sentences), picture, self._details()]))
 
     def page(self, plot: bytes) -> str:
-        """The report and its plot (SVG) as one page that needs no other file."""
+        """Return the report and its plot (SVG) as a self-contained page."""
         answer = "\n".join(_prose(self.sentences))
         drawn = pages.picture(plot, self.title)
         return pages.page(self.title, answer, drawn, self._details())
 
     def _details(self) -> str:
-        """What is below the answer: how it was measured, tables and notes."""
+        """Return the part below the answer: setup, tables and notes."""
         setup = [f"<p>{_marked(text)}</p>" for text in self.setup.splitlines()]
         tables = [
             part for t in self.tables for part in (t.html(), _small(_stopped(t.legend))) if part
@@ -91,11 +91,11 @@ class Report:
 
 
 def _notes(notes: Sequence[str], size: int, room: float) -> Iterator[str]:
-    """The notes that fill at most `room` lines, with a line on how many more there are."""
+    """Yield the notes that fit into `room` lines, and a line with the number of other notes."""
     left = len(notes)
     for note in notes:
         lines = _wrapped(_note(note), size)
-        # A line stays for what is not shown.
+        # One line is reserved for the number of hidden notes.
         if len(lines) + (left > 1) > room:
             break
         yield from lines
@@ -112,7 +112,7 @@ def _note(note: str) -> str:
 
 
 def _stopped(text: str) -> str:
-    """A text as a sentence, with its full stop."""
+    """Return a text with a final full stop."""
     return text if not text or text.endswith((".", ":")) else f"{text}."
 
 
@@ -123,10 +123,11 @@ def _wrapped(sentence: str, size: int) -> list[str]:
 def wrapped(
     sentence: str, size: int, *, item: bool = False, hanging: int = 0, whole: bool = False
 ) -> list[str]:
-    """A sentence in lines of at most `size` characters; no number is parted from its unit.
+    """Wrap a sentence to lines of at most `size` characters, keeping each number with its unit.
 
-    item: it is indented as one of a list. hanging: how far the lines after the first are indented.
-    whole: a word that is too long for a line, such as a path or a number, is left whole.
+    item: whether the sentence is indented as a list item. hanging: indentation of the lines after
+        the first. whole: whether a word that is too long for a line, such as a path or a number, is
+        kept whole.
     """
     lines = textwrap.wrap(
         BEFORE_UNIT.sub(FIXED, escapes.printable(sentence)),
@@ -142,13 +143,13 @@ def wrapped(
 def _table(table: Table, size: int) -> Iterator[str]:
     yield from _wrapped(table.heading, size)
     for line in table.text(size).splitlines():
-        # A single column can be wider than the whole line.
+        # A single column can be wider than the line.
         yield from [line] if len(line) <= size else textwrap.wrap(line, size)
     yield from _wrapped(_stopped(table.legend), size)
 
 
 def _prose(sentences: Sequence[str]) -> Iterator[str]:
-    """Paragraphs, and lists of the items under them."""
+    """Yield paragraphs, and lists of items."""
     listing = False
     for sentence in sentences:
         item = sentence.startswith(ITEM)
@@ -166,5 +167,5 @@ def _small(text: str) -> str:
 
 
 def _marked(text: str) -> str:
-    """A text as HTML, with the names in backticks marked as code."""
+    """Return a text as HTML, with names in backticks marked as code."""
     return CODE.sub(r"<code>\1</code>", html.escape(escapes.printable(text)))

@@ -1,4 +1,4 @@
-"""`Result`: the base of what every measurement returns."""
+"""`Result`: the base class of all results of measurements."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ from stepcore.report.table import Table, jsonable
 
 
 class Result(ABC):
-    """The result of a measurement: it prints itself, and can be a plot, a page or data.
+    """The result of a measurement, as text, a plot, a page or data.
 
     name: the name of the scene.
-    ran: what motion was run, in words; "" where none was.
+    ran: the simulated motion in words; "" without a motion.
     notes: remarks on how the figures were obtained, and on their limits.
-    batches: notes on the time saved by running worlds as batches. They are no part of the data,
-        which is the same on every machine.
+    batches: notes on the time saved by running worlds as batches. These notes are not part of the
+        data, which are the same on every machine.
 
-    A subclass defines what it measured and how (`title`, `setup`), the answer (`sentences`), and
-    the figures (`table`, and `tables` as they are printed); everything else is made from these.
+    A subclass defines the subject and the method of the measurement (`title`, `setup`), the answer
+    (`sentences`), and the numbers (`table`, and `tables` for printing). All other methods use these
+    members.
     """
 
-    # What was measured, and the units of the columns of `table`.
+    # The kind of measurement, and the units of the columns of `table`.
     kind: ClassVar[str]
     units: ClassVar[Mapping[str, str]] = {}
 
@@ -42,33 +43,35 @@ class Result(ABC):
     @property
     @abstractmethod
     def title(self) -> str:
-        """What was measured, in a few words."""
+        """Short description of the measurement."""
 
     @property
     def setup(self) -> str:
-        """How it was measured, in a line."""
+        """One-line description of the method."""
         return ""
 
     @property
     @abstractmethod
     def sentences(self) -> list[str]:
-        """What was found, the answer first."""
+        """The findings, the answer first."""
 
     @property
     @abstractmethod
     def table(self) -> Table:
-        """The rows as data."""
+        """The numbers as rows."""
 
     def tables(self, full: bool) -> list[Table]:
-        """The tables as they are printed; `full`: nothing is left out."""
+        """Return the tables for printing; `full`: every row."""
         return [self.table]
 
     def details(self) -> dict[str, Any]:
-        """Data that only this measurement has; it is converted to plain data."""
+        """Return data specific to this measurement, for conversion to plain data."""
         return {}
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """The plot as a matplotlib Figure; written to `path`, in the format of its extension.
+        """Plot the result as a matplotlib Figure.
+
+        path: a file to write; the extension selects the format.
 
         Raises ImportError without matplotlib.
         """
@@ -78,27 +81,27 @@ class Result(ABC):
 
     @property
     def head(self) -> str:
-        """The lines below the answer: what motion was run, and how it was measured."""
+        """The lines below the answer: the simulated motion and the method."""
         ran = f"The motion: {self.ran}." if self.ran else ""
         return "\n".join(filter(None, (ran, self.setup)))
 
     def report(self, full: bool = False) -> Report:
-        """The sentences, tables and notes; `full`: nothing is left out of the tables."""
+        """Return the sentences, tables and notes; `full`: every row of the tables."""
         notes = [*self.notes, *self.batches]
         return Report(self.title, self.sentences, self.tables(full), notes, self.head)
 
     def text(self, width: int | None = None, full: bool = False) -> str:
-        """The report in lines of at most `width` >= 20 characters (default: the terminal's).
+        """Return the report in lines of at most `width` >= 20 characters (default: the terminal's).
 
         full: every row and every note; else about a screen.
         """
         return self.report(full).text(width, full)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data; what is not finite is None.
+        """Return everything as plain data; non-finite numbers become None.
 
         "kind", "model", "motion", "ran", "settings", "sentences", "rows", "units", "notes" and
-        "generator" are the same for every measurement; "rows" are the records of `table`.
+        "generator" exist for every measurement; "rows" are the records of `table`.
         """
         plain: dict[str, Any] = jsonable(
             {
@@ -118,13 +121,15 @@ class Result(ABC):
         return plain
 
     def to_json(self, indent: int | None = 2) -> str:
-        """`to_dict` as JSON text."""
+        """Return `to_dict` as JSON text."""
         return json.dumps(self.to_dict(), indent=indent)
 
     def to_html(self, path: str | os.PathLike[str] | None = None) -> str:
-        """The plot and the report as one page that needs no other file. Needs matplotlib.
+        """Return the plot and the report as a self-contained page.
 
-        Written to `path` if given.
+        path: a file to write the page to.
+
+        Needs matplotlib.
         """
         target = None if path is None else files.path("path", path)
         page = self.report(full=True).page(self._drawn())
@@ -139,7 +144,7 @@ class Result(ABC):
         return f"<{type(self).__name__}: {checks.cut(self.title)}>"
 
     def _repr_html_(self) -> str:
-        """The report as a notebook shows it, with its plot where matplotlib is installed."""
+        """Return the report for a notebook, with the plot if matplotlib is installed."""
         try:
             drawn = picture(self._drawn(), self.title)
         except ImportError:
@@ -147,7 +152,7 @@ class Result(ABC):
         return self.report().html(drawn)
 
     def _drawn(self) -> bytes:
-        """The plot as SVG."""
+        """Draw the plot as SVG."""
         drawn = io.BytesIO()
         self.plot().savefig(drawn, format="svg")
         return drawn.getvalue()

@@ -1,4 +1,4 @@
-"""Settings in a few words, as tables, plots and sentences name them."""
+"""Short descriptions of settings, for tables, plots and sentences."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from stepcore.report.units import counted, seconds
 
 
 def label(settings: Settings, shipped: Settings | None = None, sweeps: bool = True) -> str:
-    """Integrator, solver and time step; with `shipped`, what else differs from those settings."""
+    """Return integrator, solver and time step; with `shipped`, also further differences."""
     parts = [settings.integrator, solver_words(settings) if sweeps else settings.solver]
     if settings.precision != "f64":
         parts.append(settings.precision)
@@ -17,7 +17,7 @@ def label(settings: Settings, shipped: Settings | None = None, sweeps: bool = Tr
 
 
 def solver_words(settings: Settings) -> str:
-    """The solver, and for PGS its sweeps."""
+    """Return the solver, and for PGS the number of sweeps."""
     if settings.solver != "pgs":
         return str(settings.solver)
     if settings.sweeps == "auto":
@@ -26,7 +26,7 @@ def solver_words(settings: Settings) -> str:
 
 
 def differences(settings: Settings, shipped: Settings) -> list[str]:
-    """What differs in the fields that a label does not name."""
+    """Return the differences in fields that `label` omits."""
     words = []
     usual = shipped.sweeps if shipped.solver == "newton" else 100
     if settings.solver == "newton" and settings.sweeps != usual:

@@ -1,4 +1,4 @@
-"""`Table`: rows of named values, as printed, as JSON and, where pandas is installed, as a frame."""
+"""`Table`: rows of named values, as text, JSON and, with pandas, a data frame."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from typing import Any, overload
 from stepcore import escapes
 from stepcore._core import Settings
 
-# Where the output is no terminal: every column of a trade has room.
+# The width without a terminal, sufficient for every column of a trade.
 WIDTH = 160
-# A text cell is never cut shorter than this to make a row fit.
+# The minimum width to which a text cell is cut.
 NARROW = 12
 
 
 class Table:
-    """Records in a fixed order; a value that a record does not have is None.
+    """A table of records in a fixed order; a value missing from a record is None.
 
-    records: one mapping a row.
-    columns: their order; by default that of first appearance.
-    formats: how columns of numbers are printed (default ".4g"); a column of texts that is named
-        here is aligned at the right and never cut.
-    heading, legend: what a report says above and below the table.
+    records: one mapping per row.
+    columns: the order of the columns; by default that of first appearance.
+    formats: the formats of number columns (default ".4g"); a text column named here is
+        right-aligned and never cut.
+    heading, legend: the text above and below the table in a report.
 
     >>> print(Table([{"dt": 0.01, "error": 1.5e-3}, {"dt": 0.005, "error": 3.75e-4}]))
        dt     error
@@ -63,7 +63,7 @@ class Table:
     @overload
     def __getitem__(self, key: str) -> list[Any]: ...
     def __getitem__(self, key: int | slice | str) -> Any:
-        """A record by its number, some records as a table, or a column by its name."""
+        """Return a record by its number, a slice as a table, or a column by its name."""
         if isinstance(key, int):
             return self.records[key]
         if isinstance(key, slice):
@@ -74,15 +74,15 @@ class Table:
         return [record[key] for record in self.records]
 
     def to_dict(self) -> dict[str, list[Any]]:
-        """Column name to its values."""
+        """Return the columns by name, each as a list."""
         return {name: self[name] for name in self.columns}
 
     def to_json(self, indent: int | None = None) -> str:
-        """The records as a JSON list; a number that is not finite becomes null."""
+        """Return the records as a JSON list; non-finite numbers become null."""
         return json.dumps(jsonable(self.records), indent=indent)
 
     def to_pandas(self) -> Any:
-        """The table as a pandas DataFrame (pandas is not a dependency of stepcore)."""
+        """Return the table as a pandas DataFrame. Needs pandas (the extra "data")."""
         try:
             import pandas  # type: ignore[import-untyped,unused-ignore]
         except ImportError:
@@ -92,9 +92,12 @@ class Table:
         return pandas.DataFrame(self.records, columns=self.columns)
 
     def text(self, width: int | None = None) -> str:
-        """The table in aligned columns of at most `width` characters (default: the terminal's).
+        """Return the table in aligned columns.
 
-        Text cells are cut first; then whole columns from the right, which are named below.
+        width: the maximum number of characters in a line (default: the terminal's).
+
+        Text cells are cut first. Then columns are dropped from the right; a last line names the
+        dropped columns.
         """
         width = width or window()
         grid, left = self._cells()
@@ -117,7 +120,7 @@ class Table:
         return "\n".join(lines)
 
     def html(self) -> str:
-        """The table as HTML: every column, whole texts."""
+        """Return the table as HTML, with every column and uncut texts."""
         grid, left = self._cells()
         style = {
             name: ' class="text" style="text-align: left"' if name in left else "" for name in grid
@@ -131,7 +134,7 @@ class Table:
         return "\n".join([*lines, "</tbody></table></div>"])
 
     def _cells(self) -> tuple[dict[str, list[str]], set[str]]:
-        """Columns as they are printed, and which of them are texts, aligned at the left."""
+        """Return the printed columns, and the names of the left-aligned text columns."""
         spec = {name: self.formats.get(name, ".4g") for name in self.columns}
         grid = {name: [_cell(value, spec[name]) for value in self[name]] for name in self.columns}
         words = {name for name in self.columns if any(isinstance(v, str) for v in self[name])}
@@ -141,24 +144,24 @@ class Table:
         return self.text()
 
     def _repr_html_(self) -> str:
-        """The table as a notebook shows it."""
+        """Return the table for a notebook."""
         return self.html()
 
     def __repr__(self) -> str:
         return f"<Table: {len(self)} rows of {', '.join(self.columns)}>"
 
 
-# Numbers stand at the right, in digits of one width; a narrow window scrolls.
+# Numbers are right-aligned with digits of equal width; a narrow window scrolls.
 TABLE = """<div class="table" style="overflow-x: auto"><table style="text-align: right;\
  font-variant-numeric: tabular-nums">
 <caption style="text-align: left"><span>{caption}</span></caption><thead><tr>"""
 
 
 def jsonable(value: Any) -> Any:
-    """Plain data that every JSON reader takes.
+    """Convert a value to plain data that every JSON reader accepts.
 
-    Arrays become lists, Settings and dataclasses mappings (of the fields that repr shows),
-    functions their names; NaN and infinity are None.
+    Arrays become lists, Settings and dataclasses become mappings (of the fields that repr shows),
+    and functions become their names. NaN and infinity become None.
     """
     if isinstance(value, Mapping):
         return {str(key): jsonable(entry) for key, entry in value.items()}
@@ -179,7 +182,7 @@ def jsonable(value: Any) -> Any:
 
 
 def window() -> int:
-    """Characters in a line of the terminal."""
+    """Return the number of characters in a line of the terminal."""
     import shutil
 
     return shutil.get_terminal_size((WIDTH, 40)).columns

@@ -1,4 +1,4 @@
-"""Quantities with units, written (2 ms, 3.1 µm, 12 %) and read ("1mm", "0.1%", "20us/step")."""
+"""Quantities with units: printing (2 ms, 3.1 µm, 12 %) and parsing ("1mm", "0.1%", "20us/step")."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stepcore import checks
 
 Units = Sequence[tuple[str, float]]
 
-# Largest first, each with its size in the unit that the code computes in.
+# Units of each quantity, largest first, with their size in the unit used in computations.
 TIMES: Units = (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9))
 LENGTHS: Units = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9), ("pm", 1e-12))
 FORCES: Units = (("kN", 1e3), ("N", 1.0), ("mN", 1e-3), ("µN", 1e-6), ("nN", 1e-9))
@@ -21,7 +21,7 @@ ANGLES: Units = (("rad", 1.0), ("mrad", 1e-3), ("µrad", 1e-6), ("nrad", 1e-9))
 FREQUENCIES: Units = (("MHz", 1e6), ("kHz", 1e3), ("Hz", 1.0))
 COMPUTING: Units = (("s", 1e6), ("ms", 1e3), ("µs", 1.0))
 OPERATIONS: Units = (("Gflop", 1e9), ("Mflop", 1e6), ("kflop", 1e3), ("flop", 1.0))
-# What a number is followed by in a text.
+# Unit names that can follow a number in a text.
 NAMES = {
     *("%", "m/s", "rad/s", "1/s"),
     *(
@@ -30,10 +30,10 @@ NAMES = {
         for name, _ in units
     ),
 }
-# A length below this is rounding whatever the scene [m].
+# A length below this is rounding error in any scene [m].
 ROUNDING = 1e-12
 
-# Units of a joint's and an actuator's values: where the joint turns, and where it slides.
+# Units of joint and actuator values: of a rotating and of a sliding joint.
 FIELDS = {
     "stiffness": ("N·m/rad", "N/m"),
     "kp": ("N·m/rad", "N/m"),
@@ -44,7 +44,7 @@ FIELDS = {
 
 
 def quantity(value: float, units: Units, digits: int = 3) -> str:
-    """A number in the largest unit that leaves it at least 1, as it is printed."""
+    """Format a number in the largest unit that leaves it at least 1."""
     for unit, size in units:
         if abs(value) >= size * (1 - 0.5 * 10**-digits):
             return f"{value / size:.{digits}g} {unit}"
@@ -56,7 +56,7 @@ def quantity(value: float, units: Units, digits: int = 3) -> str:
 
 
 def seconds(value: float) -> str:
-    """A time [s] with the unit that makes it readable.
+    """Format a time [s] with a readable unit.
 
     >>> seconds(0.002), seconds(62.5e-6), metres(1.3e-4), percent(0.034), hertz(6.2831853e4)
     ('2 ms', '62.5 µs', '130 µm', '3.4 %', '10 kHz')
@@ -65,47 +65,47 @@ def seconds(value: float) -> str:
 
 
 def metres(value: float) -> str:
-    """A length [m] with the unit that makes it readable; below 1 pm it is rounding."""
+    """Format a length [m] with a readable unit; "< 1 pm" for rounding errors."""
     return "< 1 pm" if 0 < value < ROUNDING else quantity(value, LENGTHS)
 
 
 def speed(value: float) -> str:
-    """A speed [m/s] with the unit that makes it readable."""
+    """Format a speed [m/s] with a readable unit."""
     return quantity(value, [(f"{unit}/s", size) for unit, size in LENGTHS])
 
 
 def newtons(value: float) -> str:
-    """A force [N] with the unit that makes it readable."""
+    """Format a force [N] with a readable unit."""
     return quantity(value, FORCES)
 
 
 def joules(value: float) -> str:
-    """An energy [J] with the unit that makes it readable."""
+    """Format an energy [J] with a readable unit."""
     return quantity(value, ENERGIES)
 
 
 def radians(value: float) -> str:
-    """An angle [rad] with the unit that makes it readable."""
+    """Format an angle [rad] with a readable unit."""
     return quantity(value, ANGLES)
 
 
 def hertz(omega: float) -> str:
-    """A circular frequency [rad/s] as a frequency."""
+    """Format a circular frequency [rad/s] as a frequency with a readable unit."""
     return quantity(omega / (2 * math.pi), FREQUENCIES, 4)
 
 
 def computing(value: float) -> str:
-    """A computing time [µs] with the unit that makes it readable."""
+    """Format a computing time [µs] with a readable unit."""
     return quantity(value, COMPUTING)
 
 
 def operations(value: float) -> str:
-    """A count of floating-point operations with the unit that makes it readable."""
+    """Format a count of floating-point operations with a readable unit."""
     return quantity(value, OPERATIONS)
 
 
 def percent(share: float) -> str:
-    """A share as a percentage: one decimal below 10 %, and enough digits beside 100 % or 0 %.
+    """Format a share in per cent: one decimal below 10 %, more digits close to 0 % and 100 %.
 
     >>> percent(0.5), percent(0.99963), percent(2e-5)
     ('50 %', '99.96 %', '0.002 %')
@@ -118,19 +118,19 @@ def percent(share: float) -> str:
 
 
 def times(value: float) -> str:
-    """A factor: 3.4×, 1000×, 1.2e6×."""
+    """Format a factor: 3.4×, 1000×, 1.2e6×."""
     if 100 <= value < 1e5:
         return f"{value:.0f}×"
     return f"{compact(value)}×" if 1e5 <= value < math.inf else f"{value:.3g}×"
 
 
 def counted(count: int, noun: str) -> str:
-    """A number with its noun: 1 start, 8 starts, 2 bodies."""
+    """Return a number with its noun: 1 start, 8 starts, 2 bodies."""
     return f"{count} {noun if count == 1 else plural(noun)}"
 
 
 def plural(noun: str) -> str:
-    """The plural of a noun.
+    """Return the plural of a noun.
 
     >>> [plural(noun) for noun in ("start", "body", "key", "mesh", "loss")]
     ['starts', 'bodies', 'keys', 'meshes', 'losses']
@@ -141,7 +141,7 @@ def plural(noun: str) -> str:
 
 
 def beginning(text: str, sentences: int = 1) -> str:
-    """The first sentences of a text, without the last full stop.
+    """Return the first sentences of a text, without the last full stop.
 
     >>> beginning("start 0: diverged at 0.1 s. The cause is spring `a`, 9 %.")
     'start 0: diverged at 0.1 s'
@@ -151,7 +151,7 @@ def beginning(text: str, sentences: int = 1) -> str:
 
 
 def compact(value: float) -> str:
-    """Two digits and a short exponent, 1.3e-3, for narrow columns; 0 for nothing or below zero."""
+    """Format a number for a narrow column: two digits, short exponent; 0 for values <= 0."""
     if value <= 0:
         return "0"
     digits, exponent = f"{value:.1e}".split("e")
@@ -159,18 +159,18 @@ def compact(value: float) -> str:
 
 
 def unit_of(field: str, angular: bool) -> str:
-    """The unit of a joint's or an actuator's value; "" for one without."""
+    """Return the unit of a joint's or an actuator's value; "" for a value without a unit."""
     return FIELDS.get(field, ("", ""))[not angular]
 
 
-# What users write.
+# Parsing of users' input.
 
 NUMBER = r"\s*([0-9]+\.?[0-9]*(?:[eE][+-]?[0-9]+)?|\.[0-9]+(?:[eE][+-]?[0-9]+)?)\s*"
 LENGTH_FORMS = 'a length > 0: metres, "1mm", or "0.1%" of the scene\'s size'
 
 
 def time_of(text: str) -> float | None:
-    """A time as users write it [s]: "0.001", "1ms", "20 us"; None for anything else.
+    """Parse a time [s] such as "0.001", "1ms" or "20 us"; return None for other text.
 
     >>> time_of("20 us"), time_of("1ms"), time_of("2"), time_of("soon")
     (2e-05, 0.001, 2.0, None)
@@ -179,7 +179,7 @@ def time_of(text: str) -> float | None:
 
 
 def length_of(text: str) -> float | None:
-    """A length as users write it [m]: "0.01", "1cm"; None for anything else."""
+    """Parse a length [m] such as "0.01" or "1cm"; return None for other text."""
     return _in_units(text, (*LENGTHS, ("cm", 1e-2)))
 
 
@@ -191,14 +191,14 @@ def _in_units(text: str, units: Units) -> float | None:
         known = _spelt(units)
         if match is None or match[2] not in known:
             return None
-        # As decimals: "20us" is the float 2e-05.
+        # Decimals avoid rounding, so that "20us" is exactly the float 2e-05.
         return float(Decimal(match[1]) * Decimal(repr(known[match[2]])))
 
 
 def length(owner: str, name: str, value: object, size: float) -> float:
-    """An error as users write it [m]: a number, "1mm", or "0.1%" of the scene's size [m].
+    """Parse a length [m]: a number, "1mm", or "0.1%" of the scene's size.
 
-    owner, name: the function and its argument, for the ValueError.
+    owner, name: the function and its argument, for the ValueError. size: the scene's size [m].
 
     >>> [length("trade", "error", value, 0.5) for value in ("2 mm", "1%", 1e-3)]
     [0.002, 0.005, 0.001]
@@ -215,9 +215,9 @@ def length(owner: str, name: str, value: object, size: float) -> float:
 
 
 def budget(owner: str, name: str, value: object, dt: float, by: str) -> float:
-    """A cost per simulated second as users write it: computing [µs], or operations for "flops".
+    """Parse a cost per simulated second: computing time [µs], or operations with by="flops".
 
-    A number is in that unit. dt: the scene's own time step [s], the step of "/step".
+    A plain number has this unit. dt: the scene's time step [s], the step of "/step".
 
     >>> [budget("trade", "budget", b, 0.002, "time") for b in ("20us/step", "500x", 300)]
     [10000.0, 2000.0, 300.0]
@@ -246,5 +246,5 @@ def _budget(text: str, units: Mapping[str, float], dt: float, real_time: bool) -
 
 
 def _spelt(units: Units) -> dict[str, float]:
-    """Units by the names that users type: "us" as well as "µs"."""
+    """Return units by the names that users type: "us" as well as "µs"."""
     return dict(units) | {unit.replace("µ", "u"): size for unit, size in units}

@@ -1,6 +1,6 @@
-"""Plots: a function for each kind of result, which returns a matplotlib Figure.
+"""Plots: for each kind of result, a function that returns a matplotlib Figure.
 
-matplotlib is imported only where something is drawn.
+matplotlib is imported only when something is drawn.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 from stepcore import escapes, files
 from stepcore.report.outputs import remark
 
-# The module of each kind's function.
+# The module of the plotting function, by kind of result.
 MODULES = {
     **dict.fromkeys(("ablation", "check", "diagnosis", "plan"), "bars"),
     **dict.fromkeys(("convergence", "postmortem", "predictability", "trajectory"), "curves"),
@@ -21,7 +21,7 @@ MODULES = {
 
 
 def plot(kind: str, result: Any, path: str | os.PathLike[str] | None) -> Any:
-    """The Figure of a result of this kind; written to `path` if given."""
+    """Return the Figure of a result, written to `path` if given."""
     target = None if path is None else files.path("path", path)
     module = importlib.import_module(f"stepcore.report.plot.{MODULES[kind]}")
     figure = getattr(module, kind)(result)
@@ -32,7 +32,7 @@ def plot(kind: str, result: Any, path: str | os.PathLike[str] | None) -> Any:
 
 
 def _make_printable(figure: Any) -> None:
-    """Names in titles, axes and legends as they stand in texts: fonts lack control characters."""
+    """Escape control characters in titles, axes and legends, because fonts lack them."""
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):

@@ -1,4 +1,4 @@
-"""Plots of bars: what limits a time step, what a step costs, what a feature saves."""
+"""Bar plots: limits of the time step, costs of a step, savings of removed features."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     from stepcore.measure.diagnosis.result import Diagnosis
 
 
-# The elements drawn, stiffest first, and how many letters of a name.
+# The number of elements drawn, stiffest first, and the number of letters of a name.
 ELEMENTS, ELEMENT_LETTERS = 10, 28
-# Height of a group of bars, over the distance between two groups.
+# Height of a group of bars relative to the distance between groups.
 GROUP = 0.8
 
 Groups = list[tuple[str, dict[str, float]]]
 
 
 def diagnosis(result: Diagnosis) -> Any:
-    """A group of bars for each element on its own, the last group for all of them together.
+    """Draw a group of bars for each element alone, and a last group for all elements together.
 
-    A bar with an arrow at the right edge has no limit; the vertical line is the wanted dt.
+    A bar with an arrow at the right edge has no limit. The vertical line is the wanted dt.
     """
     names = list(result.limits)
     groups: Groups = [(row.name, row.limits) for row in result.rows[:ELEMENTS]]
@@ -79,7 +79,7 @@ def diagnosis(result: Diagnosis) -> Any:
 
 
 def _range(wanted: float, groups: Groups) -> tuple[float, float]:
-    """Whole decades around all finite limits and the wanted dt."""
+    """Return the range of full decades that contains all finite limits and the wanted dt."""
     values = [x for _, limits in groups for x in limits.values() if math.isfinite(x) and x > 0]
     values.append(wanted)
     low = 10.0 ** math.floor(math.log10(0.7 * min(values)))
@@ -100,7 +100,7 @@ def _bar(
 
 
 def check(check: Check) -> Any:
-    """The diagnosis' plot."""
+    """Draw the plot of the diagnosis."""
     if check.diagnosis is not None:
         return diagnosis(check.diagnosis)
     figure = new_figure(8.0, 2.0)
@@ -115,7 +115,7 @@ ENTRY_LETTERS = 48
 
 
 def plan(plan: Plan) -> Any:
-    """Bars of the operations of each entry, or of its time where that was measured, by stage."""
+    """Draw bars of the operations, or of the measured time, of each entry by stage."""
     timed = plan.micros is not None
     bars = []
     for entry in plan.used:
@@ -136,14 +136,14 @@ def plan(plan: Plan) -> Any:
     return figure
 
 
-# The features drawn, those that save most first, and how many letters of a name.
+# The number of features drawn, largest savings first, and the number of letters of a name.
 FEATURES, FEATURE_LETTERS = 24, 46
-# An error this much smaller than the tolerance has no bar, only its number.
+# Errors below this fraction of the tolerance have no bar, only a number.
 SMALL = 1e-3
 
 
 def ablation(result: Ablation) -> Any:
-    """Left, the share of the work that removing a feature saves; right, the error that it adds."""
+    """Draw the work that removing each feature saves (left) and the error it adds (right)."""
     rows = [row for row in result.sorted() if not row.outcome.failure][:FEATURES]
     rows = [result.best, *rows]
     figure = new_figure(9.0, 2.0 + 0.27 * (len(rows) + 1))
@@ -185,6 +185,6 @@ def _colour(result: Ablation, row: FeatureEffect) -> str:
 
 
 def _floor(errors: Sequence[float], tolerance: float) -> float:
-    """The lower end of the error axis: a decade below the smallest error that matters."""
+    """Return the lower end of the error axis: a decade below the smallest significant error."""
     least = min([error for error in errors if error > 0], default=tolerance)
     return float(10.0 ** math.floor(math.log10(max(least, SMALL * tolerance)) - 1))

@@ -1,4 +1,4 @@
-"""Plots of curves over time, sweeps or steps: runs, failures, predictability, convergence."""
+"""Line plots over time, sweeps or steps: runs, failures, predictability, convergence."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ if TYPE_CHECKING:
     from stepcore.measure.predictability import Predictability
 
 
-# In the order in which lines of one quantity are drawn.
+# Colours of the lines of one quantity, in drawing order.
 LINES = tuple(COLOURS.values())
-# More lines than this cannot be told apart by colour, and have no legend.
+# More lines than this cannot be distinguished by colour and have no legend.
 NAMED = len(LINES)
-# Panels are at least this high [inches], and a figure of few panels not lower than usual.
+# Height of a panel [inches].
 PANEL = 2.2
 UNITS = {"overlap": "deepest overlap [m]", "residual": "residual [m/s]"}
 
 
 def trajectory(run: Trajectory) -> Any:
-    """Energy and deepest overlap over time, or else all that was recorded, one panel each.
+    """Draw energy and deepest overlap over time, or else all recorded arrays, one panel each.
 
-    Raises ValueError for a run that recorded nothing.
+    Raises ValueError for a run without recorded arrays.
     """
     wanted: list[str] = [name for name in ("energy", "overlap") if name in run.data]
     names = wanted or list(run.data)
@@ -86,23 +86,23 @@ def _lines(axes: Any, time: np.ndarray, name: str, values: np.ndarray) -> None:
 
 
 def _legend(axes: Any) -> None:
-    """At the right of the panel, where it covers nothing."""
+    """Draw the legend at the right of the panel, where it covers no data."""
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=TEXT, frameon=False)
 
 
-# Elements that are drawn, and the steps before the failure.
+# The number of elements drawn, and of steps before the failure.
 DRAWN, STEPS = 5, 128
-# Energy injected beyond this part of the whole is cut off: in the last steps inertial forces and
-# rows inject and take out many times what there is.
+# Injected energy is clipped at this multiple of the total energy: in the last steps, inertial
+# forces and rows inject and remove many times the total energy.
 CUT = 1.5
-# Energies over fewer decades are written out: 5 J, and not 10 to the power of 0.7.
+# Below this number of decades, ticks are energies (5 J) instead of powers of ten (10^0.7).
 FEW_DECADES = 2.0
 
 
 def postmortem(result: PostMortem) -> Any:
-    """Above, the energy after each step; below, the part of it that each element injected.
+    """Draw the energy after each step (above) and each element's injected fraction of it (below).
 
-    Without recorded steps there is only each element's part of the growth.
+    Without recorded steps, only each element's share of the growth is drawn.
     """
     if not len(result.time):
         return _shares_alone(result)
@@ -112,7 +112,7 @@ def postmortem(result: PostMortem) -> Any:
     last = int(result.replay.happened["step"])
     steps = np.arange(last - count, last + 1)
     energy = result.energy[-count - 1 :]
-    # Exponents, because a log axis overflows where energies do.
+    # The exponents are plotted, because a log axis overflows for huge energies.
     with np.errstate(divide="ignore", invalid="ignore"):
         powers = np.log10(np.where(np.isfinite(energy) & (energy > 0), energy, np.nan))
     above.plot(steps, powers, color="black", lw=1.4)
@@ -165,7 +165,7 @@ def _shares_alone(result: PostMortem) -> Any:
 
 
 def predictability(result: Predictability) -> Any:
-    """Growth on a log axis, a line for each start, with a dot where a start is lost."""
+    """Draw the growth of each start on a log axis; a dot marks the end of predictability."""
     figure = new_figure()
     axes = figure.add_subplot()
     times = np.concatenate([[0.0], result.growth.times])
@@ -197,15 +197,16 @@ def predictability(result: Predictability) -> Any:
     return figure
 
 
-# Residuals below this share of the largest are rounding.
+# Residuals below this fraction of the largest are rounding errors.
 LEAST = 1e-13
 
 
 def convergence(result: Convergence) -> Any:
-    """Left, the residual by sweeps; right, the error at equal row updates, as steps and sweeps.
+    """Draw the residual by sweeps (left) and the error of runs with equal row updates (right).
 
-    Lines are the median of the states, from zero impulses and from those of the step before, shaded
-    up to the worst state; dashed is theory.
+    Solid lines are the median of the states, for cold starts (zero impulses) and for warm starts
+    (the impulses of the step before). The shading extends to the worst state. The dashed line is
+    theory. The runs of equal row updates divide the work differently between steps and sweeps.
     """
     figure = new_figure(10.0, 4.4)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
@@ -238,24 +239,24 @@ def _sweeps(axes: Any, result: Convergence) -> None:
     axes.set_ylim(0.5 * LEAST * top if _reaches(table, top) else None, 3 * top)
     done = [n for n in table if max(n["cold worst"], n["warm worst"]) <= LEAST * top]
     axes.set_xlim(0.8, 1.25 * (max(4 * done[0]["sweeps"], 8) if done else sweeps[-1]))
-    # Below, where nothing is drawn.
+    # Below the axes, where the legend covers no data.
     axes.legend(
         fontsize=SMALL, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2
     )
 
 
 def _reaches(table: Any, top: float) -> bool:
-    """Whether some residual is at rounding."""
+    """Return whether any residual is at the rounding level."""
     return min(min(table["cold"]), min(table["warm"])) <= LEAST * top
 
 
 def _theory(axes: Any, result: Convergence, sweeps: Any, top: float) -> None:
-    """The slope that theory gives, through the slowest state's middle."""
+    """Draw the theoretical slope through the median residuals of the slowest state."""
     theory, slowest = result.theory, result.slowest
     rate = theory.radius
     if slowest is None or rate is None or not 0 < rate < 1:
         return
-    # Anchored where the measured curve is on its slope and not yet rounding.
+    # The anchor is the last sweep at which the measured curve is clearly above rounding.
     cold = np.array(slowest.cold)
     at = [k for k, value in enumerate(cold) if value > 1e-7 * cold.max()]
     if not at:

@@ -1,6 +1,6 @@
-"""`NotebookFigure`: a matplotlib Figure that a notebook shows where it is a cell's last value.
+"""`NotebookFigure`: a matplotlib Figure that a notebook displays as the last value of a cell.
 
-Plots are made without pyplot, so nothing has told the notebook how to show a Figure.
+Plots are created without pyplot, so the notebook has no display hook for a plain Figure.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 
 class NotebookFigure(Figure):
-    """A Figure with a picture for notebooks."""
+    """A Figure with an SVG picture for notebooks."""
 
     def _repr_svg_(self) -> str:
         drawn = io.StringIO()

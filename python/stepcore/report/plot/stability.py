@@ -1,4 +1,4 @@
-"""The plot of a stability map: accurate, inaccurate and exploded cells, and theory's boundary."""
+"""Plot of a stability map: accurate, inaccurate and exploded cells, and theory's boundary."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stepcore.report.plot.style import ORANGE, TITLE, legend, log_ticks, new_fig
 if TYPE_CHECKING:
     from stepcore.measure.stability.result import MapPanel, StabilityMap
 
-# By state. Light, middle, dark: distinct without colour too.
+# Colours by state: light, middle and dark, so that they differ without colour too.
 ACCURATE, FINITE = "accurate", "finite"
 FILLS = {ACCURATE: "#A9D8F5", "inaccurate": ORANGE, "exploded": "#4A3B52"}
 UNJUDGED = "finite, not judged"
@@ -21,7 +21,7 @@ DASHES = (0, (4, 2))
 
 
 def stability(result: StabilityMap) -> Any:
-    """A panel for each setting, the value across and dt up, both on log axes."""
+    """Draw a panel for each setting: the value across and dt up, both on log axes."""
     count = len(result.panels)
     columns = count if count <= COLUMNS else 2 if count == 4 else COLUMNS
     rows = math.ceil(count / columns)
@@ -64,7 +64,7 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
     log_ticks(axes.yaxis)
     if panel.boundary is not None:
         line = _line(result.values, across, up, panel.boundary)
-        # White under black shows on every fill.
+        # A white line under the black line is visible on every colour.
         axes.plot(*line, color="white", lw=3.5, zorder=4, solid_capstyle="butt")
         axes.plot(*line, color="black", lw=1.5, ls=DASHES, zorder=4)
     axes.set_title(_named(panel, result), loc="left", fontsize=9.5)
@@ -73,7 +73,7 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
 def _line(
     values: Any, across: np.ndarray, up: np.ndarray, boundary: list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The boundary as points; vertical between two cells where it jumps from any dt to none."""
+    """Return the boundary as points; vertical between cells where it jumps from any dt to none."""
     x, y = np.asarray(values, float), np.asarray(boundary, float)
     leaps = [k for k in range(1, len(y)) if {y[k - 1], y[k]} == {0.0, np.inf}]
     upright = [(across[k], dt) for k in leaps for dt in (up[0], up[-1])]
@@ -85,24 +85,24 @@ def _line(
 
 
 def _says(result: StabilityMap) -> list[str]:
-    """Texts about boundaries that are not drawn, each once."""
+    """Return the distinct texts about the boundaries that cross a panel."""
     return list(dict.fromkeys(p.beyond for p in result.panels if _visible(p)))
 
 
 def _visible(panel: MapPanel) -> bool:
-    """Whether its boundary crosses the panel: not if motion grows at any dt, or at none."""
+    """Return whether the boundary crosses the panel: unless motion grows at any dt or at none."""
     return panel.boundary is not None and set(panel.boundary) not in ({0.0}, {np.inf})
 
 
 def _title(result: StabilityMap) -> str:
-    """What was measured, and what the dashed lines are, if they are all the same."""
+    """Return the title, with the meaning of the dashed lines if all have the same."""
     title = f"{result.title}, {result.horizon:g} s"
     says = _says(result)
     return f"{title}\ndashed, by theory: {says[0]}" if len(says) == 1 else title
 
 
 def _named(panel: MapPanel, result: StabilityMap) -> str:
-    """The setting, and its theory in words where there is no line to draw."""
+    """Return the setting, with the theory in words if there is no line."""
     if panel.boundary and set(panel.boundary) == {0.0}:
         return f"{panel.label} (theory: grows at any dt)"
     if panel.boundary and set(panel.boundary) == {np.inf}:
@@ -113,7 +113,7 @@ def _named(panel: MapPanel, result: StabilityMap) -> str:
 
 
 def _edges(points: Any) -> np.ndarray:
-    """Borders between points on a log axis, each half-way to its neighbours."""
+    """Return the borders between points on a log axis, half-way between neighbours."""
     logs = np.log(np.asarray(points, float))
     if len(logs) == 1:
         return np.exp(np.array([logs[0] - 0.3, logs[0] + 0.3]))

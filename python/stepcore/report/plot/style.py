@@ -1,4 +1,4 @@
-"""What all plots share: colours, an empty figure, bars with numbers, legends, short names."""
+"""Common parts of all plots: colours, figures, axes, bars, legends and short names."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-# Colours that a colour-blind reader can tell apart (Okabe and Ito), in a fixed order so that an
-# integrator has the same colour in every plot.
+# Colours for colour-blind readers (Okabe and Ito), in a fixed order so that an integrator has the
+# same colour in every plot.
 COLOURS = {
     "rk4": "#0072B2",
     "implicitfast": "#009E73",
@@ -23,12 +23,13 @@ RED = COLOURS["semi-implicit"]
 GREY = "#666666"
 # Font sizes [points].
 TITLE, TEXT, SMALL = 11, 9, 8
-# Log axes of fewer decades have ticks at 1, 2 and 5, and those of hardly any evenly spaced ones.
+# Log axes below SHORT decades have ticks at 1, 2 and 5. Axes below NARROW decades have evenly
+# spaced ticks.
 SHORT, NARROW = 2.0, 0.5
 
 
 def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
-    """An empty figure [inches]; an ImportError that says what to install without matplotlib."""
+    """Create an empty figure [inches]; raise a helpful ImportError without matplotlib."""
     try:
         from stepcore.report.plot.notebook_figure import NotebookFigure
     except ImportError:
@@ -37,7 +38,7 @@ def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
 
 
 def frame(axes: Any, title: str = "") -> None:
-    """A light grid behind the points, no box around them, the title at the left."""
+    """Draw a light grid behind the data and the title at the left, without a box."""
     axes.grid(True, which="major", color="#E5E5E5", lw=0.8)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
@@ -47,9 +48,11 @@ def frame(axes: Any, title: str = "") -> None:
 
 
 def log_ticks(axis: Any, words: Callable[[float], str] | None = None) -> None:
-    """Ticks of a log axis that do not collide: at 1, 2 and 5 of short ranges, else at decades.
+    """Set the ticks of a log axis so that labels do not collide.
 
-    axis: `axes.xaxis` or `axes.yaxis`, whose limits are set. words: the label of a value.
+    Short ranges have ticks at 1, 2 and 5, longer ranges at decades.
+
+    axis: `axes.xaxis` or `axes.yaxis`, whose limits are set. words: a function that formats a tick.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
@@ -69,7 +72,7 @@ def log_ticks(axis: Any, words: Callable[[float], str] | None = None) -> None:
 def bar(
     axes: Any, place: float, value: float, colour: str, text: str = "", left: float = 0.0
 ) -> None:
-    """A horizontal bar from `left` to `value`, and a text at its end; none where it is shorter."""
+    """Draw a horizontal bar from `left` to a larger `value`, and a text at its end."""
     if value > left:
         axes.barh(place, value - left, left=left, color=colour, height=0.7)
     if text:
@@ -79,28 +82,28 @@ def bar(
 
 
 def name_places(axes: Any, names: Sequence[str], places: Sequence[float], letters: int) -> None:
-    """Names along the vertical axis, without quotes, cut to `letters` letters."""
+    """Write names along the vertical axis, without quotes, cut to `letters` letters."""
     plain = [name.replace("`", "") for name in names]
     short = [name if len(name) <= letters else name[: letters - 1] + "…" for name in plain]
     axes.set_yticks(list(places), short, fontsize=SMALL)
 
 
 def patches(colours: dict[str, str]) -> list[Any]:
-    """Entries of a legend: names and the colours of their areas."""
+    """Return legend entries: names and the colours of their areas."""
     from matplotlib.patches import Patch
 
     return [Patch(color=colour, label=name) for name, colour in colours.items()]
 
 
 def line(label: str, **style: Any) -> Any:
-    """An entry of a legend: a line, or with `marker` and ls="none" a point."""
+    """Return a legend entry: a line, or with `marker` and ls="none" a point."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], label=label, **style)
 
 
 def legend(figure: Any, entries: Sequence[Any] | None = None, columns: int = 0) -> None:
-    """The legend outside the axes: below them in `columns` columns, or at their right."""
+    """Draw the legend outside the axes: below in `columns` columns, or at the right."""
     place: dict[str, Any] = {"loc": "outside right center"}
     if columns:
         place = {"loc": "outside lower center", "ncols": columns}
@@ -110,5 +113,5 @@ def legend(figure: Any, entries: Sequence[Any] | None = None, columns: int = 0) 
 
 
 def say(axes: Any, text: str) -> None:
-    """A text in the middle of axes that have nothing else."""
+    """Write a text in the middle of otherwise empty axes."""
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color=GREY)

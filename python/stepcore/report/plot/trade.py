@@ -1,4 +1,4 @@
-"""The plot of a trade: error against cost, on log axes."""
+"""Plot of a trade: error against cost, on log axes."""
 
 from __future__ import annotations
 
@@ -26,19 +26,20 @@ if TYPE_CHECKING:
 MARKERS = {"newton": "o", "pgs": "s"}
 # MuJoCo's points, in the same colours.
 THEIRS = "*"
-# Errors this many times the shipped one are drawn as failures: they would flatten the rest.
+# Errors above this multiple of the shipped error are drawn as failures, to limit the axis.
 FAR = 1e4
-# A point nearer to the left than this part of the axes has its text at its right.
+# Points in this fraction of the axes at the left have their text at the right.
 EDGE = 0.2
-# A point so many times above the front has its text above it.
+# Points above this multiple of the front have their text above.
 ABOVE = 1.5
 
 
 def trade(trade: Trade) -> Any:
-    """A point for each setting; lines join those that no other beats, of each engine.
+    """Draw a point for each setting, and a line through the best settings of each engine.
 
-    Colours are integrators, markers solvers, hollow ones single precision, stars MuJoCo; rings mark
-    the shipped and the recommended settings, crosses on the upper edge the failures.
+    Colours are integrators, markers are solvers, hollow markers are single precision, and stars are
+    MuJoCo. Rings mark the shipped and the recommended settings. Crosses at the upper edge are
+    failures.
     """
     figure = new_figure(9.0, 5.2)
     axes = figure.add_subplot()
@@ -69,12 +70,12 @@ def trade(trade: Trade) -> Any:
 
 
 def _cost(trade: Trade, row: TradeRow) -> float:
-    """The horizontal value: ms per simulated second, or operations."""
+    """Return the horizontal value: ms per simulated second, or operations."""
     return trade.price(row) if trade.by == "flops" else row.cost / 1e3
 
 
 def _split(trade: Trade) -> tuple[list[TradeRow], list[TradeRow]]:
-    """Rows drawn at their values, and rows that failed or lie far off."""
+    """Return the rows drawn at their values, and the rows that failed or are far off."""
     errors = sorted(trade.error(row) for row in trade.rows if row.errors)
     middle = trade.error(trade.shipped) if trade.shipped.errors else errors[len(errors) // 2]
     limit = FAR * max(middle, trade.reference.high, 1e-300)
@@ -94,13 +95,13 @@ def _point(axes: Any, trade: Trade, row: TradeRow) -> None:
         mec=colour,
         mew=1.2,
         alpha=1.0 if row.best else 0.55,
-        # Two integrators can be the same here: the shipped one is seen.
+        # Two integrators can coincide; the shipped setting is drawn on top.
         zorder=4.5 if row.shipped else 4 if row.best else 3,
     )
 
 
 def _mujoco(axes: Any, trade: Trade, limit: float) -> list[float]:
-    """MuJoCo's points, and a line through its best; returns their errors."""
+    """Draw MuJoCo's points and a line through the best of them; return their errors."""
     points = [p for p in trade.mujoco if p.error <= limit and not math.isnan(p.cost)]
     for p in points:
         axes.plot(
@@ -121,7 +122,7 @@ def _mujoco(axes: Any, trade: Trade, limit: float) -> list[float]:
 
 
 def _limits(errors: list[float]) -> tuple[float, float]:
-    """The range of errors [m], with room above for the failures."""
+    """Return the range of errors [m], with room above for the failures."""
     some = [max(error, 1e-18) for error in errors]
     low, high = math.log10(min(some)), math.log10(max(some))
     room = max(0.06 * (high - low), 0.15)
@@ -129,7 +130,7 @@ def _limits(errors: list[float]) -> tuple[float, float]:
 
 
 def _failures(axes: Any, trade: Trade, rows: list[TradeRow], high: float) -> None:
-    """Crosses on the upper edge at their cost; a run that failed has the cost of a similar one."""
+    """Draw failures at the upper edge; a failed run has the estimated cost of a similar run."""
     done = [row for row in trade.rows if not math.isnan(trade.price(row))]
     for row in rows:
         cost = _cost(trade, row)
@@ -142,13 +143,13 @@ def _failures(axes: Any, trade: Trade, rows: list[TradeRow], high: float) -> Non
 
 
 def _asked(axes: Any, trade: Trade) -> None:
-    """The error or the budget that was asked for, as a dashed line."""
+    """Draw the target error or the budget as a dashed line."""
     dashed = {"color": GREY, "ls": "--", "lw": 1.0, "zorder": 1}
     if trade.target is not None:
         axes.axhline(trade.target, **dashed)
         kept = trade.kept
         axes.axhspan(kept, trade.target, color="#F0F0F0", zorder=0)
-        # At the left, where what is cheap is above the line.
+        # At the left, where the cheap settings are above the line.
         text = f"target {metres(trade.target)}, kept to {metres(kept)}"
         style: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "va": "top"}
         axes.text(0.01, 0.97 * kept, text, fontsize=SMALL, color=GREY, **style)
@@ -157,9 +158,9 @@ def _asked(axes: Any, trade: Trade) -> None:
 
 
 def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
-    """Rings about the shipped and the recommended settings, with their names.
+    """Draw rings around the shipped and the recommended settings, with their names.
 
-    A grey one, which the legend explains, about what is cheaper and all but meets the target.
+    A grey ring, explained by the legend, marks a cheaper setting that almost meets the target.
     """
     shipped = label(trade.shipped.settings, sweeps=False).replace(", dt", ",\ndt")
     marked = [(trade.shipped, f"as shipped\n{shipped}")]
@@ -175,8 +176,8 @@ def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
             continue
         at = (_cost(trade, row), trade.error(row))
         axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
-        # Below and left of the front there is nothing to cover, but for the axis itself; what is
-        # far above it has its text on the other side.
+        # Below and left of the front there are no points, so a text covers nothing except the
+        # axis. A point far above the front has its text on the other side.
         left = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > EDGE
         front = [trade.error(r) for r in good if r.best and trade.price(r) <= trade.price(row)]
         below = trade.error(row) <= ABOVE * min(front, default=math.inf)
@@ -187,7 +188,7 @@ def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
 
 
 def _why_not(trade: Trade, row: TradeRow) -> str:
-    """Why a cheaper setting is not recommended."""
+    """Return the reason why a cheaper setting is not recommended."""
     missed, count = trade.misses(row)
     if missed:
         return f"cheaper, but beyond the\ntarget on {missed} of {count} starts"
