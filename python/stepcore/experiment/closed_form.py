@@ -1,16 +1,16 @@
-"""Closed-form motions: errors are measured from them, and the reference is checked against them.
+"""Closed-form motions, which replace the reference and are checked against the converged runs.
 
-Two kinds of scenes have one, as long as no row is active; both may stand in one scene:
+Two kinds of motion have a closed form while no constraint row is active. A scene may combine them:
 
 - slides and hinges whose accelerations are affine in their coordinates, velocities and controls:
-  masses on springs and dampers, motors and servos, a hinge that gravity does not turn. With
-  z = (q, v) and a control that is held, z' = F z + g, so z after a time is e^{Ft} z + ∫e^{Fs}ds g:
-  exact for every control period.
-- free bodies on their own whose inertia is the same about every axis: the centre of mass falls,
-  the spin stays.
+  masses on springs and dampers, motors and servos, a hinge without gravity torque. With z = (q, v)
+  and constant controls, z' = F z + g, so z(t) = e^{Ft} z(0) + ∫e^{Fs}ds g. This is exact over every
+  control period.
+- single free bodies with isotropic inertia: the centre of mass falls freely, and the angular
+  velocity is constant.
 
-Whether a scene is of these kinds is tested: the engine's accelerations are compared with those of
-the form at both ends of every control period.
+A test decides whether a scene is of these kinds: at both ends of every control period, the engine's
+accelerations must agree with those of the closed form.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from stepcore.experiment.coordinates import Start, product, rotated, rotation
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 
-# The largest difference of accelerations from the form's, over the largest acceleration: rounding,
-# generously.
+# The largest difference of accelerations between engine and closed form, relative to the largest
+# acceleration: a generous bound on rounding.
 AGREES = 1e-9
-# The error stated, over the largest difference between computations.
+# The reported error, relative to the largest difference between computations.
 CAUTION = 4.0
-# The entries of F are differences of accelerations, each with some roundings.
+# The relative rounding error of the entries of F, which are differences of accelerations.
 ROUNDED = 4 * np.finfo(float).eps
 # Terms of the Taylor series at norm 1/2: the first left out is 2^-18/18! < 1e-21.
 TERMS = 18
-# Balancing ends by itself, nearly always after a few rounds.
+# Limit of balancing rounds; balancing usually converges after a few.
 BALANCINGS = 50
 
 
@@ -45,8 +45,9 @@ BALANCINGS = 50
 class Exact:
     """The motion in closed form.
 
-    error [m], angle [rad]: of the matrix exponential and of its entries, see `closed`. check [m]:
-    the distance to the converged runs, as errors are measured.
+    runs: one run for each start.
+    error [m], angle [rad]: the errors of the matrix exponential and of its entries; see `closed`.
+    check: the distance to the converged runs, measured like an error [m].
     """
 
     runs: list[Run]
@@ -56,22 +57,24 @@ class Exact:
 
     @property
     def known(self) -> Known:
-        """The error in all measures."""
+        """Error in all measures."""
         measures = dict.fromkeys(MEASURES, self.error) | {"angle": self.angle}
         bases = dict.fromkeys(MEASURES, "closed form")
         return Known(**measures, orders=dict.fromkeys(MEASURES), bases=bases)
 
 
 class Unfit(Exception):
-    """The scene has no closed form."""
+    """Raised if the scene has no closed form."""
 
 
 def closed(runner: Runner, runs: Sequence[Run]) -> Exact | None:
-    """The closed form of a runner's motion, or None; runs: the converged runs.
+    """Return the closed form of a runner's motion, or None if it has none.
 
-    Its error is the difference to other computations: in thirds of a period (halves would repeat
-    the same squarings), and with every entry of F moved by its rounding. Squaring, and thousands of
-    oscillations, make that grow.
+    The error is the largest difference to two other computations: one in thirds of a period (halves
+    would repeat the same squarings), and one with every entry of F changed by its rounding error.
+    Squarings and thousands of oscillations amplify these differences.
+
+    runs: the converged runs.
     """
     if runner.schedule.control is not None or any(run.rows for run in runs):
         return None
@@ -95,7 +98,11 @@ def closed(runner: Runner, runs: Sequence[Run]) -> Exact | None:
 
 
 class _Free(NamedTuple):
-    """A free body on its own. c: its centre of mass in its frame [m]; fall: [m/s²], (3,)."""
+    """A single free body.
+
+    q, v: the indices of the first coordinate and the first dof. c: centre of mass in the body frame
+    [m], (3,). fall: acceleration of the centre of mass [m/s²], (3,).
+    """
 
     q: int
     v: int
@@ -104,7 +111,7 @@ class _Free(NamedTuple):
 
 
 class _Form:
-    """The matrix F of a scene and its free bodies."""
+    """The matrix F and the free bodies of a scene. Raises Unfit for other scenes."""
 
     def __init__(self, runner: Runner) -> None:
         self.runner = runner
@@ -126,9 +133,10 @@ class _Form:
     def motion(
         self, start: int, parts: int = 1, rounded: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        """qpos and qvel at time 0 and at the samples.
+        """Compute qpos and qvel at time 0 and at the samples.
 
-        parts: steps in a period. rounded: whether the entries of F are moved by their rounding.
+        parts: steps per period. rounded: whether to change the entries of F by their rounding
+        error.
         """
         schedule, n = self.runner.schedule, len(self.q)
         whole = self.whole * (1 + ROUNDED) if rounded else self.whole
@@ -151,7 +159,7 @@ class _Form:
         return np.array(qpos), np.array(qvel)
 
     def _at(self, begin: Start, state: np.ndarray, time: float) -> Start:
-        """The scene at a time [s]; state: of its slides and hinges."""
+        """Return the state of the scene at a time [s]; state: (q, v) of the slides and hinges."""
         n = len(self.q)
         qpos, qvel = np.array(begin.qpos), np.array(begin.qvel)
         qpos[self.q], qvel[self.v] = state[:n], state[n:]
@@ -167,7 +175,7 @@ class _Form:
         return Start(qpos, qvel)
 
     def _agree(self, qacc: np.ndarray, wanted: np.ndarray, here: Start) -> None:
-        """Raises Unfit where the engine's accelerations are not the form's."""
+        """Raise Unfit if the engine's accelerations differ from those of the closed form."""
         wrong = np.abs(qacc[self.v] - wanted).max(initial=0.0)
         for free in self.frees:
             fall, turn = _fall(free, here, qacc)
@@ -177,7 +185,7 @@ class _Form:
             raise Unfit
 
     def _qacc(self, here: Start, ctrl: np.ndarray | None) -> np.ndarray:
-        """The engine's accelerations; Unfit where a row is alive."""
+        """Return the engine's accelerations; raise Unfit if a row is active."""
         sim: Sim = self.sim
         sim.qpos, sim.qvel = here.qpos, here.qvel
         if ctrl is not None:
@@ -188,12 +196,12 @@ class _Form:
         return np.array(sim.qacc)
 
     def _slopes(self, begin: Start) -> np.ndarray:
-        """The derivatives of accelerations by coordinates and velocities, (n, 2n)."""
+        """Return the derivatives of accelerations by coordinates and velocities, (n, 2n)."""
         ctrl = None if self.runner.schedule.ctrl is None else self.runner.schedule.ctrl[0][0]
         base = self._qacc(begin, ctrl)[self.v]
         columns = []
         for k in range(2 * len(self.q)):
-            # The law is affine: the longest step at which no row is active is the most accurate.
+            # For an affine law, the largest step without active rows is the most accurate.
             for step in 2.0 ** -np.arange(0, 12, 2):
                 moved = Start(np.array(begin.qpos), np.array(begin.qvel))
                 if k < len(self.q):
@@ -210,10 +218,11 @@ class _Form:
         return np.array(columns).T.reshape(len(self.q), 2 * len(self.q))
 
     def _alone(self, begin: Start, q: int, v: int) -> _Free:
-        """A free joint whose body hangs on nothing, carries nothing that moves, and is isotropic.
+        """Return the free body of a joint; raise Unfit if its motion has no closed form.
 
-        Its block of the mass matrix, with R the orientation and c the centre of mass, is
-        [m, -m R [c]×; m [c]× Rᵀ, I], I about its origin and in its own axes.
+        The body must have no moving parent, carry no moving bodies, and have isotropic inertia.
+        With the orientation R and the centre of mass c, the body's block of the mass matrix is
+        [m, -m R [c]×; m [c]× Rᵀ, I]. I is the inertia about the body's origin, in body axes.
         """
         at = slice(v, v + 6)
         self.sim.qpos, self.sim.qvel = begin.qpos, begin.qvel
@@ -236,7 +245,7 @@ class _Form:
 
 
 def _fall(free: _Free, here: Start, qacc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The linear [m/s²] and angular acceleration [rad/s²] of a free body's centre of mass."""
+    """Return a free body's acceleration of the centre of mass [m/s²] and rotation [rad/s²]."""
     q, v, c, _ = free
     spin, turn = here.qvel[v + 3 : v + 6], qacc[v + 3 : v + 6]
     about = np.cross(turn, c) + np.cross(spin, np.cross(spin, c))
@@ -244,10 +253,11 @@ def _fall(free: _Free, here: Start, qacc: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def expm(matrix: np.ndarray) -> np.ndarray:
-    """e^A of a square matrix: Taylor's series of A/2^s, whose norm is at most 1/2, squared s times.
+    """Compute e^A of a square matrix A, by scaling and squaring of the Taylor series.
 
-    Good to rounding times 2^s, so A is balanced first: for a spring of stiffness k and mass 1 its
-    norm is then √k and not k. Source: Moler and Van Loan, Nineteen Dubious Ways to Compute the
+    The series is evaluated for A/2^s, whose norm is at most 1/2, and squared s times. The error is
+    about 2^s times rounding. A is therefore balanced first: for a spring of stiffness k and mass 1
+    the norm is then √k and not k. Source: Moler and Van Loan, Nineteen Dubious Ways to Compute the
     Exponential of a Matrix, SIAM Review 45 (2003), method 3.
 
     >>> expm(np.array([[0.0, 1.0], [-1.0, 0.0]])).round(6).tolist()
@@ -268,9 +278,10 @@ def expm(matrix: np.ndarray) -> np.ndarray:
 
 
 def _balanced(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """D⁻¹ A D, whose rows and columns are of like size, and the diagonal of D, powers of two.
+    """Balance a matrix A: return D⁻¹ A D and the diagonal of D, which has powers of two.
 
-    Source: Osborne, On Pre-Conditioning of Matrices, Journal of the ACM 7 (1960).
+    The rows and columns of D⁻¹ A D have similar norms. Source: Osborne, On Pre-Conditioning of
+    Matrices, Journal of the ACM 7 (1960).
     """
     matrix, scale = matrix.copy(), np.ones(len(matrix))
     for _ in range(BALANCINGS):

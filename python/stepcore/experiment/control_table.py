@@ -1,4 +1,4 @@
-"""`ControlTable`: a user's controls by row, from an array, a file, a DataFrame or a dict."""
+"""`ControlTable`: a user's controls in rows, from an array, a file, a DataFrame or a dict."""
 
 from __future__ import annotations
 
@@ -16,22 +16,24 @@ from stepcore import checks
 from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
 
-# What --ctrl and `Motion.ctrl` call the controls of measurements.
+# The name of the measurements' default controls in --ctrl and `Motion.ctrl`.
 SINES = "sines"
 ENDINGS = (".csv", ".npy", ".npz")
-# More constant controls than this are counted and not listed.
+# The largest number of constant controls that are listed, not counted.
 NAMED = 8
-# A column of times: "time", "t", "Time [s]", "t_s".
+# Names of a column of times: "time", "t", "Time [s]", "t_s".
 TIME = re.compile(r"(time|t)([\s_]*[\[(]?s[\])]?)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
 class ControlTable:
-    """Controls by row.
+    """Controls in rows.
 
-    rows: shape (n, columns), or (n,) for a model of one actuator. columns: an actuator or a joint
-    for each column; None: every actuator in its order. times: when each row begins [s], counted
-    from the first; None: a row each control period. source: what the rows are from, in words.
+    rows: shape (n, columns), or (n,) for a model with one actuator.
+    columns: the actuator or joint of each column; None for all actuators in order.
+    times: when each row takes effect [s], relative to the first; None for one row per control
+        period.
+    source: the origin of the rows, in words.
     """
 
     rows: np.ndarray
@@ -62,7 +64,7 @@ class ControlTable:
 
     @property
     def constants(self) -> str:
-        """The first row in words: "a=1, b=3", or "1, 3" without names."""
+        """The first row in words: "a=1, b=3", or "1, 3" without column names."""
         values = [f"{value:g}" for value in np.atleast_2d(self.rows)[0]]
         if len(values) > NAMED:
             return f"{len(values)} constant controls"
@@ -71,8 +73,10 @@ class ControlTable:
         return ", ".join(values)
 
     def period(self, dt: float) -> float:
-        """The period of the controls [s]: that of the times where these are evenly spaced in whole
-        steps of `dt` [s], else `dt`."""
+        """Return the control period [s]; dt: time step [s].
+
+        The period is the spacing of the times, if they are equidistant in whole steps; else dt.
+        """
         if self.times is None or len(self.times) < 2:
             return dt
         gaps = np.diff(self.times)
@@ -82,9 +86,12 @@ class ControlTable:
         return steps * dt if even and steps and abs(gap - steps * dt) < 1e-6 * dt else dt
 
     def over(self, model: Model, held: np.ndarray, periods: int, period: float) -> np.ndarray:
-        """The controls in each period, shape (periods, nu); the last row is held to the end.
+        """Return the controls in each period, shape (periods, nu); the last row stays to the end.
 
-        held: controls of the actuators that have no column, shape (nu,).
+        held: the controls of actuators without a column, shape (nu,).
+        period: the control period [s].
+
+        Raises ValueError for a table that does not match the model's actuators.
         """
         if self.times is None:
             index = np.minimum(np.arange(periods), len(self.rows) - 1)
@@ -103,9 +110,9 @@ class ControlTable:
 
 
 def control_table(ctrl: Any) -> ControlTable:
-    """The table of what a user gives as `ctrl`: see `Motion`.
+    """Return the table of a user's argument `ctrl`; see `Motion` for the accepted types.
 
-    Raises ValueError for anything else, and OSError for a file that cannot be read.
+    Raises ValueError for any other argument, and OSError for a file that cannot be read.
     """
     if isinstance(ctrl, ControlTable):
         return ctrl
@@ -149,14 +156,14 @@ def _of_file(path: str) -> ControlTable:
 
 
 def _of_run(run: Trajectory, source: str) -> ControlTable:
-    """The controls of a recorded run: each instant has those of the step that ended there."""
+    """Return the controls of a recorded run, where an instant has the controls of the last step."""
     if "ctrl" not in run.data:
         raise ValueError(f"{source}: this run recorded no ctrl")
     return ControlTable(run["ctrl"][1:], times=run.time[:-1], source=source)
 
 
 def _of_text(source: str, lines: list[str]) -> ControlTable:
-    """A table of comma-, semicolon- or tab-separated values, with or without names above it."""
+    """Parse comma-, semicolon- or tab-separated values, with or without a line of names."""
     head = next((line for line in lines if line.strip()), "")
     delimiter = max(",;\t", key=head.count)
     (names,) = csv.reader([head.lstrip("# ")], delimiter=delimiter) if head else ([],)
@@ -166,7 +173,7 @@ def _of_text(source: str, lines: list[str]) -> ControlTable:
         lines = lines[lines.index(head) + 1 :]
     try:
         with warnings.catch_warnings():
-            # numpy warns of an empty file, which is an error of the table.
+            # numpy warns of an empty file, for which ControlTable raises an error.
             warnings.simplefilter("ignore")
             rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2)
     except ValueError as error:
@@ -180,7 +187,7 @@ def _of_text(source: str, lines: list[str]) -> ControlTable:
 
 
 def _of_frame(frame: Any) -> ControlTable:
-    """A table of pandas, polars and their like."""
+    """Return the table of a DataFrame of pandas, polars or a similar library."""
     names = list(frame.columns)
     if not any(isinstance(name, str) for name in names):
         return ControlTable(_numbers("ctrl", frame.to_numpy()))
@@ -194,7 +201,7 @@ def _of_frame(frame: Any) -> ControlTable:
 def _named(
     source: str, columns: Mapping[str, Any], names: Iterable[str] | None = None
 ) -> ControlTable:
-    """A table of columns by name; one number is held over all rows."""
+    """Return a table of named columns; a single number applies to all rows."""
     names = list(columns if names is None else names)
     twice = {name for name in names if names.count(name) > 1}
     if twice:
@@ -223,7 +230,7 @@ def _times(source: str, times: Any, count: int) -> np.ndarray | None:
 
 
 def _actuators(source: str, columns: Sequence[str], model: Model) -> list[int]:
-    """The actuators that named columns control, each by its own name or that of its joint."""
+    """Return the index of the actuator of each column, by the name of the actuator or its joint."""
     by_joint: dict[str, list[int]] = {}
     for index, joint in enumerate(model.actuator_joint.tolist()):
         if joint >= 0 and model.joint_names[joint]:

@@ -1,4 +1,4 @@
-"""`Start`: an initial state. `Coordinates`: where each joint's coordinates lie."""
+"""`Start`: an initial state. `Coordinates`: the layout of the joint coordinates."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from stepcore.scene.layout import Layout
 
 @dataclass(frozen=True)
 class Start:
-    """One initial state. qpos: shape (nq,); qvel: shape (nv,); act: shape (na,), None for zeros.
+    """One initial state.
 
-    mocap: the positions [m] and quaternions of mocap bodies, (nmocap, 3) and (nmocap, 4); None for
-    those of the scene.
+    qpos: shape (nq,). qvel: shape (nv,). act: shape (na,), None for zeros.
+    mocap: positions [m] and quaternions of the mocap bodies, (nmocap, 3) and (nmocap, 4); None for
+        those of the scene.
     """
 
     qpos: np.ndarray
@@ -27,7 +28,7 @@ class Start:
     mocap: tuple[np.ndarray, np.ndarray] | None = None
 
     def put(self, sim: Sim | Batch, world: Any = ...) -> None:
-        """Puts a Sim, or a world of a Batch, into this state; its time and its controls stay."""
+        """Set a Sim, or a world of a Batch, to this state; time and controls do not change."""
         sim.qpos[world], sim.qvel[world] = self.qpos, self.qvel
         sim.act[world] = 0.0 if self.act is None else self.act
         if self.mocap is not None:
@@ -37,8 +38,9 @@ class Start:
 class Coordinates:
     """The coordinates of a model.
 
-    joints: (type, first coordinate, first dof, range) of each. slides: of each dof, whether it is
-    a length and not an angle, (nv,). moving: indices of the bodies that a joint moves.
+    joints: (type, first coordinate, first dof, range) of each joint.
+    slides: whether each dof is a length, not an angle, (nv,).
+    moving: the indices of the bodies that a joint moves.
     """
 
     def __init__(self, model: Model) -> None:
@@ -52,7 +54,7 @@ class Coordinates:
         ]
         self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
         self.slides = np.zeros(self.nv, bool)
-        # The coordinates that are numbers and their dofs; the quaternions and the first of theirs.
+        # Scalar coordinates and their dofs; first coordinates and first dofs of quaternions.
         self._numbers: tuple[list[int], list[int]] = ([], [])
         self._quaternions: list[tuple[int, int]] = []
         for kind, q, v, _ in self.joints:
@@ -64,15 +66,18 @@ class Coordinates:
                 self._quaternions.append((q + count, v + count))
 
     def drawn(self, rng: np.random.Generator, slides: float, turns: float) -> np.ndarray:
-        """A uniform change of every dof, at most `slides` along and `turns` about, (nv,)."""
+        """Draw a uniform random change of every dof, (nv,).
+
+        slides, turns: the largest change of lengths [m] and of angles [rad].
+        """
         return self.scaled(rng.uniform(-1.0, 1.0, self.nv), slides, turns)
 
     def scaled(self, change: np.ndarray, slides: float, turns: float) -> np.ndarray:
-        """A change of every dof, (nv,), times `slides` where it is along and `turns` about."""
+        """Multiply a change of the dofs by `slides` for lengths and `turns` for angles, (nv,)."""
         return np.asarray(change, float) * np.where(self.slides, slides, turns)
 
     def moved(self, qpos: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """`qpos` moved by a change of the dofs; quaternions turn in body axes and stay unit."""
+        """Return qpos after a change of the dofs; quaternions rotate in body axes and stay unit."""
         result = np.array(qpos, float)
         numbers, dofs = self._numbers
         result[numbers] += change[dofs]
@@ -82,9 +87,10 @@ class Coordinates:
         return result
 
     def inside(self, qpos: np.ndarray) -> np.ndarray:
-        """`qpos` with every limited hinge and slide brought into its range.
+        """Return qpos with every limited hinge and slide clipped to its range.
 
-        Not onto its end: there the last bit of a position would decide whether a limit acts.
+        The values stay clear of the ends of the range, because there the last bit of a position
+        would decide whether a limit acts.
         """
         result = np.array(qpos, float)
         for kind, q, _, limits in self.joints:
@@ -95,7 +101,7 @@ class Coordinates:
         return result
 
     def change(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """The change of the dofs from one qpos to another, along leading axes: (…, nv)."""
+        """Return the change of the dofs from one qpos to another, along leading axes: (…, nv)."""
         result = np.empty((*np.shape(after)[:-1], self.nv))
         numbers, dofs = self._numbers
         result[..., dofs] = after[..., numbers] - before[..., numbers]
@@ -106,7 +112,7 @@ class Coordinates:
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """`numpy.cross` along leading axes, in half of its time."""
+    """Return the cross product along leading axes, in half the time of `numpy.cross`."""
     a, b = np.broadcast_arrays(a, b)
     out = np.empty(a.shape)
     out[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
@@ -116,7 +122,7 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Quaternion product, w x y z, along leading axes."""
+    """Return the quaternion product (w x y z) along leading axes."""
     w, x = a[..., :1], a[..., 1:]
     s, y = b[..., :1], b[..., 1:]
     real = w * s - np.sum(x * y, axis=-1, keepdims=True)
@@ -124,13 +130,13 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def rotation(vector: np.ndarray) -> np.ndarray:
-    """The quaternion of a rotation vector [rad]."""
+    """Return the quaternion of a rotation vector [rad]."""
     angle = float(np.linalg.norm(vector))
     return np.concatenate([[np.cos(angle / 2)], 0.5 * np.sinc(angle / 2 / np.pi) * vector])
 
 
 def rotated(quat: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Vectors turned by quaternions, along leading axes."""
+    """Rotate vectors by quaternions, along leading axes."""
     w, x = quat[..., :1], quat[..., 1:]
     moment = cross(x, vector)
     result: np.ndarray = vector + 2 * (w * moment + cross(x, moment))
@@ -138,7 +144,7 @@ def rotated(quat: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def turned(quat: np.ndarray) -> np.ndarray:
-    """The rotation vector of a quaternion, the short way round [rad]."""
+    """Return the shortest rotation vector of a quaternion [rad]."""
     quat = np.where(quat[..., :1] < 0, -quat, quat)
     sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, quat[..., :1])

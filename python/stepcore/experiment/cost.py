@@ -1,4 +1,4 @@
-"""The cost of a setting: time, measured in turn with others; operations and memory, counted."""
+"""The cost of a setting: measured computing time, and counted operations and memory."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner, positions
 from stepcore.report.progress import Progress
 
-# The fewest and the most rounds over all settings, and the time to spend on them if they are quick
-# [s].
+# The smallest and the largest number of rounds over all settings, and the time for fast rounds [s].
 ROUNDS, MOST, LONG = 3, 9, 4.0
-# A shorter run says little about its cost: it is repeated [s].
+# Shorter runs are repeated, because their time alone is too inaccurate [s].
 SHORT = 1e-3
-# The operations of a step over (dofs + 2), of a robot in few contacts.
+# The operations per step and (dofs + 2) of a robot with few contacts.
 USUAL = 1500.0
-# Whether the system has a fine clock of a thread's own computing.
+# Whether the system has a fine clock of the computing time of a thread.
 OWN_CLOCK = get_clock_info("thread_time").resolution < 1e-5
 
 
 class TimedRun:
-    """The motion from a runner's first start, timed again and again under one setting.
+    """Repeated timing of the motion from a runner's first start, under one setting.
 
-    failed: whether a run failed; it is then not run again.
+    runner: makes the runs. settings: of the runs.
+    failed: whether a run failed; no further runs are made then.
+    times: the times of the steps of one run [s], one entry per round.
     """
 
     def __init__(self, runner: Runner, settings: Any, failed: bool = False) -> None:
@@ -41,13 +42,13 @@ class TimedRun:
 
     @property
     def cost(self) -> float:
-        """Computing time [µs per simulated second], the median; NaN if it failed."""
+        """Median computing time [µs per simulated second]; NaN if the run failed."""
         if not self.times:
             return math.nan
         return 1e6 * float(np.median(self.times)) / self.runner.schedule.horizon
 
     def once(self) -> float:
-        """Runs once; returns the time of the steps [s]."""
+        """Run once, and return the time of the steps [s]."""
         if self.sim is None:
             self.sim = self.runner.sim(self.settings)
         watch = Stopwatch()
@@ -55,7 +56,7 @@ class TimedRun:
         return watch.total()
 
     def again(self) -> float:
-        """Runs for long enough to be timed; returns the time of all steps [s]."""
+        """Repeat the run for long enough to be timed, and return the time of all steps [s]."""
         if self.failed:
             return 0.0
         try:
@@ -70,11 +71,11 @@ class TimedRun:
 
 
 def costs(runs: Sequence[TimedRun], bar: Progress) -> list[float]:
-    """Computing time of each run [µs per simulated second], the median of interleaved rounds.
+    """Measure the computing time of each run [µs per simulated second], on one thread.
 
-    On one thread. Every round makes each run once, so that other load on the machine falls on all
-    of them alike. Only steps are timed, a control period in one call, less the time in which the
-    thread had no core. A run that fails gives NaN.
+    The time is the median over several rounds. A round makes every run once, so that other load on
+    the machine affects all runs alike. Only the steps are timed, with one call per control period.
+    Time in which the thread had no core does not count. A run that fails gives NaN.
     """
     spent = _round(runs, bar)
     more = max(ROUNDS, min(MOST, int(LONG / spent))) - 1 if spent > 0 else ROUNDS
@@ -93,14 +94,14 @@ def _round(runs: Sequence[TimedRun], bar: Progress | None) -> float:
 
 
 class Stopwatch:
-    """Times the steps of a run: the share of their wall time in which this thread was computing."""
+    """A clock for the steps of a run, which counts only time in which this thread computed."""
 
     def __init__(self) -> None:
         self.spent = 0.0
         self._first, self._own = perf_counter(), thread_time()
 
     def timing(self, step: Callable[[int], None]) -> Callable[[int], None]:
-        """The same step, timed."""
+        """Return the step function with timing."""
 
         def timed(count: int) -> None:
             begin = perf_counter()
@@ -110,13 +111,17 @@ class Stopwatch:
         return timed
 
     def total(self) -> float:
-        """The time of the steps [s]."""
+        """Return the computing time of the steps [s]."""
         whole, own = perf_counter() - self._first, thread_time() - self._own
         return self.spent * min(1.0, own / whole) if OWN_CLOCK and whole > 0 else self.spent
 
 
 class Work(NamedTuple):
-    """Floating-point operations and row updates per simulated second, and bytes of memory."""
+    """The counted work of a run.
+
+    flops: floating-point operations per simulated second. nbytes: memory [bytes].
+    row_updates: updates of constraint rows per simulated second.
+    """
 
     flops: float
     nbytes: int
@@ -127,8 +132,10 @@ UNKNOWN = Work(math.nan, 0, math.nan)
 
 
 class Counter(Probe):
-    """Counts the work of a run: the operations of one step at every sample, which are taken to hold
-    until the next sample, and the memory at the end, where all contacts have had room.
+    """A probe that counts the work of a run.
+
+    The operations of one step are counted at every sample, and extrapolated to the next sample. The
+    memory is that at the end of the run, which has had room for all contacts.
     """
 
     def __init__(self, runner: Runner) -> None:
@@ -148,7 +155,10 @@ class Counter(Probe):
 def priced(
     runner: Runner, settings: Settings, starts: Sequence[int], workers: Workers
 ) -> tuple[list[Run], Work]:
-    """Runs of positions from some starts, until one fails, and the work of the first of them."""
+    """Run from several starts until one run fails; return the runs and the work of the first.
+
+    The runs record positions alone.
+    """
     counter = Counter(runner)
     runs = [runner.run(settings, starts[0], [*positions(runner), counter])]
     if not runs[0].failure and len(starts) > 1:
@@ -158,10 +168,10 @@ def priced(
 
 
 def heaviness(runner: Runner, settings: Settings) -> float:
-    """The work of a step of this motion over that of a usual step; at least 1.
+    """Return the work of a step of this motion relative to a usual step; at least 1.
 
-    It is counted in the run from the first start. Budgets of steps × (dofs + 2) are of usual steps;
-    many contacts make a step dearer than its degrees of freedom tell.
+    The work is counted in the run from the first start. Budgets count usual steps × (dofs + 2), but
+    many contacts make a step more expensive than the number of dofs suggests.
     """
     counter = Counter(runner)
     if runner.run(settings, 0, [counter]).failure:

@@ -1,4 +1,4 @@
-"""Errors of runs against the reference, in numbers that mean the same in every scene."""
+"""Errors of runs relative to the reference, in measures that are comparable between scenes."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from stepcore.experiment.friction import anisotropy, creep
 from stepcore.experiment.run import Run, angle, distance, lever, separation
 
-# A contact sticks whose friction is below this share of μ × normal force. The pyramid reaches the
-# whole of it along its tangents, and 1/√2 between them.
+# A contact counts as sticking if friction is below this share of μ × normal force. A pyramidal cone
+# allows all of μ × normal force along its tangents, and 1/√2 of it between them.
 STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
 
 
@@ -19,30 +19,31 @@ STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
 class Errors:
     """Errors of one setting over all starts.
 
-    position [m], angle [rad]: RMS error over samples and moving bodies, of centres of mass and of
-        orientations in the world, in the median start.
-    position_max, angle_max: the largest error of any body, sample and start.
+    position [m], angle [rad]: RMS errors of centres of mass and of orientations over samples and
+        moving bodies, in the median start.
+    position_max [m], angle_max [rad]: the largest errors of any body, sample and start.
     worst: the index of the start with the largest position error.
     each [m]: the RMS position error of every start, of centres of mass and of orientations times
         the body's radius of gyration.
-    relative, relative_max: `position` and `position_max` over the scene's size.
-    gained, lost [J]: the largest rise of the energy balance of `Run` above its start, and the
-        largest fall below it, in any start.
+    relative, relative_max: `position` and `position_max` divided by the scene's size.
+    gained, lost [J]: the largest rise of the energy balance of `Run` above its initial value, and
+        the largest fall below it, in any start.
     numerical, modelling [m]: the two parts of `high` if a setting changes the model (another cone,
-        another law, f32): the distance to that model's own limit, and the distance between the two
-        limits; see `stepcore.experiment.other_models`. Otherwise numerical is `high`, modelling 0.
+        another law, f32): the distance to the limit of the changed model, and the distance between
+        the limits of both models; see `stepcore.experiment.other_models`. Otherwise numerical is
+        `high`, and modelling 0.
 
-    The next ones are the largest of all starts, or None if the scene has no such quantity or it
-    cannot be known.
+    The following errors are the largest of all starts. They are None if the scene has no such
+    quantity, or if the quantity cannot be determined.
 
-    momentum [kg·m/s], angular_momentum [kg·m²/s]: the part that internal forces and gravity do not
-        explain.
+    momentum [kg·m/s], angular_momentum [kg·m²/s]: the change that internal forces and gravity do
+        not explain.
     joint [m]: the widest gap of a connection.
-    limit [rad or m]: how far a joint was beyond its range.
+    limit [rad or m]: the largest violation of a joint's range.
     overlap [m]: the deepest overlap.
-    creep [m/s]: the fastest slip in a contact that does not slip in the reference.
-    anisotropy [rad]: the angle between friction and the direction against the slip, at contacts
-        that slide.
+    creep [m/s]: the fastest slip in a contact that sticks in the reference.
+    anisotropy [rad]: the largest angle between friction and the direction opposite to the slip, at
+        sliding contacts.
     residual [m/s]: the largest residual.
     """
 
@@ -69,20 +70,21 @@ class Errors:
 
     @property
     def high(self) -> float:
-        """The RMS position error of the worst start [m]; see `each`."""
+        """RMS position error of the worst start [m]; see `each`."""
         return max(self.each, default=self.position)
 
     @property
     def median(self) -> float:
-        """The RMS position error of the median start [m]."""
+        """RMS position error of the median start [m]; see `each`."""
         return float(np.median(self.each)) if self.each else self.position
 
 
 @dataclass(frozen=True)
 class Score:
-    """How runs are compared with the motion that they should make: one number of their `Errors`.
+    """A function that reduces `Errors` to one number.
 
-    measure: an attribute of `Errors`. name: in words. unit: "m", or "1" for a share.
+    measure: the name of an attribute of `Errors`. name: the score in words. unit: "m", or "1" for a
+    ratio.
     """
 
     measure: str
@@ -104,9 +106,10 @@ def errors(
     size: float = np.nan,
     sticks: float = STICKS["pyramidal"],
 ) -> Errors:
-    """Errors of runs against the reference's, over the samples that are scored (starts, n).
+    """Compute the errors of runs relative to those of the reference.
 
-    size: of the scene [m]; sticks: see `stepcore.experiment.friction.creep`.
+    truth: the runs of the reference. scored: mask of the samples that count, (starts, n).
+    size: the size of the scene [m]. sticks: see `stepcore.experiment.friction.creep`.
     """
     metres, radians, both, creeps = [], [], [], []
     for run, true, mask in zip(runs, truth, scored, strict=True):
@@ -140,39 +143,39 @@ def errors(
 
 
 def _worst(values: Sequence[float | None]) -> float | None:
-    """The largest; None if one of them is not known."""
+    """Return the largest value, or None if any value is None."""
     return None if None in values else _known(values)
 
 
 def _known(values: Sequence[float | None]) -> float | None:
-    """The largest of those that are known; None if none is."""
+    """Return the largest value that is not None, or None without one."""
     return max((value for value in values if value is not None), default=None)
 
 
 def moved(runs: Sequence[Run]) -> float:
-    """The RMS error [m] of a run in which bodies stand still from the first sample on.
+    """Return the RMS error of a run whose bodies rest from the first sample on [m].
 
-    Of the start in which they move least.
+    The value is that of the start with the least motion.
     """
     still = [Run(com=run.com[:1], quat=run.quat[:1]) for run in runs]
     return min(_roots([separation(run, stay) for run, stay in zip(runs, still, strict=True)]))
 
 
 def _roots(parts: Sequence[np.ndarray]) -> list[float]:
-    """The root mean square of each part."""
+    """Return the root mean square of each array."""
     with np.errstate(over="ignore"):
         return [float(np.sqrt(np.mean(part**2))) if part.size else 0.0 for part in parts]
 
 
 def pareto(cost: Sequence[float], error: Sequence[float]) -> list[bool]:
-    """Which points no other beats: none is as good in both and better in one.
+    """Mark the Pareto-optimal points: no other point is as good in both values and better in one.
 
-    Of equal points the first counts; one that is not finite never does.
+    Of equal points only the first is marked. Points that are not finite are never marked.
 
     >>> pareto([1.0, 2.0, 3.0, 2.5], [3.0, 2.0, 1.0, 2.0])
     [True, True, True, False]
     """
-    # NaN has no place in an order: sorted with one, the rest would not be either.
+    # Sorting with a NaN would leave the other points unsorted.
     finite = [i for i in range(len(cost)) if np.isfinite(cost[i])]
     best, marks = np.inf, [False] * len(cost)
     for i in sorted(finite, key=lambda i: (cost[i], error[i], i)):

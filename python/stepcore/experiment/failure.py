@@ -1,11 +1,12 @@
-"""When a run has failed. Each meaning has one threshold, which every measurement uses.
+"""Criteria for failed runs, with one threshold each, which all measurements share.
 
-- It *ended early*: the engine raised, positions overflow, or a step moved the scene by `STEP`
-  times its size (`Explosion`).
-- It is *far* from the reference: by more than `FAR` sizes of the scene.
-- Its energy is *large*: more than `LARGE` times what the reference has and gravity could give.
-- Where there is no reference yet, a motion *runs away* if its energy exceeds `RUNAWAY` times what
-  gravity gives the scene, and still grows (`runaway`).
+- The run *ended early*: the engine raised an exception, positions overflowed, or a body moved by
+  more than `STEP` times the scene's size in one step (`Explosion`).
+- The run is *far* from the reference: the distance exceeds `FAR` times the scene's size.
+- The energy of the run is *large*: the gain exceeds `LARGE` times the energy in motion of the
+  reference, plus the energy that lifts the scene by its own size.
+- Without a reference, a motion *runs away* (`runaway`): the kinetic energy exceeds `RUNAWAY` times
+  the energy that gravity can give the scene, and still grows.
 """
 
 from __future__ import annotations
@@ -24,29 +25,32 @@ from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.sizes import scene_size
 from stepcore.report.units import joules, seconds
 
-# Sizes of the scene. A run that is wrong by a few sizes has an error, which a measurement reports:
-# a ball that rolls away does that. At a hundred sizes it has left the scene that was modelled.
+# Multiple of the scene's size. A distance of a few sizes is an error that a measurement reports,
+# for example of a ball that rolls away. At a hundred sizes, bodies have left the modelled scene.
 FAR = 100.0
-# Times the reference's energy. An integrator's own energy error is a part of the energy in motion,
-# so that ten times as much was made by rows or feedback that push too hard.
+# Multiple of the reference's energy. The energy error of an integrator is a fraction of the energy
+# in motion, so a tenfold gain comes from rows or feedback with too large forces.
 LARGE = 10.0
-# Kinetic energy over what gravity gives the scene over its own size (or a metre a second, if that
-# is more), and over the most in the first half of the motion: a constant torque gives four times.
-# A speed of ten thousand times that of a fall is no motion of use.
+# Kinetic energy, relative to a fall over the scene's size plus the energy at 1 m/s; and relative to
+# the maximum in the first half of the motion, where a constant torque gives a factor of 4. No
+# useful motion has ten thousand times the speed of such a fall.
 RUNAWAY, GROWTH = 1e8, 1e4
-# Sizes of the scene, or radians, in a single step: a hundred times as far as `FAR`, at once.
+# Motion in a single step, in sizes of the scene or in radians: a hundred times `FAR`.
 STEP = 1e4
-# With fewer pairs of geoms than this no step is dear, and a look after each step would be.
+# With fewer pairs of geoms than this every step is cheap, and a test after each would be expensive.
 PAIRS = 200
 
 
 def failure(
     runs: Sequence[Run], truth: Sequence[Run], size: float, weight: float | None = None
 ) -> str | None:
-    """Why runs from several starts failed, or None.
+    """Explain why one of several runs failed, or return None.
 
-    truth: the reference's runs, from the same starts. size: of the scene [m]. weight: of all bodies
-    [N]; without it, as where positions alone were recorded, energies are not compared.
+    runs: the runs, one per start.
+    truth: the reference's runs, from the same starts.
+    size: the size of the scene [m].
+    weight: the weight of all bodies [N]. None skips the comparison of energies, for runs that
+        recorded positions alone.
     """
     for start, run in enumerate(runs):
         if run.failure:
@@ -56,9 +60,9 @@ def failure(
 
 
 def far_off(runs: Sequence[Run], truth: Sequence[Run], size: float) -> str | None:
-    """Why runs that are nowhere near the reference failed, or None.
+    """Explain which run is far from the reference, or return None.
 
-    All samples count: chaos is no reason to be far outside of the scene.
+    All samples count, because even a chaotic motion does not leave the scene.
     """
     for start, (run, true) in enumerate(zip(runs, truth, strict=True)):
         apart = float(distance(run, true).max(initial=0.0))
@@ -68,7 +72,7 @@ def far_off(runs: Sequence[Run], truth: Sequence[Run], size: float) -> str | Non
 
 
 def _gains_energy(runs: Sequence[Run], truth: Sequence[Run], lift: float) -> str | None:
-    """Why runs failed that have energy which nothing gave them, or None.
+    """Explain which run has gained energy without a source, or return None.
 
     lift: the energy that lifts the scene by its own size [J].
     """
@@ -84,10 +88,10 @@ def _gains_energy(runs: Sequence[Run], truth: Sequence[Run], lift: float) -> str
 
 
 def runaway(model: Model, schedule: Schedule, runs: Sequence[Run]) -> str | None:
-    """Why a converged motion is useless because a controller feeds it more and more, or None.
+    """Explain why the converged motion diverges under an unstable controller, or return None.
 
-    Controls are held over their period, which is part of the physics. A controller that is unstable
-    when it is held so explodes however short the step is, and stays finite for long.
+    Controls are constant over the control period, which is part of the physics. A controller that
+    is unstable at this period diverges at every time step, while the motion stays finite for long.
     """
     if not model.nu:
         return None
@@ -110,16 +114,17 @@ def runaway(model: Model, schedule: Schedule, runs: Sequence[Run]) -> str | None
 
 
 class Exploded(SimulationError):
-    """A run that was ended because it explodes."""
+    """Raised to end a run that explodes."""
 
 
 class Explosion:
-    """Ends a run that explodes, before its last steps cost more than all those before them.
+    """A test that ends an exploding run before its last steps cost more than all earlier steps.
 
-    Bodies that are thrown far beyond the scene all overlap in the rounding of their positions: each
-    of the few steps until the numbers overflow then solves thousands of contacts.
+    The positions of bodies far outside of the scene round to the same values, so that all bodies
+    overlap. Each of the few steps before the numbers overflow then solves thousands of contacts.
 
-    watches: whether the model has so many pairs of geoms that this is worth a look at every step.
+    watches: whether the model has enough pairs of geoms to make a test after every step worthwhile.
+    reach: the largest plausible motion in one step, by dof [m or rad], (nv,).
     """
 
     def __init__(self, model: Model, coordinates: Coordinates) -> None:
@@ -128,13 +133,16 @@ class Explosion:
         self.reach = coordinates.scaled(np.full(model.nv, STEP), scene_size(model.scene), 1.0)
 
     def beyond(self, qvel: np.ndarray, dt: float) -> np.ndarray:
-        """Whether worlds move further in a step of dt [s] than any motion does, by dof."""
-        # NaN compares as False: the engine reports it.
+        """Return which dofs move implausibly far in a step; dt: time step [s]. Shape as qvel."""
+        # NaN compares as False; the engine reports it.
         over: np.ndarray = np.abs(qvel) * dt > self.reach
         return over
 
     def reason(self, qvel: np.ndarray, dt: float, time: float) -> str | None:
-        """Why a world explodes at a time [s], or None; qvel: its velocities."""
+        """Explain why a world explodes, or return None.
+
+        qvel: the velocities of the world, (nv,). dt: time step [s]. time: [s].
+        """
         over = np.flatnonzero(self.beyond(qvel, dt))
         if not len(over):
             return None
@@ -145,7 +153,7 @@ class Explosion:
         return f"exploded at time {time:.6f} s: {joint} moves {step:.0e} {unit} in a step"
 
     def guarded(self, sim: Sim) -> Callable[[int], None]:
-        """`sim.step`, which raises Exploded after the step in which the motion explodes."""
+        """Return `sim.step` with a test after every step, which raises Exploded."""
 
         def step(count: int) -> None:
             dt = sim.settings.dt

@@ -1,4 +1,4 @@
-"""Contacts with friction: the speed of their slip, and whether friction acts against it."""
+"""Contacts with friction: slip speeds, and the direction of friction relative to the slip."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import cross
 
-# A slip slower than this share of the fastest says little about the direction of friction.
+# Slips slower than this share of the fastest are ignored: their direction is too inaccurate.
 SLOW = 1e-2
-# A contact slides whose friction is more than this share of μ × normal force: the pyramid reaches
-# 1/√2 between its tangents.
+# A contact counts as sliding if friction exceeds this share of μ × normal force. A pyramidal cone
+# allows 1/√2 between its tangents.
 SLIDES = 0.65
 
 
@@ -22,8 +22,9 @@ SLIDES = 0.65
 class Slip:
     """One contact with friction at one sample.
 
-    speed: of one surface along the other [m/s]. share: friction over μ × normal force.
-    deviation: angle between the friction force and the direction against the slip [rad].
+    speed: tangential speed of one surface relative to the other [m/s].
+    share: friction force divided by μ × normal force.
+    deviation: angle between the friction force and the direction opposite to the slip [rad].
     """
 
     speed: float
@@ -31,7 +32,7 @@ class Slip:
     deviation: float
 
 
-# By the two geoms and the number of their contact.
+# Slips by (geom 1, geom 2, number of the contact between them).
 Slips = dict[tuple[int, int, int], Slip]
 
 
@@ -43,11 +44,11 @@ class Friction:
         self._mu: dict[int, float] = {}
         self.body = [int(body) for body in model.geom_body]
         self.moving = set(moving)
-        # The pairs of a heap are too many to look at; some have friction.
+        # A heap has too many pairs to check; some are assumed to have friction.
         self.rubs = model.is_heap or any(self.of(index) > 0 for index in range(model.npair))
 
     def of(self, index: int) -> float:
-        """The coefficient of sliding friction of a pair; 0 where it has a normal row alone."""
+        """Return the sliding friction coefficient of a pair; 0 if it has a normal row alone."""
         mu = self._mu.get(index)
         if mu is None:
             pair = self.model.contact_pair(index)
@@ -55,11 +56,11 @@ class Friction:
         return mu
 
     def grounded(self, pairs: Iterable[tuple[int, int]]) -> bool:
-        """Whether something touches what does not move; pairs: the geoms of each contact."""
+        """Return whether any contact involves a static body; pairs: the geoms of each contact."""
         return not {self.body[geom] for pair in pairs for geom in pair} <= self.moving
 
     def slips(self, sim: Sim, contacts: np.ndarray) -> Slips:
-        """Every contact in which friction acts."""
+        """Return the slips of all contacts with friction and a positive normal force."""
         if not self.rubs or not len(contacts):
             return {}
         pairs = list(zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True))
@@ -74,21 +75,21 @@ class Friction:
         for pair in pairs:
             seen[pair] = seen.get(pair, -1) + 1
             keys.append((*pair, seen[pair]))
-        # A motion that diverges is finite for long, and may be too large to multiply.
+        # The velocities of a diverging motion are finite for long, but products can overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             speed = self.passing(sim, contacts[rubs])
             slips = _slips(speed, force[rubs], normal[rubs], mu[rubs] * pushed[rubs])
         return {keys[k]: slip for k, slip in zip(rubs, slips, strict=True)}
 
     def passing(self, sim: Sim, contacts: np.ndarray) -> np.ndarray:
-        """The velocity of geom 2 relative to geom 1 at each contact [m/s], (n, 3)."""
+        """Return the velocity of geom 2 relative to geom 1 at each contact [m/s], (n, 3)."""
         pos = contacts["pos"]
         first, second = ([self.body[g] for g in contacts[n].tolist()] for n in ("geom1", "geom2"))
         past: np.ndarray = self._speed(sim, pos, second) - self._speed(sim, pos, first)
         return past
 
     def movable(self, sim: Sim, contacts: np.ndarray) -> list[bool]:
-        """Whether some dof moves the two geoms of each contact along its normal."""
+        """Return for each contact whether any dof changes the gap along the normal."""
         place, result = sim.xpos, []
         for contact in contacts:
             point = np.zeros((3, len(sim.qvel)))
@@ -103,7 +104,7 @@ class Friction:
         return result
 
     def _speed(self, sim: Sim, points: np.ndarray, bodies: list[int]) -> np.ndarray:
-        """Velocities of points that are fixed to bodies [m/s], (n, 3)."""
+        """Return the velocities of points fixed to bodies [m/s], (n, 3)."""
         qvel, place = np.array(sim.qvel), sim.xpos
         still = np.zeros(6)
         twists = {
@@ -118,7 +119,11 @@ class Friction:
 def _slips(
     speed: np.ndarray, force: np.ndarray, normal: np.ndarray, most: np.ndarray
 ) -> list[Slip]:
-    """speed: of geom 2 past geom 1; force: on geom 2, (n, 3) each; most: μ × normal force."""
+    """Compute the slips of contacts.
+
+    speed: velocity of geom 2 relative to geom 1 [m/s], (n, 3). force: on geom 2 [N], (n, 3).
+    normal: unit normals, (n, 3). most: μ × normal force [N], (n,).
+    """
 
     def tangent(vector: np.ndarray) -> np.ndarray:
         along: np.ndarray = vector - np.einsum("ci,ci->c", vector, normal)[:, None] * normal
@@ -134,11 +139,12 @@ def _slips(
 
 
 def creep(slips: list[Slips], truth: list[Slips], mask: np.ndarray, sticks: float) -> float | None:
-    """The fastest slip in contacts that the reference holds [m/s]; None if it holds none.
+    """Return the fastest slip in contacts that stick in the reference [m/s]; None without any.
 
-    The reference holds a contact whose friction is below the share `sticks` of what the cone allows
-    at this sample and the last. slips: of one run, truth: of the reference, at the samples; mask:
-    samples that count.
+    A contact sticks in the reference if its friction is below the share `sticks` of μ × normal
+    force, at this sample and at the previous one.
+
+    slips: of one run, truth: of the reference; both at the samples. mask: the samples that count.
     """
     speeds = []
     for k in range(1, min(len(slips), len(truth))):
@@ -152,9 +158,11 @@ def creep(slips: list[Slips], truth: list[Slips], mask: np.ndarray, sticks: floa
 
 
 def anisotropy(slips: list[Slips]) -> float | None:
-    """The widest angle between friction and the direction against the slip of contacts that slide
-    [rad]; None where none does."""
-    # A contact that comes to rest within a step may move along its friction: it does not slide.
+    """Return the largest deviation of friction over all sliding contacts [rad]; None without any.
+
+    The deviation is the angle between friction and the direction opposite to the slip.
+    """
+    # A contact that comes to rest within a step can slip along its friction; it does not slide.
     every = [slip for sample in slips for slip in sample.values()]
     sliding = [slip for slip in every if slip.share > SLIDES and slip.deviation < np.pi / 2]
     fastest = max((slip.speed for slip in sliding), default=0.0)

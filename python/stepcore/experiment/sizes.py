@@ -1,4 +1,4 @@
-"""How large a scene, its geoms and its bodies are: the scale of errors, depths and gaps."""
+"""Sizes of scenes, geoms and bodies, as scales for errors, depths and gaps."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from stepcore.engine.model import Model
 from stepcore.experiment.run import Run
 from stepcore.scene.scene import Scene
 
-# Where nothing in a scene has a size [m].
+# The size of a scene in which nothing has a length [m].
 UNKNOWN = 1.0
 
 
 def scene_size(scene: Scene, runs: Sequence[Run] = ()) -> float:
-    """The size of a scene and of its motion [m]: where its bodies go in these runs, how long its
-    longest arm is and how thick its thickest geom. 1 where nothing of it has a length.
+    """Return the size of a scene and of its motion [m]; 1 if nothing in the scene has a length.
+
+    The size is the sum of the extent of the bodies' motion in the runs, the largest distance of a
+    body from its parent, and the largest half size of a geom.
     """
     gone = 0.0
     if runs:
@@ -31,9 +33,10 @@ def scene_size(scene: Scene, runs: Sequence[Run] = ()) -> float:
 class Sizes:
     """Lengths of a model's geoms and bodies [m].
 
-    thick: the smallest half size of each geom (a radius). reach: from the centre of each geom to
-    its furthest point. Both are inf of a plane and of a height field. bodies: the reach of a body's
-    largest geom; without one, its radius of gyration.
+    thick: the smallest half size of each geom (such as a radius).
+    reach: the distance from the centre of each geom to its furthest point. `thick` and `reach` of
+        planes and height fields are inf.
+    bodies: the reach of each body's largest geom, or its radius of gyration without geoms.
     """
 
     def __init__(self, model: Model) -> None:
@@ -49,13 +52,13 @@ class Sizes:
             self.bodies.append(max(reaches, default=gyration or UNKNOWN))
 
     def contact(self, geom1: int, geom2: int) -> float:
-        """The thickness that a depth between two geoms is compared with [m]."""
+        """Return the length scale for the depth of a contact between two geoms [m]."""
         least = min(self.thick[geom1], self.thick[geom2])
         return least if math.isfinite(least) else UNKNOWN
 
 
 def _half_sizes(kind: str, size: list[float]) -> tuple[float, float]:
-    """The smallest half size of a geom, and the distance to its furthest point."""
+    """Return the smallest half size of a geom, and the distance to its furthest point [m]."""
     if kind in ("plane", "hfield"):
         return math.inf, math.inf
     if kind == "sphere":
