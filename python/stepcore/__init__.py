@@ -84,9 +84,9 @@ if TYPE_CHECKING:
 
 vectors.choose(__path__)
 
-# Where each public name comes from. A module is imported when one of its names is first used, so
+# The module of each public name. A module is imported on the first use of one of its names, so
 # that a script that steps a scene does not wait for the measurements. Type checkers read the
-# block above; a test compares the two.
+# block above; a test compares the two lists.
 _MODULES = {
     "stepcore._core": "EnergyWarning Settings SimulationError",
     "stepcore.engine.batch": "Batch",

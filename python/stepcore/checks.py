@@ -1,7 +1,7 @@
-"""Checks of values that a user gives: they convert a value to its type, or say what is wrong.
+"""Checks of values that a user gives: they convert a value to its type, or raise an error.
 
-Each function here makes a *check*: it takes ``(owner, field, value)``, returns the value to
-store, and raises `ValueError` naming the element, the field, the value and the limit.
+A *check* takes ``(owner, field, value)`` and returns the value to store. It raises a `ValueError`
+that names the element, the field, the value and the limit.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ Check = Callable[[Any, str, Any], Any]
 
 # Below this length a direction or a quaternion has no meaning (MuJoCo's own threshold).
 TINY = 1e-14
-KNOWN = 10  # Where no name is near, so many of those that exist are listed.
-# No text of an error is longer, whatever a file or an argument holds [characters].
+KNOWN = 10  # Number of existing names that an error lists if no name is near.
+# Largest length of an error text, for any file or argument [characters].
 LONGEST = 1000
-# No name of an element is longer in an error, and no word or path [characters].
+# Largest length of a name, and of a word or path, in an error [characters].
 LONGEST_NAME, LONGEST_WORD = 80, 300
 
 
 def shown(value: object, width: int = 80) -> str:
-    """``repr`` of a value on one line, cut to `width` characters."""
+    """Return ``repr`` of a value on one line, cut to `width` characters."""
     return cut(" ".join(repr(value).split()), width)
 
 
 def cut(text: str, width: int = LONGEST) -> str:
-    """The text escaped as `printable` does and cut to `width` characters."""
+    """Return the text, escaped for one line and cut to `width` characters."""
     text = escapes.escaped(text[: width + 1])
     return text if len(text) <= width else text[: width - 1] + "…"
 
@@ -43,10 +43,10 @@ _WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def brief(text: str) -> str:
-    """The text of an error, at most `LONGEST` long, without the middle of long names and words.
+    """Return the text of an error without the middle of long names, at most `LONGEST` long.
 
-    The names in an error stand before what it says, so they are shortened first. Every error about
-    a file or an element passes through here.
+    Names come first in an error, so names are shortened before the text is cut. Every error about a
+    file or an element passes through this function.
     """
     return cut(_WORD.sub(_shortened, _NAME.sub(_shortened, text)))
 
@@ -58,22 +58,22 @@ def _shortened(match: re.Match[str]) -> str:
 
 
 def without_middle(word: str, width: int = LONGEST_WORD) -> str:
-    """A word of at most `width` characters: the middle of a longer one is left out."""
+    """Return a word of at most `width` characters, without the middle of a longer word."""
     half = width // 2
     return word if len(word) <= width else f"{word[: half - 1]}…{word[-half:]}"
 
 
 def quoted(name: str) -> str:
-    """A user's name in quotation marks, cut so that it fits into a sentence."""
+    """Return a user's name in quotation marks, cut to fit into a sentence."""
     return f'"{cut(name, 80)}"'
 
 
 def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
-    """'; nearest: "damping"', or, if none is near, the first `listed` known names."""
+    """Return '; nearest: "damping"', or the first `listed` known names if none is near."""
     names = [k for k in known if k]
-    # Letters count in either case, so that "rk4" is near "RK4".
+    # Case is ignored, so that "rk4" is near "RK4".
     folded = {k.lower(): k for k in reversed(names)}
-    # The time of the comparison grows with the square of the length.
+    # Cut, because the time of the comparison grows with the square of the length.
     matches = difflib.get_close_matches(cut(name, 200).lower(), folded, n=3, cutoff=0.5)
     close = [folded[k] for k in matches]
     if close:
@@ -85,14 +85,14 @@ def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
 
 
 def one_line(error: BaseException) -> str:
-    """The text of an error on one line without its full stop, for use within a sentence."""
+    """Return the text of an error on one line without a full stop, for use in a sentence."""
     return " ".join(str(error).split()).removesuffix(".") or type(error).__name__
 
 
 class KnownNames:
-    """Base of classes that refuse unknown attributes.
+    """Base class that raises AttributeError when an unknown attribute is assigned.
 
-    A misspelt name would be stored and never read; it is an AttributeError instead.
+    Without this check, a misspelt name would be stored and never read.
     """
 
     _attributes: tuple[str, ...] = ()
@@ -106,7 +106,7 @@ class KnownNames:
 
 
 class ElementError(ValueError):
-    """An error about one element of a scene, `owner`."""
+    """An error about an element of a scene, `owner`."""
 
     def __init__(self, owner: object, text: str) -> None:
         super().__init__(f"{cut(brief(str(owner)), 200)}: {brief(text)}")
@@ -118,17 +118,17 @@ class ElementError(ValueError):
 
 
 def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:
-    """The error about a field of an element."""
+    """Return the error for a bad value of a field; the caller raises it."""
     return ElementError(owner, f"{field} = {shown(value)}: must be {limit}")
 
 
 def number(value: object) -> float | None:
-    """`value` as a finite float, or None."""
+    """Return `value` as a finite float, or None."""
     if type(value) is float:
         return value if math.isfinite(value) else None
     if isinstance(value, (str, bytes, bool, complex)) or value is None:
         return None
-    # Of an array with entries, or a number of numpy's with an imaginary part, none is made.
+    # Arrays with dimensions and complex numpy numbers are refused.
     if getattr(value, "ndim", False) or getattr(getattr(value, "dtype", None), "kind", "") == "c":
         return None
     try:
@@ -138,11 +138,11 @@ def number(value: object) -> float | None:
     return result if math.isfinite(result) else None
 
 
-# Arguments of calls, which no element owns.
+# Arguments of calls.
 
 
 def count(name: str, value: object, least: int = 1, most: int = 10**9) -> int:
-    """`value` as a whole number from `least` to `most`."""
+    """Return `value` as a whole number from `least` to `most`; raise ValueError otherwise."""
     result = number(value)
     if result is None or result != int(result) or not least <= result <= most:
         beyond = result is not None and result > most
@@ -151,12 +151,12 @@ def count(name: str, value: object, least: int = 1, most: int = 10**9) -> int:
     return int(result)
 
 
-# Some 30 million years: a longer time is a mistake, and its square may overflow.
+# About 30 million years: a longer time is a mistake, and its square may overflow.
 LONGEST_TIME = 1e15
 
 
 def seconds(name: str, value: object) -> float:
-    """`value` as a time > 0 [s], at most `LONGEST_TIME`."""
+    """Return `value` as a time > 0 [s], at most `LONGEST_TIME`; raise ValueError otherwise."""
     result = number(value)
     if result is None or result <= 0:
         raise ValueError(f"{name} = {shown(value)}: must be a finite number of seconds > 0")
@@ -165,24 +165,24 @@ def seconds(name: str, value: object) -> float:
     return result
 
 
-# The most steps of a run: nobody waits for more, and each step is recorded.
+# Largest number of steps of a run: every step is recorded, and longer runs are mistakes.
 MOST_STEPS = 1e9
 
 
 def flag_of(name: str, value: object) -> bool:
-    """`value`, which must be True or False."""
+    """Return `value` as a bool; raise ValueError unless it is True or False."""
     if not _is_flag(value):
         raise ValueError(f"{name} = {shown(value)}: must be True or False")
     return bool(value)
 
 
 def _is_flag(value: object) -> bool:
-    # numpy's bool is not a Python bool, but it says so by its type's name.
+    # numpy's bool is no Python bool; the name of its type identifies it without numpy.
     return isinstance(value, bool) or type(value).__name__ in ("bool_", "bool")
 
 
 def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST_STEPS) -> None:
-    """Refuses a horizon [s] whose runs would have more than `most` steps."""
+    """Raise ValueError if runs over the horizon [s] need more than `most` steps in all."""
     total = horizon / dt * runs
     if not total <= most:
         raise ValueError(
@@ -192,14 +192,14 @@ def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST
 
 
 def word(name: str, value: object) -> str:
-    """`value`, which must be a string."""
+    """Return `value`; raise ValueError unless it is a string."""
     if not isinstance(value, str):
         raise ValueError(f"{name} = {shown(value)}: must be a string")
     return value
 
 
 def several(name: str, value: object) -> list[Any]:
-    """`value` as a list that is not empty; a text is not one."""
+    """Return `value` as a non-empty list; raise ValueError otherwise, also for a string."""
     entries = listed(value)
     if not entries:
         raise ValueError(f"{name} = {shown(value)}: must be a list of at least one value")
@@ -207,7 +207,7 @@ def several(name: str, value: object) -> list[Any]:
 
 
 def threads(value: object) -> int:
-    """`value` as a number of threads; None means one a core."""
+    """Return `value` as a number of threads; None means one thread per core."""
     return os.cpu_count() or 1 if value is None else count("threads", value)
 
 
@@ -215,7 +215,7 @@ def threads(value: object) -> int:
 
 
 def real(low: float = -math.inf, above: float = -math.inf, high: float = math.inf) -> Check:
-    """A finite number in [low, high] and greater than `above`."""
+    """Return a check for a finite number in [low, high] and greater than `above`."""
     bounds = []
     if low > -math.inf:
         bounds.append(f">= {low:g}")
@@ -235,7 +235,7 @@ def real(low: float = -math.inf, above: float = -math.inf, high: float = math.in
 
 
 def whole(low: int, high: int) -> Check:
-    """A whole number in [low, high]."""
+    """Return a check for a whole number in [low, high]."""
 
     def check(owner: Any, field: str, value: object) -> int:
         result = number(value)
@@ -247,7 +247,7 @@ def whole(low: int, high: int) -> Check:
 
 
 def one_of(*allowed: object) -> Check:
-    """One of a few values."""
+    """Return a check for one of these values."""
 
     def check(owner: Any, field: str, value: object) -> object:
         for candidate in allowed:
@@ -264,21 +264,21 @@ def one_of(*allowed: object) -> Check:
 
 
 def flag(owner: Any, field: str, value: object) -> bool:
-    """True or False; 0 and 1 are refused."""
+    """Check for True or False; 0 and 1 are refused."""
     if _is_flag(value):
         return bool(value)
     raise refuse(owner, field, value, "True or False")
 
 
 def text(owner: Any, field: str, value: object) -> str:
-    """A string."""
+    """Check for a string."""
     if not isinstance(value, str):
         raise refuse(owner, field, value, "a string")
     return value
 
 
 def listed(value: object) -> list[Any] | None:
-    """The entries of a sequence or a 1-d array, or None."""
+    """Return the entries of a sequence or an array, or None for other values."""
     if isinstance(value, (str, bytes, dict, set)) or value is None:
         return None
     try:
@@ -288,7 +288,7 @@ def listed(value: object) -> list[Any] | None:
 
 
 def all_numbers(entries: Iterable[object]) -> tuple[float, ...] | None:
-    """The entries as finite floats, or None if one is not."""
+    """Return the entries as finite floats, or None if an entry is no finite number."""
     result: list[float] = []
     for entry in entries:
         value = number(entry)
@@ -299,7 +299,7 @@ def all_numbers(entries: Iterable[object]) -> tuple[float, ...] | None:
 
 
 def vector(count: int, *, low: float = -math.inf, fill: tuple[float, ...] = ()) -> Check:
-    """`count` finite numbers >= `low`.
+    """Return a check for `count` finite numbers >= `low`.
 
     With `fill`, a single number or a shorter sequence is allowed; the rest comes from `fill`.
     """
@@ -322,7 +322,7 @@ def vector(count: int, *, low: float = -math.inf, fill: tuple[float, ...] = ()) 
 
 
 def numbers(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """Any number of finite numbers."""
+    """Check for a sequence of finite numbers of any length."""
     entries = listed(value)
     result = None if entries is None else all_numbers(entries)
     if result is None:
@@ -331,7 +331,7 @@ def numbers(owner: Any, field: str, value: object) -> tuple[float, ...]:
 
 
 def unit(count: int) -> Check:
-    """`count` finite numbers, not all zero, scaled to length 1."""
+    """Return a check for `count` finite numbers, not all zero; the result has length 1."""
     check_numbers = vector(count)
 
     def check(owner: Any, field: str, value: object) -> tuple[float, ...]:
@@ -339,7 +339,7 @@ def unit(count: int) -> Check:
         norm = math.hypot(*entries)
         if not TINY < norm < math.inf:
             raise refuse(owner, field, value, f"{count} finite numbers, not all zero")
-        # Leave a unit vector's bits alone, so that reading back what was written is exact.
+        # A unit vector stays bit-identical, so that writing and reading a scene is exact.
         if abs(norm - 1.0) <= 1e-15:
             return entries
         return tuple(entry / norm for entry in entries)
@@ -348,13 +348,13 @@ def unit(count: int) -> Check:
 
 
 def pose(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """A position and a quaternion, 7 finite numbers; the quaternion is scaled to length 1."""
+    """Check for a position and a quaternion, 7 finite numbers; normalise the quaternion."""
     entries: tuple[float, ...] = vector(7)(owner, field, value)
     return entries[:3] + tuple(unit(4)(owner, f"{field}[3:]", entries[3:]))
 
 
 def interval(owner: Any, field: str, value: object) -> tuple[float, float]:
-    """Two finite numbers, the first smaller."""
+    """Check for two finite numbers, the first smaller."""
     entries = listed(value)
     if entries is not None and len(entries) == 2:
         low, high = number(entries[0]), number(entries[1])
@@ -364,7 +364,7 @@ def interval(owner: Any, field: str, value: object) -> tuple[float, float]:
 
 
 def interval_or_zero(owner: Any, field: str, value: object) -> tuple[float, float]:
-    """Two finite numbers, the first smaller; or twice 0."""
+    """Check for two finite numbers, the first smaller, or (0, 0)."""
     entries = listed(value)
     if entries is not None and [number(entry) for entry in entries] == [0.0, 0.0]:
         return 0.0, 0.0
@@ -372,7 +372,7 @@ def interval_or_zero(owner: Any, field: str, value: object) -> tuple[float, floa
 
 
 def solref(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """Time constant [s] and damping ratio, both > 0; or -stiffness and -damping, both <= 0."""
+    """Check for time constant [s] and damping ratio > 0, or -stiffness and -damping <= 0."""
     result: tuple[float, ...] = vector(2)(owner, field, value)
     if (result[0] > 0) != (result[1] > 0):
         raise refuse(
@@ -385,7 +385,7 @@ def solref(owner: Any, field: str, value: object) -> tuple[float, ...]:
 
 
 def solreffriction(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """Time constant > 0 [s] and damping ratio >= 0; or -stiffness and -damping, both <= 0."""
+    """Check for time constant > 0 [s] and damping ratio >= 0, or -stiffness and -damping <= 0."""
     result: tuple[float, ...] = vector(2)(owner, field, value)
     if result[1] < 0 if result[0] > 0 else result[1] > 0:
         limit = "time constant > 0 and damping ratio >= 0, or -stiffness and -damping, both <= 0"
@@ -394,9 +394,10 @@ def solreffriction(owner: Any, field: str, value: object) -> tuple[float, ...]:
 
 
 def table(columns: int | None, *, whole: bool = False) -> Check:
-    """A read-only array of finite numbers in rows of `columns`; None: of any width.
+    """Return a check for an array of finite numbers, shape (n, columns); the result is read-only.
 
-    A flat sequence is cut into rows. whole: the numbers are indices, >= 0.
+    columns: None allows any width. A flat sequence is cut into rows.
+    whole: True requires indices, whole numbers >= 0.
     """
     what = "indices (whole numbers >= 0)" if whole else "finite numbers"
     limit = f"{what}, shape (n, {columns})" if columns else f"{what}, shape (rows, columns)"
@@ -416,7 +417,7 @@ def table(columns: int | None, *, whole: bool = False) -> Check:
         if not fits or not np.isfinite(array).all():
             raise refuse(owner, field, value, limit)
         if whole:
-            # Of 53 bits every whole number is exact.
+            # A float represents whole numbers exactly up to 53 bits.
             if (array != np.floor(array)).any() or (array < 0).any() or (array >= 2**53).any():
                 raise refuse(owner, field, value, limit)
             array = array.astype(np.uintp)
@@ -427,7 +428,7 @@ def table(columns: int | None, *, whole: bool = False) -> Check:
 
 
 def most_vertices(owner: Any, field: str, value: object) -> int:
-    """The most vertices of a convex hull; -1 is any number."""
+    """Check for the largest number of vertices of a convex hull; -1 means no limit."""
     result: int = whole(-1, 2**31 - 1)(owner, field, value)
     if -1 < result < 4:
         raise refuse(owner, field, value, "larger than 3, or -1 for any number")
@@ -435,7 +436,7 @@ def most_vertices(owner: Any, field: str, value: object) -> int:
 
 
 def optional(check: Check) -> Check:
-    """None, or what `check` takes."""
+    """Return a check that also allows None."""
 
     def check_optional(owner: Any, field: str, value: object) -> Any:
         return None if value is None else check(owner, field, value)
@@ -444,7 +445,7 @@ def optional(check: Check) -> Check:
 
 
 def element(*kinds: str) -> Check:
-    """A scene element of one of these classes."""
+    """Return a check for a scene element of one of these classes."""
 
     def check(owner: Any, field: str, value: object) -> object:
         if type(value).__name__ not in kinds:
@@ -455,7 +456,7 @@ def element(*kinds: str) -> Check:
 
 
 def whole_pair(owner: Any, field: str, value: object) -> tuple[int, ...]:
-    """Two whole numbers."""
+    """Check for two whole numbers."""
     entries = listed(value)
     if entries is None or len(entries) != 2:
         raise refuse(owner, field, value, "2 whole numbers")
@@ -464,7 +465,7 @@ def whole_pair(owner: Any, field: str, value: object) -> tuple[int, ...]:
 
 
 def inertia(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """xx yy zz xy xz yz, or the first three alone, which must be >= 0."""
+    """Check for an inertia, xx yy zz xy xz yz or xx yy zz alone, with xx, yy, zz >= 0."""
     entries = listed(value)
     result = None if entries is None or len(entries) not in (3, 6) else all_numbers(entries)
     if result is None or min(result[:3]) < 0:
@@ -474,7 +475,7 @@ def inertia(owner: Any, field: str, value: object) -> tuple[float, ...]:
 
 
 def function(*arguments: str) -> Check:
-    """A function that can be called with these arguments."""
+    """Return a check for a function that can be called with these arguments."""
     limit = f"a function of ({', '.join(arguments)})"
 
     def check(owner: Any, field: str, value: object) -> object:
@@ -485,7 +486,7 @@ def function(*arguments: str) -> Check:
         except TypeError:
             raise refuse(owner, field, value, limit) from None
         except ValueError:
-            # Some functions written in C have no signature.
+            # Some functions written in C have no signature, so they are accepted.
             pass
         return value
 
@@ -493,7 +494,7 @@ def function(*arguments: str) -> Check:
 
 
 def progress(owner: Any, value: object) -> None:
-    """Checks the argument `progress`."""
+    """Raise ElementError unless `value` is a valid argument `progress`."""
     if not (value is None or isinstance(value, bool) or callable(value)):
         raise refuse(owner, "progress", value, "True, False, None or a function")
     if callable(value):

@@ -1,8 +1,8 @@
-"""Runs a function at many points: in threads of this process, or in a user's executor.
+"""Run a function at many points, in threads of this process or in a user's executor.
 
 `Executor.map(chunksize=…)` would be shorter, but it reports no progress, ignores `chunksize` for
-threads and for Dask, and gives up all results when one worker is lost. So points are submitted
-here, in chunks: the function, with its model, is then sent once for many points.
+threads and for Dask, and loses all results when one worker is lost. This module therefore submits
+the points in chunks, so that the function with its model is sent once for many points.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 R = TypeVar("R")
 
-# Points go to an executor in at most so many chunks: enough for dozens of workers to end together,
-# for progress that moves, and for little to be done again when a worker is lost. (How many workers
-# there are, no executor tells.)
+# Largest number of chunks: enough that dozens of workers finish together, progress is reported
+# often, and little is repeated when a worker is lost. (Executors do not report their number of
+# workers.)
 MAX_CHUNKS = 512
-# A long run of steps looks this often whether it should stop.
+# Number of steps between two checkpoints of a long run.
 STEPS_PER_CHECK = 1000
-# How often a point is tried again whose worker was lost.
+# Number of retries of a point whose worker was lost.
 MAX_RETRIES = 3
 
 _thread = threading.local()
@@ -52,14 +52,18 @@ def each(
     threads: int = 1,
     executor: Executor | None = None,
 ) -> list[R]:
-    """The results of `function` in the order of the points; the bar advances as they come.
+    """Return the results of `function` in the order of the points.
 
-    executor: any `concurrent.futures` executor, used in place of threads and left open. If it uses
-        processes, function and points must pickle (a function of a module, or a
-        `functools.partial` of one).
+    function: called with each point.
+    points: the arguments of the calls.
+    bar: the progress bar, which advances with each result.
+    threads: number of threads.
+    executor: any `concurrent.futures` executor, used in place of threads and left open. An executor
+        of processes needs a function and points that pickle (a function of a module, or a
+        `functools.partial` of such a function).
 
-    The first error is raised, and points that have not begun are cancelled, as after Ctrl-C. A
-    point whose worker was lost (on a Dask cluster) is tried again by itself.
+    The first error is raised. After an error or Ctrl-C, points that have not begun are cancelled. A
+    point whose worker was lost (on a Dask cluster) is retried alone.
 
     Raises ValueError for work that cannot be sent to processes, and RuntimeError if processes die
     and are not replaced.
@@ -84,12 +88,12 @@ def each(
         try:
             return _Chunks(unless_stopped, points, pool, 1, bar).results()
         finally:
-            # Points that have begun end at their next checkpoint.
+            # Running points end at their next checkpoint.
             stop.set()
 
 
 class _Chunks(Generic[T, R]):
-    """Chunks of points that an executor works on, by the future that will have their results."""
+    """The chunks of points that were submitted to an executor, by future."""
 
     def __init__(
         self,
@@ -108,7 +112,7 @@ class _Chunks(Generic[T, R]):
         self.losses: dict[int, int] = {}
 
     def results(self) -> list[R]:
-        """All results; whatever ends this early cancels the chunks that have not begun."""
+        """Return all results; on any exception, cancel the chunks that have not begun."""
         total = len(self.points)
         try:
             for first in range(0, total, self.size or 1):
@@ -131,7 +135,7 @@ class _Chunks(Generic[T, R]):
 
     def _submit(self, indices: range, attempt: int = 0) -> None:
         chunk = [self.points[i] for i in indices]
-        # Dask takes two submissions with equal arguments for one; the key tells them apart.
+        # Dask merges submissions with equal arguments; the key keeps them apart.
         key = f"{self.key} {attempt}"
         work = _run_chunk if isinstance(self.executor, ThreadPoolExecutor) else _run_sent_chunk
         future = self.executor.submit(work, self.function, chunk, key)
@@ -150,7 +154,7 @@ class _Chunks(Generic[T, R]):
         self.bar.advance(len(indices))
 
     def _retry(self, indices: range, error: Exception) -> None:
-        """Submits each point by itself, so that one that kills its worker is identified."""
+        """Submit each point alone, so that a point that kills its worker is identified."""
         for i in indices:
             self.losses[i] = self.losses.get(i, 0) + 1
             if self.losses[i] > MAX_RETRIES:
@@ -162,12 +166,12 @@ class _Chunks(Generic[T, R]):
 
 
 def _run_chunk(function: Callable[[T], R], points: Sequence[T], key: str) -> list[R]:
-    """What a worker does with a chunk."""
+    """Return the results for the points of a chunk; a worker runs this."""
     return [function(point) for point in points]
 
 
 def _run_sent_chunk(function: Callable[[T], R], points: Sequence[T], key: str) -> list[R]:
-    """The same in another process, whose errors must come back: what cannot keeps its text."""
+    """Run a chunk in another process; replace an error that does not pickle by its text."""
     try:
         return _run_chunk(function, points, key)
     except Exception as error:
@@ -180,29 +184,36 @@ def _run_sent_chunk(function: Callable[[T], R], points: Sequence[T], key: str) -
 
 
 def checkpoint() -> None:
-    """Called by long work: ends it if the work of other threads has failed or was interrupted."""
+    """Raise CancelledError if another thread has failed or the work was interrupted.
+
+    Long work calls this function from time to time.
+    """
     stop = getattr(_thread, "stop", None)
     if stop is not None and stop.is_set():
         raise CancelledError
 
 
 def steps(sim: Sim, n: int) -> None:
-    """`sim.step(n)` with checkpoints."""
+    """Call `sim.step(n)` with checkpoints."""
     for done in range(0, n, STEPS_PER_CHECK):
         checkpoint()
         sim.step(min(STEPS_PER_CHECK, n - done))
 
 
 def _worker_was_lost(error: Exception) -> bool:
-    """Whether a Dask cluster lost the worker; Dask is no dependency, but has raised the error."""
+    """Return whether the error says that a Dask cluster lost the worker."""
+    # Dask is no dependency, but it is imported if it raised the error.
     dask = sys.modules.get("distributed")
     killed = dask is not None and isinstance(error, dask.KilledWorker)
     return killed or isinstance(error, CancelledError) or _was_lost_on_the_way(error)
 
 
 def _was_lost_on_the_way(error: Exception) -> bool:
-    """Whether a worker died while Dask fetched its result: Dask's executor then unpacks an answer
-    that it has not got. An error of the work itself is raised elsewhere."""
+    """Return whether a worker died while Dask fetched its result.
+
+    Dask's executor then raises a ValueError of its own when it unpacks the missing answer. An error
+    of the work itself comes from another module.
+    """
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -211,7 +222,7 @@ def _was_lost_on_the_way(error: Exception) -> bool:
 
 
 def _check_sendable(function: Callable[[T], R], points: Sequence[T], executor: Executor) -> None:
-    """A ValueError in plain words for what a pool of processes would fail on later."""
+    """Raise ValueError, with a cure, for work that cannot be pickled for a pool of processes."""
     if not isinstance(executor, ProcessPoolExecutor) or not points:
         return
     try:
@@ -224,6 +235,6 @@ def _check_sendable(function: Callable[[T], R], points: Sequence[T], executor: E
 
 
 def check_executor(owner: str, executor: object) -> None:
-    """ValueError for an object that takes no work."""
+    """Raise ValueError for an object without `submit`."""
     if executor is not None and not hasattr(executor, "submit"):
         raise checks.refuse(owner, "executor", executor, "a concurrent.futures executor")

@@ -1,4 +1,4 @@
-"""Reads the files that a user or a model names: regular ones of a bounded size, without waiting."""
+"""Read files that a user or a model names: regular files of bounded size, without blocking."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import stat
 
 from stepcore import checks
 
-# No model and no replay is larger [bytes]; a file that is would fill the memory.
+# Largest file [bytes]. No model or replay is larger, and a larger file could fill the memory.
 LARGEST = 2**28
 
-# Files that the command which runs will write, as (device, inode): none of them is read.
+# Outputs of the running command, as (device, inode): reading them is refused.
 outputs: set[tuple[int, int]] = set()
 
 
 def path(name: str, value: object) -> str:
-    """`value` as the path of a file: a string, or what stands for one."""
+    """Return `value` as the path of a file; raise ValueError if it is no path."""
     if isinstance(value, (str, bytes, os.PathLike)):
         try:
             text = os.fsdecode(value)
@@ -27,23 +27,23 @@ def path(name: str, value: object) -> str:
 
 
 def read(path: str | os.PathLike[str], expected: str) -> bytes:
-    """Reads a regular file of at most `LARGEST` bytes.
+    """Return the bytes of a regular file of at most `LARGEST` bytes.
 
-    expected: what it should be, such as "an MJCF file".
+    expected: the expected kind of file in errors, such as "an MJCF file".
 
-    An error in one line names the file: FileNotFoundError, IsADirectoryError; ValueError for a
-    device, a pipe or a socket, which are not opened, for a file that is too large, and for one that
-    cannot be read.
+    Raises FileNotFoundError, IsADirectoryError, and ValueError for a device, a pipe or a socket
+    (none is opened), for a file that is too large and for a file that cannot be read. The text is
+    one line that names the file.
     """
     name = os.fsdecode(path)
     called = checks.cut(checks.without_middle(name))
     if "\0" in name:
         raise ValueError(f"{checks.shown(name)}: cannot be read: no file has a NUL in its name")
     try:
-        # Before it is opened, because some devices act on that.
+        # Checked before opening, because opening triggers an action of some devices.
         _readable(os.stat(name), called, expected)
         with open(name, "rb", opener=_without_waiting) as file:
-            # No more than it says that it has: files of the system that wait for news have 0.
+            # At most the reported size: system files that block until there is news report 0.
             return file.read(_readable(os.fstat(file.fileno()), called, expected))
     except FileNotFoundError:
         raise FileNotFoundError(f"{called}: no such file") from None
@@ -54,7 +54,7 @@ def read(path: str | os.PathLike[str], expected: str) -> bytes:
 
 
 def _readable(status: os.stat_result, name: str, expected: str) -> int:
-    """The size of a file that is read [bytes]."""
+    """Return the size of a file [bytes]; raise if the file must not be read."""
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError
     if not stat.S_ISREG(status.st_mode):
@@ -68,5 +68,5 @@ def _readable(status: os.stat_result, name: str, expected: str) -> int:
 
 
 def _without_waiting(name: str, flags: int) -> int:
-    """Opens a file; one that has become a pipe in the meantime does not wait for its writer."""
+    """Open a file; do not wait for a writer if the file has become a pipe in the meantime."""
     return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))

@@ -1,4 +1,4 @@
-"""Finds a scene by file, model of a package, scene of the lesson, or model of MuJoCo."""
+"""Find a scene by file, model of a package, scene of the lesson, or MuJoCo model."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ if TYPE_CHECKING:
 
 # Folders of a package that hold models for its own tests only.
 TESTS = {"test", "tests", "testing", "test_assets"}
-# Packages whose models the pages name.
+# Packages with models that the documentation mentions.
 WITH_MODELS = ("gymnasium", "dm_control")
 LESSON = ("spring", "drop", "stack", "grasp")
 
 
 def find_scene(source: Any, without: Iterable[str] = (), fuse: bool | None = None) -> Scene:
-    """The scene that `source` names; without, fuse: see `stepcore.load`.
+    """Return the scene that `source` names.
 
-    "lesson:stack" is one of the lesson's scenes. "package:name" is the MJCF file name.xml among
-    the files of an installed package, such as "gymnasium:half_cheetah"; the package is found but
-    not imported. If several files have this name, give more of the path: "package:folder/name".
-    Files in a folder of tests count only if there is no other. An MjModel or an MjSpec is read from
-    its XML. Anything else is the path of an MJCF file.
+    source: "lesson:stack" is a scene of the lesson. "package:name" is the MJCF file name.xml among
+        the files of an installed package, such as "gymnasium:half_cheetah"; the package is not
+        imported. If several files have this name, give more of the path: "package:folder/name".
+        Files in a folder of tests count only if there are no others. An MjModel or an MjSpec is
+        read from its XML. Every other source is the path of an MJCF file.
+    without, fuse: see `stepcore.load`.
 
     Raises ValueError for a name that does not exist, and what `stepcore.load` raises for a path.
     """
@@ -50,7 +51,7 @@ def find_scene(source: Any, without: Iterable[str] = (), fuse: bool | None = Non
 
 
 def find_model(source: Any) -> Model:
-    """The compiled model of a Model, a Scene, or whatever `find_scene` knows.
+    """Return the compiled model of a Model, a Scene or a source that `find_scene` accepts.
 
     Raises ValueError for anything else.
     """
@@ -62,7 +63,7 @@ def find_model(source: Any) -> Model:
 
 
 def find_asset(package: str, name: str) -> Path:
-    """The MJCF file called `name` among a package's files; the package is not imported."""
+    """Return the MJCF file with this name among a package's files, without importing it."""
     if not package.isidentifier():
         raise ValueError(brief(f"{package}:{name}: '{package}' is not the name of a package"))
     spec = importlib.util.find_spec(package)
@@ -95,7 +96,7 @@ def _read(path: str | Path, without: Iterable[str], fuse: bool | None) -> Scene:
 
 
 def _is_name(text: str) -> bool:
-    """Whether this is "package:name" and not a path; one letter before a colon is a drive."""
+    """Return whether this is "package:name", not a path; "C:" is a drive."""
     package, colon, _ = text.partition(":")
     return bool(colon) and len(package) != 1 and not os.path.exists(text)
 

@@ -1,5 +1,4 @@
-"""`load` and `loads`: scenes from MJCF, URDF or MuJoCo, with a warning if their time step is hardly
-stable."""
+"""`load` and `loads` read scenes from MJCF, URDF or MuJoCo, and warn of a barely stable dt."""
 
 from __future__ import annotations
 
@@ -24,34 +23,33 @@ def load(
     without: Iterable[str] = (),
     fuse: bool | None = None,
 ) -> Scene:
-    """Reads a scene from an MJCF or a URDF file, or from a model or a spec of MuJoCo's.
+    """Read a scene from an MJCF or a URDF file, or from an MjModel or an MjSpec of MuJoCo.
 
-    A URDF becomes the scene that MuJoCo makes of it: its root link stands on the world, efforts
-    clamp what actuators put on joints, mimic joints are joint equalities, visuals are never read,
-    and a link on a fixed joint is part of the body that it is fixed to.
+    A URDF gives the same scene as in MuJoCo: the root link is fixed to the world, efforts clamp the
+    actuator forces on joints, mimic joints become joint equalities, visuals are not read, and a
+    link on a fixed joint is merged into its parent body.
 
     path: the path of a file, "package:name" for a model among the files of an installed package
         (such as "gymnasium:ant"), or "lesson:name" for a scene of the lesson. The file's
         ``<option>`` becomes ``scene.settings``. Angles become radians and orientations unit
         quaternions; default classes, includes and frames are resolved.
-        An `mujoco.MjSpec` is read from the XML that MuJoCo writes of it, with all digits of its
-        numbers, and so is an `mujoco.MjModel` with the values that its arrays have now; but MuJoCo
-        keeps the XML only of the model that it loaded last from a file or a text, and any other
-        MjModel is a ValueError.
-    without: kinds of things that are left out of the file on purpose, with all that refers to
+        An `mujoco.MjSpec` is read from the XML that MuJoCo writes, with all digits of its numbers.
+        An `mujoco.MjModel` is read in the same way, with the present values of its arrays. MuJoCo
+        keeps the XML only of the model that was loaded last from a file or a text; every other
+        MjModel raises a ValueError.
+    without: kinds of elements that are left out of the file on purpose, with all references to
         them: an element ("weld", "actuator/muscle"), an attribute ("geom/surfacevel"), a section
         ("contact", "tendon", "equality", "actuator", "sensor", "keyframe"), "flex" or "plugin".
-        `Scene.notes` says what that changes, and every result that of the scene it ran.
-    fuse: whether bodies that nothing moves against their parent become part of it, as by MJCF's
-        ``fusestatic``; by default as the file says, which for a URDF without a word about it is
-        True. False keeps every link a body with a name, and the root link one that a free joint
-        can set free. `Scene.fused` says what became of which name.
+        `Scene.notes` lists the consequences. Every result states that its scene is reduced.
+    fuse: True merges bodies without joints into their parents, as MJCF's ``fusestatic`` does. None
+        takes the value of the file; for a URDF that gives no value, True. False keeps every link as
+        a named body; a free joint can then be added to the root link. `Scene.fused` maps the name
+        of each merged body to the body that contains it.
 
-    Raises FileNotFoundError if there is no such file, IsADirectoryError for a folder, ValueError
-    for a name or a kind that does not exist, and MJCFError (a ValueError whose text begins with
-    ``file:line:``, with a line for each thing that is wrong or not built yet) for a file that
-    cannot be read. Warns (`StiffnessWarning`) if the scene's own time step has a stability margin
-    below 2.
+    Raises FileNotFoundError for a missing file, IsADirectoryError for a folder, ValueError for an
+    unknown name or kind, and MJCFError for a file that cannot be read. MJCFError is a ValueError;
+    its text begins with ``file:line:`` and has a line for each error or unsupported feature. Warns
+    (`StiffnessWarning`) if the scene's own time step has a stability margin below 2.
 
     >>> load("lesson:stack").compile().nv
     2
@@ -72,10 +70,12 @@ def loads(
     without: Iterable[str] = (),
     fuse: bool | None = None,
 ) -> Scene:
-    """Reads a scene from a text in MJCF or URDF.
+    """Read a scene from a text in MJCF or URDF.
 
-    text: the XML. base: the folder in which its includes are looked for. name: what error
-        messages call the text. without, fuse: see `load`.
+    text: the XML.
+    base: the folder of included files.
+    name: the name of the text in error messages.
+    without, fuse: see `load`.
 
     Raises and warns as `load` does.
 

@@ -1,4 +1,4 @@
-"""Signatures of calls that take the fields of something as keywords, spelled out for `help`."""
+"""Signatures with ``**fields`` written out as single keywords, for `help` and editors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class SettingsFields(TypedDict, total=False):
-    """Single fields of `Settings`, in place of those of the scene."""
+    """Single fields of `Settings` that replace those of the scene."""
 
     dt: float
     integrator: str
@@ -43,33 +43,35 @@ class SettingsFields(TypedDict, total=False):
 
 
 class UnknownArgument(TypeError, ValueError):
-    """An unknown argument: a TypeError, as Python raises, and a ValueError, as every error about an
-    argument here."""
+    """An error about an unknown argument.
+
+    It is a TypeError, as in Python, and a ValueError, as all errors about arguments in stepcore.
+    """
 
 
 class _AsInScene:
-    """The default of a settings field: the value that the scene has."""
+    """The default of a settings field in a signature: the scene's value."""
 
     def __repr__(self) -> str:
         return "<the scene's>"
 
 
 class _Annotation(str):
-    """An annotation that is shown without quotation marks."""
+    """An annotation that `help` shows without quotation marks."""
 
     def __repr__(self) -> str:
         return str(self)
 
 
 def keyword(name: str, default: object, annotation: object) -> inspect.Parameter:
-    """A keyword argument of a signature."""
+    """Return a keyword argument of a signature."""
     return inspect.Parameter(
         name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
     )
 
 
 def spell_out(function: F, keywords: Iterable[inspect.Parameter]) -> F:
-    """Lists `keywords` in the signature of a function in place of its ``**fields``."""
+    """Replace ``**fields`` by `keywords` in the signature of a function."""
     own = inspect.signature(function).parameters.values()
     listed = [p for p in own if p.kind is not inspect.Parameter.VAR_KEYWORD]
     plain = [_plain(parameter) for parameter in (*listed, *keywords)]
@@ -83,13 +85,13 @@ def spell_out(function: F, keywords: Iterable[inspect.Parameter]) -> F:
 
 
 def takes_settings(function: F) -> F:
-    """Decorator: the function takes each field of `Settings` as a keyword argument."""
+    """Decorate a function: its signature lists each field of `Settings` as a keyword."""
     fields = SettingsFields.__annotations__.items()
     return spell_out(function, [keyword(name, _AsInScene(), _text(hint)) for name, hint in fields])
 
 
 def refuse_unknown(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
-    """Raises UnknownArgument for an argument that `call` does not have, naming the nearest."""
+    """Raise UnknownArgument, with the nearest names, for an argument that `call` lacks."""
     takes = inspect.signature(call).parameters if given else {}
     for word in given:
         if word not in takes:
@@ -104,5 +106,5 @@ def _plain(parameter: inspect.Parameter) -> inspect.Parameter:
 
 
 def _text(hint: Any) -> Any:
-    """The text of an annotation of a TypedDict, which is kept as a ForwardRef."""
+    """Return the text of an annotation of a TypedDict, which Python stores as a ForwardRef."""
     return getattr(hint, "__forward_arg__", hint)

@@ -1,8 +1,8 @@
-"""Which compiled module is loaded: that with the widest vector instructions of this processor.
+"""Select the compiled module with the widest vector instructions of this processor.
 
-A wheel for x86-64 has the module twice: beside the other files for every processor, and in a
-folder of its own for those with AVX2. Both give the same bits. The environment variable
-`STEPCORE_VECTORS` forces one.
+A wheel for x86-64 contains two modules: one in the package for every processor, and one in a
+subfolder for processors with AVX2. Both give bit-identical results. The environment variable
+`STEPCORE_VECTORS` overrides the selection.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ BASELINE = "baseline"
 
 
 def choose(path: list[str]) -> None:
-    """Lets `import stepcore._core` find the widest; `path` is the package's `__path__`.
+    """Change `path`, so that `import stepcore._core` loads the widest module.
 
-    Raises an ImportError if STEPCORE_VECTORS names none of `levels()`.
+    path: the package's `__path__`.
+
+    Raises ImportError if STEPCORE_VECTORS names none of `levels()`.
     """
     name = os.environ.get(VARIABLE) or next(iter(levels()))
     if name not in levels():
@@ -30,8 +32,7 @@ def choose(path: list[str]) -> None:
 
 
 def levels() -> dict[str, str]:
-    """What this installation has and this processor can run, the widest first: names, and the
-    folder of each one's module."""
+    """Return name and folder of each installed module that this processor can run, widest first."""
     package = os.path.dirname(__file__)
     wider = {name: os.path.join(package, f"_{name}") for name in _RUNS}
     there = {name: own for name, own in wider.items() if os.path.isdir(own) and _RUNS[name]()}
@@ -39,7 +40,7 @@ def levels() -> dict[str, str]:
 
 
 def _has_avx2() -> bool:
-    """The processor has AVX2, and the operating system lets programs use it."""
+    """Return whether the processor has AVX2 and the operating system allows its use."""
     if sys.platform == "linux":
         return "avx2" in _flags()
     import ctypes
@@ -56,14 +57,14 @@ def _has_avx2() -> bool:
 
 
 def _flags() -> list[str]:
-    """The processor features that Linux reports."""
+    """Return the processor features that Linux reports."""
     try:
-        # Written while it is read, and one processor is enough.
+        # Read line by line: Linux generates the file on reading, and one processor is enough.
         with open("/proc/cpuinfo", encoding="ascii", errors="replace") as facts:
             return next((line for line in facts if line.startswith("flags")), "").split()
     except OSError:
         return []
 
 
-# The widest first; what is not here is the baseline.
+# The modules apart from the baseline, widest first, with a test of the processor.
 _RUNS: dict[str, Callable[[], bool]] = {"avx2": _has_avx2}

@@ -1,1 +1,1 @@
-"""What people write: elements, frames, layout, checked values."""
+"""Scenes: elements with checked fields, poses, and the order of elements in the model."""

@@ -1,4 +1,4 @@
-"""Checks of what concerns several fields or elements of a scene."""
+"""Check conditions that involve several fields or elements of a scene."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ SIZE_WORDS = {
 
 
 def _is_root(layout: Layout, body: Body) -> bool:
-    """Whether this body is the root of a tree."""
+    """Return whether this body is the root of a tree."""
     return layout.moving(body) and not layout.moving(body.parent)
 
 
 def check(layout: Layout) -> None:
-    """Checks what concerns several fields or elements; a ValueError names the element."""
+    """Raise ValueError, naming the element, if fields or elements contradict each other."""
     scene = layout.scene
     world = layout.bodies[0]
     if (world.pos, world.quat) != (ORIGIN, IDENTITY) or id(world) in layout.joints_of:
@@ -127,7 +127,7 @@ def _check_fixed(tendon: Tendon) -> None:
 
 
 def _check_spatial(tendon: Tendon) -> None:
-    """Every branch runs from site to site, with at most one geom between two sites."""
+    """Raise unless every branch begins and ends with a site and has sites between geoms."""
     branches: list[list[Stop]] = [[]]
     for at, stop in enumerate(tendon.path):
         if isinstance(stop, Share):
@@ -153,7 +153,7 @@ def _check_spatial(tendon: Tendon) -> None:
 
 
 def _check_asset(layout: Layout, geom: Geom) -> None:
-    """What a geom refers to is in the scene and fits its type."""
+    """Raise unless a geom's mesh and height field are in the scene and fit the geom's type."""
     listed: tuple[tuple[str, Any, bool, bool], ...] = (
         ("mesh", geom.mesh, geom.type == "mesh", geom.type in ("plane", "hfield")),
         ("hfield", geom.hfield, geom.type == "hfield", geom.type != "hfield"),

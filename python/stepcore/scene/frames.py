@@ -1,4 +1,4 @@
-"""Poses: the quaternion formulas that describing a scene needs (w x y z, right-handed)."""
+"""Poses: quaternion formulas for describing a scene (w x y z, right-handed)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def cross(a: Sequence[float], b: Sequence[float]) -> Vec:
 
 
 def normalised(v: Sequence[float], what: str) -> Vec:
-    """`v` scaled to length 1; a ValueError that names `what` if `v` is too short."""
+    """Return `v` scaled to length 1; raise ValueError, naming `what`, if `v` is too short."""
     norm = math.hypot(*v)
     if not TINY < norm < math.inf:
         raise ValueError(f"{what} is too short to give a direction")
@@ -29,7 +29,7 @@ def normalised(v: Sequence[float], what: str) -> Vec:
 
 
 def product(a: Sequence[float], b: Sequence[float]) -> Vec:
-    """The quaternion of the rotation by `b` followed by the one by `a`."""
+    """Return the quaternion of the rotation by `b` followed by the rotation by `a`."""
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -39,7 +39,7 @@ def product(a: Sequence[float], b: Sequence[float]) -> Vec:
 
 
 def rotated(quat: Sequence[float], v: Sequence[float]) -> Vec:
-    """`v` rotated by a unit quaternion."""
+    """Return `v` rotated by a unit quaternion."""
     if tuple(quat) == IDENTITY:
         return tuple(v)
     # v + 2 w (u × v) + 2 u × (u × v), with quat = (w, u)
@@ -49,20 +49,20 @@ def rotated(quat: Sequence[float], v: Sequence[float]) -> Vec:
 
 
 def matrix(quat: Sequence[float]) -> tuple[Vec, Vec, Vec]:
-    """The rotation matrix of a unit quaternion, as three rows."""
+    """Return the rotation matrix of a unit quaternion, as three rows."""
     columns = [rotated(quat, axis) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1))]
     return tuple(zip(*columns, strict=True))  # type: ignore[return-value]
 
 
 def from_axis_angle(axis: Sequence[float], angle: float) -> Vec:
-    """The rotation by `angle` [rad] about `axis`, which need not have unit length."""
+    """Return the rotation by `angle` [rad] about `axis`, a vector of any length."""
     u = normalised(axis, "the axis")
     s = math.sin(angle / 2)
     return (math.cos(angle / 2), s * u[0], s * u[1], s * u[2])
 
 
 def from_z_axis(z: Sequence[float]) -> Vec:
-    """The smallest rotation that takes the z axis to `z` (half a turn about x if `z` is -z)."""
+    """Return the smallest rotation of the z axis to `z` (half a turn about x for -z)."""
     u = normalised(z, "the z axis")
     axis = (-u[1], u[0], 0.0)
     norm = math.hypot(*axis)
@@ -76,7 +76,7 @@ def from_z_axis(z: Sequence[float]) -> Vec:
 
 
 def from_xy_axes(x: Sequence[float], y: Sequence[float]) -> Vec:
-    """The frame whose x axis is `x` and whose y axis is `y`, made perpendicular to it."""
+    """Return the frame with x axis `x` and with y axis `y`, made perpendicular to `x`."""
     u = normalised(x, "the x axis")
     along = sum(a * b for a, b in zip(u, y, strict=True))
     v = normalised([b - along * a for a, b in zip(u, y, strict=True)], "the y axis")
@@ -85,7 +85,7 @@ def from_xy_axes(x: Sequence[float], y: Sequence[float]) -> Vec:
 
 
 def _from_axes(x: Vec, y: Vec, z: Vec) -> Vec:
-    """The quaternion of the rotation with these columns, by its largest component."""
+    """Return the quaternion of the rotation with these columns, from its largest component."""
     trace = x[0] + y[1] + z[2]
     if trace > 0:
         w = 0.5 * math.sqrt(1 + trace)
@@ -101,9 +101,9 @@ def _from_axes(x: Vec, y: Vec, z: Vec) -> Vec:
 
 
 def from_euler(angles: Sequence[float], sequence: str = "xyz") -> Vec:
-    """Three rotations [rad] in `sequence`.
+    """Return the product of three rotations by `angles` [rad] about the axes in `sequence`.
 
-    Small letters are intrinsic (about axes that rotate along), capitals extrinsic (fixed axes).
+    Small letters are intrinsic (about rotated axes), capitals extrinsic (about fixed axes).
     """
     quat = IDENTITY
     for angle, letter in zip(angles, sequence, strict=True):
@@ -117,14 +117,14 @@ def from_euler(angles: Sequence[float], sequence: str = "xyz") -> Vec:
 def composed(
     outer: tuple[Sequence[float], Sequence[float]], pos: Sequence[float], quat: Sequence[float]
 ) -> tuple[Vec, Vec]:
-    """The pose (`pos`, `quat`) in a frame, expressed where that frame has the pose `outer`."""
+    """Return the pose (`pos`, `quat`), given in the frame `outer`, in the parent of `outer`."""
     offset, turn = outer
     moved = tuple(a + b for a, b in zip(offset, rotated(turn, pos), strict=True))
     return moved, product(turn, quat)
 
 
 def from_to(kind: str, ends: Sequence[float], radius: float) -> tuple[Vec, Vec, Vec]:
-    """(size, pos, quat) of a capsule, cylinder, box or ellipsoid stretched between two points.
+    """Return (size, pos, quat) of a capsule, cylinder, box or ellipsoid between two points.
 
     The geom's z axis points from the second point to the first, as MuJoCo compiles it.
     """
@@ -142,7 +142,7 @@ def from_to(kind: str, ends: Sequence[float], radius: float) -> tuple[Vec, Vec, 
 
 
 def turned_inertia(quat: Sequence[float], inertia: Sequence[float]) -> Vec:
-    """An inertia (xx yy zz xy xz yz) given in a frame rotated by `quat`, in the outer axes."""
+    """Return an inertia (xx yy zz xy xz yz), given in a frame rotated by `quat`, in outer axes."""
     if tuple(quat) == IDENTITY:
         return tuple(inertia)
     xx, yy, zz, xy, xz, yz = inertia

@@ -1,7 +1,7 @@
-"""Readers of height-field files: MuJoCo's binary format, and PNG images (with pillow).
+"""Read height-field files: MuJoCo's binary format, and PNG images (with pillow).
 
-Each takes the bytes of a file and returns heights, shape (rows, columns), the first row at the
-largest y. Anything that is not what the format says is a ValueError.
+Each reader takes the bytes of a file and returns heights, shape (rows, columns), with the first row
+at the largest y. Violations of the format raise ValueError.
 """
 
 from __future__ import annotations
@@ -19,15 +19,18 @@ from numpy.typing import NDArray
 from stepcore import checks, files
 
 CONTENT = {"image/png": True, "image/vnd.mujoco.hfield": False}
-# No field has more points: 128 MiB of double precision.
+# Largest number of points: 128 MiB in double precision.
 MOST = 2**24
 
 
 def read(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
-    """Reads a height field: an image if its name ends with .png, or its content type says so.
+    """Return the heights of a file, shape (rows, columns).
+
+    path: the path of the file. A name that ends with .png means an image.
+    content_type: MJCF's content type, which takes precedence over the name.
 
     Raises FileNotFoundError, IsADirectoryError, and ValueError for a device or a pipe, a file of
-    more than 256 MiB, or one whose content is damaged or of a kind that is not supported.
+    more than 256 MiB, damaged content or an unsupported content type.
     """
     name = os.fsdecode(path)
     if content_type and content_type not in CONTENT:
@@ -49,17 +52,17 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
     return heights
 
 
-# What pillow raises for bytes that are no image.
+# Pillow's errors for damaged images.
 DAMAGED = (OSError, SyntaxError, ValueError, EOFError, LookupError, struct.error, zlib.error)
 
 
 def image_levels(data: bytes) -> NDArray[Any]:
-    """The levels of a PNG image: the grey, or the red of coloured images, as MuJoCo takes them.
+    """Return the levels of a PNG image as in MuJoCo: grey, or red of a coloured image.
 
-    Of 16 bits the first 8 count; opacity does not.
+    Levels of 16 bits are reduced to the upper 8 bits. Opacity has no effect.
     """
     # W3C, Portable Network Graphics (PNG) Specification, 5.2 and 11.2.1: the first chunk is the
-    # head, which is looked at before anything is unpacked.
+    # header, which is checked before anything is unpacked.
     if data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
         raise ValueError("it does not begin as one")
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
@@ -70,7 +73,7 @@ def image_levels(data: bytes) -> NDArray[Any]:
 
     try:
         with Image.open(io.BytesIO(needed), formats=["PNG"]) as image:
-            # As the file has it: once the pixels are there, it is filled up.
+            # Read before the pixels: pillow then pads the palette.
             colours = image.palette.getdata()[1] if image.palette is not None else b""
             levels = np.asarray(image)
             if image.mode == "P":
@@ -84,9 +87,9 @@ def image_levels(data: bytes) -> NDArray[Any]:
 
 
 def _needed(data: bytes) -> bytes:
-    """The image without the chunks that are not needed for its levels, as their names say (5.4).
+    """Return the image without ancillary chunks, whose names begin with a small letter (5.4).
 
-    The checksums of all are compared (5.3), which pillow does of some.
+    The checksums of all chunks are verified (5.3); pillow verifies only some.
     """
     view, at, kind = memoryview(data), 8, b""
     parts = [view[:8]]
@@ -110,7 +113,10 @@ def _red(indices: NDArray[Any], reds: NDArray[Any]) -> NDArray[Any]:
 
 
 def binary(data: bytes) -> NDArray[Any]:
-    """Two counts, then the heights row by row, the row of the smallest y first."""
+    """Return the heights of MuJoCo's binary format.
+
+    The format has two counts, then the heights row by row, with the row of the smallest y first.
+    """
     if len(data) < 8:
         raise ValueError(f"it has {len(data)} bytes, and the head alone has 8")
     nrow, ncol = (int(n) for n in np.frombuffer(data, "<i4", 2))

@@ -1,9 +1,9 @@
-"""Find the length range of muscles that give none, by simulation as MuJoCo does.
+"""Find the length range of muscles that give no range, by simulation as in MuJoCo.
 
-MuJoCo documentation, "Length range": each actuator is pulled both ways along its transmission, by a
-force that accelerates the joints by `accel` in all, without gravity, contacts, friction, passive
-forces and other actuators, and with velocities that decay by themselves, until limits or geometry
-hold it. All actuators are worlds of one batch here, two each.
+MuJoCo documentation, "Length range": a force pulls each actuator both ways along its transmission.
+The norm of the joint acceleration under this force is `accel`. Gravity, contacts, friction, passive
+forces and other actuators are left out, and velocities decay. Limits or geometry must stop the
+motion within `inttotal`. Here all actuators are worlds of one batch, two worlds each.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
     from stepcore.scene.elements import Actuator
     from stepcore.scene.elements.world import LengthRange
 
-# What MuJoCo leaves out of the simulation.
+# Effects that MuJoCo leaves out of the simulation.
 OFF = ("contact", "spring", "damper", "gravity", "frictionloss", "sensor")
-# The shortest time constant with which velocities decay [s], and the least norm: MuJoCo's.
+# MuJoCo's lower bounds of the time constant of decay [s] and of norms.
 SHORTEST, LEAST = 0.01, 1e-15
-# Ranges that were found, by the scene that they were found in.
+# A cache of ranges, by a hash of the simulated scene.
 _found: dict[bytes, list[list[float]]] = {}
 MOST_KEPT = 64
 
 
 def fill(scene: Contents, data: dict[str, Any]) -> None:
-    """Writes the ranges that the scene does not give into its plain data.
+    """Write the missing length ranges into the plain data of a scene.
 
-    Raises ValueError, naming the actuator, where the simulation does not come to rest.
+    Raises ValueError, naming the actuator, if the simulation does not come to rest.
     """
     rules = scene.lengthrange
     left = asked(scene)
@@ -51,7 +51,7 @@ def fill(scene: Contents, data: dict[str, Any]) -> None:
 
 
 def asked(scene: Contents) -> list[int]:
-    """The indices of the actuators whose range must be found."""
+    """Return the indices of the actuators whose range must be found."""
     rules = scene.lengthrange
     return [index for index, each in enumerate(scene.actuators) if _asks(each, rules)]
 
@@ -68,7 +68,7 @@ def _asks(actuator: Actuator, rules: LengthRange) -> bool:
 
 
 def _limits(actuator: Actuator) -> Sequence[float] | None:
-    """The range of its joint or tendon; MuJoCo does not multiply it by the gear."""
+    """Return the range of the joint or tendon; like MuJoCo, do not multiply it by the gear."""
     field, target = actuator.target
     if field not in ("joint", "jointinparent", "tendon") or getattr(target, "type", "") == "free":
         return None
@@ -94,7 +94,7 @@ def _simulated(scene: Contents, data: dict[str, Any], asked: list[int]) -> list[
 
 
 def _bare(data: dict[str, Any]) -> dict[str, Any]:
-    """The scene that is simulated: its actuators are motors, and their controls are zero."""
+    """Return the scene for the simulation: all actuators are motors whose force is the control."""
     motor = {
         **{"gain": [1.0, 0.0, 0.0], "bias": [0.0, 0.0, 0.0], "dampratio": 0.0},
         **{"muscle_gain": None, "muscle_bias": None, "dynamics": "none", "delay": 0.0},
@@ -123,7 +123,7 @@ def _extremes(
     asked: list[int],
     actuators: Sequence[Actuator],
 ) -> Lengths:
-    """For each actuator, the least and greatest length at the end of both pulls."""
+    """Return the least and greatest length in the last interval of both pulls, by actuator."""
     model = _core.compile(bare)
     settings = _core.Settings(dt=timestep, integrator="euler")
     twice = 2 * len(asked)

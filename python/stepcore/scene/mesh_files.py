@@ -1,8 +1,8 @@
-"""Readers of mesh files: STL (binary and text), OBJ and MuJoCo's MSH.
+"""Read mesh files: STL (binary and text), OBJ and MuJoCo's MSH.
 
-Each takes the bytes of a file. Anything that is not what the format says is a ValueError. Faces of
-more than three corners are split as MuJoCo's reader of OBJ files splits them, which matters where
-a face is not flat or not convex: hull, volume and inertia follow the split.
+Each reader takes the bytes of a file. Violations of the format raise ValueError. Faces of more than
+three corners are split as in MuJoCo's OBJ reader. The split matters for faces that are not flat or
+not convex, because hull, volume and inertia depend on the split.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from stepcore import checks, files
 
 
 class Surface(NamedTuple):
-    """Vertices, shape (n, 3), and faces, shape (m, 3), or None where the file has none.
+    """The triangles of a mesh file.
 
-    beyond: how many faces the file has beyond those, of objects that MuJoCo does not read.
+    vertices: shape (n, 3).
+    faces: indices of vertices, shape (m, 3); None for a file without faces.
+    beyond: number of further faces, in objects that MuJoCo does not read.
     """
 
     vertices: NDArray[Any]
@@ -31,22 +33,26 @@ class Surface(NamedTuple):
 Polygon = list[int]
 # Two coordinates.
 Place = tuple[Any, Any]
-# A corner is compared with all others before it is cut off, so the work grows with the square of
-# their number. This much takes seconds, and is enough for a face of 10,000 corners.
+# Limit of the work of splitting faces, in comparisons of corners. Each corner is compared with all
+# others of its face, so the work is quadratic. The limit takes seconds and allows a face of 10,000
+# corners.
 MOST_WORK = 10**8
-# What each corner of a file may take beside, so that there may be any number of small faces, and
-# what a comparison takes with however few.
+# Additional work per corner of the file, so that the number of small faces is not limited; fixed
+# cost of the test of a corner.
 PER_CORNER, LEAST = 1000, 500
-# What the content type of MJCF stands for.
+# Formats by MJCF's content type.
 CONTENT = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
 FORMATS = ("stl", "obj", "msh")
 
 
 def read(path: str | os.PathLike[str], content_type: str = "") -> Surface:
-    """Reads a mesh file, whose name's ending says its format, or `content_type` where it is given.
+    """Return the surface of a mesh file.
 
-    Raises FileNotFoundError, IsADirectoryError, and ValueError for a format that is not one of
-    these, a device or a pipe, a file of more than 256 MiB, or one whose content is damaged.
+    path: the path of the file; the ending of its name is the format.
+    content_type: MJCF's content type, which takes precedence over the ending.
+
+    Raises FileNotFoundError, IsADirectoryError, and ValueError for an unknown format, a device or a
+    pipe, a file of more than 256 MiB, or damaged content.
     """
     name = os.fsdecode(path)
     if content_type and content_type not in CONTENT:
@@ -70,7 +76,7 @@ def read(path: str | os.PathLike[str], content_type: str = "") -> Surface:
 
 
 def notes(where: str, surface: Surface) -> list[str]:
-    """A note on the faces of a file that its mesh leaves out."""
+    """Return a note on the faces of a file that its mesh leaves out, if any."""
     if not surface.beyond:
         return []
     what = "of an OBJ file the first object is read for mass and shape, as in MuJoCo"
@@ -96,7 +102,7 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest",
 
 
 def stl(data: bytes) -> Surface:
-    """An STL file, binary or text; corners at the same place become one vertex."""
+    """Return the surface of an STL file, binary or text; equal corners become one vertex."""
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= 84 and len(data) == 84 + 50 * count:
         corners = np.frombuffer(data, _TRIANGLE, count, 84)["corners"].astype(float)
@@ -123,7 +129,7 @@ _FACET = re.compile(
 
 
 def _text_corners(data: bytes) -> NDArray[Any]:
-    """The corners of a text's facets, in reading order."""
+    """Return the corners of the facets of a text STL, in reading order."""
     text = data.lower()
     at = text.find(b"\n") + 1
     loops = []
@@ -138,13 +144,13 @@ def _text_corners(data: bytes) -> NDArray[Any]:
 
 
 def _joined(corners: NDArray[Any]) -> Surface:
-    """Vertices that differ, in the order in which they appear, and the faces between them."""
-    # Zero has two signs.
+    """Return the surface with distinct vertices, in the order of their first appearance."""
+    # Adding 0 turns −0 into 0, so that both are equal.
     places = corners + 0.0
     order = np.lexsort(places.T)
     in_order = places[order]
     differs = np.concatenate([[True], (in_order[1:] != in_order[:-1]).any(axis=1)])
-    # Of those in one place the sort, being stable, has the first one first.
+    # The sort is stable: the first of equal corners comes first.
     first = order[differs]
     group = np.empty(len(order), np.int64)
     group[order] = np.cumsum(differs) - 1
@@ -155,14 +161,15 @@ def _joined(corners: NDArray[Any]) -> Surface:
 
 
 def obj(data: bytes) -> Surface:
-    """An OBJ file: its ``v`` and ``f`` lines; faces of more corners than three are split.
+    """Return the surface of an OBJ file: its ``v`` and ``f`` lines, with larger faces split.
 
-    As in MuJoCo, all vertices count, and the faces of the first object or group that has any.
+    As in MuJoCo, the surface has all vertices, and the faces of the first object or group that has
+    faces.
     """
     text = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     places: list[bytes] = []
     polygons: list[list[bytes]] = []
-    # How many vertices stand before each face, which its negative indices count from.
+    # Number of vertices before each face; negative indices count back from there.
     before: list[int] = []
     whole, beyond = False, 0
     for number, line in enumerate(text.split(b"\n"), 1):
@@ -212,7 +219,10 @@ def _numbers(text: bytes, columns: int) -> NDArray[Any]:
 
 
 def msh(data: bytes) -> Surface:
-    """MuJoCo's own format: four counts, then positions, normals, texture coordinates and faces."""
+    """Return the surface of a file in MuJoCo's MSH format.
+
+    The format has four counts, then positions, normals, texture coordinates and faces.
+    """
     if len(data) < 16:
         raise ValueError(f"it has {len(data)} bytes, and the head alone has 16")
     nvertex, nnormal, ntexcoord, nface = (int(n) for n in np.frombuffer(data, "<i4", 4))
@@ -230,11 +240,13 @@ def msh(data: bytes) -> Surface:
 
 
 def split_polygons(polygons: list[Polygon], vertices: NDArray[Any]) -> NDArray[Any]:
-    """The triangles of polygons, shape (n, 3); a polygon: indices of its vertices in turn.
+    """Return the triangles of polygons, shape (n, 3).
 
-    Quadrilaterals are split along the shorter diagonal, the second where both are as long; of
-    larger ones ears are cut off, in the plane of two axes that they face most, in the single
-    precision of MuJoCo's reader.
+    polygons: indices of vertices in order.
+
+    Quadrilaterals are split along the shorter diagonal, or along the second if both are equal.
+    Larger polygons are split by ear clipping in a coordinate plane, in single precision as in
+    MuJoCo's reader.
     """
     split: list[Polygon] = []
     work = MOST_WORK + PER_CORNER * sum(map(len, polygons))
@@ -254,11 +266,13 @@ def split_polygons(polygons: list[Polygon], vertices: NDArray[Any]) -> NDArray[A
 
 
 def _without_ears(polygon: Polygon, corners: NDArray[Any], work: int) -> tuple[list[Polygon], int]:
-    """Cuts off a corner at a time in which no other corner lies, until a triangle is left.
+    """Return the triangles of a polygon by ear clipping, and the remaining work.
 
-    What no ear can be found of any more is no simple polygon, and is left out, as in MuJoCo.
-    work: the comparisons of corners that the file has left, which are returned too; ValueError
-    where there are none.
+    Ear clipping repeatedly cuts off a corner whose triangle contains no other corner. A remainder
+    without such a corner is no simple polygon, and is left out as in MuJoCo.
+
+    work: the remaining number of comparisons of corners for the file. Raises ValueError when it is
+        used up.
     """
     x, y = (np.ascontiguousarray(axis) for axis in corners[:, _axes(corners)].T)
     left, triangles, at, tries = list(polygon), [], 0, len(polygon)
@@ -284,7 +298,7 @@ def _without_ears(polygon: Polygon, corners: NDArray[Any], work: int) -> tuple[l
 
 
 def _axes(corners: NDArray[Any]) -> list[int]:
-    """The two axes of the plane that the first proper corner faces most."""
+    """Return the two axes of the coordinate plane for a polygon, by its first proper corner."""
     edges = np.roll(corners, -1, axis=0) - corners
     turns = np.abs(np.cross(edges, np.roll(edges, -1, axis=0)))
     for x, y, z in turns.tolist():
@@ -296,17 +310,17 @@ def _axes(corners: NDArray[Any]) -> list[int]:
 
 
 def _points_in(a: Place, b: Place, c: Place) -> bool:
-    """Whether a corner counts as one that points into the polygon.
+    """Return whether a corner counts as reflex.
 
-    What it turns is compared with the side on which its first edge passes the origin, as MuJoCo's
-    reader has it, and not with the way round that the polygon goes.
+    As in MuJoCo's reader, the turn at the corner is compared with the side on which the first edge
+    passes the origin, not with the orientation of the polygon.
     """
     turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
     return bool(turn * (a[0] * b[1] - a[1] * b[0]) < 0)
 
 
 def _holds_other(ear: list[int], places: list[Place], x: NDArray[Any], y: NDArray[Any]) -> bool:
-    """Whether a corner beside those three lies in their triangle: a ray crosses one edge of it."""
+    """Return whether a corner other than the ear's lies in its triangle, by ray casting."""
     inside = np.zeros(len(x), bool)
     for (ax, ay), (bx, by) in zip(places, places[-1:] + places[:-1], strict=True):
         inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)

@@ -1,4 +1,4 @@
-"""A scene as plain data for the engine: dicts, lists and numbers under the engine's names."""
+"""Convert a scene to plain data for the engine: dicts, lists and numbers by the engine's names."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def plain(layout: Layout) -> dict[str, Any]:
-    """The whole scene; references have become indices."""
+    """Return the whole scene as plain data, with indices for references."""
     scene = layout.scene
     override = scene.contact_override
     return {
@@ -43,13 +43,13 @@ def plain(layout: Layout) -> dict[str, Any]:
 
 
 def _whole(scene: Holdings) -> dict[str, Any]:
-    """The values of the whole scene."""
+    """Return the values that belong to the whole scene."""
     values = {word: getattr(scene, word) for word in (*WHOLE, "magnetic")}
     return {w: list(value) if isinstance(value, tuple) else value for w, value in values.items()}
 
 
 def _varied(layout: Layout) -> dict[str, Sequence[Element]]:
-    """The lists of elements whose values can be varied, by the engine's name of the list."""
+    """Return the lists of elements whose values can be varied, by the engine's name of the list."""
     scene = layout.scene
     return {
         "bodies": layout.bodies,
@@ -67,14 +67,15 @@ def _varied(layout: Layout) -> dict[str, Sequence[Element]]:
 def _record(layout: Layout, element: Any) -> dict[str, Any]:
     record: dict[str, Any] = element.plain(layout)
     if record.get("qpos"):
-        # Of a keyframe.
+        # The element is a keyframe.
         record["qpos"] = layout.unit_quaternions(record["qpos"])
     return record
 
 
 def essence(layout: Layout) -> dict[str, Any]:
-    """`plain` without what has no effect: the axis of a ball, the third size of a capsule, the size
-    at which a plane is drawn. Scenes with the same essence are equal.
+    """Return `plain` without values that have no effect. Scenes of the same essence are equal.
+
+    Examples are the axis of a ball, the third size of a capsule and the drawn size of a plane.
     """
     scene = plain(layout)
     scene["lengthrange"] = layout.scene.lengthrange.record()
@@ -89,16 +90,16 @@ def essence(layout: Layout) -> dict[str, Any]:
     for site in scene["sites"]:
         site["size"] = site["size"][: SIZES[site["kind"]]]
     for asset in scene["meshes"] + scene["hfields"]:
-        # Arrays are equal entry by entry, and these all at once.
+        # Bytes compare with one ==; arrays compare entry by entry.
         asset |= {k: (v.shape, v.tobytes()) for k, v in asset.items() if hasattr(v, "tobytes")}
     for key in scene["keys"]:
-        # An empty list and none are the same: nothing is given.
+        # An empty list and None both mean that the field is not given.
         key |= {field: key[field] or None for field in ("qpos", "qvel", "act", "ctrl")}
     return scene
 
 
 def _hfields(hfields: Iterable[HField]) -> list[dict[str, Any]]:
-    """Height fields with their rows from −y to y; those of one file share their heights."""
+    """Return height fields with rows from −y to y; fields with one elevation share the array."""
     heights: dict[int, NDArray[Any]] = {}
     records = []
     for hfield in hfields:
@@ -111,12 +112,13 @@ def _hfields(hfields: Iterable[HField]) -> list[dict[str, Any]]:
 
 
 class Variation:
-    """A copy of a scene, some of whose values are given anew for each `data`.
+    """A copy of a scene in which each call of `data` replaces some values.
 
-    Only what the values touch is made anew.
+    Only the records of elements that depend on these values are recomputed.
 
-    paths: the values that are given, as in `Model.with_values`; body_mass: as in
-        `value_paths.changed`.
+    scene: the scene to copy.
+    paths: the paths of the values, as in `Model.with_values`.
+    body_mass: as in `value_paths.changed`.
     """
 
     def __init__(
@@ -136,21 +138,21 @@ class Variation:
             for index, element in enumerate(elements)
         }
         known = {places.get(id(element)) for element, _ in self._initial}
-        # A value of an element in none of these lists, and a range that is found by simulation,
-        # need the whole scene anew.
+        # Values of elements in other lists, and length ranges found by simulation, need all records
+        # to be recomputed.
         self._all_anew = None in known or bool(length_ranges.asked(self.scene))
         self._places = sorted(place for place in known if place is not None)
         self._data: dict[str, Any] | None = None
 
     def _touched(self, path: str) -> list[Element]:
-        """The elements that a value changes; without a mass of its own a body's are its geoms."""
+        """Return the elements that a value changes: the geoms for a mass that comes from geoms."""
         element, field = find(self.scene, path)
         if field == "mass" and isinstance(element, Body) and element.mass is None:
             return [geom for geom in self.scene.geoms if geom.body is element]
         return [element]
 
     def data(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """What `Scene.to_dict` returns of the scene with these values; raises what that raises."""
+        """Return `Scene.to_dict` of the scene with these values; raise the same errors."""
         for element, initial in self._initial:
             element.__dict__.update(initial)
         for word, value in self._whole.items():
@@ -164,6 +166,6 @@ class Variation:
         lists = {kind: list(self._data[kind]) for kind, _ in self._places}
         for kind, index in self._places:
             lists[kind][index] = _record(self._layout, self._lists[kind][index])
-        # The ends of an equality may be those of a site.
+        # The ends of an equality may be sites, which may have changed.
         lists["equalities"] = [tie.plain(self._layout) for tie in self.scene.equalities]
         return self._data | _whole(self.scene) | lists

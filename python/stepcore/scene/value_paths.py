@@ -25,15 +25,16 @@ WHOLE = ("gravity", "density", "viscosity", "wind")
 
 
 def is_path(name: str) -> bool:
-    """Whether a name is the path of a value of the scene, not a setting."""
+    """Return whether a name is the path of a value of the scene, not a setting."""
     return "/" in name or name in WHOLE
 
 
 def changed(
     scene: SomeScene, values: Mapping[str, Any], body_mass: Mapping[str, float]
 ) -> SomeScene:
-    """A copy of `scene` with these values.
+    """Return a copy of `scene` with these values.
 
+    values: new values by path.
     body_mass: the mass of each body in the compiled model, by name [kg].
     """
     if not isinstance(values, Mapping):
@@ -44,7 +45,7 @@ def changed(
 
 
 def assign(scene: Contents, values: Mapping[str, Any], body_mass: Mapping[str, float]) -> None:
-    """Gives `scene` these values; see `changed`."""
+    """Assign these values to `scene`; see `changed`."""
     for path, value in values.items():
         if path in WHOLE:
             setattr(scene, path, value)
@@ -57,13 +58,13 @@ def assign(scene: Contents, values: Mapping[str, Any], body_mass: Mapping[str, f
 
 
 def find(scene: Contents, path: object) -> tuple[Element, str]:
-    """The element and the field at a path."""
+    """Return the element and the field at a path."""
     parts = path.split("/") if isinstance(path, str) else []
     shown = checks.cut(str(path), 80)
     if len(parts) < 3:
         words = ", ".join(f'"{word}"' for word in WHOLE)
         raise ValueError(f'{checks.shown(path)}: must be {words} or "kind/name/field"')
-    # A name may hold slashes itself.
+    # Names may contain slashes.
     kind, name, field = parts[0], "/".join(parts[1:-1]), parts[-1]
     if kind not in KINDS:
         near = checks.nearest(kind, KINDS)
@@ -81,7 +82,7 @@ def find(scene: Contents, path: object) -> tuple[Element, str]:
 
 
 def _set(element: Element, field: str, value: Any) -> None:
-    """Assigns a field; a single number replaces the first entry of a vector."""
+    """Assign a field; a single number replaces the first entry of a vector."""
     old = getattr(element, field)
     first = checks.number(value)
     if isinstance(old, tuple) and first is not None:
@@ -90,7 +91,10 @@ def _set(element: Element, field: str, value: Any) -> None:
 
 
 def _scale_geoms(scene: Contents, body: Body, old: float, value: Any) -> None:
-    """Changes a mass that comes from geoms, `old`, by scaling these geoms."""
+    """Change a body's mass that comes from its geoms, by scaling their masses or densities.
+
+    old: the present mass [kg].
+    """
     mass: float = checks.real(above=0)(body, "mass", value)
     factor = mass / old
     low, high = scene.mass_rules.inertiagrouprange
