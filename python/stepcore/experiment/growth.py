@@ -1,13 +1,14 @@
-"""How long a scene can be predicted: perturbed runs, which start a rounding apart.
+"""The growth of small perturbations, which limits how long a scene can be predicted.
 
 Each start is run again with its coordinates moved by 1e-9 of the scene's size, in several seeded
-directions. Until two such runs are more than 1e3 times as far apart as they began, an error of a
-setting says something of the setting; after that it says how errors grow in the scene, whatever
-began them. Positions alone are moved: whatever grows in the scene soon grows from any direction.
+random directions. While the distance between such runs has grown by less than a factor of 1e3, an
+error measures the setting. After that, an error measures how the scene amplifies errors of any
+origin. Only positions are perturbed, because a perturbation in any direction soon contains the
+fastest-growing one.
 
-All runs of a start, the first of them too, are moved by one common 1e-6 of the scene's size. A
-scene in round numbers often has an impact exactly at the end of a step, and there a run a rounding
-away meets it one step later: a jump of the method's, not of the scene's.
+All runs of a start, including the first, are also moved by a common 1e-6 of the scene's size. A
+scene with round numbers often has an impact exactly at the end of a step, which a perturbed run
+meets one step later. Such a jump would be an artefact of the time step, not growth in the scene.
 """
 
 from __future__ import annotations
@@ -27,19 +28,19 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
 
-# Perturbations, and the shift of all runs, over the scene's size and in radians.
+# Size of the perturbations and of the common shift, relative to the scene's size or in radians.
 NEARBY, ASIDE = 1e-9, 1e-6
-# The growth of a perturbation at which a start is lost, and the number of perturbed runs.
+# The growth above which a start counts as unpredictable, and the number of perturbed runs.
 GROWTH, DIRECTIONS = 1e3, 3
 
 
 @dataclass(frozen=True)
 class Growth:
-    """How fast perturbed runs separate.
+    """The growth of perturbations from every start.
 
-    times: of the samples [s], (n,).
-    factor: the largest distance of any direction over that at the start, (starts, n).
-    ends: when each start first exceeds 1e3 [s]; inf if it never does.
+    times: the times of the samples [s], (n,).
+    factor: the largest distance to a perturbed run, relative to the initial distance, (starts, n).
+    ends: when the factor of each start first exceeds 1e3 [s], (starts,); inf if never.
     """
 
     times: np.ndarray
@@ -48,12 +49,12 @@ class Growth:
 
     @property
     def overall(self) -> float:
-        """When the first start can no longer be predicted [s]; inf beyond the horizon."""
+        """Time from which the least predictable start is unpredictable [s]; inf beyond horizon."""
         return float(self.ends.min())
 
     @property
     def scored(self) -> np.ndarray:
-        """Which samples of each start can be predicted, (starts, n); the first always counts."""
+        """Mask of the predictable samples, (starts, n); the first sample is always included."""
         mask: np.ndarray = self.times[None, :] <= self.ends[:, None]
         mask[:, :1] = True
         return mask
@@ -62,13 +63,15 @@ class Growth:
 def growth(
     runner: Runner, settings: Settings, size: float, workers: Workers, bar: Progress
 ) -> Growth:
-    """Makes the perturbed runs of a runner under `settings`; size: of the scene [m].
+    """Make perturbed runs under some settings, and measure how fast they separate.
 
-    A perturbed run that fails says nothing, and is left out.
+    Perturbed runs that fail are ignored.
+
+    size: the size of the scene [m].
     """
     schedule = perturbed(runner, size)
     count = len(runner.schedule.starts)
-    # Runs of one start lie beside each other: they do alike in a batch.
+    # Runs of one start are adjacent, because similar worlds make a batch fast.
     order = sorted(range(len(schedule.starts)), key=lambda k: (k % count, k))
     made = screened(Runner(runner.model, schedule), settings, order, workers, bar)
     runs = dict(zip(order, made, strict=True))
@@ -84,7 +87,10 @@ def growth(
 
 
 def perturbed(runner: Runner, size: float) -> Schedule:
-    """Starts that are all moved aside, then these moved in one direction, then in the next …"""
+    """Return a schedule with shifted starts, followed by all perturbed starts of each direction.
+
+    size: the size of the scene [m].
+    """
     rng = np.random.default_rng(0)
     coordinates, schedule = runner.coordinates, runner.schedule
     aside = ASIDE * coordinates.drawn(rng, size, 1.0)
@@ -102,7 +108,7 @@ def perturbed(runner: Runner, size: float) -> Schedule:
 
 
 def _begun(bodies: Bodies, a: Start, b: Start) -> float:
-    """The distance of two starts [m]."""
+    """Return the largest distance between the bodies of two starts [m]."""
     seen = bodies.states(np.array([a.qpos, b.qpos]), np.zeros((2, bodies.model.nv)))
     first, second = (
         Run(com=seen.com[[i]], quat=seen.quat[[i]], gyration=bodies.gyration) for i in (0, 1)
@@ -111,10 +117,11 @@ def _begun(bodies: Bodies, a: Start, b: Start) -> float:
 
 
 def _end(times: np.ndarray, factor: np.ndarray) -> float:
-    """When the growth passes the limit for good, as if exponential between samples [s].
+    """Return when the growth exceeds the limit permanently [s]; inf if never.
 
-    For good means that it does not come back below the limit's square root: runs that meet
-    something one step apart are far apart for a moment only, where the scene dissipates.
+    The growth is interpolated exponentially between samples. A growth that later falls below the
+    square root of the limit is not permanent: in a dissipative scene, runs with an impact in
+    different steps are far apart only for a moment.
     """
     later = np.minimum.accumulate(np.nan_to_num(factor, nan=np.inf)[::-1])[::-1]
     over = np.flatnonzero(~(factor <= GROWTH) & (later >= np.sqrt(GROWTH)))

@@ -1,4 +1,4 @@
-"""`Motion`: what a scene does while it is measured: how long, from where, under which controls."""
+"""`Motion`: the horizon, the starts and the controls of a measurement."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ from stepcore.signatures import F, keyword, refuse_unknown, spell_out
 
 @dataclass(frozen=True)
 class LostControl:
-    """Stands for a control function that could not be pickled; calling it is a ValueError."""
+    """A placeholder for a control function that could not be pickled; a call raises ValueError.
+
+    name: the name of the function.
+    """
 
     name: str
 
@@ -32,21 +35,23 @@ class LostControl:
 
 
 def picklable(control: Control) -> Control:
-    """The function itself, or what stands for one that cannot be pickled: results still can that
-    were made with a lambda or a function of a notebook."""
+    """Return the control function, or a `LostControl` if it cannot be pickled.
+
+    Results of a lambda or a notebook's function can therefore still be pickled.
+    """
     try:
         pickle.dumps(control)
-    except Exception:  # what a function's own pickling raises is of any type
+    except Exception:  # pickling a user's object can raise any exception
         return LostControl(getattr(control, "__qualname__", "control"))
     return control
 
 
-# Rows of controls, or where they are: see `Motion`.
+# Rows of controls, or a source of rows; see `Motion`.
 Controls = ArrayLike | ControlTable | Mapping[str, Any] | str | os.PathLike[str] | Any
 
 
 def _is_array(ctrl: object) -> bool:
-    """Whether controls are plain rows, which are kept as they are given."""
+    """Return whether controls are a plain array, which `Motion` keeps unchanged."""
     kinds = (str, os.PathLike, Mapping, Trajectory, ControlTable)
     named = isinstance(ctrl, kinds) or hasattr(ctrl, "columns")
     return not named and getattr(getattr(ctrl, "dtype", None), "names", None) is None
@@ -66,30 +71,30 @@ class MotionFields(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion of a measurement. Every measurement takes one, or its fields as arguments.
+    """The motion of a measurement. Measurements take a Motion, or its fields as arguments.
 
-    horizon: simulated time [s]; by default the measurement chooses it.
+    horizon: simulated time [s]; by default the measurement chooses the horizon.
     starts: the number of initial states: the keyframe, and random states near it. By default the
-        measurement chooses it.
-    seed: random seed of the starts, and of the controls if none are given.
+        measurement chooses the number.
+    seed: the random seed of the starts, and of the default controls.
     key: the keyframe to start from, by name or index; by default the first one, or the pose of the
         scene at rest.
-    ctrl: controls, shape (n, nu), one row for each control period; the last row is held. Or a table
-        with the name of an actuator above each column, or of the joint that it drives: the path of
-        a .csv or .npz file, a recorded run (`Trajectory`), a DataFrame, or a dict such as
-        ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An actuator without a column keeps the keyframe's
-        control. With a column "time" [s], each row is held from its own time on, counted from the
-        first row. A file without names (.csv, .npy) is as an array. "sines" is what measurements
-        run by default.
-    control: in place of `ctrl`, a function of (time, sim) that returns the controls. It is called
-        once per control period, possibly from several threads, and must depend on nothing else; a
-        callable object may remember what is in its attributes, of which each run gets a copy.
-        Without `ctrl` and `control` every actuator follows a sum of a few random sines within its
-        range.
-    control_dt: the control period [s], a multiple of every time step. By default `control` and the
-        rows of `ctrl` have the scene's own time step, as in a loop that sets ctrl and steps;
-        without them the measurement chooses the period. Where time steps are compared, the period
-        stays what it is: it is part of the physics.
+    ctrl: the controls. Either an array of shape (n, nu) with one row for each control period; the
+        last row stays to the end. Or a table in which each column has the name of an actuator, or
+        of the joint that the actuator drives: the path of a .csv or .npz file, a recorded run
+        (`Trajectory`), a DataFrame, or a dict such as ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An
+        actuator without a column keeps the keyframe's control. In a table with a column "time"
+        [s], each row takes effect at its time, relative to the first row. A file without column
+        names (.csv, .npy) is read as an array. "sines" selects the default controls.
+    control: a function of (time, sim) that returns the controls, in place of `ctrl`. The function
+        is called once per control period, possibly from several threads, and must depend on
+        nothing but its arguments. A callable object may keep state in its attributes; each run gets
+        a copy of the object. By default, without `ctrl` and `control`, every actuator follows a sum
+        of a few random sines within its range.
+    control_dt: the control period [s], a multiple of every time step. With `control` or `ctrl` the
+        default is the scene's time step, as in a loop that sets ctrl and steps. Without them the
+        measurement chooses the period. The period is part of the physics, so runs with different
+        time steps have the same period.
 
     Raises ValueError for a value outside its limits.
 
@@ -121,13 +126,15 @@ class Motion:
 
     @property
     def follows_sines(self) -> bool:
-        """Whether `ctrl` asks for the controls that measurements run by default."""
+        """Whether `ctrl` selects the default controls of measurements."""
         return isinstance(self.ctrl, str) and self.ctrl == SINES
 
     def period(self, dt: float) -> float | None:
-        """The control period [s] of a scene with time step `dt` [s]; None where nothing sets it.
+        """Return the control period [s], or None if this motion does not determine a period.
 
-        Controls that never change have none.
+        Constant controls do not determine a period.
+
+        dt: the scene's time step [s].
         """
         if self.control_dt is not None or self.control is not None:
             return self.control_dt or dt
@@ -136,7 +143,7 @@ class Motion:
         try:
             table = control_table(self.ctrl)
         except ValueError:
-            # Whoever makes the controls of a model refuses them.
+            # The error is raised later, where the controls are matched to a model.
             return None
         return table.period(dt) if table.changes else None
 
@@ -147,13 +154,15 @@ class Motion:
         given: Mapping[str, Any],
         measurement: Callable[..., Any],
     ) -> Motion:
-        """The motion that a measurement was called with: an object, or its fields.
+        """Return the motion of a call of a measurement, from a Motion or from its fields.
 
-        given: the keyword arguments that are not the measurement's own. The fields of Motion that
-        it uses stand in its signature (`takes_motion`).
+        motion: the Motion, or None.
+        given: the keyword arguments that the measurement itself does not define.
+        measurement: the function that was called. Its signature has the fields of Motion that the
+            measurement uses (`takes_motion`).
 
-        Raises TypeError for an argument that is neither, naming the nearest; ValueError where an
-        object and fields are both given, or a field is set that the measurement does not use.
+        Raises TypeError for an unknown argument, with the nearest name. Raises ValueError if a
+        Motion and fields are both given, or if a field is set that the measurement does not use.
         """
         refuse_unknown(measurement, given)
         if motion is None:
@@ -171,7 +180,7 @@ class Motion:
         return motion._without_sines()
 
     def _without_sines(self) -> Motion:
-        """The same motion; measurements run sines where nothing else is given."""
+        """Return the motion with the controls "sines" replaced by None, which means the same."""
         return replace(self, ctrl=None) if self.follows_sines else self
 
     def __getstate__(self) -> dict[str, Any]:
@@ -190,9 +199,9 @@ class Motion:
 
 
 def takes_motion(*, without: tuple[str, ...] = ()) -> Callable[[F], F]:
-    """Decorator of a measurement: each field of `Motion` is a keyword argument of it.
+    """Return a decorator that adds the fields of `Motion` to a measurement's keyword arguments.
 
-    without: the fields that it does not use.
+    without: the names of fields that the measurement does not use.
     """
 
     def spelled_out(measurement: F) -> F:

@@ -1,4 +1,4 @@
-"""What motion was run, in words: from where, how it was driven, and under which law."""
+"""Descriptions of a motion in words: the start, the controls and the contact law."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import counted, seconds
 
-# What actuators of a type are called.
+# Words for the types of actuators.
 WORDS = {"motor": "motor", "muscle": "muscle", "damper": "damper", "cylinder": "cylinder"}
 WORDS |= dict.fromkeys(("position", "velocity", "intvelocity"), "servo")
 
@@ -21,11 +21,12 @@ WORDS |= dict.fromkeys(("position", "velocity", "intvelocity"), "servo")
 def motion_in_words(
     model: Model, motion: Motion, schedule: Schedule, sampled: str = "", driven: str = ""
 ) -> str:
-    """What was run: "1 s from keyframe `home`; servos follow seeded sines …; law solref".
+    """Describe a motion: "1 s from keyframe `home`; servos follow seeded sines …; law solref".
 
-    motion: as it was asked for; schedule: as it was run. sampled: how often a control function was
-    asked, where that is not every period of the schedule. driven: what else there is to say of how
-    the default controls were driven.
+    motion: as requested. schedule: as run.
+    sampled: how often a control function was called, such as "every 2 ms"; by default every period
+        of the schedule.
+    driven: text to append to the description of the default controls.
     """
     begin = start_in_words(model, motion.key)
     count = len(schedule.starts)
@@ -37,18 +38,18 @@ def motion_in_words(
 
 
 def scene_in_words(model: Model) -> str:
-    """The law, and what was left out of the scene's file."""
+    """Describe the contact law, and the parts of the scene's file that were left out."""
     return f"law {model.settings.law}{without_in_words(model)}"
 
 
 def without_in_words(model: Model) -> str:
-    """What was left out of the scene's file on purpose: "; without flex (2)", or ""."""
+    """List the parts left out of the scene's file on request: "; without flex (2)", or ""."""
     left_out = ", ".join(model.scene.without)
     return f"; without {left_out}" if left_out else ""
 
 
 def start_in_words(model: Model, key: str | int | None) -> str:
-    """Where a motion begins."""
+    """Describe the start of a motion; key: see `Motion`."""
     if not model.keys:
         return "the pose of the scene"
     index = 0 if key is None else model.index("key", key)
@@ -57,13 +58,13 @@ def start_in_words(model: Model, key: str | int | None) -> str:
 
 
 def actuators_in_words(model: Model) -> str:
-    """What the actuators of a model are called."""
+    """Return the word for the actuators of a model, in the plural."""
     words = {WORDS.get(actuator.type, "actuator") for actuator in model.scene.actuators}
     return f"{words.pop()}s" if len(words) == 1 else "motors and servos"
 
 
 def held_in_words(model: Model, ctrl: np.ndarray) -> str:
-    """How the actuators were driven where their controls are constant, shape (nu,)."""
+    """Describe constant controls, shape (nu,)."""
     if model.nu == 0:
         return "no motors"
     what = actuators_in_words(model)
@@ -73,7 +74,7 @@ def held_in_words(model: Model, ctrl: np.ndarray) -> str:
 def held_motion_in_words(
     model: Model, key: str | int | None, horizon: float, ctrl: np.ndarray
 ) -> str:
-    """What was run where the controls are constant, (nu,); horizon: [s]."""
+    """Describe a motion with constant controls, (nu,); horizon: [s]."""
     drive = held_in_words(model, ctrl)
     begin = start_in_words(model, key)
     return f"{seconds(horizon)} from {begin}; {drive}; {scene_in_words(model)}"
@@ -82,10 +83,11 @@ def held_motion_in_words(
 def drive_in_words(
     model: Model, motion: Motion, undriven: Sequence[str], sampled: str, driven: str = ""
 ) -> str:
-    """How the controls were driven; sampled: how often, such as "every 2 ms".
+    """Describe the controls of a motion.
 
-    undriven: actuators that the default controls hold still. driven: what else there is to say of
-    these controls.
+    undriven: the actuators whose default controls are constant. sampled: the period of the
+    controls, such as "every 2 ms". driven: text to append to the description of the default
+    controls.
     """
     if model.nu == 0:
         return "no motors"

@@ -1,10 +1,10 @@
-"""Separates the modelling error of a setting from its numerical error.
+"""The split of a setting's error into a modelling error and a numerical error.
 
-The *numerical* error is the distance of a run from the limit dt → 0 of its own model; the
-*modelling* error is the distance of that limit from the shipped model's. Models differ in law, cone
-and softness. Single precision counts as a model too: its modelling error is the distance of a run
-from the same run in double precision. Both limits are computed by one integrator at one time step,
-so that their own numerical errors largely cancel.
+The *numerical* error is the distance of a run from the limit dt → 0 of the run's model. The
+*modelling* error is the distance of that limit from the limit of the shipped model. Models differ
+in law, cone and softness. Single precision also counts as a model: its modelling error is the
+distance of a run from the same run in double precision. Both limits are computed with the same
+integrator and time step, so that their numerical errors largely cancel.
 """
 
 from __future__ import annotations
@@ -29,55 +29,58 @@ from stepcore.scene.scene import Scene
 
 Ref = tuple[float, ...]
 
-# Settings that say what is modelled, not how it is computed; in the order of the groups, all laws
-# use them, those that are not solref, solref, a scene that sleeps, and penalty.
+# Settings of the physical model, as opposed to its numerical solution. The groups apply to all
+# laws, to laws other than solref, to solref, to scenes with sleep, and to penalty.
 ALWAYS = ("law", "cone", "sleep", "max_recovery_speed")
 VELOCITY_LEVEL = ("beta", "softness", "restitution", "slop")
 SOFT = ("impratio", "noslip_iterations", "stiction")
 SLEEPING = ("sleep_tolerance", "sleep_time")
 PENALTY = ("penalty_stiffness", "penalty_damping_ratio")
-# Integrators that only solref knows.
+# Integrators that only the law solref supports.
 SMOOTH = ("euler", "implicitfast", "implicit", "discrete")
-# Integrators that solve rows within the step, as sleep does not allow.
+# Integrators that solve rows within the step, which sleep does not support.
 STAGED = ("midpoint", "rk4")
-# Time constants of solref are divided by these, one after the other, towards a rigid scene.
+# Divisors of the solref time constants, in successive steps towards a rigid scene.
 STIFFER = (4.0, 16.0)
-# Laws whose limit is soft, and how they are made harder, in words.
+# Laws whose limit is soft, and the change that makes contacts harder, in words.
 HARDER = {"solref": "solref time constants / {0:g}", "penalty": "penalty_stiffness × {1:g}"}
 # The effect of softness is known if the last two distances differ by less than this share of the
-# last, and if half the step and the reference's own error change each by less than it.
+# last one, and if halving the step and the reference's error change each by less than this share.
 SETTLED = 0.25
-# A step of this part of a contact's shortest time scale resolves it.
+# The number of steps per shortest time scale of a contact that resolves the contact.
 RESOLVED = 8.0
-# One harder scene may cost this share of the reference's budget.
+# The largest cost of one harder scene, as a share of the reference's budget.
 SHARE = 0.25
 
 
 class ErrorSplit:
-    """Splits errors into numerical and modelling ones; keeps the limits that it computes."""
+    """A splitter of errors into numerical and modelling errors, with a cache of computed limits.
+
+    runs: the maker of the reference. reference: the converged motion. size: of the scene [m].
+    """
 
     def __init__(self, runs: ReferenceRuns, reference: Reference, size: float) -> None:
         self.runs, self.reference, self.size = runs, reference, size
         chain = next((c for name, c in runs.chains.items() if name != "rk4"), None)
         chain = chain or runs.chains["rk4"]
-        # Where limits alone are compared, a cheaper level than the reference's will do.
+        # A cheaper level than the reference suffices to compare limits with each other.
         self.cheap = next((level for level in chain if level.dt <= runs.finest / 2), chain[-1])
         self.acts = any(run.rows or run.overlap for run in self.cheap.runs)
-        # Runs are compared with a limit at twice the reference's step.
+        # Limits that runs are compared with have twice the reference's step.
         self.base: Level = reference.levels[-2]
         self.limits: dict[tuple[Any, ...], Level] = {}
         self.doubles: dict[Settings, list[Run]] = {}
 
     def keep(self, settings: Settings, runs: list[Run]) -> None:
-        """Keeps runs in double precision, which those in single precision are compared with."""
+        """Keep runs in double precision for the comparison with runs in single precision."""
         if settings.precision == "f64" and not runs[-1].failure:
             self.doubles[settings] = runs
 
     def errors(self, settings: Settings, runs: Sequence[Run]) -> Errors:
-        """Errors of one setting, that of its worst start split.
+        """Compute the errors of one setting, with `high` split into `numerical` and `modelling`.
 
-        Where another model's own limit fails, or the run in double precision does, the two parts
-        cannot be separated: modelling is then NaN, and numerical the whole error.
+        If the limit of the setting's model or the run in double precision fails, the two parts
+        cannot be separated: modelling is then NaN, and numerical is the whole error.
         """
         whole = self._apart(runs, self.reference.runs, settings.cone)
         unsplit = dataclasses.replace(whole, modelling=math.nan)
@@ -99,7 +102,7 @@ class ErrorSplit:
         return dataclasses.replace(whole, numerical=numerical, modelling=modelling)
 
     def limit(self, settings: Settings) -> Level:
-        """The limit of the model that these settings compute."""
+        """Return the limit of the settings' model, computed once."""
         key = (*_modelled(settings), self._clamp(settings))
         if key not in self.limits:
             runner = self.runs.runner
@@ -109,18 +112,18 @@ class ErrorSplit:
         return self.limits[key]
 
     def _clamp(self, settings: Settings) -> float:
-        """The step at which `refsafe` makes the scene softer [s], 0 where it does not."""
+        """Return the time step if `refsafe` softens the scene at this step, else 0 [s]."""
         if settings.law != "solref" or not settings.refsafe or not self.acts:
             return 0.0
         shortest = clamping(self.runs.runner.model.scene)
         return settings.dt if shortest and 2 * settings.dt > shortest * (1 + 1e-12) else 0.0
 
     def gaps(self) -> dict[str, Gap]:
-        """The distance of the shipped model to one with elliptic cones, and to a rigid one.
+        """Compute the distances of the shipped model to elliptic cones and to rigid contacts.
 
-        "pyramid": where friction acts under pyramidal cones. "softness": under the laws solref and
-        penalty, whose limit is soft; contacts are made harder until that changes little. Empty
-        where no row acts.
+        "pyramid" is present if friction acts under pyramidal cones. "softness" is present under the
+        laws solref and penalty, whose limit is soft; contacts are made harder until the distance
+        changes little. The dict is empty if no row acts.
         """
         if not self.acts:
             return {}
@@ -128,7 +131,7 @@ class ErrorSplit:
         return {name: gap for name, gap in gaps.items() if gap is not None}
 
     def _pyramid(self) -> Gap | None:
-        """The distance to elliptic cones, at a step that resolves the contacts."""
+        """Compute the distance to elliptic cones at a step that resolves the contacts, or None."""
         runner, shipped = self.runs.runner, self.runs.shipped
         if shipped.cone != "pyramidal" or not any(any(run.slips) for run in self.cheap.runs):
             return None
@@ -146,7 +149,7 @@ class ErrorSplit:
         return Gap(self._apart(limit.runs, near.runs).high, "elliptic cones")
 
     def _softness(self) -> Gap | None:
-        """The distance to the hardest contacts that could be run at steps that resolve them."""
+        """Compute the distance to the hardest contacts that could be resolved, or None."""
         law, gap = self.runs.shipped.law, None
         for factor in STIFFER if law in HARDER else ():
             distance = self._softer_by(factor)
@@ -157,10 +160,11 @@ class ErrorSplit:
         return gap
 
     def _softer_by(self, factor: float) -> float | None:
-        """The distance of the scene to one with harder contacts [m].
+        """Compute the distance of the scene to one with harder contacts [m].
 
-        None where that cannot be known: where the harder scene fails, where a step that resolves
-        it costs too much, or where half that step still moves it by more than a share.
+        Return None if the harder scene fails, if a step that resolves the harder contacts costs too
+        much, or if the distance is too uncertain: halving that step and the reference's error
+        change it by more than the share SETTLED.
         """
         runs, dt, name = self.runs, self.cheap.dt, self.cheap.integrator
         runner, settings = runs.runner, runs.shipped
@@ -185,7 +189,10 @@ class ErrorSplit:
         return distance if unsure <= SETTLED * distance else None
 
     def _level(self, runner: Runner, settings: Settings, like: Level) -> Level:
-        """All starts of another model's runner, at the step and with the integrator of a level."""
+        """Run another model from all starts, with the time step and integrator of a level.
+
+        An integrator that the other model does not support is replaced.
+        """
         runs, name = self.runs, like.integrator
         if settings.law != "solref" and name in SMOOTH:
             name = "semi-implicit"
@@ -197,7 +204,7 @@ class ErrorSplit:
         return Level(like.dt, name, made)
 
     def _double(self, settings: Settings) -> list[Run] | None:
-        """The runs of settings in double precision, None if they fail."""
+        """Return the runs under settings in double precision, or None if one fails."""
         if settings not in self.doubles:
             made = self._run(self.runs.runner, settings)
             if made[-1].failure:
@@ -206,7 +213,7 @@ class ErrorSplit:
         return self.doubles[settings]
 
     def _run(self, runner: Runner, settings: Settings) -> list[Run]:
-        """The positions from every start, until one fails."""
+        """Run from every start until one run fails, and record positions alone."""
         hidden = Progress("", self.runs.starts, False)
         return screened(runner, settings, runner.starts, self.runs.workers, hidden, True)
 
@@ -215,15 +222,15 @@ class ErrorSplit:
 
 
 def _runner_of(scene: Scene, runner: Runner) -> Runner:
-    """The runner of another scene on the same motion."""
+    """Return a runner of another scene with the same settings and schedule."""
     return Runner(Model(scene, runner.model.settings), runner.schedule)
 
 
 def stiffer(scene: Scene, factor: float) -> Scene:
-    """A copy of a scene whose contacts, limits and connections are harder.
+    """Return a copy of a scene with harder contacts, limits and connections.
 
-    Time constants of solref are divided by `factor`; a stiffness given directly is multiplied by
-    its square and a damping by it, which is the same.
+    Time constants of solref are divided by `factor`. Equivalently, a direct stiffness is multiplied
+    by factor², and a direct damping by factor.
     """
 
     def hard(ref: Ref) -> Ref:
@@ -235,12 +242,12 @@ def stiffer(scene: Scene, factor: float) -> Scene:
 
 
 def clamped(scene: Scene, least: float) -> Scene:
-    """A copy of a scene none of whose time constants of solref is below `least` [s]."""
+    """Return a copy of a scene with all solref time constants raised to at least `least` [s]."""
     return _softened(scene, lambda ref: (max(ref[0], least) if ref[0] > 0 else ref[0], ref[1]))
 
 
 def _softened(scene: Any, change: Callable[[Ref], Ref]) -> Any:
-    """A copy of a scene with every solref changed."""
+    """Return a copy of a scene with `change` applied to every solref."""
     made = copy.deepcopy(scene)
     for other in (*made.geoms, *made.equalities, *made.pairs, made.contact_override):
         other.solref = change(other.solref)
@@ -251,7 +258,7 @@ def _softened(scene: Any, change: Callable[[Ref], Ref]) -> Any:
 
 
 def _modelled(settings: Settings) -> tuple[Any, ...]:
-    """What settings say of the model, with None for what their law does not use."""
+    """Return the settings of the physical model, with None for those that the law does not use."""
     soft = settings.law == "solref"
     groups = (
         (ALWAYS, True),
@@ -266,10 +273,11 @@ def _modelled(settings: Settings) -> tuple[Any, ...]:
 
 
 def time_scale(scene: Scene) -> float:
-    """The shortest time in which a contact, limit or connection pushes back [s]; inf without any.
+    """Return the shortest response time of a contact, limit or connection [s]; inf without any.
 
-    A contact with solref (T, ζ) is an oscillator with 1/ω = ζT whose damping alone takes T, one
-    with (−k, −b) has 1/ω = 1/√k and takes 2/b (the acceleration per overlap, and per speed).
+    A contact with solref (T, ζ) is an oscillator with 1/ω = ζT and a damping time T. A contact with
+    solref (−k, −b) has 1/ω = 1/√k and a damping time 2/b, where k is the acceleration per overlap
+    and b the acceleration per speed.
     """
     shortest = math.inf
     for first, second in _solrefs(scene):
@@ -282,7 +290,7 @@ def time_scale(scene: Scene) -> float:
 
 
 def _solrefs(scene: Scene) -> list[Ref]:
-    """Of everything in a scene that can make rows."""
+    """Return the solref values of all elements of a scene that can make constraint rows."""
     refs = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
     lengths: list[Joint | Tendon] = [*scene.joints, *scene.tendons]
     refs += [length.solreflimit for length in lengths if length.range is not None]
@@ -294,8 +302,8 @@ def _solrefs(scene: Scene) -> list[Ref]:
 
 
 def clamping(scene: Scene) -> float | None:
-    """The shortest time constant that `refsafe` guards [s]: at a dt above half of it, rows soften.
+    """Return the shortest solref time constant [s], or None if no solref is a time constant.
 
-    None where no solref in the scene is a time constant.
+    At a dt above half of this time constant, `refsafe` softens rows.
     """
     return min((ref[0] for ref in _solrefs(scene) if ref[0] > 0), default=None)

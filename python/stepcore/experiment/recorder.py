@@ -1,6 +1,6 @@
-"""The probes that fill a `Run`: `Recorder` measures all of it, `Positions` and `Means` a part.
+"""The probes that fill a `Run`: `Recorder` fills all fields, `Positions` and `Means` some.
 
-A search records hundreds of runs with `Positions`; the errors in a table come from `Recorder`.
+A search makes hundreds of runs with `Positions`; the errors in a table come from `Recorder`.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from stepcore.experiment.friction import Slips
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.schedule import Schedule
 
-# States recorded in a period and in a run, at most; four times as many in a run where the work of
-# actuators and dampers is summed over them.
+# The largest number of recorded states in a period and in a run. The limit for a run is four times
+# larger if the work of actuators and dampers is integrated over the states.
 STATES, ALL_STATES = 32, 1000
-# Looks at the contacts in a period and in a run, at most.
+# The largest number of observations of the contacts in a period and in a run.
 CONTACTS, ALL_CONTACTS = 8, 500
 
 
 class Positions(Probe):
-    """Records where the bodies are at the samples, and nothing else."""
+    """A probe that records the poses of the bodies at the samples, and nothing else."""
 
     def __init__(self, bodies: Bodies) -> None:
         self.bodies = bodies
@@ -36,14 +36,14 @@ class Positions(Probe):
         self.place(run)
 
     def place(self, run: Run) -> None:
-        """Writes what was recorded."""
+        """Write the recorded poses into a run."""
         run.quat, run.gyration = np.array(self.xquat), self.bodies.gyration
         with np.errstate(over="ignore", invalid="ignore"):
             run.com = self.bodies.centres(np.array(self.xpos), run.quat)
 
 
 class Means(Probe):
-    """Records heights, kinetic energies and contacts at the samples, as `Recorder` does."""
+    """A probe that records heights, kinetic energies and touching contacts at the samples."""
 
     def __init__(self, bodies: Bodies) -> None:
         self.bodies, self.meets = bodies, bodies.model.npair > 0
@@ -64,7 +64,10 @@ class Means(Probe):
 
 
 class Recorder(Probe):
-    """Records a whole `Run`: states every few steps, contacts less often, slips at the samples."""
+    """A probe that records all fields of a `Run`.
+
+    States are recorded every few steps, contacts less often, and slips at the samples.
+    """
 
     def __init__(self, bodies: Bodies, schedule: Schedule) -> None:
         self.bodies, self.schedule = bodies, schedule
@@ -117,7 +120,7 @@ class Recorder(Probe):
         self.act.append(np.array(sim.act))
 
     def _contacts(self, sim: Sim) -> None:
-        # Without a row since the last look nothing touches, but for penalties.
+        # Without new row updates nothing touches, except under the law penalty, which has no rows.
         if self.rowless and sim.row_updates == self.updates:
             return
         self.updates = sim.row_updates
@@ -128,11 +131,11 @@ class Recorder(Probe):
             self.grounded = self.grounded or self.bodies.friction.grounded(pairs)
 
     def end(self, sim: Sim, run: Run) -> None:
-        """Computes the poses and energies at the samples, always in double precision."""
+        """Compute the poses and energies at the samples, always in double precision."""
         bodies = self.bodies
         qpos, qvel = np.array(self.qpos), np.array(self.qvel)
         at = np.array(self.samples)
-        # Energies of a finite state can overflow.
+        # The energies of a finite state can overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             seen = bodies.states(qpos[[0, *at]], qvel[[0, *at]])
             work = np.concatenate([[0.0], np.cumsum(self._work(qpos, qvel))])
@@ -149,10 +152,10 @@ class Recorder(Probe):
         run.row_updates, run.rows = sim.row_updates, sim.most_rows
 
     def _work(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """The work of actuators and dampers on the bodies between each two states [J].
+        """Compute the work of actuators and dampers between consecutive states [J].
 
-        A motor's force is held, so force × change of the joint is exact for hinges and slides; a
-        servo's force is the mean of both ends, which is exact for its stiffness.
+        The force of a motor is constant, so force × displacement is exact for hinges and slides.
+        The force of a servo is averaged over both states, which is exact for the stiffness term.
         """
         model, ctrl, act = self.bodies.model, np.array(self.ctrl), np.array(self.act)
         change = self.bodies.coordinates.change(qpos[:-1], qpos[1:])
