@@ -1,1 +1,1 @@
-"""What is stepped: the compiled model, one world, many worlds, views by name."""
+"""The simulation engine: compiled models, single worlds, batches of worlds, and named views."""

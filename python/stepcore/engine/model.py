@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 class Model:
     """A compiled scene.
 
-    scene: the `Scene`. It is copied: later edits do not change the model.
+    scene: the `Scene`, which is copied, so that later edits do not change the model.
     settings: a `Settings` that replaces the scene's own.
     fields: single fields of `Settings` to change, such as ``dt=0.005``.
 
@@ -75,7 +75,7 @@ class Model:
         return self._scene
 
     def plan(self, *, sim: Sim | None = None, time: bool = False) -> Plan:
-        """List what a step computes, what it omits, and the reasons; see `stepcore.plan`."""
+        """List the work that a step does and omits, with the reasons; see `stepcore.plan`."""
         from stepcore.engine.plan import planned
 
         return planned(self, sim, time)
@@ -202,8 +202,8 @@ class Model:
     def called(self, kind: str) -> tuple[str, ...]:
         """Return the display names of all elements of a kind, in their order.
 
-        A display name is the element's name. An unnamed element is shown by its position in the
-        file, within its body or joint: "geom 15 of body `jaw`".
+        The display name is the name of the element. For an unnamed element it is the index with the
+        body or joint, which helps to find the element in the file: "geom 15 of body `jaw`".
 
         kind: as in `names`.
 

@@ -37,7 +37,7 @@ class Replay:
         change of an input; steps count from `state`.
     steps: the number of steps to the last finite state. The next step gives a non-finite value; or,
         with a ledger, the last finite state has more energy than is physically possible.
-    happened: the attributes of the error, its text, and a digest of the last finite state.
+    happened: the attributes and the text of the error, and a digest of the last finite state.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)

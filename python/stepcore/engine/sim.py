@@ -69,7 +69,7 @@ class Sim(World):
     fields: single fields of `Settings` to change, such as ``dt=0.005, solver="pgs"``.
 
     The state arrays (qpos, qvel, ctrl, qfrc_applied, xfrc_applied) can be written, in place or by
-    assignment. They are float64 at every precision and are checked before each step: an entry that
+    assignment. They are float64 at every precision and are checked before each use: an entry that
     is not finite raises a ValueError that names the entry, and nothing is stepped.
 
     All other attributes are read-only. Poses, energy, momentum and matrices describe the present
@@ -148,11 +148,11 @@ class Sim(World):
         """Linearise the next step about the present state, without taking the step.
 
         The derivatives are exact: dual numbers are propagated through the step, contacts and solver
-            included, with the settings of this Sim and in float64. Controls, applied forces and the
-            solver's initial impulses are constant in the map. Where a law switches (a contact that
-            just touches, a limit just reached, a clamped control) the derivatives are one-sided:
-            they describe the branch that the step takes at this state. `degenerate` of the result
-            names the elements whose rows are exactly at such a switch.
+        included, with the settings of this Sim and in float64. Controls, applied forces and the
+        solver's initial impulses are constant in the map. Where a law switches (a contact that just
+        touches, a limit just reached, a clamped control) the derivatives are one-sided: they
+        describe the branch that the step takes at this state. `degenerate` of the result names the
+        elements whose rows are exactly at such a switch.
 
         The cost is that of about (2 nv + nu)/4 steps in dual numbers, each a few times as expensive
         as a plain step. The GIL is released. See docs/linearize.md.

@@ -16,7 +16,7 @@ MEMORY = 2**28
 
 @dataclass(frozen=True, repr=False)
 class Snapshots:
-    """States of a `Sim` during a run, each with the inputs of the step that follows it.
+    """States of a `Sim` during a run, each with the inputs of the following step.
 
     A solve from such a state is bit-identical to that of the run, so contacts and forces can be
     computed later and need not be recorded.

@@ -187,10 +187,10 @@ class Trajectory:
         """Write the run as a log for Foxglove (MCAP, JSON with schemas).
 
         Topics: ``/tf``, the poses of the bodies (foxglove.FrameTransforms); ``/scene``, the shapes
-            of the bodies, and ``/contacts``, the contact forces as arrows (foxglove.SceneUpdate),
-            both at the snapshots; ``/state``, energy, residual and contacts; ``/recorded``, the
-            recorded arrays at every step. Time stamps are simulated time, counted from its
-            beginning. Needs the extra "mcap". See docs/view.md.
+        of the bodies, and ``/contacts``, the contact forces as arrows (foxglove.SceneUpdate), both
+        at the snapshots; ``/state``, energy, residual and contacts; ``/recorded``, the recorded
+        arrays at every step. Time stamps are simulated time, counted from its beginning. Needs the
+        extra "mcap". See docs/view.md.
 
         path: the file to write.
 

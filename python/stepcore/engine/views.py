@@ -56,7 +56,7 @@ class _View(KnownNames):
 
     @property
     def name(self) -> str:
-        """Name of the element, "" if it has none."""
+        """Name of the element, "" for an unnamed element."""
         return self._sim.model.names[self.kind][self.index]
 
     @property
@@ -81,7 +81,7 @@ class _Point(_View):
 
     @property
     def velocity(self) -> Floats:
-        """Velocity of the frame's origin [m/s], then its angular velocity [rad/s], shape (6,)."""
+        """Linear [m/s], then angular [rad/s] velocity of the frame at its origin, shape (6,)."""
         velocity: Floats = self.jacobian @ self._sim.qvel[..., None]
         return velocity[..., 0]
 

@@ -147,7 +147,7 @@ class World(checks.KnownNames, ABC):
     _model: Model
 
     def _own(self, core: Any) -> None:
-        """Take over a `_core.Sim` or `_core.Batch`, whose state arrays are views of its memory."""
+        """Take over a `_core.Sim` or `_core.Batch`, whose memory contains the state arrays."""
         self._core = core
         self._arrays: dict[str, Floats] = dict(core.arrays())
 
@@ -350,7 +350,7 @@ class World(checks.KnownNames, ABC):
                 self._arrays[name].reshape(-1, len(row))[worlds] = row
 
     def _explain(self, error: SimulationError) -> None:
-        """Attach to an error its `replay`, which can be saved and run again."""
+        """Attach a `replay`, which can be saved and run again, to an error."""
         # Imported here because only failures need the post-mortem.
         from stepcore.engine.replay import attach
 

@@ -44,7 +44,7 @@ FIELDS = {
 
 
 def quantity(value: float, units: Units, digits: int = 3) -> str:
-    """Format a number in the largest unit that leaves it at least 1."""
+    """Format a number in the largest unit in which its absolute value is at least 1."""
     for unit, size in units:
         if abs(value) >= size * (1 - 0.5 * 10**-digits):
             return f"{value / size:.{digits}g} {unit}"

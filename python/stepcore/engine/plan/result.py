@@ -33,7 +33,7 @@ class PlanEntry:
     kind: "file", "term", "pair" or "row".
     name: the name of the work.
     names, count: the elements concerned, and their number.
-    used: whether the step does it.
+    used: whether the step does the work.
     why: the reason for the omission, or a remark.
     rows: the number of rows at the state.
     stages: the stages of `Sim.stage_flops` that the entry represents, if any.

@@ -143,7 +143,7 @@ SMALL = 1e-3
 
 
 def ablation(result: Ablation) -> Any:
-    """Draw the work that removing each feature saves (left) and the error it adds (right)."""
+    """Draw the work saved (left) and the error added (right) by removing each feature."""
     rows = [row for row in result.sorted() if not row.outcome.failure][:FEATURES]
     rows = [result.best, *rows]
     figure = new_figure(9.0, 2.0 + 0.27 * (len(rows) + 1))

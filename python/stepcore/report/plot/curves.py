@@ -100,7 +100,7 @@ FEW_DECADES = 2.0
 
 
 def postmortem(result: PostMortem) -> Any:
-    """Draw the energy after each step (above) and each element's injected fraction of it (below).
+    """Draw the energy after each step (above) and the fraction injected by each element (below).
 
     Without recorded steps, only each element's share of the growth is drawn.
     """
