@@ -16,7 +16,7 @@ from stepcore.scene.scene import Scene
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# Folders of a package that hold models for its own tests only.
+# Folders of a package with models for its own tests only.
 TESTS = {"test", "tests", "testing", "test_assets"}
 # Packages with models that the documentation mentions.
 WITH_MODELS = ("gymnasium", "dm_control")
@@ -33,7 +33,7 @@ def find_scene(source: Any, without: Iterable[str] = (), fuse: bool | None = Non
         read from its XML. Every other source is the path of an MJCF file.
     without, fuse: see `stepcore.load`.
 
-    Raises ValueError for a name that does not exist, and what `stepcore.load` raises for a path.
+    Raises ValueError for an unknown name, and the errors of `stepcore.load` for a path.
     """
     if is_mujoco(source):
         scene = Scene()
@@ -63,7 +63,7 @@ def find_model(source: Any) -> Model:
 
 
 def find_asset(package: str, name: str) -> Path:
-    """Return the MJCF file with this name among a package's files, without importing it."""
+    """Return the MJCF file with this name in a package, without importing the package."""
     if not package.isidentifier():
         raise ValueError(brief(f"{package}:{name}: '{package}' is not the name of a package"))
     spec = importlib.util.find_spec(package)

@@ -195,7 +195,7 @@ class Contents(Holdings):
         size: half sizes along x and y, height of the highest point, depth of the base [m].
         file: in place of the elevation: a PNG image (read with pillow), or MuJoCo's binary format.
 
-        Raises what `add_mesh` raises.
+        Raises the errors of `add_mesh`.
         """
         checks.word("name", name)
         if (file is None) == (elevation is None):

@@ -38,7 +38,8 @@ class Scene(Contents):
     bodies, joints, geoms, meshes, hfields, sites, tendons, sensors, actuators, equalities, pairs,
         keys: lists of the elements; ``bodies[0]`` is the world.
     excludes: pairs of bodies that do not collide, except for geoms in `pairs`.
-    contact_override: contact parameters that replace those of every contact (`ContactOverride`).
+    contact_override: contact parameters that replace the parameters of every contact
+        (`ContactOverride`).
     mass_rules: how body masses follow from geoms (`MassRules`: MJCF's ``<compiler>``).
     lengthrange: how `compile` finds the length range of muscles that do not give a range
         (`LengthRange`: MJCF's ``<lengthrange>``); `compile` runs a simulation for this.
@@ -73,7 +74,7 @@ class Scene(Contents):
     def view(self, *, host: str = "localhost", port: int = 8080, wait: bool | None = None) -> View:
         """Open a live view of the scene, from its first keyframe; see `Sim.view`.
 
-        Raises what `compile` raises.
+        Raises the errors of `compile`.
         """
         return self._begun().view(host=host, port=port, wait=wait)
 
@@ -142,7 +143,7 @@ class Scene(Contents):
         ``<custom>`` are edited. (If the text names other files, `path` must be in their folder.)
         Every other scene is written as by `to_mjcf`.
 
-        Raises what `to_mjcf` raises, and OSError.
+        Raises the errors of `to_mjcf`, and OSError.
         """
         from stepcore.mjcf.source_edit import save
 

@@ -1,4 +1,4 @@
-"""`Actuator`."""
+"""`Actuator`: a motor, servo or muscle of a scene."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ Samples = Annotated[int, replace(of.whole(0, MOST_SAMPLES), read=lambda value: m
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Actuator(Element):
-    """A motor, servo or muscle. The force on its transmission target is gear × force.
+    """A motor, servo or muscle that applies gear × force to its transmission target.
 
     The force of each type is
 
@@ -82,7 +82,7 @@ class Actuator(Element):
     - "velocity": kv × (control − velocity);
     - "intvelocity": kp × (w − length) − kv × velocity, where dw/dt = control;
     - "pid": kp × (p − length) + kv × (v − velocity) + ki × x + f, where dx/dt = p − length within
-      ±imax. The controls are those of p, v and f that `input` names; the others are 0;
+      ±imax. `input` lists which of p, v and f are controls; the others are 0;
     - "dcmotor": K/R × (voltage − K × velocity), with K = motorconst and the resistance R. With the
       inputs "pos", "vel" or "ff", a controller sets the voltage that gives the force of a pid;
     - "input": none; its control is another input of the actuator that it `feeds`;
@@ -258,7 +258,7 @@ class Actuator(Element):
 
     @property
     def inputs(self) -> list[str]:
-        """The meanings of the controls: the own control first, then those of feeding actuators."""
+        """The meanings of the controls: first of the own control, then of fed controls."""
         return inputs(self.type, self.input)
 
     @property

@@ -175,7 +175,7 @@ def _of_muscle(values: Values) -> Law:
 
 def _pid(values: Values) -> Law:
     words = inputs("pid", values["input"])
-    # With a damping ratio the velocity gain depends on kv, which only the engine computes.
+    # With a damping ratio the engine computes kv, which is also the gain of the velocity input.
     by_ratio = words == ["vel"] and bool(values["dampratio"])
     own = {field: values[field] or 0.0 for field in CONTROL}
     kp, kv = values["kp"], values["kv"]

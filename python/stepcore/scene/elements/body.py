@@ -1,4 +1,4 @@
-"""`Body`."""
+"""`Body`: a rigid body of a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`Equality`."""
+"""`Equality`: a constraint between bodies, joints or tendons of a scene."""
 
 from __future__ import annotations
 

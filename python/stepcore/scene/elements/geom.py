@@ -1,4 +1,4 @@
-"""`Geom`."""
+"""`Geom`: a shape that collides and gives mass to a body."""
 
 from __future__ import annotations
 

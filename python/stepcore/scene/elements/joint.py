@@ -1,4 +1,4 @@
-"""`Joint`."""
+"""`Joint`: a joint between a body and its parent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`Sensor`."""
+"""`Sensor`: a named measurement of a scene."""
 
 from __future__ import annotations
 

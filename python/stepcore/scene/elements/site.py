@@ -1,4 +1,4 @@
-"""`Site`."""
+"""`Site`: a named frame on a body of a scene."""
 
 from __future__ import annotations
 
