@@ -141,7 +141,7 @@ _EDITS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Has:
-    """A feature common to joints and tendons: its test, its fields and its name."""
+    """A feature common to joints and tendons: its test, its fields and its name in words."""
 
     test: Callable[[Any], bool]
     fields: tuple[str, ...]

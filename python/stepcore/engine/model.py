@@ -435,12 +435,12 @@ class Model:
     # Copies.
 
     def with_values(self, values: Mapping[str, Any]) -> Model:
-        """Return a model of the same scene with some values changed, compiled again.
+        """Compile the scene again with some values changed, and return the new model.
 
         values: a dict from "kind/name/field" to the value, such as ``{"geom/box/friction": 0.4,
             "body/arm/mass": 2.0, "joint/knee/damping": 1.0}``; "gravity" is also a path. A single
-            number sets the first entry of a vector. Setting the mass of a body that is computed
-            from geoms scales the masses of these geoms.
+            number sets the first entry of a vector. If the mass of a body comes from its geoms, a
+            new mass scales these geoms.
 
         Raises ValueError, with the nearest names, for an unknown kind, name or field, and for an
         invalid value.

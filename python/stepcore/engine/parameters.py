@@ -37,7 +37,7 @@ class ModelVariation(Variation):
 class Parameters(Mapping[str, Floats]):
     """Model values that differ from world to world of a batch, as arrays by path: `Batch.param`.
 
-    Paths are those of `Model.with_values`: "geom/floor/friction", "body/arm/mass",
+    The paths are those of `Model.with_values`: "geom/floor/friction", "body/arm/mass",
     "joint/knee/damping", "actuator/motor/gainprm", "gravity". An array has one row for each world:
     shape (n,) for a number or for the first entry of a vector, (n, k) for a vector of k entries. A
     single number applies to all worlds.

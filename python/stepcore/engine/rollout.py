@@ -1,4 +1,4 @@
-"""`Rollout`: the states of a batch under given controls, and the loop that records more of them."""
+"""`Rollout`: the states of a batch under given controls, and the recording loop."""
 
 from __future__ import annotations
 
