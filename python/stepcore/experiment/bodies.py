@@ -187,10 +187,10 @@ class Balance:
     """The momentum balance of a scene.
 
     known: whether the momentum can be predicted. This requires that every kinematic tree is
-        attached to the world by a free joint on which only gravity acts. Internal forces, including
-        those of actuators and of contacts among the bodies, then cancel: p = p₀ + m g t, and the
-        angular momentum about the centre of mass is constant. External forces and contacts with
-        static bodies make the momentum unpredictable.
+        attached to the world by a free joint on which only gravity acts. Internal forces, such as
+        actuator forces and contacts among the bodies, then cancel: p = p₀ + m g t, and the angular
+        momentum about the centre of mass is constant. External forces and contacts with static
+        bodies make the momentum unpredictable.
     """
 
     def __init__(self, model: Model, layout: Layout, gravity: np.ndarray, mass: np.ndarray) -> None:

@@ -168,8 +168,9 @@ def _roots(parts: Sequence[np.ndarray]) -> list[float]:
 
 
 def pareto(cost: Sequence[float], error: Sequence[float]) -> list[bool]:
-    """Mark the Pareto-optimal points: no other point is as good in both values and better in one.
+    """Mark the Pareto-optimal points, and return one flag per point.
 
+    A point is Pareto-optimal if no other point is as good in both values and better in one.
     Of equal points only the first is marked. Points that are not finite are never marked.
 
     >>> pareto([1.0, 2.0, 3.0, 2.5], [3.0, 2.0, 1.0, 2.0])

@@ -317,7 +317,8 @@ class ReferenceRuns:
     def _steps(self) -> list[float]:
         """Return the steps of three halvings, from twice the finest step that is judged [s].
 
-        If those cost too much, the halvings begin at a coarser step; later refinements can follow.
+        If these steps cost too much, the halvings begin at a coarser step, and `refined` can add
+        finer levels later.
         """
         chosen = [self.finest / 2**k for k in range(HALVINGS + 1)]
         for begin in BEGIN:

@@ -225,7 +225,7 @@ def simulated(
 ) -> SimulationRun:
     """Run a Sim from the start of a motion, and return the result.
 
-    settings: the settings for the result (those of the Sim may differ in `ledger`).
+    settings: the settings for the result (the Sim's settings may differ in `ledger`).
     horizon: simulated time [s]; may be 0.
     interruptible: whether Ctrl-C ends the run with a result, and not with KeyboardInterrupt.
     """
