@@ -1,4 +1,4 @@
-"""`ablate`: the cost of each modelled feature, and the error that removing it adds."""
+"""`ablate`: the cost of each modelled feature, and the error added when the feature is removed."""
 
 from __future__ import annotations
 
@@ -38,16 +38,17 @@ from stepcore.report.units import metres, seconds
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
 
-# The smallest model is confirmed on this many sets of other starts, until one of them needs nothing
-# restored. If 32 starts show no failure, at least 91 % of all such starts have none (95 %
-# confidence); a set has fewer if each costs much.
+# Largest number of sets of other starts on which the smallest model is confirmed, and starts in a
+# set. Confirmation ends with a set that needs nothing restored. If 32 starts show no failure, at
+# least 91 % of all such starts have none (95 % confidence). Sets are smaller if each start is
+# expensive.
 SETS, CONFIRMED_ON = 4, 32
-# What all runs of the sets may cost, in steps × (dofs + 2).
+# Limit on the cost of all runs of the sets, in steps × (dofs + 2).
 SETS_BUDGET = 6e6
-# If all features alone, from all starts, cost more than this, each first runs from a few starts,
-# and only features that keep to the tolerance there run from the others.
+# Above this cost of all single removals, each feature first runs from SCREENED starts. Only
+# features within the tolerance there run from the others.
 FEATURES_BUDGET, SCREENED = 1.2e7, 2
-# What the reference may cost, in steps × (dofs + 2).
+# Limit on the cost of the reference, in steps × (dofs + 2).
 BUDGET = 3e6
 
 
@@ -62,18 +63,19 @@ def ablate(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Ablation:
-    """Removes one modelled feature at a time, and measures the work saved and the error added.
+    """Remove one modelled feature at a time, and measure the work saved and the error added.
 
-    Then it removes as many features together as possible within `added`: this smallest model is
-    chosen on some starts and confirmed on up to 32 others. Features that these starts need are
-    restored, and the rest is confirmed on further starts.
+    Then `ablate` removes as many features together as possible within `added`. This smallest model
+    is chosen on some starts and confirmed on up to 32 others. Features that the other starts need
+    are restored, and the new smallest model is confirmed on further starts.
 
-    model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Everything runs under
-        its own settings.
-    motion: a `Motion`, or its fields as arguments. By default 1 s, and 8 starts to choose on.
-    added: the RMS position error, over samples and bodies, that the smallest model may add to the
-        whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's size.
-    threads: the number of runs at the same time (default: one per core).
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Every run uses the
+        model's own settings.
+    motion: a `Motion`, or its fields as arguments. By default 1 s, and 8 starts for the choice.
+    added: the largest RMS position error, over samples and bodies, that the smallest model may add
+        to the whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's
+        size.
+    threads: the number of parallel runs (default: one per core).
     executor: any `concurrent.futures` executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
 
@@ -88,7 +90,7 @@ def ablate(
     >>> result.smallest.joints[0].range is None
     True
     """
-    # A wrong tolerance is refused before minutes of work; the scene's size is known later.
+    # Check the tolerance before minutes of work; the scene's size is known later.
     units.length("ablate", "added", added, 1.0)
     setup = set_up(
         ablate,
@@ -106,7 +108,7 @@ def ablate(
     first = Runner(model, scheduled(motion, model, period, starts=1))
     first.check_repeatable()
     work = _work(model, motion.horizon or HORIZON, heaviness(first, model.settings))
-    # Starts to choose on, and sets of starts to confirm on.
+    # The number of starts in a set to confirm on.
     more = max(starts, min(CONFIRMED_ON, int(SETS_BUDGET / (2 * SETS * work))))
     schedule = scheduled(motion, model, period, starts=starts + SETS * more)
     experiment = Experiment(model, schedule.part(0, starts), workers)
@@ -155,16 +157,19 @@ def ablate(
 
 
 def _work(model: Model, horizon: float, weight: float) -> float:
-    """What one run costs, in steps × (dofs + 2); weight: of a step (`heaviness`)."""
+    """Return the cost of one run, in steps × (dofs + 2); weight: of a step (`heaviness`)."""
     return horizon / model.settings.dt * (model.nv + 2) * weight
 
 
 def _alone(
     baseline: Baseline, removals: list[Removal], few: int, tolerance: float, workers: Workers
 ) -> tuple[VariantOutcome, list[VariantOutcome], int]:
-    """The whole model, every feature removed alone, and how many of these ran from few starts only.
+    """Run the whole model and every feature removed alone.
 
-    few: the starts that all run from. What adds more than `tolerance` [m] there is not run again.
+    Return both outcomes, and the number of features that ran from few starts only.
+
+    few: the number of starts that all features run from. A feature that adds more than `tolerance`
+        [m] there does not run from the other starts.
     """
     points = [(), *((removal,) for removal in removals)]
     job = partial(outcome_of, baseline.first(few), workers=workers.inside)
@@ -180,7 +185,7 @@ def _alone(
 
 
 def _reference(experiment: Experiment) -> tuple[Reference | None, list[str]]:
-    """The converged motion, or a note on why there is none."""
+    """Return the converged motion, or None and a note with the reason."""
     try:
         return experiment.reference(experiment.model.settings.dt, BUDGET), []
     except ValueError as error:
@@ -188,7 +193,7 @@ def _reference(experiment: Experiment) -> tuple[Reference | None, list[str]]:
 
 
 def _baseline(experiment: Experiment, reference: Reference | None = None) -> Baseline:
-    """The whole model's own motion at its settings; ValueError if it fails."""
+    """Run the whole model at its own settings; raise ValueError if a run fails."""
     model, schedule = experiment.model, experiment.schedule
     starts = len(schedule.starts)
     runs = experiment.run(model.settings, bar=Progress("", starts, False))
@@ -209,7 +214,7 @@ def _baseline(experiment: Experiment, reference: Reference | None = None) -> Bas
 
 
 def _poor(reference: Reference, tolerance: float) -> Iterator[str]:
-    """A note on a reference that is not as good as the tolerance."""
+    """Yield a note if the reference is less accurate than the tolerance."""
     if reference.error > tolerance:
         yield (
             f"the reference has an error of {metres(reference.error)}, more than the tolerance: "
@@ -218,7 +223,7 @@ def _poor(reference: Reference, tolerance: float) -> Iterator[str]:
 
 
 def _screened(cut: int, few: int, starts: int) -> list[str]:
-    """A note on features that ran from few starts."""
+    """Return a note on features that ran from few starts."""
     if not cut:
         return []
     exceeds, were = ("exceeds", "was") if cut == 1 else ("exceed", "were")

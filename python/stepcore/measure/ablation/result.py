@@ -1,4 +1,4 @@
-"""`Ablation`: the table of features, what it means in sentences, and the smallest model."""
+"""`Ablation`: the table of features, the conclusions in sentences, and the smallest model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, metres, percent
 from stepcore.scene.scene import Scene
 
-# The features that are printed unless all are asked for.
+# Number of features printed in the short table.
 PRINTED = 10
 # Errors below this are rounding [m].
 MEASURABLE = 1e-12
@@ -31,7 +31,7 @@ LEGEND = (
 
 @dataclass(frozen=True)
 class FeatureEffect:
-    """One feature removed: its outcome, and the cost without it [µs per simulated second]."""
+    """One removed feature: the outcome, and the cost without it [µs per simulated second]."""
 
     removal: Removal
     outcome: VariantOutcome
@@ -40,7 +40,7 @@ class FeatureEffect:
 
 @dataclass(eq=False, repr=False)
 class Ablation(Result):
-    """What each modelled feature costs, and the error that removing it adds; `ablate` returns it.
+    """The cost of each modelled feature, and the error added by removal; `ablate` returns it.
 
     tolerance: the error that the smallest model may add [m].
     whole: the model with all features.
@@ -48,10 +48,10 @@ class Ablation(Result):
     removed: the features that the smallest model leaves out.
     best: the smallest model on the starts on which it was chosen.
     confirmed: the smallest model on other starts.
-    restored: features that were restored because of other starts.
-    restored_on: the smallest model on the last starts that had something restored, if any had.
+    restored: the features that other starts needed.
+    restored_on: the smallest model on the last starts that restored a feature, if any.
     smallest: the smallest model as a Scene.
-    reference: the error of the converged motion [m]; None if there is no converged motion.
+    reference: the error of the converged motion [m]; None without a converged motion.
 
     >>> from stepcore import ablate, lesson
     >>> result = ablate(lesson.drop(), horizon=0.2, starts=1, progress=False)
@@ -92,12 +92,12 @@ class Ablation(Result):
 
     @property
     def title(self) -> str:
-        """What was measured, in a few words."""
+        """The quantity measured, in a few words."""
         return f"{self.name}: cost and effect of each modelled feature"
 
     @property
     def setup(self) -> str:
-        """What was run."""
+        """The runs that were made."""
         known = ""
         if self.reference is not None:
             known = f"; the reference has an error of {metres(self.reference)}"
@@ -105,20 +105,21 @@ class Ablation(Result):
         return f"{features} under {label(self.settings)}{known}."
 
     def saved(self, row: FeatureEffect) -> float:
-        """The share of the whole model's work that a row saves."""
+        """Return the share of the whole model's work that a row saves."""
         return row.outcome.saved(self.whole.outcome)
 
     @property
     def kept(self) -> float:
-        """The least share of all such starts that keep to the tolerance (95 % confidence).
+        """The least share of all such starts that stay within the tolerance (95 % confidence).
 
-        From n other starts without a failure: 0.05^(1/n) (Hanley and Lippman-Hand, JAMA 249, 1983).
+        After n other starts without a failure this is 0.05^(1/n) (Hanley and Lippman-Hand, JAMA
+        249, 1983).
         """
         return 0.05 ** (1 / max(1, len(self.confirmed.added)))
 
     @property
     def by_flops(self) -> bool:
-        """Whether work is floating-point operations; else it is row updates."""
+        """Whether work is floating-point operations rather than row updates."""
         return self.whole.outcome.flops is not None
 
     @property
@@ -127,13 +128,13 @@ class Ablation(Result):
         return Table(self.record(row) for row in self.rows)
 
     def sorted(self) -> list[FeatureEffect]:
-        """Rows, the largest saving first; failures last."""
+        """Return the rows, largest saving first, failures last."""
         shares = [(self.saved(row), i) for i, row in enumerate(self.rows)]
         order = sorted((math.isnan(share), -share, i) for share, i in shares)
         return [self.rows[i] for *_, i in order]
 
     def record(self, row: FeatureEffect) -> dict[str, Any]:
-        """One row as plain data."""
+        """Return one row as plain data."""
         outcome = row.outcome
         failed = outcome.failure is not None
         return {
@@ -152,7 +153,7 @@ class Ablation(Result):
         }
 
     def details(self) -> dict[str, Any]:
-        """The tolerance, the whole model and the smallest."""
+        """Return the tolerance, the whole model and the smallest as plain data."""
         return {
             "tolerance": self.tolerance,
             "reference_error": self.reference,
@@ -170,9 +171,11 @@ class Ablation(Result):
         }
 
     def tables(self, full: bool) -> list[Table]:
-        """The whole model, its features, the largest saving first, and the smallest model.
+        """Return the tables of the whole model, its features (largest saving first) and the
+        smallest model.
 
-        `full`: every feature; else those that are left out, and the largest savings.
+        full: whether to include every feature; otherwise only the removed features and the largest
+            savings.
         """
         features = self.sorted()
         if not full and len(features) > PRINTED + 1:
@@ -207,7 +210,7 @@ class Ablation(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """The smallest model, features without effect, the largest effect, failures."""
+        """The smallest model, features without effect, the largest effect, and failures."""
         sentences = self._smallest()
         unused = [
             row.removal.label
@@ -232,7 +235,7 @@ class Ablation(Result):
         return sentences
 
     def _smallest(self) -> list[str]:
-        """What the smallest model leaves out, and the error that this adds."""
+        """Describe the features that the smallest model leaves out, and the error added."""
         within = metres(self.tolerance)
         if not self.removed and self.restored:
             return [
@@ -259,7 +262,7 @@ class Ablation(Result):
         return sentences
 
     def _added(self) -> str:
-        """The error of the smallest model in the first starts, and in others."""
+        """Describe the error of the smallest model in the first starts, and in others."""
         here, there = self.best.outcome.worst, self.confirmed.worst
         others = counted(len(self.confirmed.added), "other start")
         before = self.restored_on.worst if self.restored_on else 0.0

@@ -1,4 +1,4 @@
-"""The smallest model within a tolerance: chosen on some starts, confirmed on others."""
+"""Finds the smallest model within a tolerance: chosen on some starts, confirmed on others."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Measure = Callable[[Sequence[Removal]], VariantOutcome]
 
 
 class Selection:
-    """Features that are removed one at a time, and those of them that can be removed together.
+    """The features removed one at a time, and those that can be removed together.
 
     removed: the features that the smallest model leaves out.
-    restored: the features that were restored because of other starts.
+    restored: the features that other starts needed.
     chosen_on: the smallest model's outcome on the starts on which it was chosen.
-    confirmed_on: its outcome on the last other starts that it was tried on.
-    restored_on: its outcome on the last starts that had something restored.
+    confirmed_on: the smallest model's outcome on the last other starts.
+    restored_on: the smallest model's outcome on the last starts that restored a feature.
     """
 
     def __init__(
@@ -37,13 +37,13 @@ class Selection:
         self.restored_on: VariantOutcome | None = None
 
     def alone(self, removal: Removal) -> VariantOutcome:
-        """The outcome of one feature removed, on the starts on which the model is chosen."""
+        """Return the outcome of one feature removed, on the starts of the choice."""
         if removal not in self.known:
             self.known[removal] = outcome_of(self.baseline, [removal], self.workers)
         return self.known[removal]
 
     def choose(self, removals: Sequence[Removal], whole: VariantOutcome, bar: Progress) -> None:
-        """Removes as many features together as the tolerance allows on the baseline's starts."""
+        """Remove as many features together as the tolerance allows on the baseline's starts."""
 
         def measure(chosen: Sequence[Removal]) -> VariantOutcome:
             bar.advance()
@@ -53,9 +53,9 @@ class Selection:
         self.removed, self.chosen_on = greedy(removals, alone, whole, self.tolerance, measure)
 
     def confirm(self, others: Iterable[Baseline]) -> None:
-        """Tries the smallest model on other starts, until a set of them needs nothing restored."""
+        """Run the smallest model on sets of other starts, until a set needs nothing restored."""
         for baseline in others:
-            # Computed only if something has to be restored.
+            # Made only if a feature has to be restored.
             runner = Runner(baseline.model, baseline.schedule)
             usage = functools.cache(partial(usage_of, runner, self.workers))
             self.removed, self.confirmed_on, restored = confirmed(
@@ -82,13 +82,20 @@ def greedy(
     tolerance: float,
     measure: Measure,
 ) -> tuple[list[Removal], VariantOutcome]:
-    """The features that together add at most `tolerance` [m] in the worst start.
+    """Return features that together add at most `tolerance` [m] in the worst start, and their
+    outcome.
 
-    The largest saving is tried first. A feature stays removed if that still saves work within the
-    tolerance, or if it changes no bit of the motion and costs no work. Of two that exclude each
-    other (a cone, and no friction at all) the one that saves more wins. Features of one kind, such
-    as the limits of joints, never exclude each other: they are tried all at once, and if that is
-    too much in halves, down to single ones.
+    The largest saving is tried first. A feature stays removed if that saves more work within the
+    tolerance, or if the motion stays bit-identical and no work is added. If two features exclude
+    each other (a cone, and no friction at all), the larger saving wins. Features of one kind, such
+    as the limits of joints, never exclude each other. These are tried all at once, and after a
+    failure in halves, down to single features.
+
+    removals: the features to try.
+    alone: the outcome of each feature removed alone.
+    whole: the outcome of the whole model.
+    tolerance: the largest error added [m].
+    measure: runs the model without some features.
     """
     order = sorted(range(len(removals)), key=lambda i: alone[i].work)
     chosen: list[Removal] = []
@@ -115,7 +122,7 @@ def greedy(
 
 
 def _saves(outcome: VariantOutcome, before: VariantOutcome, unused: bool) -> bool:
-    """Whether there is less work; without a feature that does nothing, no more work."""
+    """Return whether there is less work; for a feature without effect, whether no work is added."""
     return outcome.work < before.work or (unused and outcome.work == before.work)
 
 
@@ -125,13 +132,16 @@ def confirmed(
     measure: Measure,
     reduced: Callable[[Removal], Removal | None],
 ) -> tuple[list[Removal], VariantOutcome, list[Removal]]:
-    """What stays removed on other starts, the outcome there, and what was restored.
+    """Return the features that stay removed on other starts, the outcome there, and those restored.
 
-    measure: runs those starts. reduced: a group of features without those that these starts use.
+    chosen: the features that the smallest model leaves out.
+    tolerance: the largest error added [m].
+    measure: runs the other starts.
+    reduced: returns a group of features without those that the other starts use.
 
-    If more than the tolerance is added, groups are reduced. If that is not enough, features are
-    restored in the order of the errors that each adds there alone: as few as will do, found by
-    bisection.
+    If the error exceeds the tolerance, groups are reduced. If that is not enough, features are
+    restored in the order of the errors that each adds there alone. Bisection finds the smallest
+    number to restore.
     """
     removed: list[Removal] = list(chosen)
     outcome = measure(removed)
@@ -144,7 +154,7 @@ def confirmed(
     if outcome.worst > tolerance:
         alone = {removal: measure([removal]).worst for removal in removed}
         order = sorted(removed, key=lambda removal: -alone[removal])
-        # With none restored the error is too large, with all restored there is no error.
+        # With nothing restored the error is too large; with everything restored the error is 0.
         few, enough = 0, len(order)
         fewest: VariantOutcome | None = None
         while enough - few > 1:

@@ -1,4 +1,4 @@
-"""Variants of a model that leave out some features: their motion, its cost, what it uses."""
+"""Variants of a model that leave out some features: their motion, cost and used features."""
 
 from __future__ import annotations
 
@@ -22,20 +22,21 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
 
-# Contacts and limits of a start are read at most this often.
+# Largest number of readings of contacts and limits in a start.
 READINGS = 500
 
 
 @dataclass(frozen=True)
 class VariantOutcome:
-    """The motion of one variant of a model, and what it costs.
+    """The motion of one variant of a model, and its cost.
 
-    added [m]: RMS distance from the whole model's motion at the same settings, in every start.
-    added_max [m]: the largest such distance of any body, sample and start.
-    error [m]: RMS distance from the converged motion of the whole model, in every start.
-    flops: floating-point operations per simulated second of the first start; None if they cannot
-        be counted. row_updates: updates of rows, likewise.
-    failure: why the run failed.
+    added: RMS distance from the whole model's motion at equal settings, in every start [m].
+    added_max: the largest such distance of any body, sample and start [m].
+    error: RMS distance from the converged motion of the whole model, in every start [m].
+    flops: floating-point operations per simulated second of the first start; None if they cannot be
+        counted.
+    row_updates: row updates per simulated second of the first start.
+    failure: the reason why a run failed.
     """
 
     added: tuple[float, ...] = ()
@@ -57,11 +58,12 @@ class VariantOutcome:
 
     @property
     def work(self) -> float:
-        """The cost by count: operations, or row updates if operations cannot be counted."""
+        """The counted cost: operations, or row updates if operations cannot be counted."""
         return self.row_updates if self.flops is None else self.flops
 
     def saved(self, whole: VariantOutcome) -> float:
-        """The share of the whole model's work that is saved; negative if this variant costs more.
+        """Return the share of the whole model's work that is saved; negative if this variant costs
+        more.
 
         nan if the variant fails.
         """
@@ -71,10 +73,11 @@ class VariantOutcome:
 
 @dataclass(frozen=True)
 class Baseline:
-    """The whole model's motion at its own settings, which every variant is compared with.
+    """The whole model's motion at its own settings, with which every variant is compared.
 
-    truth: the converged runs, None if there are none. scored: the samples that count, (starts, n).
-    size: of the scene [m].
+    truth: the converged runs; None without a converged motion.
+    scored: the samples that count, shape (starts, n).
+    size: the size of the scene [m].
     """
 
     model: Model
@@ -85,7 +88,7 @@ class Baseline:
     size: float
 
     def first(self, starts: int) -> Baseline:
-        """The baseline of the first starts alone."""
+        """Return the baseline of the first starts alone."""
         return replace(
             self,
             schedule=self.schedule.part(0, starts),
@@ -95,14 +98,17 @@ class Baseline:
         )
 
     def without(self, removals: Sequence[Removal]) -> Model:
-        """The model without some features. ValueError if there is no such model."""
+        """Return the model without some features; raise ValueError for an invalid model."""
         return without(self.model.scene.with_settings(self.model.settings), removals).compile()
 
 
 def outcome_of(
     baseline: Baseline, removals: Sequence[Removal], workers: Workers | None = None
 ) -> VariantOutcome:
-    """The motion without some features; workers: where its starts run, by default here."""
+    """Return the outcome of the motion without some features.
+
+    workers: where the starts run; by default a new `Workers()`.
+    """
     try:
         model = baseline.without(removals)
     except ValueError as error:
@@ -119,7 +125,7 @@ def outcome_of(
 
 
 class UsageProbe(Probe):
-    """Which pairs of bodies touch, and which joints reach a limit."""
+    """A probe that records which pairs of bodies touch, and which joints reach a limit."""
 
     def __init__(self, runner: Runner) -> None:
         self.periods = runner.schedule.periods
@@ -140,7 +146,7 @@ class UsageProbe(Probe):
 
 
 def usage_of(runner: Runner, workers: Workers) -> MotionUsage:
-    """Which pairs of bodies touch and which joints reach a limit in any start."""
+    """Return which pairs of bodies touch and which joints reach a limit in any start."""
     quiet = Progress("", len(runner.starts), False)
     parts = workers.each(partial(_usage_from, runner), runner.starts, quiet)
     touched = frozenset(pair for part in parts for pair in part.touched)
@@ -154,7 +160,7 @@ def _usage_from(runner: Runner, start: int) -> MotionUsage:
 
 
 def times_of(baseline: Baseline, variants: Sequence[Sequence[Removal]]) -> list[float]:
-    """Computing time of variants [µs per simulated second], as `costs` measures it."""
+    """Return the computing time of variants [µs per simulated second], measured as in `costs`."""
 
     def timed(removals: Sequence[Removal]) -> TimedRun:
         try:

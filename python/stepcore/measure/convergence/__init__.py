@@ -48,11 +48,11 @@ __all__ = [
     "converge",
 ]
 
-# What the reference may cost, in steps × (dofs + 2).
+# Limit on the cost of the reference, in steps × (dofs + 2).
 BUDGET = 4e6
-# The most sweeps that are measured at the shipped time step, and at the others.
+# Largest number of sweeps measured at the shipped time step, and at the others.
 MOST, FEWER = 4096, 256
-# The default number of starts.
+# Default number of starts.
 STARTS = 3
 
 
@@ -67,20 +67,20 @@ def converge(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Convergence:
-    """Tests whether a scene's contact forces and other rows are converged along its motion.
+    """Test whether a scene's contact forces and other rows are converged along its motion.
 
-    At states of the motion it measures the residual by the number of sweeps, cold and warm; the
-    share of the error that each sweep leaves, beside its theoretical value; and which rows are
-    furthest from their converged force. Over the whole motion it measures the error at other time
-    steps, with converged forces, and at equal row updates split into many sweeps or many steps. All
-    runs are compared with one converged reference; errors are RMS distances from it in the median
-    start [m].
+    At states of the motion, `converge` measures the residual by the number of sweeps, cold and
+    warm. It also measures the share of the error that each sweep leaves, with the theoretical value
+    for comparison, and which rows are furthest from their converged force. Over the whole motion,
+    `converge` measures the error at other time steps, with converged forces, and at equal row
+    updates split into many sweeps or many steps. All runs are compared with one converged
+    reference. Errors are RMS distances from the reference in the median start [m].
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Its settings are
         judged.
     motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s.
     states: the number of states at which sweeps are measured.
-    threads: the number of runs at the same time (default: one per core).
+    threads: the number of parallel runs (default: one per core).
     executor: any `concurrent.futures` executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
 
@@ -135,14 +135,14 @@ def converge(
         size=experiment.size,
         ending=end,
         notes=[*model.scene.notes, *schedule.notes],
-        # The residual is this measurement's own answer.
+        # The residual is already reported by this measurement.
         findings=[finding for finding in monitored(runner, shipped) if finding.kind != "residual"],
         ran=motion_in_words(model, motion, schedule),
     )
 
 
 def _runs(runner: Runner, some: Sequence[Settings], workers: Workers) -> dict[Settings, list[Run]]:
-    """Every start under each of the settings."""
+    """Run every start under each of the settings."""
     count = len(runner.starts)
     jobs = [partial(runner.run, settings, start) for settings in some for start in runner.starts]
     runs = workers.each(operator.call, jobs, "runs")
@@ -152,7 +152,7 @@ def _runs(runner: Runner, some: Sequence[Settings], workers: Workers) -> dict[Se
 def _histories(
     runner: Runner, some: Candidates, states: int, workers: Workers
 ) -> list[ResidualHistory]:
-    """Sweeps at states of the shipped motion, under each time step."""
+    """Measure sweeps at states of the shipped motion, under each time step."""
     quiet = dataclasses.replace(workers, progress=False)
     by_start = quiet.each(partial(row_states, runner, some.shipped), runner.starts, "")
     chosen = _chosen([state for states_of in by_start for state in states_of], states)
@@ -165,7 +165,7 @@ def _histories(
 
 
 def _chosen(some: list[MotionState], count: int) -> list[MotionState]:
-    """States spread over all starts, and the one with the worst residual."""
+    """Return states spread over all starts, including the one with the worst residual."""
     if len(some) <= count:
         return some
     even = np.linspace(0, len(some) - 1, count - 1).round().astype(int)

@@ -1,4 +1,4 @@
-"""`Convergence`: what `converge` returns: its verdict, in sentences, tables and data."""
+"""`Convergence`: the result of `converge`: the verdict, in sentences, tables and data."""
 
 from __future__ import annotations
 
@@ -20,32 +20,33 @@ from stepcore.report.settings import label
 from stepcore.report.table import Table
 from stepcore.report.units import counted, metres, seconds, speed
 
-# Smaller differences of position, relative to the scene's size, are not worth a verdict.
+# Position differences below this, relative to the scene's size, do not affect the verdict.
 NOTABLE = 1e-5
-# A residual moves a body no further than its speed times the duration of the motion, times this
-# factor where small differences grow.
+# A residual displaces a body by at most its speed times the duration of the motion, times this
+# factor if small differences grow.
 GROWTH = 100.0
 # Errors that differ by less than this factor count as equal.
 ALIKE = 1.2
-# A body that moves less than this share of the distance in the whole motion rests.
+# A body at rest moves less than this share of the distance during the whole motion.
 STILL = 0.1
-# Residuals below this share of the largest are rounding; so are rates of convergence below that.
+# Residuals below this share of the largest are rounding; so are convergence rates below NO_RATE.
 ROUNDING, NO_RATE = 1e-13, 1e-12
-# A screen has this many rows; a sentence names this many, if they lack this share of the largest.
+# Number of rows printed; number of rows named in a sentence; and the least missing share of force,
+# relative to the largest, of a named row.
 PRINTED, NAMED, LACKING = 5, 3, 0.1
 
 
 @dataclass(eq=False, repr=False)
 class Convergence(Result):
-    """Whether a scene's rows are solved, and whether sweeps or smaller steps gain more accuracy.
+    """The convergence of a scene's rows, and whether sweeps or smaller steps gain more accuracy.
 
     candidates: the settings that were run.
-    runs: the result of each of them.
+    runs: the result of each setting.
     histories: the residual by sweeps at states of the motion.
     reference: the converged motion that all runs are compared with.
-    size: of the scene and its motion [m].
+    size: the size of the scene and its motion [m].
     ending: where the motion ends; None if a run fails.
-    findings: what the settings show from the first start, such as creep; see `Finding`.
+    findings: problems of the settings in the first start, such as creep; see `Finding`.
 
     >>> from stepcore import converge, lesson
     >>> tower = lesson.stack(50, "rigid", (1.0, 1.0))
@@ -95,7 +96,7 @@ class Convergence(Result):
 
     @property
     def solved(self) -> CandidateRun:
-        """The run under the same settings with converged forces."""
+        """The run under the scene's settings with converged forces."""
         return self.runs[self.candidates.solved]
 
     @property
@@ -113,7 +114,7 @@ class Convergence(Result):
 
     @property
     def better(self) -> str:
-        """ "smaller steps", "more sweeps" or "neither": more accurate at equal row updates."""
+        """The more accurate at equal row updates: "smaller steps", "more sweeps" or "neither"."""
         if not self.histories:
             return "neither"
         steps, sweeps = (min(errors, default=math.inf) for errors in self.at_equal_work)
@@ -125,7 +126,7 @@ class Convergence(Result):
     def at_equal_work(self) -> tuple[list[float], list[float]]:
         """Errors [m] of the splits with more steps than sweeps, and of those with fewer.
 
-        Splits that fail have none.
+        Splits that fail are left out.
         """
         splits = [(split, self.runs[split.settings]) for split in self.candidates.splits]
         done = [(split, run.error) for split, run in splits if not run.failure]
@@ -140,22 +141,24 @@ class Convergence(Result):
 
     @property
     def contraction(self) -> float | None:
-        """The share of the error that each sweep leaves in the end, measured at `slowest`."""
+        """The asymptotic share of the error that each sweep leaves, measured at `slowest`."""
         return self.slowest.contraction if self.slowest else None
 
     @property
     def theory(self) -> SweepTheory:
-        """The contraction according to theory, at the same state."""
+        """The theoretical contraction at `slowest`."""
         return self.slowest.theory if self.slowest else SweepTheory(why="no two rows act at once")
 
     def at(self, dt: float) -> list[ResidualHistory]:
-        """The residual histories at one time step."""
+        """Return the residual histories at one time step."""
         return [history for history in self.histories if history.dt == dt]
 
     def residual(self, dt: float, sweeps: int, warm: bool = False) -> float:
-        """The median residual of the states after this number of sweeps [m/s].
+        """Return the median residual of the states after a number of sweeps [m/s].
 
+        dt: the time step [s].
         sweeps: one of `ResidualHistory.sweeps`.
+        warm: whether the sweeps start from the impulses of the previous step rather than from zero.
         """
         values = []
         for history in self.at(dt):
@@ -168,7 +171,8 @@ class Convergence(Result):
     def rows(self) -> list[RowForce]:
         """Elements that have rows, the one furthest from its converged force first.
 
-        Each is shown after the shipped sweeps, at the state where it lacks most.
+        Each element is shown after the shipped sweeps, at the state where its force is furthest
+        off.
         """
         worst: dict[str, RowForce] = {}
         count: dict[str, int] = {}
@@ -185,12 +189,12 @@ class Convergence(Result):
 
     @property
     def title(self) -> str:
-        """What was measured."""
+        """The scene measured."""
         return f"{self.name}: convergence of contact forces and other rows"
 
     @property
     def setup(self) -> str:
-        """What was run."""
+        """The runs that were made."""
         reference = self.reference.settings
         return (
             f"Settings: {label(self.settings)}. The reference is {reference.integrator} at dt "
@@ -215,7 +219,7 @@ class Convergence(Result):
 
     @property
     def sweeps(self) -> Table:
-        """Residual by the number of sweeps, cold and warm: median and worst of the states [m/s]."""
+        """Return the residual by sweeps, cold and warm: median and worst of the states [m/s]."""
         histories = [h for h in self.at(self.settings.dt) if h.cold]
         records = []
         for k, count in enumerate(histories[0].sweeps if histories else ()):
@@ -230,10 +234,12 @@ class Convergence(Result):
 
     @property
     def steps(self) -> Table:
-        """One row for each time step, all else as shipped.
+        """Return one row for each time step; other settings are as shipped.
 
-        residual: the worst along the motion [m/s]; contraction: at the slowest state; error: RMS
-        position error [m]; updates: of rows per simulated second.
+        residual: the worst along the motion [m/s].
+        contraction: at the slowest state.
+        error: RMS position error [m].
+        updates: row updates per simulated second.
         """
 
         def record(settings: Settings) -> dict[str, Any]:
@@ -253,9 +259,10 @@ class Convergence(Result):
 
     @property
     def work(self) -> Table:
-        """Equal row updates as steps × sweeps, under pgs; and four times the shipped work.
+        """Return equal row updates as steps × sweeps, under pgs, and four times the shipped work.
 
-        error: RMS position error [m]; overlap, joint: the deepest and the widest gap [m].
+        error: RMS position error [m].
+        overlap, joint: the deepest overlap and the widest gap [m].
         """
         some = self.candidates
         named = [(f"{s.steps}x{s.sweeps}", s.settings) for s in some.splits]
@@ -281,7 +288,10 @@ class Convergence(Result):
         return _numbers((record(*each) for each in named), heading)
 
     def tables(self, full: bool) -> list[Table]:
-        """Rows and time steps; `full`: every row, equal work and residuals by sweeps too."""
+        """Return the tables of rows and time steps.
+
+        full: whether to include every row, equal work and residuals by sweeps.
+        """
         if not self.histories:
             return [self.steps]
         rows, sweeps = self.table, self.sweeps
@@ -292,14 +302,14 @@ class Convergence(Result):
             rows.legend = legend
         if not full:
             return [rows, self.steps]
-        # Up to where the residual is rounding.
+        # Show residuals until they are rounding.
         worst = [max(r["cold worst"], r["warm worst"]) for r in sweeps]
         done = [k for k, value in enumerate(worst) if value <= ROUNDING * max(worst)]
         sweeps = sweeps[: done[0] + 1] if done else sweeps
         return [rows, self.steps, self.work, sweeps]
 
     def details(self) -> dict[str, Any]:
-        """The verdict, the contraction beside its theory, and the other tables."""
+        """Return the verdict, the contraction with its theory, and the other tables."""
         return {
             "verdict": self.verdict,
             "better": self.better,
@@ -325,7 +335,7 @@ class Convergence(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """The verdict, what limits it, how fast sweeps converge, and what gains more."""
+        """The verdict, the cause, the convergence of sweeps, and what would gain more accuracy."""
         said = [self._verdict()]
         if self.histories:
             said += [self._forces(), self._convergence(), self._equal_work(), self._four_times()]
@@ -348,7 +358,7 @@ class Convergence(Result):
         return f"Solved: {fine} The time step causes an error of {error}; reduce dt to lower it."
 
     def _where_it_ends(self, ending: Ending) -> str:
-        """Where an under-solved motion ends."""
+        """Describe where an under-solved motion ends."""
         apart = f"{metres(ending.apart)} from where converged forces take it"
         slow = STILL * ending.apart / self.horizon
         if ending.apart <= NOTABLE * self.size:
@@ -381,7 +391,7 @@ class Convergence(Result):
         return f"{why} Neither converged forces nor the smaller time steps tried help."
 
     def _forces(self) -> str:
-        """The rows that lack most of their force."""
+        """Describe the rows that are furthest from their converged force."""
         rows = [row for row in self.rows if row.missing > 0]
         if not rows or self.verdict == "solved":
             return ""
@@ -395,7 +405,7 @@ class Convergence(Result):
         return f"Force reached, of the converged force: {', '.join(limiting[:NAMED])}."
 
     def _convergence(self) -> str:
-        """How fast sweeps converge, beside theory; Newton makes no sweeps."""
+        """Describe how fast sweeps converge, compared with theory; Newton makes no sweeps."""
         rate = self.contraction
         if self.settings.solver == "newton":
             return ""
@@ -436,7 +446,7 @@ class Convergence(Result):
         return f"At equal work (row updates) {answer}: {', '.join(errors)}."
 
     def _four_times(self) -> str:
-        """What four times the work gains."""
+        """Describe the gain from four times the work."""
         more, quarter = self.candidates.more, self.candidates.quarter
         if more is None or quarter is None or self.shipped.failure:
             return ""
@@ -449,7 +459,7 @@ class Convergence(Result):
         )
 
     def _cautions(self) -> list[str]:
-        """Notes on a reference that is too poor."""
+        """Return notes on a reference that is too inaccurate."""
         said = list(self.reference.notes)
         residual = max(run.residual for run in self.reference.runs)
         if self.verdict != "no rows" and residual > 1e-3 * max(self.shipped.residual, 1e-9):
@@ -468,13 +478,13 @@ class Convergence(Result):
 
 
 def _length(value: float, size: float) -> str:
-    """A length in words; below rounding, relative to the scene's size, only a bound."""
+    """Return a length in words; lengths that are rounding are given as a bound."""
     least = 1e-12 * size
     return metres(value) if value >= least else f"less than {metres(least)}"
 
 
 def _share(value: float) -> str:
-    """A share with enough digits to tell a number near 1 from 1."""
+    """Return a share with enough digits to distinguish a number near 1 from 1."""
     if value <= NO_RATE:
         return "nothing"
     if value < 1e-3:
@@ -484,7 +494,7 @@ def _share(value: float) -> str:
 
 
 def _numbers(records: Iterable[dict[str, Any]], heading: str) -> Table:
-    """A table without empty columns; errors in two digits."""
+    """Return a table without empty columns; errors have two digits."""
     rows = list(records)
     columns = [n for n in rows[0] if any(r[n] not in (None, "") for r in rows)]
     short = ("residual", "error", "overlap", "joint", "updates")

@@ -1,4 +1,4 @@
-"""The settings that `converge` compares, and what their runs show.
+"""The settings that `converge` compares, and the results of their runs.
 
 The settings are time steps, splits of equal work into steps and sweeps, and converged forces.
 """
@@ -27,11 +27,11 @@ from stepcore.measure.convergence.sweeps import MotionState
 # Sweeps in a period of equal work, and their splits into steps × sweeps.
 WORK = 64
 SPLITS = ((64, 1), (16, 4), (4, 16), (1, 64))
-# Time steps that are tried at the shipped sweeps, relative to the shipped one.
+# Time steps tried at the shipped sweeps, relative to the shipped one.
 FACTORS = (4, 2, 1, 1 / 2, 1 / 4, 1 / 8)
-# A motion has at least this many periods.
+# Least number of periods of a motion.
 PERIODS = 4
-# A solver without a number of sweeps is split like one with this number.
+# The number of sweeps assumed for a solver that has none.
 USUAL = 16
 
 
@@ -64,21 +64,23 @@ class Candidates:
 
     @property
     def all(self) -> list[Settings]:
-        """All settings, each once."""
+        """Return all settings, without repetition."""
         some = [*self.dts, *(split.settings for split in self.splits), self.more, self.solved]
         return list(dict.fromkeys(settings for settings in some if settings is not None))
 
     @property
     def quarter(self) -> Settings | None:
-        """The shipped settings at a quarter of their time step, if that is tried."""
+        """The shipped settings at a quarter of their time step; None if not tried."""
         return next((s for s in self.dts if math.isclose(s.dt, self.shipped.dt / 4)), None)
 
 
 def candidates(shipped: Settings, period: float | None, horizon: float) -> Candidates:
-    """The settings to compare with `shipped`.
+    """Return the settings to compare with `shipped`.
 
-    period: the control period [s], None if the motion leaves it open. One of the splits has the
-    shipped time step, with the nearest of 1, 4, 16 and 64 sweeps.
+    period: the control period [s]; None if the motion has none.
+    horizon: the simulated time [s].
+
+    One of the splits has the shipped time step, with the nearest of 1, 4, 16 and 64 sweeps.
     """
     sweeps = USUAL
     if shipped.solver == "pgs" and shipped.sweeps != "auto":
@@ -109,11 +111,11 @@ class CandidateRun:
     """The result of one setting over all starts.
 
     error: RMS position error over samples and bodies against the reference, in the median start
-        [m]; nan if it failed.
+        [m]; nan if the setting failed.
     overlap, joint: the deepest overlap and the widest gap of a connection [m].
     residual: the largest residual [m/s].
     updates: row updates per simulated second.
-    failure: why it ended early.
+    failure: the reason why a run ended early.
     """
 
     settings: Settings
@@ -127,10 +129,10 @@ class CandidateRun:
 
 @dataclass(frozen=True)
 class Ending:
-    """Where the motion ends under the shipped sweeps, beside where it ends with converged forces.
+    """The difference between the ends of the motion under shipped sweeps and with converged forces.
 
-    start, body: where the two are furthest apart.
-    apart: the distance there [m].
+    start, body: the start and the body for which the distance is largest.
+    apart: that distance [m].
     speed, solved_speed: the body's mean speed over the last tenth of both motions [m/s].
     solver: RMS distance over the whole motion [m].
     """
@@ -146,7 +148,7 @@ class Ending:
 def run_of(
     experiment: Experiment, settings: Settings, runs: list[Run], reference: Reference
 ) -> CandidateRun:
-    """The result of one setting."""
+    """Return the result of one setting."""
     failure = experiment.failure(runs, reference)
     if failure is not None:
         return CandidateRun(settings, failure=failure)
@@ -164,7 +166,7 @@ def run_of(
 def ending(
     experiment: Experiment, shipped: Sequence[Run], solved: Sequence[Run], scored: np.ndarray
 ) -> Ending:
-    """Where the motion ends, in the start in which converged forces make the largest difference."""
+    """Compare the ends of the motion in the start where converged forces matter most."""
     times, moving = experiment.schedule.times, experiment.runner.bodies.moving
     over = errors(shipped, solved, scored).position
     last = max(1, len(times) // 10)
@@ -183,9 +185,9 @@ def ending(
 
 
 class RowStates(Probe):
-    """Snapshots of the states from which steps with rows are made.
+    """A probe that records snapshots of states from which steps with rows are made.
 
-    One of each sample, and the one whose step has the worst residual.
+    The snapshots are one of each sample, and the state whose step has the worst residual.
     """
 
     def __init__(self, every: int, start: int) -> None:
@@ -217,7 +219,7 @@ class RowStates(Probe):
 
 
 def row_states(runner: Runner, settings: Settings, start: int) -> list[MotionState]:
-    """States with rows along the motion from one start, the worst last; up to where it fails."""
+    """Return states with rows along the motion from one start, until any failure; worst last."""
     probe = RowStates(runner.schedule.every, start)
     with contextlib.suppress(SimulationError):
         runner.follow(runner.sim(settings), start, [probe])

@@ -1,9 +1,9 @@
-"""How sweeps converge at one state of a motion: measured, and in theory.
+"""Measures how sweeps converge at one state of a motion, and computes the theoretical rate.
 
 Once the active rows and the sticking contacts no longer change, a sweep of projected Gauss-Seidel
-is linear: with K = J M⁻¹ Jᵀ + c of those rows, and D + L its diagonal blocks and what is below
-them, a sweep multiplies the error by I − (D + L)⁻¹ K. The spectral radius of that matrix is the
-share of the error that a sweep leaves in the end (Varga, "Matrix Iterative Analysis").
+is linear. Let K = J M⁻¹ Jᵀ + c for these rows, D the diagonal blocks of K, and L the part below D.
+Then a sweep multiplies the error by I − (D + L)⁻¹ K. The spectral radius of that matrix is the
+asymptotic share of the error that a sweep leaves (Varga, "Matrix Iterative Analysis").
 """
 
 from __future__ import annotations
@@ -22,33 +22,38 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.converged import converged_settings
 
-# Numbers of sweeps after which residual and distance to the solution are read; and numbers between
-# them after which only the distance is.
+# Numbers of sweeps after which the residual and the distance to the solution are read; and
+# intermediate numbers after which only the distance is read.
 SWEEPS = tuple(2**k for k in range(13))
 BETWEEN = (*range(33), *(2**k * n // 4 for k in range(5, 12) for n in (5, 6, 7)))
-# The solution is swept to this residual, relative to the speeds in the rows, or for this many row
+# The solution is swept to this residual, relative to the rows' speeds, or up to this number of row
 # updates.
 ROUNDING, MOST_UPDATES = 1e-12, 4e6
-# Beyond this residual, relative to the speeds in the rows, there is no solution to be distant from.
+# Above this residual, relative to the rows' speeds, the solution is not usable as a reference.
 UNSOLVED = 1e-8
-# Distances are read down to this share of the largest, far above rounding.
+# Least readable distance, relative to the largest; far above rounding.
 READABLE = 1e-9
-# Rows that separate late change the slope, so it is read from this share of the sweeps on.
+# Start of the slope's range, as a share of the sweeps: rows that separate late change the slope.
 LATE = 0.6
-# The eigenvalues of more rows than this take seconds.
+# Largest number of rows for eigenvalues: more rows take seconds.
 MOST_ROWS = 300
-# An impulse this far from its bounds, relative to the largest impulse, is inside them.
+# Least distance of an impulse from its bounds to count as inside, relative to the largest impulse.
 INSIDE = 1e-9
-# Combinations of rows without effect have eigenvalues of K this small, relative to the largest.
+# Eigenvalues of K below this, relative to the largest, belong to row combinations without effect.
 IDLE = 1e-11
-# Masses and couplings that differ by less, relatively, are equal.
+# Relative difference below which masses and couplings are equal.
 SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class MotionState:
-    """A state of the motion: the index of its start, its time [s], its snapshot (`Sim.state`), and
-    the residual of the step from there [m/s]."""
+    """A state of the motion.
+
+    start: the index of the start.
+    time: the time [s].
+    snapshot: the state as `Sim.state` returns it.
+    residual: the residual of the step from this state [m/s].
+    """
 
     start: int
     time: float
@@ -60,11 +65,12 @@ class MotionState:
 class RowForce:
     """The rows of one element (a contact, a limit …) after the shipped sweeps.
 
-    missing: the missing impulse of its worst row, as a speed [m/s]; weighted as residuals are.
-    residual: the residual of its worst row [m/s].
-    force, solved: its force and its converged force [N or N·m]; the normal force of a contact, the
-        magnitude of a connection.
-    states: the number of states in which it has rows.
+    missing: the missing impulse of the element's worst row, as a speed [m/s], weighted like
+        residuals.
+    residual: the residual of the element's worst row [m/s].
+    force, solved: the force and the converged force [N or N·m]: the normal force of a contact, the
+        magnitude for a connection.
+    states: the number of states in which the element has rows.
     """
 
     name: str
@@ -77,12 +83,12 @@ class RowForce:
 
 @dataclass(frozen=True)
 class SweepTheory:
-    """The share of the error that a sweep leaves, according to theory.
+    """The theoretical share of the error that a sweep leaves.
 
     radius: the spectral radius of a sweep's linear map; None, with the reason in `why`, if a sweep
-        is not linear here.
-    closed, formula: value and text of the closed form, if the scene has one. It holds for rigid
-        rows; soft rows have a smaller radius.
+        is not linear at this state.
+    closed, formula: value and text of the closed form, if the scene has one. The closed form
+        applies to rigid rows; soft rows have a smaller radius.
     """
 
     radius: float | None = None
@@ -96,10 +102,10 @@ class ResidualHistory:
     """The residual by sweeps at one state of the motion, under one time step.
 
     sweeps: the numbers of sweeps.
-    cold, warm: the residual after each number [m/s], from zero impulses and from those of the step
-        before.
-    contraction: the measured share of the distance to the solution that a sweep leaves in the end;
-        None with a single row, or if it cannot be measured.
+    cold, warm: the residual after each number [m/s], from zero impulses and from those of the
+        previous step.
+    contraction: the measured asymptotic share of the distance to the solution that a sweep leaves;
+        None for a single row, or if not measurable.
     forces: the force of each element after the shipped sweeps.
     """
 
@@ -115,12 +121,12 @@ class ResidualHistory:
     forces: tuple[RowForce, ...] = ()
 
 
-# Some states of a motion that diverges are too large to multiply.
+# A diverging motion has states whose products overflow.
 @np.errstate(over="ignore", invalid="ignore")
 def residual_history(
     model: Model, settings: Settings, most: int, state: MotionState
 ) -> ResidualHistory:
-    """Measures one state, up to `most` sweeps."""
+    """Measure the residual at one state, up to `most` sweeps."""
     shipped = _at(model, settings, state)
     shipped.forward()
     counts = tuple(n for n in SWEEPS if n <= most)
@@ -150,7 +156,7 @@ def residual_history(
     def distance(sim: Sim) -> float:
         return size(np.array(sim.qacc) - target)
 
-    # Plain sweeps only: the distances of accelerated ones do not shrink geometrically.
+    # Use plain sweeps, because the distances of accelerated sweeps do not shrink geometrically.
     unsolved = solution.residual > UNSOLVED * speed
     read = sorted({*(n for n in BETWEEN if n < most), *counts})
     sims = [swept(n, acceleration="none") for n in read]
@@ -167,7 +173,7 @@ def residual_history(
 
 
 def row_forces(shipped: Sim, solution: Sim) -> tuple[RowForce, ...]:
-    """The difference between two solves of the same state, by element."""
+    """Return the difference between two solves of the same state, by element."""
     rows, others = shipped.rows, solution.rows
     coupling, about = shipped._core.coupling()
     residual, weight = speeds(shipped), np.sqrt(np.diagonal(coupling) / about[:, 1])
@@ -183,20 +189,23 @@ def row_forces(shipped: Sim, solution: Sim) -> tuple[RowForce, ...]:
 
 
 def _force(rows: np.ndarray, cone: float) -> float:
-    """The force of an element's rows together."""
+    """Return the total force of an element's rows."""
     if rows["kind"][0] != "contact":
         return float(np.linalg.norm(rows["force"])) if len(rows) > 1 else float(rows["force"][0])
-    # All edges of a pyramid push along the normal; of a cone the first row does.
+    # All edges of a pyramid push along the normal; of a cone, only the first row.
     return float(rows["force"].sum() if cone == 0 else rows["force"][0])
 
 
 def contraction(
     sweeps: Sequence[int], left: Sequence[float], rounding: float = 0.0
 ) -> float | None:
-    """The share of the distance that a sweep leaves: the mean slope of the last readable distances.
+    """Return the share of the distance that a sweep leaves: the mean slope of the last readings.
 
-    left: the distance after each number of sweeps, the first of which is 0. None if no distance is
-    above `rounding`: rows that only just touch have impulses of rounding.
+    sweeps: the numbers of sweeps, the first of which is 0.
+    left: the distance after each number of sweeps.
+    rounding: the distance below which a reading is rounding.
+
+    None if no distance is above `rounding`: rows that barely touch have impulses of rounding.
 
     >>> print(f"{contraction((0, 1, 2, 4, 8), [0.5**n for n in (0, 1, 2, 4, 8)]):.3f}")
     0.500
@@ -207,7 +216,7 @@ def contraction(
     pairs = list(zip(sweeps, left, strict=True))
     readable = [(n, e) for n, e in pairs if e >= max(READABLE * most, rounding)]
     if readable[-1][0] == 0:
-        # One sweep solves all.
+        # One sweep solves the system.
         return left[1] / most
     late = [pair for pair in readable if pair[0] >= LATE * readable[-1][0]]
     n, e = np.transpose(late if len(late) > 1 else readable[-2:])
@@ -217,7 +226,7 @@ def contraction(
 
 
 def _speed(sim: Sim) -> float:
-    """The largest speed along the rows, or what gravity gives in a step if that is more [m/s]."""
+    """Return the largest speed along the rows, or gravity's gain in a step if larger [m/s]."""
     rows = sim.rows
     along = np.abs(np.concatenate([rows["velocity"], rows["target"]])).max(initial=0.0)
     fall = float(np.linalg.norm(sim.model.scene.gravity)) * sim.settings.dt
@@ -231,13 +240,13 @@ def _at(model: Model, settings: Settings, state: MotionState) -> Sim:
 
 
 def speeds(sim: Sim) -> Floats:
-    """Residuals of the rows of the last solve as speeds [m/s]; the largest is `sim.residual`."""
+    """Return the residuals of the last solve's rows as speeds [m/s], as in `sim.residual`."""
     rows = sim.rows
     if not len(rows):
         return np.zeros(0)
     coupling, about = sim._core.coupling()
     a = np.diagonal(coupling)
-    # Torsion and rolling in a cone are solved in the measure of sliding.
+    # In a cone, torsion and rolling are solved in the units of sliding.
     unit = about[:, 4]
     denominator = a + rows["regulariser"] * unit**2
     for block in np.unique(rows["block"][about[:, 3] > 0]):
@@ -248,7 +257,7 @@ def speeds(sim: Sim) -> Floats:
 
 
 def theory(solved: Sim) -> SweepTheory:
-    """The theory for the state of a Sim whose last solve has converged."""
+    """Return the theory for the state of a Sim whose last solve has converged."""
     rows = solved.rows
     if not len(rows):
         return SweepTheory(why="there are no rows")
@@ -267,7 +276,7 @@ def theory(solved: Sim) -> SweepTheory:
 def spectral_radius(
     a: Floats, regulariser: Floats, denominator: Floats, parts: list[list[int]]
 ) -> float:
-    """The spectral radius of a sweep over blocks of rows; `denominator` is that of single rows."""
+    """Return the spectral radius of a sweep over blocks of rows; `denominator`: of single rows."""
     if not parts:
         return 0.0
     order = [i for part in parts for i in part]
@@ -284,13 +293,13 @@ def spectral_radius(
     left = np.eye(len(order)) - np.linalg.solve(lower, K)
     idle = np.linalg.eigvalsh(K)
     count = int(np.sum(idle < IDLE * idle.max()))
-    # A combination of rows without effect never changes, and is an error of no consequence.
+    # A combination of rows without effect never changes, and this error has no consequence.
     values = sorted(np.linalg.eigvals(left), key=lambda value: abs(value - 1))[count:]
     return float(max(map(abs, values), default=0.0))
 
 
 def _parts(rows: NDArray[np.void], about: Floats) -> tuple[list[list[int]], str]:
-    """The active rows, grouped as they are solved; or why there is no linear map."""
+    """Return the active rows, grouped as they are solved, or why no linear map exists."""
     impulse, lo, hi = rows["impulse"] / about[:, 4], rows["lo"], rows["hi"]
     near = INSIDE * float(np.abs(impulse).max(initial=0.0))
     parts: list[list[int]] = []
@@ -309,13 +318,13 @@ def _parts(rows: NDArray[np.void], about: Floats) -> tuple[list[list[int]], str]
             holds = float(np.linalg.norm(tangents)) < mu * normal * (1 - 1e-6)
         if tangents.size and not holds:
             return [], f"{rows['name'][at[0]]} slides on its friction cone"
-        # A Coulomb contact is solved normal first, a convex one all at once.
+        # A Coulomb contact is solved normal first, a convex contact as one block.
         parts += [at] if kind == 1 else [at[:1], at[1:]] if tangents.size else [at]
     return parts, ""
 
 
 def closed_form(solved: Sim) -> tuple[str, float | None]:
-    """The closed form for bodies stacked on something fixed, which touch along normals."""
+    """Return the closed form for bodies stacked on a fixed body that touch along normals."""
     model = solved.model
     contacts = [c for c in solved.contacts if np.linalg.norm(c["force"]) > 0]
     pairs = [[int(model.geom_body[c[g]]) for g in ("geom1", "geom2")] for c in contacts]
@@ -334,7 +343,7 @@ def closed_form(solved: Sim) -> tuple[str, float | None]:
 
 
 def _tower(pairs: list[list[int]], mass: Floats, moved: set[int]) -> list[float] | None:
-    """The masses from the bottom up; None if the contacts are not those of one tower."""
+    """Return the masses from the bottom up; None if the contacts do not form one tower."""
     left, below, masses = [list(pair) for pair in pairs], None, []
     while left:
         if below is None:
@@ -353,7 +362,7 @@ def _tower(pairs: list[list[int]], mass: Floats, moved: set[int]) -> list[float]
 
 
 def _alone(solved: Sim, masses: list[float]) -> bool:
-    """Whether the normals couple like those of bodies on one line, and no other row is active."""
+    """Return whether the normals couple like bodies on a line, with no other active row."""
     rows = solved.rows
     if set(rows["kind"][rows["impulse"] != 0]) != {"contact"}:
         return False
@@ -367,7 +376,8 @@ def _alone(solved: Sim, masses: list[float]) -> bool:
     order = np.argsort(np.diagonal(A))
     if not np.allclose(np.diagonal(A)[order], np.sort(expected), rtol=SAME):
         return False
-    # Neighbours share the 1/m of one body, whichever way the normals point; others share nothing.
+    # Neighbours share the 1/m of one body, regardless of the normals' directions; others share
+    # nothing.
     off = np.sort(np.abs(A[np.triu_indices(len(masses), 1)]))[::-1]
     shared = np.sort(inverse[:-1])[::-1]
     return np.allclose(off[: len(shared)], shared, rtol=SAME) and not np.any(

@@ -1,4 +1,4 @@
-"""`stability_map`: stability and accuracy over dt × a value of the scene."""
+"""`stability_map`: maps stability and accuracy over dt × a parameter of the scene."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from stepcore.scene.value_paths import find
 
 __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
 
-# The horizon is at least this many of the largest steps, so that growth has time to show.
+# Least horizon in steps of the largest dt, so that instabilities have time to grow.
 STEPS = 25
-# Of all cells together: above half an hour of the smallest scene.
+# Largest number of steps of all cells: more than half an hour of the smallest scene.
 MOST_STEPS = 1e10
-# Every cell starts at the keyframe and holds its controls.
+# Motion fields that a map does not accept: every cell starts at the keyframe with its controls.
 WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt")
 
 
@@ -62,38 +62,43 @@ def stability_map(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> StabilityMap:
-    """Maps stability and accuracy over dt × a value of the scene: one run for each pair.
+    """Map stability and accuracy over dt × a parameter of the scene, with one run for each pair.
 
-    model: a Model, a Scene, or what `stepcore.load` takes. None or "lesson:spring": the lesson's
-        spring, stiffness against dt, by integrator; "lesson:stack": a heavy ball on a light one,
-        mass ratio against dt, by how contacts act. With a path these two are scenes like others.
+    model: a Model, a Scene, or anything that `stepcore.load` accepts. None or "lesson:spring" is
+        the lesson's spring: stiffness against dt, by integrator. "lesson:stack" is a heavy ball on
+        a light ball: mass ratio against dt, by contact law. With a path, these two are treated as
+        ordinary scenes.
     motion: a `Motion`, or its fields as arguments: the horizon (by default 1 s, or 25 of the
-        largest dt if that is more) and the keyframe to start from (by default the first), whose
-        controls are held. It has one start and no other controls.
-    path: the value that is varied, as in `Model.with_values`: "joint/knee/stiffness",
-        "body/arm/mass", "actuator/grip/kp". values: its values, ascending in the map; by default
-        13 from a hundredth to a hundred times the present one.
-    dts: [s]; by default 13 from a tenth to ten times the scene's.
+        largest dt if longer) and the keyframe to start from (by default the first), whose controls
+        are held constant. The motion has one start and no other controls.
+    path: the parameter that is varied, as in `Model.with_values`: "joint/knee/stiffness",
+        "body/arm/mass", "actuator/grip/kp".
+    values: the parameter's values, sorted ascending in the map; by default 13 from a hundredth to a
+        hundred times the present value.
+    dts: the time steps [s]; by default 13 from a tenth to ten times the scene's dt.
     integrators: one or several, one panel each; by default the scene's own.
-    deviation: a run with a larger deviation, its largest distance from the true motion, is
+    deviation: the deviation (the largest distance from the true motion) above which a run is
         inaccurate: metres, "1mm", or "10%" of `size`.
     size: the length that deviations are relative to [m]; by default the size of the scene and its
-        true motion, as in the other measurements.
+        true motion, as in other measurements.
     threads, executor, progress: as in `stepcore.sweep`.
 
-    The true motion is a closed form for the two maps of the lesson that have one. Otherwise it is
-    the scene's own run at the same value, with dt halved until two runs agree to a tenth of
-    `deviation` (rk4 if nothing in the scene makes rows; converged rows). Distances are those of the
-    moving bodies' centres, of three points a radius of gyration away, and of hinge angles times
-    that radius, read up to 32 times in a run. *exploded*: the deviation is larger than 100 sizes,
-    or the run failed; *inaccurate*: it is larger than `deviation`; *accurate*: it is not; *finite*:
+    The true motion is a closed form for the two maps of the lesson that have one. Otherwise the
+    true motion is the scene's own run at the same value, with converged rows (and rk4 if nothing in
+    the scene makes rows). There dt is halved until two runs agree to a tenth of `deviation`.
+
+    Distances are those of the moving bodies' centres, of three points a radius of gyration away,
+    and of hinge angles times that radius. They are read up to 32 times in a run.
+
+    A cell is *exploded* if the deviation is larger than 100 sizes or the run failed, *inaccurate*
+    if the deviation is larger than `deviation`, and *accurate* otherwise. A cell is *finite* if the
     accuracy is unknown, because the true motion at that value does not converge.
 
     The theoretical boundary is that of the linear system of joint springs, dampers and servos at
-    the start: the dt beyond which its step matrix has a spectral radius above 1.
+    the start: the dt beyond which the system's step matrix has a spectral radius above 1.
 
-    Raises ValueError for an unknown path or key, an empty or non-positive list, or numbers
-    outside their limits.
+    Raises ValueError for an unknown path or key, an empty or non-positive list, or numbers outside
+    their limits.
 
     >>> from stepcore import Scene
     >>> scene = Scene(gravity=(0, 0, 0))
@@ -154,7 +159,7 @@ def stability_map(
 
 
 def _ran(case: MapCase, horizon: float) -> str:
-    """The motion in words, and the law if all panels have the same."""
+    """Return the motion in words, and the contact law if all panels have the same."""
     model = case.model
     laws = {str(s.settings.get("law", model.settings.law)) for s in case.settings}
     law = f"; law {laws.pop()}" if len(laws) == 1 else ""
@@ -164,7 +169,7 @@ def _ran(case: MapCase, horizon: float) -> str:
 
 
 def _narrowed(case: MapCase, names: list[str] | None, key: str | int | None) -> MapCase:
-    """A map of the lesson, by the integrators that are named."""
+    """Return a map of the lesson, reduced to the named integrators."""
     if key is not None:
         raise ValueError(
             f"key = {checks.shown(key)}: must be None, because the lesson's maps have their own "
@@ -189,7 +194,7 @@ def _case(
     key: str | int | None,
     size: float | None,
 ) -> MapCase:
-    """The map of a scene over a value, by integrator, with the default axes."""
+    """Return the map of a scene over a parameter, with one panel for each integrator."""
     if path is None:
         raise ValueError('path = None: must name the value to vary, as "joint/knee/stiffness"')
     element, field = find(model.scene, path)
@@ -215,13 +220,13 @@ def _case(
 def _linear(
     model: Model, path: str, key: str | int | None, integrator: str, values: Sequence[float]
 ) -> list[float]:
-    """The boundary of springs, dampers and servos; nan at a value that leaves none."""
+    """Return the stability limit of dt for each value; nan at values without a linear system."""
     limits = (limit_of_springs(model.with_values({path: v}), key, integrator) for v in values)
     return [np.nan if limit is None else limit for limit in limits]
 
 
 def _check_steps(case: MapCase, horizon: float) -> None:
-    """Refuses a map that would take days."""
+    """Raise ValueError for a map that would take days."""
     if horizon < max(case.dts):
         raise ValueError(f"horizon = {horizon:g}: must be >= the largest dt")
     finest, rows = min(case.dts), len(case.values) * len(case.settings)
@@ -233,7 +238,7 @@ def _check_steps(case: MapCase, horizon: float) -> None:
 class _Panels:
     """Runs and judges the cells of a map.
 
-    truths: the true motions by law, which integrators share.
+    truths: the true motions by law; integrators share a true motion.
     """
 
     def __init__(
@@ -243,7 +248,7 @@ class _Panels:
         self.truths: dict[str, list[TrueMotion]] = {}
 
     def panel(self, setting: MapSetting) -> MapPanel:
-        """All cells of one setting."""
+        """Run and judge all cells of one setting."""
         case = self.case
         model = case.model.with_settings(**setting.settings)
         if setting.form is not None:
@@ -273,7 +278,7 @@ class _Panels:
     def _judged(
         self, value: float, dt: float, run: tuple[np.ndarray, str | None], true: TrueMotion
     ) -> MapCell:
-        """The state of one cell; see `stability_map`."""
+        """Return one cell with its state; see `stability_map`."""
         points, stopped = run
         share = self.tolerance.share(true.size)
         known = true.points is not None and true.error <= share / FINER
@@ -291,7 +296,7 @@ class _Panels:
 
 
 def _integrators(asked: str | Sequence[str]) -> list[str]:
-    """Names that `Settings` knows."""
+    """Return the integrator names after checking them against `Settings`."""
     names = [asked] if isinstance(asked, str) else list(asked)
     if not names:
         raise ValueError("integrators = []: must name at least one")
@@ -308,7 +313,7 @@ def _positive(name: str, value: object) -> float:
 
 
 def _ascending(name: str, values: Sequence[float]) -> list[float]:
-    """Positive numbers without repetition, in order."""
+    """Return positive numbers in ascending order, without repetition."""
     some = [_positive(f"{name}[{k}]", v) for k, v in enumerate(checks.several(name, values))]
     if len(set(some)) < len(some):
         raise ValueError(f"{name}: contains the same number twice")

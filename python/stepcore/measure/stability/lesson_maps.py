@@ -1,6 +1,7 @@
-"""Theory for the maps: the largest stable dt of a linear system, and the lesson's two maps.
+"""Stability theory for the maps: the largest stable dt of a linear system, and the lesson's two
+maps.
 
-The lesson maps its spring by integrator, and a heavy ball on a light one by how contacts act.
+The lesson maps a spring by integrator, and a heavy ball on a light ball by contact law.
 """
 
 from __future__ import annotations
@@ -20,20 +21,22 @@ from stepcore.lesson.scenes import RADIUS, G
 from stepcore.measure.stability.result import Tolerance
 from stepcore.measure.stability.runs import Form
 
-# A larger radius counts as growth: rounding moves a double eigenvalue by its square root.
+# Spectral radius above which motion grows: rounding moves a double eigenvalue by the square root of
+# rounding.
 GROWING = 1.0 + 1e-6
-# The kinds of elements in the linear system of a scene.
+# Kinds of elements in the linear system of a scene.
 LINEAR = ("spring", "damper", "actuator")
-# A boundary in dt [s] for each value of the grid.
+# A function from the values of the grid to the limits of dt [s].
 Boundary = Callable[[Sequence[float]], list[float]]
 
 
 @dataclass
 class MapSetting:
-    """What one panel runs, and its theory.
+    """The settings of one panel, with their theory.
 
     form: the closed form of the motion; None for a converged run.
-    boundary: the theoretical limit of dt [s] for each value; beyond: what happens beyond it.
+    boundary: the theoretical limit of dt [s] for each value.
+    beyond: the behaviour beyond the boundary.
     """
 
     label: str
@@ -45,9 +48,10 @@ class MapSetting:
 
 @dataclass
 class MapCase:
-    """A scene, the value that is varied, and the grid.
+    """A scene, the parameter that is varied, and the grid.
 
-    axis: the value as an axis names it. size: the length that errors are relative to [m].
+    axis: the label of the parameter's axis.
+    size: the length that errors are relative to [m].
     """
 
     model: Model
@@ -68,7 +72,7 @@ def largest_stable_dt(
     damping: np.ndarray,
     implicit: np.ndarray,
 ) -> float:
-    """The dt [s] beyond which motion grows: 0 where it grows at any dt, inf where at none."""
+    """Return the dt [s] beyond which the motion grows: 0 if always, inf if never."""
 
     def grows(dt: float) -> bool:
         matrix = step_matrix(integrator, dt, mass, stiffness, damping, implicit)
@@ -93,10 +97,10 @@ def largest_stable_dt(
 
 
 def limit_of_springs(model: Model, key: str | int | None, integrator: str) -> float | None:
-    """The limit of a scene's joint springs, dampers and servos at its start [s].
+    """Return the largest stable dt of a scene's joint springs, dampers and servos at its start [s].
 
-    None where the scene has none of them. Contacts, limits, gravity and Coriolis terms are left
-    out.
+    None if the scene has none of these elements. Contacts, limits, gravity and Coriolis terms are
+    left out.
     """
     sim = unwatched(Sim(model))
     sim.reset(key=key)
@@ -112,15 +116,15 @@ def limit_of_springs(model: Model, key: str | int | None, integrator: str) -> fl
 
 
 GROWS = "motion grows beyond"
-# ω·dt at that boundary for an undamped motion.
+# ω·dt at the stability limit of an undamped motion.
 PHASE = {"semi-implicit": "2", "euler": "2", "implicitfast": "2", "implicit": "2"}
 PHASE["rk4"] = "2√2"
 
 
 def spring(size: float | None) -> MapCase:
-    """The lesson's mass on a spring: stiffness against dt, by integrator."""
+    """Return the lesson's map of a mass on a spring: stiffness against dt, by integrator."""
     model = scenes.spring().compile()
-    # Of gyration: the inertia is 1 kg·m² about every axis.
+    # Radius of gyration: the inertia is 1 kg·m² about every axis.
     radius = np.sqrt(1.5)
 
     def motion(stiffness: float, times: np.ndarray) -> np.ndarray:
@@ -152,15 +156,16 @@ BOUNCES = "warm-started impulses grow beyond"
 
 
 def stack(tolerance: Tolerance, size: float | None) -> MapCase:
-    """A ball on a ball of 1 kg, at rest: the upper one's mass against dt, by how contacts act.
+    """Return the map of a ball at rest on a ball of 1 kg: upper mass against dt, by contact law.
 
-    size: what errors are relative to [m]; by default a tenth of the balls' radius.
+    tolerance: the tolerance of the map.
+    size: the length that errors are relative to [m]; by default a tenth of the balls' radius.
     """
     size = RADIUS / 10 if size is None else size
     depth = tolerance.share(size) * size
     scene = scenes.tower([1.0, 1.0])
-    # They overlap slightly: a row exists where the guess overlaps, and balls that only touch and
-    # fall alike would separate in the first step.
+    # The balls overlap slightly, because a row exists only if the guess overlaps: balls that only
+    # touch and fall together would separate in the first step.
     scene.add_key("start", qpos=[-1e-6, -2e-6])
     scene.name = "stack"
     scene.options = {"integrator": "semi-implicit", "solver": "pgs", "tolerance": 0.0}
@@ -198,12 +203,12 @@ def stack(tolerance: Tolerance, size: float | None) -> MapCase:
     values = np.geomspace(1.0, 1e3, 16).tolist()
     dts = np.geomspace(1e-4, 3e-2, 21).tolist()
     path, axis = "geom/shape1/mass", "mass ratio, heavy on light"
-    # An under-solved stack that throws itself up needs 3 s to get far.
+    # An under-solved stack that launches itself needs 3 s to move far.
     return MapCase(model, path, axis, values, dts, settings, "start", 3.0, size)
 
 
 def at_rest(ratio: float, times: np.ndarray) -> np.ndarray:
-    """Rigid balls that touch stay where they are: the points of both."""
+    """Return the constant points of two rigid balls that touch at rest."""
     around = RADIUS * np.sqrt(0.6) * np.vstack([np.zeros(3), np.eye(3)])
     points = np.zeros((2, 4, 3)) + around
     points[:, :, 2] += RADIUS * np.array([[1.0], [3.0]])
@@ -211,7 +216,7 @@ def at_rest(ratio: float, times: np.ndarray) -> np.ndarray:
 
 
 def penalised(values: Sequence[float]) -> list[float]:
-    """The largest stable dt of two balls on contact springs, if both contacts are closed.
+    """Return the largest stable dt of two balls on contact springs, if both contacts are closed.
 
     Each contact has a stiffness k and an explicit damping 2 ratio √(k / A), A = J M⁻¹ Jᵀ
     (docs/method.md).
@@ -233,9 +238,9 @@ def _each(limit: Callable[[float], float], values: Sequence[float]) -> list[floa
 
 
 def _sweeps(ratio: float, sweeps: int) -> tuple[np.ndarray, np.ndarray]:
-    """A = J M⁻¹ Jᵀ, and Gⁿ, by which n sweeps multiply an error of the impulses.
+    """Return A = J M⁻¹ Jᵀ, and Gⁿ, the factor of n sweeps on an error of the impulses.
 
-    A sweep of Gauss-Seidel takes an error e to G e, G = −(L + D)⁻¹U of A = L + D + U.
+    A Gauss-Seidel sweep maps an error e to G e, where G = −(L + D)⁻¹U and A = L + D + U.
     """
     row = np.array([[1.0, -1.0], [-1.0, 1.0 + 1.0 / ratio]])
     once = -np.linalg.solve(np.tril(row), np.triu(row, 1))
@@ -243,13 +248,13 @@ def _sweeps(ratio: float, sweeps: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sinking(ratio: float, sweeps: int, depth: float) -> float:
-    """The dt [s] at which too few sweeps let the balls sink by `depth` [m], at rest.
+    """Return the dt [s] at which too few sweeps let the balls sink by `depth` [m], at rest.
 
-    Sweeps from zero impulses end with λ = (1 − Gⁿ) λ*. At rest λ is the weight, so the rows must
-    ask for more than that: for the velocities β d / dt that push overlaps d out.
+    Sweeps from zero impulses end with λ = (1 − Gⁿ) λ*. At rest λ equals the weight, so the rows
+    must demand more than the weight: velocities β d / dt that push overlaps d out.
     """
     row, left = _sweeps(ratio, sweeps)
-    # Per dt: the weight on each row, and the guess's velocity along it.
+    # Per dt: the weight on each row, and the velocity of the guess along the row.
     weight = G * np.array([1.0 + ratio, ratio])
     sunk = (row @ np.linalg.solve(np.eye(2) - left, weight) - [G, 0.0]) / BETA
     deepest = max(sunk[0], sunk.sum())
@@ -257,10 +262,10 @@ def sinking(ratio: float, sweeps: int, depth: float) -> float:
 
 
 def warm_starting(ratio: float, sweeps: int) -> float:
-    """0 if warm-started impulses grow from step to step, else inf: dt has no effect.
+    """Return 0 if warm-started impulses grow from step to step, else inf: dt has no effect.
 
-    With closed contacts a step is linear in relative velocities w, overlaps p / dt and impulses
-    λ: λ⁺ = Gⁿ λ + (1 − Gⁿ) λ*, A λ* = −β p / dt − w, then w⁺ = w + A λ⁺ and p⁺ = p + dt w⁺.
+    With closed contacts a step is linear in relative velocities w, overlaps p / dt and impulses λ:
+    λ⁺ = Gⁿ λ + (1 − Gⁿ) λ*, A λ* = −β p / dt − w, then w⁺ = w + A λ⁺ and p⁺ = p + dt w⁺.
     """
     row, left = _sweeps(ratio, sweeps)
     one = np.eye(2)

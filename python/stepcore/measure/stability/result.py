@@ -1,4 +1,4 @@
-"""`StabilityMap`: which cells of a grid of dt and a value are accurate, inaccurate or exploded."""
+"""`StabilityMap`: a grid of dt × parameter with accurate, inaccurate and exploded cells."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, seconds
 
-# The states of a cell, and their marks; a run is only called finite if its accuracy is not known.
+# The states of a cell, and their marks; "finite" is used only if the accuracy is unknown.
 ACCURATE, INACCURATE, EXPLODED, FINITE = "accurate", "inaccurate", "exploded", "finite"
 SYMBOLS = {ACCURATE: "·", INACCURATE: "o", EXPLODED: "X", FINITE: "?"}
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The deviation from which a run is inaccurate: metres, "1mm", or "10%" of the scene's size.
+    """The deviation above which a run is inaccurate: metres, "1mm", or "10%" of the scene's size.
 
     Raises ValueError for anything else.
     """
@@ -34,16 +34,16 @@ class Tolerance:
 
     @property
     def relative(self) -> bool:
-        """Whether it is a share of the scene's size."""
+        """Whether the tolerance is a share of the scene's size."""
         return isinstance(self.value, str) and "%" in self.value
 
     @property
     def number(self) -> float:
-        """A share if it is relative, else a length [m]."""
+        """The tolerance as a share if relative, else as a length [m]."""
         return units.length("stability_map", "deviation", self.value, 1.0)
 
     def share(self, size: float) -> float:
-        """As a share of a scene of this size [m]."""
+        """Return the tolerance as a share of a scene of this size [m]."""
         return self.number if self.relative else self.number / max(size, 1e-300)
 
     def __str__(self) -> str:
@@ -56,10 +56,11 @@ class Tolerance:
 class MapCell:
     """One run of a stability map.
 
-    state: "accurate", "inaccurate" or "exploded"; "finite" if it could not be judged.
-    deviation: its largest distance from the true motion over the scene's size; nan if not known.
-    judged: whether there is a true motion to compare it with.
-    reason: why it failed.
+    state: "accurate", "inaccurate" or "exploded"; "finite" if the accuracy is unknown.
+    deviation: the largest distance from the true motion, relative to the scene's size; nan if
+        unknown.
+    judged: whether a true motion exists for comparison.
+    reason: the reason why the run failed.
     """
 
     value: float
@@ -72,12 +73,12 @@ class MapCell:
 
 @dataclass(frozen=True)
 class MapPanel:
-    """The cells of one setting, values outermost, and its theory.
+    """The cells of one setting, values outermost, and the theory.
 
-    reference: what the cells are compared with.
+    reference: the true motion with which the cells are compared.
     boundary: the theoretical limit of dt for each value [s]: 0 if no step is stable, inf if all
         are; None without a theory.
-    beyond: what happens beyond the boundary.
+    beyond: the behaviour beyond the boundary.
     """
 
     label: str
@@ -87,20 +88,22 @@ class MapPanel:
     beyond: str = ""
 
     def at(self, value: float) -> list[MapCell]:
-        """The cells of one value, by dt."""
+        """Return the cells of one value, by dt."""
         return [cell for cell in self.cells if cell.value == value]
 
 
 @dataclass(eq=False, repr=False)
 class StabilityMap(Result):
-    """A map of stability and accuracy over dt and one value; `stepcore.stability_map` returns it.
+    """A map of stability and accuracy over dt and one parameter.
 
-    path: the value that is varied.
-    axis: how the plot names it, with its unit.
+    `stepcore.stability_map` returns this map.
+
+    path: the parameter that is varied.
+    axis: the label of the parameter's axis, with the unit.
     values, dts [s]: the grid.
-    tolerance: a run with a larger deviation is inaccurate.
-    far: a run with a deviation above this many sizes of the scene has exploded.
-    panels: one for each setting.
+    tolerance: the deviation above which a run is inaccurate.
+    far: the deviation, in sizes of the scene, above which a run has exploded.
+    panels: one panel for each setting.
 
     >>> from stepcore import stability_map
     >>> stability_map(values=[100.0], dts=[0.001, 0.5], progress=False)
@@ -134,12 +137,12 @@ class StabilityMap(Result):
 
     @property
     def title(self) -> str:
-        """What was measured, in a few words."""
+        """The quantity measured, in a few words."""
         return f"{self.name}: stability and accuracy over dt × {self.axis}"
 
     @property
     def setup(self) -> str:
-        """What the marks of cells mean."""
+        """The meaning of the cells' marks."""
         accurate, inaccurate, exploded = (f"{s} ({SYMBOLS[s]})" for s in list(SYMBOLS)[:3])
         return (
             f"{accurate}: the deviation from the true motion is at most {self.tolerance}; "
@@ -164,7 +167,7 @@ class StabilityMap(Result):
 
     @property
     def table(self) -> Table:
-        """One row for each cell; theory: its largest stable dt [s]."""
+        """One row for each cell; theory: the largest stable dt of the cell's value [s]."""
         return Table(
             {
                 "setting": panel.label,
@@ -183,7 +186,10 @@ class StabilityMap(Result):
         )
 
     def tables(self, full: bool) -> list[Table]:
-        """The panels: one row for each value, one mark for each dt; not `full`: one panel."""
+        """Return the panels with one row for each value and one mark for each dt.
+
+        full: whether to return all panels rather than the first.
+        """
         if full or len(self.panels) == 1:
             return [self._table(panel) for panel in self.panels]
         table = self._table(self._first)
@@ -193,7 +199,7 @@ class StabilityMap(Result):
 
     @property
     def _first(self) -> MapPanel:
-        """The panel of the scene's integrator, or the first."""
+        """Return the panel of the scene's integrator, or the first."""
         own = (panel for panel in self.panels if panel.label == self.settings.integrator)
         return next(own, self.panels[0])
 
@@ -213,11 +219,11 @@ class StabilityMap(Result):
                 row[panel.beyond] = _dt(panel.boundary[k])
             rows.append(row)
         heading = f"{panel.label} (compared with the {panel.reference})"
-        # A column with a format is not cut to fit.
+        # A column with a format is not truncated.
         return Table(rows, formats={"value": ".3g", across: ""}, heading=heading)
 
     def details(self) -> dict[str, Any]:
-        """The grid, and the panels' theory."""
+        """Return the grid and the panels' theory as plain data."""
         return {
             "value": self.path,
             "values": list(self.values),

@@ -1,4 +1,4 @@
-"""The runs of a map: where points on the bodies are at given times, and where they should be."""
+"""The runs of a map: the points on the bodies at given times, and the true motion."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from stepcore.experiment.schedule import Schedule, home
 from stepcore.experiment.sizes import scene_size
 from stepcore.measure.stability.result import Tolerance
 
-# Points are read this often in a run, and at every step of a run with fewer.
+# Number of readings in a run; a run with fewer steps is read at every step.
 READINGS = 32
-# The first run of a true motion has at least this many steps. Then dt is halved until two runs
-# agree to a tenth of the tolerance, a run would have too many steps, or halving no longer helps:
-# this many halvings brought two runs no nearer to each other than by this factor.
+# Least number of steps in the first run of a true motion, largest number of halvings, and largest
+# number of steps. dt is halved until two runs agree to 1/FINER of the tolerance, or halving no
+# longer helps: STALLS halvings brought two runs no nearer to each other than by the factor NEARER.
 FIRST, HALVINGS, MOST_STEPS = 1024, 9, 200_000
 FINER = 10.0
 STALLS, NEARER = 2, 0.7
 
-# Points at these times [s] for a value of the grid, shape (times, sets, 4, 3).
+# The points at given times [s] for a value of the grid, shape (times, sets, 4, 3).
 Form = Callable[[float, np.ndarray], np.ndarray]
 
 
 class BodyPoints:
-    """Four points on each moving body with a mass: its centre, and three on its axes.
+    """Four points on each moving body with a mass: the centre, and three on the axes.
 
-    The three are one radius of gyration away, so that a rotation counts as a length too. Points on
-    a wheel stay near however fast it turns, so each hinge has one more set: its angle times that
-    radius, along a straight line.
+    The three points are one radius of gyration away, so that a rotation also counts as a length.
+    Points on a wheel stay near however fast the wheel turns. So each hinge has one more set of
+    points: the hinge angle times that radius, along a straight line.
     """
 
     def __init__(self, bodies: Bodies) -> None:
@@ -48,12 +48,12 @@ class BodyPoints:
         radius_of = dict(zip(self.index.tolist(), self.radius.tolist(), strict=True))
         hinges = [j for j, kind in enumerate(model.jnt_type) if kind == "hinge"]
         self.angle = model.jnt_qposadr[hinges]
-        # A body without mass moves those that hang on it: it gets the largest radius.
+        # A body without mass moves its descendants, and gets the largest radius.
         largest = float(self.radius.max(initial=0.0))
         self.arm = np.array([radius_of.get(int(model.jnt_body[j]), largest) for j in hinges])
 
     def at(self, sim: Any) -> np.ndarray:
-        """Where the points are now [m], shape (bodies + hinges, 4, 3)."""
+        """Return the current points [m], shape (bodies + hinges, 4, 3)."""
         turn = sim.xmat[self.index]
         centre = sim.xpos[self.index] + np.einsum("bij,bj->bi", turn, self.centre)
         around = centre[:, None] + self.radius[:, None, None] * turn.transpose(0, 2, 1)
@@ -63,9 +63,10 @@ class BodyPoints:
 
 
 class Readings(Probe):
-    """The points at given times [s], of which the first is 0; interpolated between two steps.
+    """A probe that records the points at given times [s], interpolated between two steps.
 
-    Between steps the error is at most dt²/8 of the acceleration; halving dt shows it with the rest.
+    The first time is 0. The interpolation error is at most dt²/8 of the acceleration; halving dt
+    reveals this error with all others.
     """
 
     def __init__(self, bodies: Bodies, times: np.ndarray, dt: float) -> None:
@@ -87,7 +88,7 @@ class Readings(Probe):
         self.read.append(self.points.at(sim))
 
     def at_times(self) -> np.ndarray:
-        """The points at all times that the run reached, shape (times, sets, 4, 3)."""
+        """Return the points at all times that the run reached, shape (times, sets, 4, 3)."""
         read = np.array(self.read)
         first = np.searchsorted(self.steps, self.before)
         last = np.searchsorted(self.steps, self.before + (self.share > 0))
@@ -99,25 +100,26 @@ class Readings(Probe):
 
 @dataclass(frozen=True)
 class MapMotion:
-    """What every cell does: it starts at a keyframe, whose controls are held.
+    """The motion of every cell: a start at a keyframe, with its controls held constant.
 
-    horizon [s]; key: the keyframe, or None for the scene's pose.
+    horizon: the simulated time [s].
+    key: the keyframe, or None for the scene's pose.
     """
 
     horizon: float
     key: str | int | None
 
     def times(self, dt: float) -> np.ndarray:
-        """When the points of a cell are read, the start included [s]."""
+        """Return when the points of a cell are read, including the start [s]."""
         steps = max(1, round(self.horizon / dt))
         return np.array(sorted({round(steps * k / READINGS) for k in range(READINGS + 1)})) * dt
 
     def all_times(self, dts: Sequence[float]) -> np.ndarray:
-        """All times at which the points of any cell are read [s]."""
+        """Return all times at which the points of any cell are read [s]."""
         return np.unique(np.concatenate([self.times(dt) for dt in dts]))
 
     def run(self, model: Model, dt: float, times: np.ndarray) -> tuple[np.ndarray, str | None]:
-        """The points at the times that a run reaches, and why it failed."""
+        """Return the points at the times that a run reaches, and why the run failed."""
         start, ctrl = home(model, self.key)
         steps = max(1, int(np.ceil(times[-1] / dt - 1e-6)))
         schedule = Schedule(steps * dt, 1, 1, (start,), ctrl[None, None], None)
@@ -132,17 +134,19 @@ class MapMotion:
     def cell(
         self, model: Model, path: str, cell: tuple[float, float]
     ) -> tuple[np.ndarray, str | None]:
-        """The points of a cell, a value and a dt [s], at its `times`; and why it failed."""
+        """Return the points of a cell (a value and a dt [s]) at its times, and why it failed."""
         value, dt = cell
         return self.run(model.with_values({path: value}), dt, self.times(dt))
 
 
 @dataclass(frozen=True, eq=False)
 class TrueMotion:
-    """The points at all times at which some cell is read.
+    """The points at all times at which any cell is read.
 
-    points: None if no run came through. size: the length that errors are relative to [m].
-    error: the distance of the two finest runs over the size; 0 for a closed form; inf if unknown.
+    points: None if every run failed.
+    size: the length that errors are relative to [m].
+    error: the distance of the two finest runs, relative to the size; 0 for a closed form; inf if
+        unknown.
     """
 
     times: np.ndarray
@@ -151,7 +155,7 @@ class TrueMotion:
     error: float = 0.0
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """The points at some of the times."""
+        """Return the points at some of the times."""
         assert self.points is not None
         return self.points[np.searchsorted(self.times, times)]
 
@@ -159,13 +163,13 @@ class TrueMotion:
 def closed_form(
     form: Form, model: Model, value: float, times: np.ndarray, size: float | None
 ) -> TrueMotion:
-    """The true motion by a formula."""
+    """Return the true motion by a formula."""
     points = form(value, times)
     return TrueMotion(times, points, size or size_of(model, points))
 
 
 def size_of(model: Model, points: np.ndarray) -> float:
-    """The size of the scene and its motion [m]; see `scene_size`."""
+    """Return the size of the scene and its motion [m]; see `scene_size`."""
     hinges = list(model.jnt_type).count("hinge")
     return scene_size(model.scene, [Run(com=points[:, : points.shape[1] - hinges, 0])])
 
@@ -179,7 +183,7 @@ def converged(
     tolerance: Tolerance,
     value: float,
 ) -> TrueMotion:
-    """The scene's own run with converged rows: dt is halved until the run no longer changes."""
+    """Return the scene's own converged run: dt is halved until the run no longer changes."""
     model = model.with_values({path: value})
     model, times = model.with_settings(reference_settings(model)), motion.all_times(dts)
     dt = min(*dts, motion.horizon / FIRST)
@@ -206,14 +210,14 @@ def converged(
 
 
 def _stalled(errors: Sequence[float]) -> bool:
-    """Whether halving no longer helps: the motion is chaotic, or jumps with the steps."""
+    """Return whether halving no longer helps: the motion is chaotic or changes abruptly with dt."""
     return len(errors) > STALLS + 1 and errors[-1] > NEARER * errors[-1 - STALLS]
 
 
 def reference_settings(model: Model) -> Settings:
-    """The scene's own laws, with converged rows and the integrator of the highest order allowed.
+    """Return the scene's own laws, with converged rows and the integrator of highest order allowed.
 
-    Few sweeps, because many steps are made, each from the impulses of the one before.
+    Few sweeps suffice, because each of the many steps starts from the previous step's impulses.
     """
     settings = model.settings
     integrator = settings.integrator

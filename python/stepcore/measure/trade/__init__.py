@@ -1,4 +1,4 @@
-"""`trade`: runs one scene under many settings and compares each with its converged motion."""
+"""`trade`: runs a scene under many settings and compares every run with the converged motion."""
 
 from __future__ import annotations
 

@@ -48,8 +48,8 @@ class Steps:
     shipped: float
 
     def dt(self, pieces: int) -> float:
-        """Return the time step [s] for this many steps in a period; the shipped one is
-        bit-identical.
+        """Return the time step [s] for this number of steps in a period; exact for the shipped
+        step.
         """
         return self.shipped if pieces == self.shipped_pieces else self.period / pieces
 

@@ -60,9 +60,7 @@ class RunCache:
         self.count = 0
 
     def screen(self, settings: Sequence[Settings], starts: int, label: str) -> None:
-        """Run settings from the first starts; a setting that fails from one start is not run from
-        the next.
-        """
+        """Run settings from the first starts; a setting stops at its first failure."""
         jobs = []
         for setting in dict.fromkeys(settings):
             done = self.screened.get(setting, [])

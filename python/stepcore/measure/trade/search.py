@@ -339,7 +339,7 @@ class SettingsSearch:
         return list({self.steps.at(bracket.base, 1): bracket for bracket in now}.values())
 
     def near(self, bracket: Bracket, error: float) -> list[Settings]:
-        """Return the methods that differ in one setting, at the step where this method meets the
+        """Return the methods that differ in one setting, at the step where `bracket` meets the
         error.
         """
         pieces = bracket.meets(error) or max(bracket.known)

@@ -102,7 +102,7 @@ class AfterPrediction:
         return True
 
     def measure(self, settings: Settings, bar: Progress) -> Statistics | None:
-        """Return the differences of one setting; None if it or the reference fails."""
+        """Return the differences of one setting; None if the setting or the reference fails."""
         if self.truth is None:
             self.truth = self._means(self.settings, bar)
         measured = self._means(settings, bar)
