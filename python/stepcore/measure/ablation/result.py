@@ -171,8 +171,9 @@ class Ablation(Result):
         }
 
     def tables(self, full: bool) -> list[Table]:
-        """Return the tables of the whole model, its features (largest saving first) and the
-        smallest model.
+        """Return the tables of the whole model, its features and the smallest model.
+
+        Features are sorted by saving, largest first.
 
         full: whether to include every feature; otherwise only the removed features and the largest
             savings.

@@ -82,14 +82,13 @@ def greedy(
     tolerance: float,
     measure: Measure,
 ) -> tuple[list[Removal], VariantOutcome]:
-    """Return features that together add at most `tolerance` [m] in the worst start, and their
-    outcome.
+    """Return features that together add at most `tolerance` [m], and their outcome.
 
-    The largest saving is tried first. A feature stays removed if that saves more work within the
-    tolerance, or if the motion stays bit-identical and no work is added. If two features exclude
-    each other (a cone, and no friction at all), the larger saving wins. Features of one kind, such
-    as the limits of joints, never exclude each other. These are tried all at once, and after a
-    failure in halves, down to single features.
+    The error is that of the worst start. The largest saving is tried first. A feature stays removed
+    if that saves more work within the tolerance, or if the motion stays bit-identical and no work
+    is added. If two features exclude each other (a cone, and no friction at all), the larger saving
+    wins. Features of one kind, such as the limits of joints, never exclude each other. They are
+    tried all at once, and after a failure in halves, down to single features.
 
     removals: the features to try.
     alone: the outcome of each feature removed alone.

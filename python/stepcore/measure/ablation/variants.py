@@ -62,10 +62,9 @@ class VariantOutcome:
         return self.row_updates if self.flops is None else self.flops
 
     def saved(self, whole: VariantOutcome) -> float:
-        """Return the share of the whole model's work that is saved; negative if this variant costs
-        more.
+        """Return the share of the whole model's work that is saved.
 
-        nan if the variant fails.
+        The share is negative if this variant costs more, and nan if the variant fails.
         """
         before = whole.work
         return (before - self.work) / before if before > 0 and not self.failure else math.nan

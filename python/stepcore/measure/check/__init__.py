@@ -42,7 +42,7 @@ __all__ = ["Check", "check"]
 PERIODS = 100
 # Largest number of steps if no horizon is given: some seconds of computing.
 LONGEST = 200_000
-# No scene size: lengths in "0.1%" are not supported here.
+# The size that a depth in "%" is relative to [m]; such a depth has no meaning here.
 NO_SIZE = 1.0
 # A failure keeps only the sentences on its time and its cause; the diagnosis gives the cure.
 SENTENCES = 2
@@ -203,12 +203,12 @@ def check(
         a keyframe). The horizon is 1 s by default, or 200,000 steps if that is shorter.
     depth: the wanted depth of resting contacts, a length such as 1e-4 or "0.1mm". For contacts
         that rest deeper, the result names the solref that gives this depth.
-    threads: the number of integrators diagnosed at the same time (default: one per core).
+    threads: the number of integrators diagnosed in parallel (default: one per core).
     executor: any concurrent.futures executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, for a scene that cannot be compiled, and
-    for one in which nothing can move.
+    for a scene in which nothing can move.
 
     >>> from stepcore import loads
     >>> scene = loads('''<mujoco><worldbody><body><joint name="knee" range="-90 90"/>

@@ -17,7 +17,7 @@ from stepcore.report.units import metres, times
 from stepcore.scene.elements import Geom
 from stepcore.scene.layout import Layout
 
-# Range of gravity in m/s², and the least value that looks like mm/s².
+# Plausible gravity in m/s², and the least value that looks like mm/s².
 EARTH, MILLI = (1.0, 50.0), 500.0
 # Sizes of moving bodies above which millimetres are likely, and below which metres are likely [m].
 LARGE, SMALL = 10.0, 5.0

@@ -158,10 +158,10 @@ def _one_sided(model: Model) -> Iterator[Finding]:
 
 
 def _overpowered(model: Model) -> Iterator[Finding]:
-    """Yield actuators that can push their joint far beyond its limit, by the soft row's closed
-    form.
+    """Yield actuators that can push their joint far beyond its limit.
 
-    Only the actuator's largest outward force counts; gravity and other actuators are left out.
+    The excess is the closed form of a soft row under the actuator's largest outward force. Gravity
+    and other actuators are left out.
     """
     features, settings = model.scene.features, model.settings
     if settings.law != "solref" or not features.limit or not features.actuation:

@@ -16,7 +16,7 @@ from stepcore.report.units import FORCES, TORQUES, metres, percent, plural, quan
 
 # Relative distance from the end of the force range within which a force is at the end.
 AT_END = 1e-9
-# Least share of the servo's force that a load must have to be the cause.
+# A servo pushes against a weight if the weight's load has at least this share of the servo's force.
 HALF = 0.5
 # At rest, a servo's error changes by less than this share over the end of a run.
 STEADY = 0.05
@@ -202,9 +202,7 @@ class ActuatorMonitor:
         return Finding("saturation", "warning", problem, cure, actuators, value, "1", PLOT)
 
     def _sags(self, servo: Servo) -> Finding | None:
-        """Return a finding on a servo whose load keeps the servo from its commanded length, or
-        None.
-        """
+        """Return a finding on a servo that sags under its load, or None."""
         model, k = self.model, servo.actuator
         joint = int(model.actuator_joint[k])
         angular = model.jnt_type[joint] == "hinge"

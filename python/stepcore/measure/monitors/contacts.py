@@ -201,8 +201,10 @@ class ContactMonitor:
     # Findings.
 
     def findings(self, times: list[float], depth: float | None) -> Iterator[Finding]:
-        """Yield all findings on contacts; times: of the readings [s]; depth: see
-        `Monitor.findings`.
+        """Yield all findings on contacts.
+
+        times: the times of the readings [s].
+        depth: see `Monitor.findings`.
         """
         resting, starts = list(self.resting()), self.starts
         jammed = self._jammed(starts, resting)

@@ -68,17 +68,18 @@ def trade(
     the search.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name", see
-        `stepcore.loading`). Its settings are the shipped ones.
+        `stepcore.loading`). The model's own settings are the shipped settings.
     motion: the `Motion` that every setting runs; or write its fields as arguments. By default the
-        horizon is 1 s, or a whole number of samples near it; there are 8 starts; the control period
-        is the largest time step tried, and with `control` or `ctrl` the shipped one.
+        horizon is 1 s, or a whole number of samples near 1 s, and there are 8 starts. The default
+        control period is the largest time step tried; with `control` or `ctrl` the default is the
+        shipped time step.
     error: the largest allowed error in every start (RMS position error over bodies and time):
         metres, "1mm", or "0.1%" of the scene's size. The cheapest settings within this error are
         recommended.
-    budget: the largest allowed cost: "20us/step" (of computing per shipped
-        time step simulated), "5ms/s" (per simulated second), "100x" (times real time), or µs per
-        simulated second; "2kflop/step" and similar units if `by` is "flops". The most accurate
-        settings within the budget are recommended.
+    budget: the largest allowed cost: "20us/step" (computing time per shipped time step simulated),
+        "5ms/s" (per simulated second), "100x" (times real time), or µs per simulated second;
+        "2kflop/step" and similar units if `by` is "flops". The most accurate settings within the
+        budget are recommended.
     further: the number of further starts, not used by the search, that must confirm a
         recommendation; 0 for no confirmation.
     search: "frugal", or "grid" for every combination of the axes. The default is "frugal", unless
@@ -89,10 +90,10 @@ def trade(
         operations. With "flops" nothing is timed, and the same seed gives the same result on any
         machine.
     mujoco: whether to run MuJoCo on the scene too (needs the package mujoco); see `Trade.mujoco`.
-    effort: the largest cost of the reference, in steps × (dofs + 2); a step that takes more
+    effort: the largest cost of the reference, in steps × (dofs + 2). A step that takes more
         operations than 1500 × (dofs + 2), as with many contacts, counts in proportion. Time steps
-        that the reference cannot judge are not searched, and a note says which.
-    threads: the number of runs at the same time (default: one per core).
+        that the reference cannot judge are not searched; a note lists them.
+    threads: the number of parallel runs (default: one per core).
     executor: any concurrent.futures executor, used in place of threads. Costs are timed afterwards,
         on one thread.
     progress: False for no bar, or a function of (label, done, total).

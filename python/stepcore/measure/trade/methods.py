@@ -48,9 +48,7 @@ class Steps:
     shipped: float
 
     def dt(self, pieces: int) -> float:
-        """Return the time step [s] for this number of steps in a period; exact for the shipped
-        step.
-        """
+        """Return the time step [s] for a number of steps in a period; the shipped one is exact."""
         return self.shipped if pieces == self.shipped_pieces else self.period / pieces
 
     @property

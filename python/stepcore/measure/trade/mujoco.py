@@ -249,9 +249,7 @@ class MujocoTrials:
         self.reference = reference
 
     def points(self, steps: Steps, workers: Workers) -> tuple[list[Point], list[TimedRun]]:
-        """Run integrators × solvers × steps from every start; return the points and the runs to
-        time.
-        """
+        """Run integrators × solvers × steps from every start; return points and runs to time."""
         solvers = SOLVERS if any(run.rows for run in self.reference.runs) else ("newton",)
         pieces = sorted({max(1, round(steps.shipped_pieces / factor)) for factor in FACTORS})
         asked = [Setting(steps.dt(n), i, s) for n in pieces for i in TRIED for s in solvers]

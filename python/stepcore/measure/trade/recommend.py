@@ -158,9 +158,7 @@ class HardestStarts:
         self.kind, self.target = kind, target
 
     def __call__(self, frontier: Frontier, chosen: TradeRow) -> Sequence[Settings]:
-        """Return settings that are cheaper than the row that passed, by the errors on the hardest
-        starts.
-        """
+        """Return settings that cost less than the passing row, by runs on the hardest starts."""
         few = [int(i) for i in self.order(frontier)[:HARD]]
         experiment = self.cache.experiment
         model, workers, size = experiment.model, experiment.workers, experiment.size
@@ -176,8 +174,9 @@ class HardestStarts:
         return [s for s in met if hard.score(s, len(few)).price < chosen.flops][:TESTED]
 
     def order(self, frontier: Frontier) -> np.ndarray:
-        """Return the indices of all starts, hardest first; the search's starts have the first
-        numbers.
+        """Return the indices of all starts, hardest first, by the errors of the tested rows.
+
+        The search's own starts have the first indices; the further starts follow.
         """
         worst = np.zeros(len(self.cache.experiment.schedule.starts))
         for row in frontier.rows:

@@ -193,9 +193,7 @@ class Trade(Result):
 
     @property
     def kept(self) -> float:
-        """The error limit of a recommendation [m]: `target` less a safety margin; NaN without a
-        target.
-        """
+        """The error limit of a recommendation [m]: `target` less a margin; NaN without a target."""
         return math.nan if self.target is None else MARGIN * self.target
 
     def misses(self, row: TradeRow) -> tuple[int, int]:

@@ -32,7 +32,7 @@ COARSE, FINE = 1.3, 1.08
 ROUNDS = 8
 # Least work of a shorter step, relative to the work of a longer one.
 CHEAPER = 0.8
-# A method is at its floor if steps FLOOR times shorter reduce the error by less than HELPS times.
+# A method is at its floor if steps FLOOR times shorter reduce the error less than HELPS times.
 FLOOR, HELPS = 4.0, 1.3
 # The target errors, relative to the requested error (without a request, to the shipped error), and
 # whether methods are changed there. `Trade.next_better` uses the target of one half.
@@ -45,8 +45,8 @@ SPARSE = 1.6
 USELESS = 6.0
 # Number of the cheapest settings that are also tried in single precision.
 SINGLE = 2
-# Largest number of reference halvings for one target; and how many times below the requested error
-# a target lies for which the reference is not halved.
+# Largest number of reference halvings for one target. For targets more than DEEP times below the
+# requested error, the reference is not halved.
 REFINED, DEEP = 4, 20.0
 
 
@@ -70,9 +70,7 @@ class Bracket:
         return min((n for n, s in self.known.items() if s.error <= error), default=None)
 
     def misses(self, error: float) -> int:
-        """Return the most steps, fewer than `meets` returns, that exceed an error; 0 if none is
-        known.
-        """
+        """Return the most steps, fewer than `meets` returns, that exceed an error; 0 if unknown."""
         good = self.meets(error)
         return max(
             (n for n, s in self.known.items() if s.error > error and (good is None or n < good)),
@@ -130,8 +128,9 @@ class SettingsSearch:
         return max(1, int(self.steps.period / self.cache.reference.settings.dt / 2 + 1e-9))
 
     def run(self, wanted: float | None, budget: bool, whole: bool) -> list[Settings]:
-        """Run the search, and return the settings that ran from all starts or failed, coarsest step
-        first.
+        """Run the search, and return the settings that ran from all starts or failed.
+
+        The settings are sorted coarsest step first.
 
         wanted: the requested error [m], or None.
         budget: whether a budget was requested.
@@ -241,9 +240,7 @@ class SettingsSearch:
         return bracket
 
     def again(self, bracket: Bracket, error: float) -> Bracket:
-        """Return a new bracket of the method for all starts, which begins at the step found from
-        few.
-        """
+        """Return a bracket of the method for all starts, beginning at the step found from few."""
         return Bracket(bracket.base, bracket.meets(error) or self.finest)
 
     def keep(self, brackets: Sequence[Bracket], error: float, factor: float) -> list[Bracket]:
@@ -276,9 +273,7 @@ class SettingsSearch:
                 bracket.known[n] = self.cache.score(made, starts)
 
     def propose(self, bracket: Bracket, error: float, ratio: float) -> int | None:
-        """Return the next number of steps in a period to try, or None if the bracket is narrow
-        enough.
-        """
+        """Return the next number of steps in a period to try, or None to stop."""
         good, bad = bracket.meets(error), bracket.misses(error)
         if not bracket.known:
             return min(max(1, bracket.guess), self.finest)
@@ -339,8 +334,6 @@ class SettingsSearch:
         return list({self.steps.at(bracket.base, 1): bracket for bracket in now}.values())
 
     def near(self, bracket: Bracket, error: float) -> list[Settings]:
-        """Return the methods that differ in one setting, at the step where `bracket` meets the
-        error.
-        """
+        """Return the methods that differ in one setting, at the step that meets the error."""
         pieces = bracket.meets(error) or max(bracket.known)
         return moves(self.steps.at(bracket.base, pieces), self.kind)
