@@ -70,14 +70,14 @@ def converge(
     """Test whether a scene's contact forces and other rows are converged along its motion.
 
     At states of the motion, `converge` measures the residual by the number of sweeps, cold and
-    warm. It also measures the share of the error that each sweep leaves, with the theoretical value
-    for comparison, and which rows are furthest from their converged force. Over the whole motion,
-    `converge` measures the error at other time steps, with converged forces, and at equal row
-    updates split into many sweeps or many steps. All runs are compared with one converged
-    reference. Errors are RMS distances from the reference in the median start [m].
+    warm; the share of the error that each sweep leaves, with the theoretical value for comparison;
+    and which rows are furthest from their converged force. Over the whole motion, `converge`
+    measures the error at other time steps, with converged forces, and at equal row updates split
+    into many sweeps or many steps. All runs are compared with one converged reference. Errors are
+    RMS distances from the reference in the median start [m].
 
-    model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Its settings are
-        judged.
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The model's own
+        settings are judged.
     motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s.
     states: the number of states at which sweeps are measured.
     threads: the number of parallel runs (default: one per core).

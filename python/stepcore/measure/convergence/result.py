@@ -219,7 +219,7 @@ class Convergence(Result):
 
     @property
     def sweeps(self) -> Table:
-        """Return the residual by sweeps, cold and warm: median and worst of the states [m/s]."""
+        """The residual by sweeps, cold and warm: median and worst of the states [m/s]."""
         histories = [h for h in self.at(self.settings.dt) if h.cold]
         records = []
         for k, count in enumerate(histories[0].sweeps if histories else ()):

@@ -64,7 +64,7 @@ class Candidates:
 
     @property
     def all(self) -> list[Settings]:
-        """Return all settings, without repetition."""
+        """All settings, without repetition."""
         some = [*self.dts, *(split.settings for split in self.splits), self.more, self.solved]
         return list(dict.fromkeys(settings for settings in some if settings is not None))
 

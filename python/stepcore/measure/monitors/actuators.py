@@ -42,7 +42,7 @@ class AtEnd:
 class Servo:
     """A position servo at rest under a constant control.
 
-    error: length minus commanded length [rad or m], before the gear.
+    error: commanded length minus length [rad or m], before the gear.
     force: the servo's force [N·m or N].
     saturated: whether the force is at the end of the force range.
     loaded: whether the servo pushes against a weight rather than a limit or an object it grips or

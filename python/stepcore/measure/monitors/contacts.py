@@ -150,7 +150,7 @@ class ContactMonitor:
 
     @property
     def starts(self) -> list[Contact]:
-        """Return the overlaps at the start, deepest first."""
+        """The overlaps at the start, deepest first."""
         return [] if self.separation is None else self.separation.overlaps()
 
     def creeps(self, times: list[float]) -> Iterator[Contact]:

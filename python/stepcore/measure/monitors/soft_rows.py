@@ -82,7 +82,7 @@ def stiffer(
 ) -> tuple[float, float]:
     """Return the solref that reduces a row's violation from `now` to `wanted` under the same load.
 
-    other: the new solimp, if it changes too.
+    other: the new solimp, if the solimp changes too.
     """
     dt = settings.dt if settings.refsafe else 0.0
     softer = (wanted / now) * _slope(solimp, now) / _slope(other or solimp, wanted)

@@ -199,7 +199,7 @@ class StabilityMap(Result):
 
     @property
     def _first(self) -> MapPanel:
-        """Return the panel of the scene's integrator, or the first."""
+        """The panel of the scene's integrator, or the first."""
         own = (panel for panel in self.panels if panel.label == self.settings.integrator)
         return next(own, self.panels[0])
 

@@ -132,14 +132,14 @@ class Kind:
 
     @property
     def integrators(self) -> list[str]:
-        """Return the integrators to try, including the shipped one."""
+        """The integrators to try, including the shipped one."""
         names = SMOOTH_LAW if self.smooth else COULOMB_LAW
         every = dict.fromkeys([*names, *(STIFF if self.stiff else ()), self.shipped.integrator])
         return [name for name in every if not (self.shipped.sleep and name in STAGED)]
 
     @property
     def newton(self) -> dict[str, Any]:
-        """Return the fields of Newton's method, in which sweeps only limit the iterations."""
+        """The fields of Newton's method, in which sweeps only limit the iterations."""
         count = self.shipped.sweeps if self.shipped.solver == "newton" else 100
         return {"solver": "newton", "sweeps": count}
 

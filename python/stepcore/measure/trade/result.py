@@ -109,8 +109,8 @@ class Trade(Result):
     def error(self, row: TradeRow) -> float:
         """Return the error that a row can claim [m]; inf if the row failed.
 
-        This is the RMS position error of the worst start, further starts included. It is never
-        below the reference's own error.
+        This is the RMS position error of the worst start, further starts included, and never below
+        the reference's own error.
         """
         return self.frontier.error(row)
 
