@@ -234,7 +234,7 @@ class Convergence(Result):
 
     @property
     def steps(self) -> Table:
-        """Return one row for each time step; other settings are as shipped.
+        """One row for each time step; other settings are as shipped.
 
         residual: the worst along the motion [m/s].
         contraction: at the slowest state.
@@ -259,7 +259,7 @@ class Convergence(Result):
 
     @property
     def work(self) -> Table:
-        """Return equal row updates as steps × sweeps, under pgs, and four times the shipped work.
+        """Equal row updates as steps × sweeps, under pgs, and four times the shipped work.
 
         error: RMS position error [m].
         overlap, joint: the deepest overlap and the widest gap [m].

@@ -124,7 +124,7 @@ def require() -> Any:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Suppress MuJoCo's warning file and its internal timer, which costs time."""
+    """Suppress MuJoCo's warning file and internal timer; the timer costs time."""
     mujoco = require()
     timer = mujoco.get_mjcb_time()
     mujoco.set_mju_user_warning(lambda text: None)

@@ -89,7 +89,8 @@ class Confirmation:
     def test(self, settings: Settings, limit: float, error: float) -> Further:
         """Run settings from the further starts, and return the results.
 
-        The starts on which other settings failed come first; a failure there ends the test.
+        The starts on which other settings failed come first. If one of those runs fails, the test
+        ends.
 
         limit: the error that the settings should not exceed [m].
         error: the requested error [m]; the starts within this error are counted.
