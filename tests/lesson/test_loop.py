@@ -53,3 +53,9 @@ def test_a_scene_that_is_no_row_of_slides_is_refused():
 def test_an_integrator_that_it_lacks_is_refused():
     with pytest.raises(ValueError, match="implicitfast"):
         Loop(scenes.spring(integrator="implicitfast")).step()
+
+
+@pytest.mark.parametrize("other", [{"solver": "newton"}, {"warm_start": True}, {"tolerance": 1e-9}])
+def test_a_solver_that_it_lacks_is_refused(other):
+    with pytest.raises(ValueError, match=f"{next(iter(other))} = .* the numpy loop has"):
+        Loop(scenes.stack(4, "solref", **other))

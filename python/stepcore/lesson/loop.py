@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stepcore.lesson.scenes import PLAIN
+from stepcore.scene.elements.field_types import SOLIMP, SOLREF
 from stepcore.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -25,6 +27,10 @@ class Loop:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.settings = scene, scene.settings
+        for name in ("solver", "acceleration", "tolerance", "warm_start"):
+            value = getattr(self.settings, name)
+            if value != PLAIN[name]:
+                raise ValueError(f"{name} = {value!r}: the numpy loop has {PLAIN[name]!r} alone")
         bodies, joints = scene.bodies[1:], scene.joints
         if len(bodies) != len(joints) or any(joint.type != "slide" for joint in joints):
             raise ValueError("the numpy loop has bodies on one slide each, and this scene has not")
@@ -142,12 +148,8 @@ class Loop:
 
         phi: gaps φ [m]. A: diagonal of J M⁻¹ Jᵀ [1/kg].
         """
-        dt, (time, ratio), (d0, dw, width, mid, power) = (
-            self.settings.dt,
-            (0.02, 1.0),
-            (0.9, 0.95, 0.001, 0.5, 2.0),
-        )
-        time = max(time, 2 * dt)
+        dt, (time, ratio), (d0, dw, width, mid, power) = self.settings.dt, SOLREF, SOLIMP
+        time = max(time, 2 * dt)  # refsafe
         K, b = 1 / (dw * time * ratio) ** 2, 2 / (dw * time)
         x = np.minimum(np.abs(phi) / width, 1)
         rise = x**power / mid ** (power - 1)
