@@ -27,13 +27,13 @@ class Loop:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.settings = scene, scene.settings
+        bodies, joints = scene.bodies[1:], scene.joints
+        if len(bodies) != len(joints) or any(joint.type != "slide" for joint in joints):
+            raise ValueError("the numpy loop has bodies on one slide each, and this scene has not")
         for name in ("solver", "acceleration", "tolerance", "warm_start"):
             value = getattr(self.settings, name)
             if value != PLAIN[name]:
                 raise ValueError(f"{name} = {value!r}: the numpy loop has {PLAIN[name]!r} alone")
-        bodies, joints = scene.bodies[1:], scene.joints
-        if len(bodies) != len(joints) or any(joint.type != "slide" for joint in joints):
-            raise ValueError("the numpy loop has bodies on one slide each, and this scene has not")
         mass = {id(body): body.mass or 0.0 for body in bodies}
         for geom in scene.geoms:
             if id(geom.body) in mass:
