@@ -1,4 +1,4 @@
-"""What a watched run shows, each number against a closed form, each cure made and measured.
+"""What a watched run shows of contacts: numbers against closed forms, each cure made and measured.
 
 A row of solref at rest under a force f yields by r with R f = k r (MuJoCo's documentation,
 "Computation"): r = f Â (1 − d)/d² dmax² (tc ζ)², with the impedance d = d(r).
@@ -7,7 +7,6 @@ A row of solref at rest under a force f yields by r with R f = k r (MuJoCo's doc
 import math
 import re
 
-import numpy as np
 import pytest
 
 import stepcore as sc
@@ -229,198 +228,6 @@ def test_a_run_that_fails_tells_only_what_it_began_with():
     assert {one.kind for one in in_runner(runner, model.settings)} == {"overlap at the start"}
 
 
-# Connections.
-
-
-def hung(solref, mass=2.0):
-    return sc.loads(
-        f"""<mujoco><worldbody><body name="bob" pos="0 0 1"><freejoint/>
-        <geom size=".05" mass="{mass}" contype="0" conaffinity="0"/></body></worldbody><equality>
-        <connect name="hook" body1="bob" anchor="0 0 0" solref="{solref}"/></equality></mujoco>"""
-    )
-
-
-@pytest.mark.parametrize("solref", ["0.1 1", "-100 -20"])
-def test_the_gap_of_a_hung_mass(solref):
-    """Its load is g: the gap is that of a contact with this solref."""
-    numbers = tuple(map(float, solref.split()))
-    _, findings = watched(hung(solref), time=4.0)
-    one = the(findings, "gap")
-    assert one.element == "connect `hook`"
-    assert one.value == pytest.approx(yielding(numbers, SOLIMP, G, 0.002), rel=1e-3)
-    new = pair(one.text)
-    watch, findings = watched(hung(f"{new[0]} {new[1]}"), dt=min(0.002, abs(new[0]) / 2))
-    assert findings == []
-    (gape,) = watch.joints.gapes()
-    assert gape.rest == pytest.approx(0.05 * 0.01 * 0.1, rel=0.02)
-
-
-def test_a_connection_that_holds_is_not_told():
-    assert watched(hung("0.02 1"))[1] == []
-
-
-# Limits.
-
-
-def stop(torque, solref="0.02 1", gravity=0.0):
-    return sc.loads(
-        f"""<mujoco><option gravity="0 0 {-gravity}"/><worldbody><body name="arm">
-        <joint name="elbow" axis="0 1 0" range="-60 60" solreflimit="{solref}" damping=".01"/>
-        <inertial pos=".1 0 0" mass="1" diaginertia=".001 .001 .001"/></body></worldbody>
-        <actuator><motor name="drive" joint="elbow" gear="{torque}" ctrlrange="-1 1"/></actuator>
-        </mujoco>"""
-    )
-
-
-def test_how_far_a_motor_pushes_beyond_a_limit():
-    """Its load is torque × dof_invweight0, in a tree of one dof torque / I."""
-
-    def push(time, sim):
-        return [1.0]
-
-    watch, findings = watched(stop(5.0, "0.1 1"), time=3.0, control=push)
-    one, (beyond,) = the(findings, "limit"), watch.joints.overshoots()
-    assert beyond.rest == pytest.approx(yielding((0.1, 1), SOLIMP, 5 / 0.011, 0.002), rel=1e-3)
-    assert one.value == pytest.approx(beyond.rest, rel=0.05)
-    assert beyond.forces[0] == (("actuator", 0), pytest.approx(5))
-    assert beyond.limit == pytest.approx(5, rel=1e-3)
-    assert one.text.startswith("Motor `drive` pushes joint `elbow` ")
-    assert "with 5 N·m" in one.text and "ctrlrange of motor `drive`" in one.text
-    new = pair(one.text, "solreflimit")
-    harder = stop(5.0, f"{new[0]} {new[1]}")
-    harder.joint("elbow").solimplimit = pair_of_three(one.text) or SOLIMP
-    again, findings = watched(harder, time=3.0, control=push, dt=min(0.002, new[0] / 2))
-    # What is written leaves a tenth of what is worth saying, 5 % of the range.
-    (beyond,) = again.joints.overshoots()
-    assert beyond.rest == pytest.approx(0.005 * math.radians(120), rel=0.05)
-    assert findings == []
-
-
-def pair_of_three(text):
-    written = re.findall(r'solimplimit="(\S+) (\S+) (\S+)"', text)
-    return tuple(map(float, written[-1])) if written else None
-
-
-def test_gravity_is_named_where_it_pushes():
-    scene = stop(1.0, solref="0.3 1", gravity=G)
-    one = the(watched(scene, time=6.0)[1], "limit")
-    assert one.text.startswith("Gravity pushes joint `elbow` ")
-
-
-def test_a_joint_that_only_runs_into_its_limit_is_not_told():
-    scene = stop(1.0)
-    scene.add_key("fast", qvel=[30.0])
-    watch, findings = watched(scene, time=1.0)
-    assert next(watch.joints.overshoots()).most > 0 and findings == []
-
-
-# Actuators.
-
-
-def lift(kp, mass=2.0, force=None):
-    ranged = f'forcerange="{-force} {force}"' if force else ""
-    return sc.loads(
-        f"""<mujoco><worldbody><body name="load" pos="0 0 1">
-        <joint name="rail" type="slide" axis="0 0 1" range="-.5 .5"/>
-        <geom size=".05" mass="{mass}"/></body></worldbody><actuator>
-        <position name="hoist" joint="rail" kp="{kp}" kv="{kp / 10}" {ranged}/>
-        </actuator></mujoco>"""
-    )
-
-
-def test_how_far_a_servo_sags():
-    """m g / kp; with the kp that is named, a tenth of what is worth saying."""
-    one = the(watched(lift(80), time=6.0)[1], "servo sags")
-    assert one.value == pytest.approx(2 * G / 80, rel=1e-3) and one.element == "servo `hoist`"
-    assert "load of 19.6 N" in one.text
-    kp = float(re.search(r"kp (\S+) leaves", one.text)[1])
-    watch, findings = watched(lift(kp), time=3.0)
-    assert findings == []
-    (servo,) = watch.actuators.at_rest()
-    assert abs(servo.error) == pytest.approx(0.1 * 0.1, rel=0.01)
-
-
-def test_a_servo_too_weak_for_its_load():
-    """It lies on its limit, at the end of its force range."""
-    one = the(watched(lift(1000, force=15), time=3.0)[1], "servo too weak")
-    assert one.severity == "error" and "forcerange (15 N)" in one.text
-
-
-def test_a_servo_that_its_joint_s_limit_stops_is_not_too_weak():
-    scene = lift(1000, force=100)
-    scene.add_key("high", ctrl=[0.9])
-    watch, findings = watched(scene, time=3.0)
-    assert next(watch.actuators.at_rest()).error > 0.3
-    assert not [one for one in findings if one.kind.startswith("servo")]
-
-
-def driven(count, force):
-    """Servos that are too stiff for their forces, each on a flywheel of its own."""
-    wheel = (
-        """<body pos="{k} 0 0"><joint name="j{k}" axis="0 0 1"/><geom size=".1" mass="1"/></body>"""
-    )
-    motor = """<position name="s{k}" joint="j{k}" kp="1000" forcerange="-{force} {force}"/>"""
-    wheels = "".join(wheel.format(k=k) for k in range(count))
-    motors = "".join(motor.format(k=k, force=force * (1 + k // 2)) for k in range(count))
-    return sc.loads(
-        f"<mujoco><worldbody>{wheels}</worldbody><actuator>{motors}</actuator></mujoco>"
-    )
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_saturated_servos_are_named_in_one_sentence(count):
-    def sines(time, sim):
-        return np.full(count, np.sin(9 * time))
-
-    one = the(watched(driven(count, 0.1), control=sines)[1], "saturation")
-    assert one.value > 0.9
-    if count == 1:
-        assert one.text.startswith("Servo `s0` is at the end of its forcerange (100 mN·m) for ")
-        return
-    names = "`s0` and `s1`" if count == 2 else "`s0`, `s1` and `s2`"
-    assert f"Servos {names} are" in one.text or count == 3
-    force = "(100 mN·m)" if count == 2 else "(up to 200 mN·m)"
-    assert f"are at the ends of their forceranges {force} for " in one.text
-    assert "where kv has no effect: slow the motion" in one.text
-
-
-@pytest.mark.parametrize("force", [5, 100])
-def test_a_servo_that_grips_is_neither_weak_nor_saturated(force):
-    """It asks for more than the thing between its pads lets it have: so it holds it."""
-    servos = (
-        f'<position joint="l" kp="500" kv="20" forcerange="-{force} {force}"/>'
-        f'<position joint="r" kp="500" kv="20" forcerange="-{force} {force}"/>'
-    )
-    text = GRIPPER.format(cone="elliptic", solref="0.02 1")
-    text = re.sub(r"<actuator>.*</actuator>", f"<actuator>{servos}</actuator>", text)
-    scene = sc.loads(text.replace('ctrl="6 6"', 'ctrl=".03 .03"').replace("<mujoco>", "<mujoco>"))
-    watch, findings = watched(scene.with_settings(impratio=1000.0))
-    assert len(list(watch.actuators.at_rest())) == 2
-    assert findings == []
-
-
-def test_a_servo_of_a_standing_thing_sags_under_its_weight():
-    """A body of 5 kg on a foot of 0.1 kg by a telescope: 5 g / kp."""
-    scene = sc.loads(
-        """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .1"><freejoint/>
-        <geom size=".1" mass=".1"/><geom size=".1" pos=".4 .4 0" mass=".1"/>
-        <geom size=".1" pos="-.4 .4 0" mass=".1"/><geom size=".1" pos="0 -.4 0" mass=".1"/>
-        <body pos="0 0 .5"><joint name="leg" type="slide" axis="0 0 1" range="-.3 .3"/>
-        <geom size=".1" mass="5"/></body></body></worldbody>
-        <actuator><position joint="leg" kp="500" kv="100"/></actuator></mujoco>"""
-    )
-    one = the(watched(scene, time=3.0)[1], "servo sags")
-    assert one.value == pytest.approx(5 * G / 500, rel=1e-3)
-
-
-def test_clamped_controls_are_told_with_the_range():
-    def ask(time, sim):
-        return [3.0 if time < 0.5 else 0.5]
-
-    one = the(watched(stop(0.001), control=ask)[1], "clamped control")
-    assert one.value == pytest.approx(0.5, abs=0.02) and "3 to its ctrlrange of -1 to 1" in one.text
-
-
 # Overlaps.
 
 
@@ -460,13 +267,6 @@ def test_geoms_are_thrown_apart_only_if_they_were(stiffness, thrown):
     assert one.value == pytest.approx(0.03)
     assert ("thrown apart at" in one.text) == thrown
     assert one.severity == ("error" if thrown else "warning")
-
-
-def test_a_limit_and_what_pushes_are_elements_of_their_finding():
-    one = the(watched(stop(5.0, "0.1 1"), time=3.0, control=lambda t, s: [1.0])[1], "limit")
-    assert [(e.kind, e.index, e.name) for e in one.elements] == [
-        ("limit", 0, "limit of joint `elbow`")
-    ]
 
 
 WHEEL = """<mujoco><option cone="elliptic"/><worldbody>
