@@ -93,8 +93,7 @@ impl Linearizer {
         self.sim.state.clone_from(&self.start);
         self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
         for way in self.ways() {
-            let slot = way - self.done;
-            self.direction(way).seed(&mut self.sim, slot);
+            Direction::nth(&self.sim.model, way).seed(&mut self.sim, way - self.done);
         }
         self.sim.step(1)
     }
@@ -106,19 +105,6 @@ impl Linearizer {
         }
         self.done = ways.end;
         Ok(())
-    }
-
-    fn direction(&self, way: usize) -> Direction {
-        let (nv, na) = (self.sim.model.nv, self.sim.model.na);
-        if way < nv {
-            Direction::Position(way)
-        } else if way < 2 * nv {
-            Direction::Velocity(way - nv)
-        } else if way < 2 * nv + na {
-            Direction::Activation(way - 2 * nv)
-        } else {
-            Direction::Control(way - 2 * nv - na)
-        }
     }
 
     /// One column, from the state after the step.
@@ -179,6 +165,20 @@ pub(super) fn differentiated(from: &Plain) -> Result<Sim<Dual>> {
 }
 
 impl Direction {
+    /// They are numbered as the columns of A and B: positions, velocities, activations, controls.
+    pub(super) fn nth(model: &Model, way: usize) -> Self {
+        let (nv, na) = (model.nv, model.na);
+        if way < nv {
+            Self::Position(way)
+        } else if way < 2 * nv {
+            Self::Velocity(way - nv)
+        } else if way < 2 * nv + na {
+            Self::Activation(way - 2 * nv)
+        } else {
+            Self::Control(way - 2 * nv - na)
+        }
+    }
+
     /// Lets the derivatives in a slot be those in this direction.
     pub(super) fn seed(self, sim: &mut Sim<Dual>, slot: usize) {
         match self {
