@@ -355,18 +355,15 @@ def pose(owner: Any, field: str, value: object) -> tuple[float, ...]:
 
 def interval(owner: Any, field: str, value: object) -> tuple[float, float]:
     """Check for two finite numbers, the first smaller."""
-    entries = listed(value)
-    if entries is not None and len(entries) == 2:
-        low, high = number(entries[0]), number(entries[1])
-        if low is not None and high is not None and low < high:
-            return low, high
+    entries = all_numbers(listed(value) or ())
+    if entries is not None and len(entries) == 2 and entries[0] < entries[1]:
+        return entries[0], entries[1]
     raise refuse(owner, field, value, "two finite numbers, the first smaller")
 
 
 def interval_or_zero(owner: Any, field: str, value: object) -> tuple[float, float]:
     """Check for two finite numbers, the first smaller, or (0, 0)."""
-    entries = listed(value)
-    if entries is not None and [number(entry) for entry in entries] == [0.0, 0.0]:
+    if all_numbers(listed(value) or ()) == (0.0, 0.0):
         return 0.0, 0.0
     return interval(owner, field, value)
 
@@ -495,7 +492,7 @@ def function(*arguments: str) -> Check:
 
 def progress(owner: Any, value: object) -> None:
     """Raise ElementError unless `value` is a valid argument `progress`."""
-    if not (value is None or isinstance(value, bool) or callable(value)):
-        raise refuse(owner, "progress", value, "True, False, None or a function")
     if callable(value):
         function("label", "done", "total")(owner, "progress", value)
+    elif value is not None and not isinstance(value, bool):
+        raise refuse(owner, "progress", value, "True, False, None or a function")
