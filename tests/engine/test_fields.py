@@ -11,6 +11,7 @@ from mypy import api
 
 import stepcore as sc
 from stepcore.scene import elements
+from stepcore.scene.element import table
 from stepcore.signatures import SettingsFields
 
 ROOT = Path(__file__).parents[2]
@@ -23,14 +24,14 @@ def test_the_types_of_keywords_are_those_of_the_tables():
 
 @pytest.mark.parametrize("kind", keyword_types.KINDS)
 def test_the_arguments_of_add_are_fields_of_the_element(kind):
-    known = {*elements.fields_of(getattr(elements, kind)), "fromto", "joints", "file"}
+    known = {*table(getattr(elements, kind)), "fromto", "joints", "file"}
     named = inspect.signature(getattr(sc.Scene, f"add_{kind.lower()}")).parameters
     assert {*named} - {"self", "fields"} <= known
 
 
 def test_the_keywords_of_add_body_are_its_fields():
     named = inspect.signature(sc.Scene.add_body).parameters
-    assert {*named} - {"self"} == {*elements.fields_of(elements.Body)}
+    assert {*named} - {"self"} == {*table(elements.Body)}
 
 
 def test_the_keywords_of_a_sim_are_the_fields_of_settings():

@@ -28,7 +28,6 @@ from stepcore.scene.elements import (
     Sensor,
     Site,
     Tendon,
-    fields_of,
     made,
 )
 from stepcore.scene.elements.sensor import OBJECTS
@@ -467,7 +466,7 @@ def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
     """Return a new element; raise ValueError with the nearest name for an unknown field."""
-    known = fields_of(kind)
+    known = table(kind)
     for field in fields:
         if field not in known:
             near = checks.nearest(field, known)

@@ -267,8 +267,3 @@ def made(kind: type[E], values: Mapping[str, Any]) -> E:
         else:
             own[field] = checked
     return element
-
-
-def fields_of(kind: type[Element]) -> tuple[str, ...]:
-    """Return the names of the fields of an element class, in order."""
-    return tuple(table(kind))

@@ -7,7 +7,6 @@ MuJoCo's. Elements compare by identity.
 """
 
 from stepcore.scene.element import Element as Element
-from stepcore.scene.element import fields_of as fields_of
 from stepcore.scene.element import made as made
 from stepcore.scene.elements.actuator import Actuator as Actuator
 from stepcore.scene.elements.body import Body as Body
