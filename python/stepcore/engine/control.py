@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
 from stepcore._core import SimulationError
@@ -36,42 +36,52 @@ def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) 
     the settings cannot cause these errors. Raises ValueError for non-finite numbers later in the
     run, where the motion may have diverged.
     """
-    name, time, nu = control_name(function), sim.time, sim.model.nu
+    time, nu = sim.time, sim.model.nu
     try:
         value = function(time, sim)
     except SimulationError:
         raise
     except ValueError as error:
         text = f"{type(error).__name__}: {checks.one_line(error)}"
-        raise ControlError(f"{name} raised {text} (at time {time:g} s)") from error
+        text = f"{control_name(function)} raised {text} (at time {time:g} s)"
+        raise ControlError(text) from error
     if sim.time != time:
         # The recorded times would not match the motion.
         raise ControlError(
-            f"{name} must not step, reset or restore the Sim (time went from {time:g} s to "
-            f"{sim.time:g} s)"
+            f"{control_name(function)} must not step, reset or restore the Sim (time went from "
+            f"{time:g} s to {sim.time:g} s)"
         )
-    single = sim.settings.precision == "f32"
-    limit = f"must return {nu} finite number{'s' * (nu != 1)}, one for each actuator"
-    if single:
-        limit = f"{limit}, in single precision"
     try:
         table = numbers("ctrl", value)
     except ValueError:
-        text = f"{name} returned {checks.shown(value)} at time {time:g} s: {limit}"
-        raise ControlError(text) from None
+        raise ControlError(_refused(function, sim, checks.shown(value))) from None
     if table.shape != (nu,) and not (nu == 1 and table.size == 1):
         shape = f"an array of shape {table.shape}" if np.ndim(value) else checks.shown(value)
-        raise ControlError(f"{name} returned {shape} at time {time:g} s: {limit}")
+        raise ControlError(_refused(function, sim, shape))
     table = table.reshape(nu)
-    with np.errstate(over="ignore"):
-        finite = np.isfinite(table.astype(np.float32) if single else table)
+    finite = finite_controls(sim, table)
     if not finite.all():
         k = int(np.flatnonzero(~finite)[0])
-        actuator = sim.model.element_name("actuator", k)
         what = "NaN" if np.isnan(table[k]) else f"{table[k]:g}"
-        text = f"{name} returned {what} for {actuator} at time {time:g} s: {limit}"
+        text = _refused(function, sim, f"{what} for {sim.model.element_name('actuator', k)}")
         raise (ControlError if time == 0 else ValueError)(text)
     return table
+
+
+def _refused(function: Callable[..., Any], sim: World, what: str) -> str:
+    """Return the error text for a control function that returned `what`."""
+    nu = sim.model.nu
+    limit = f"must return {nu} finite number{'s' * (nu != 1)}, one for each actuator"
+    if sim.settings.precision == "f32":
+        limit = f"{limit}, in single precision"
+    return f"{control_name(function)} returned {what} at time {sim.time:g} s: {limit}"
+
+
+def finite_controls(sim: World, table: Floats) -> NDArray[np.bool_]:
+    """Return which controls are finite in the precision of a Sim, in the shape of `table`."""
+    with np.errstate(over="ignore"):
+        single = sim.settings.precision == "f32"
+        return np.isfinite(table.astype(np.float32) if single else table)
 
 
 def fresh(function: Control) -> Control:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.control import finite_controls
 from stepcore.engine.trajectory import RECORDED
 
 if TYPE_CHECKING:
@@ -47,9 +48,7 @@ def recorded_rollout(
     """
     steps = ctrl.shape[1]
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("qpos", "qvel", "act", *names)}
-    single = batch.settings.precision == "f32"
-    with np.errstate(over="ignore"):
-        finite = np.isfinite(ctrl.astype(np.float32) if single else ctrl)
+    finite = finite_controls(batch, ctrl)
     if not finite.all():
         world, step, actuator = np.argwhere(~finite)[0]
         number = ctrl[world, step, actuator]

@@ -15,7 +15,7 @@ from stepcore import checks
 from stepcore.engine import trajectory_file
 from stepcore.engine.arrays import numbers
 from stepcore.engine.axes import Axis, axes_of
-from stepcore.engine.control import controls
+from stepcore.engine.control import controls, finite_controls
 from stepcore.engine.snapshots import Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
 
@@ -349,25 +349,21 @@ def _ctrl_of(sim: SomeWorld, control: Driven[SomeWorld]) -> Callable[[int], Arra
     if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):
         limit = f"of shape (n, {sim.model.nu}) with n > 0"
         raise ValueError(f"control has shape {table.shape}: must be {limit}")
-    for row, ctrl in enumerate(table):
-        _check_finite(sim, ctrl, f"in row {row} of control")
+    _check_finite(sim, table)
     return lambda period: table[min(period, len(table) - 1)]
 
 
-def _check_finite(sim: World, table: NDArray[np.float64], where: str) -> None:
-    """Check controls before they are written, so that an error leaves ctrl unchanged."""
-    single = sim.settings.precision == "f32"
-    with np.errstate(over="ignore"):
-        finite = np.isfinite(table.astype(np.float32) if single else table)
+def _check_finite(sim: World, table: NDArray[np.float64]) -> None:
+    """Check rows of controls before the run, so that an error leaves the Sim unchanged."""
+    finite = finite_controls(sim, table)
     if not finite.all():
-        k = np.argwhere(~finite)[0]
-        index = ", ".join(str(i) for i in k)
-        name = sim.model.actuator_names[k[-1]] if len(k) and k[-1] < sim.model.nu else ""
+        row, k = np.argwhere(~finite)[0]
+        name = sim.model.actuator_names[k]
         of = f'actuator "{name}", ' if name else ""
-        limit = "finite in single precision" if single else "finite"
-        number = table[tuple(k)]
-        value = f"ctrl{f'[{index}]' if index else ''} = {'NaN' if np.isnan(number) else number}"
-        raise ValueError(f"{value}: must be {limit} ({of}{where}); the state was left as it is")
+        limit = "finite in single precision" if sim.settings.precision == "f32" else "finite"
+        value = f"ctrl[{k}] = {'NaN' if np.isnan(table[row, k]) else table[row, k]}"
+        where = f"{of}in row {row} of control"
+        raise ValueError(f"{value}: must be {limit} ({where}); the state was left as it is")
 
 
 def recordable(record: Sequence[str], known: Sequence[str] = RECORDED) -> tuple[str, ...]:
