@@ -79,26 +79,6 @@ class Errors:
         return float(np.median(self.each)) if self.each else self.position
 
 
-@dataclass(frozen=True)
-class Score:
-    """A function that reduces `Errors` to one number.
-
-    measure: the name of an attribute of `Errors`. name: the score in words. unit: "m", or "1" for a
-    ratio.
-    """
-
-    measure: str
-    name: str
-    unit: str
-
-    def __call__(self, errors: Errors) -> float:
-        return float(getattr(errors, self.measure))
-
-
-# The score of a setting is its error against the converged motion.
-WORST_START = Score("high", "RMS position error of the worst start", "m")
-
-
 def errors(
     runs: Sequence[Run],
     truth: Sequence[Run],

@@ -13,7 +13,7 @@ from stepcore.engine.model import Model
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.cost import TimedRun, costs, heaviness
-from stepcore.experiment.errors import STICKS, Errors, errors
+from stepcore.experiment.errors import Errors, errors
 from stepcore.experiment.failure import failure
 from stepcore.experiment.growth import Growth, growth
 from stepcore.experiment.reference import Reference, ReferenceRuns
@@ -48,7 +48,6 @@ class Experiment:
     reference_runs: the maker of the reference, which can also refine the reference; None at first.
 
     >>> from stepcore import lesson
-    >>> from stepcore.experiment.errors import WORST_START
     >>> from stepcore.experiment.motion import Motion
     >>> from stepcore.experiment.schedule import scheduled
     >>> model = lesson.spring().compile()
@@ -58,7 +57,7 @@ class Experiment:
     >>> runs = experiment.run(model.settings.replace(dt=0.01))
     >>> experiment.failure(runs, reference) is None
     True
-    >>> WORST_START(experiment.errors(runs, reference)) < 0.1
+    >>> experiment.errors(runs, reference).high < 0.1
     True
     """
 
@@ -144,13 +143,10 @@ class Experiment:
         """Weight of all bodies [N]."""
         return float(np.sum(self.model.body_mass) * np.linalg.norm(self.runner.bodies.gravity))
 
-    def errors(self, runs: Sequence[Run], truth: Truth, cone: str = "pyramidal") -> Errors:
-        """Compute the errors of runs from the first starts; a `Score` reduces them to one number.
-
-        cone: the friction cone of the runs, which decides whether a contact counts as sticking.
-        """
+    def errors(self, runs: Sequence[Run], truth: Truth) -> Errors:
+        """Compute the errors of runs from the first starts."""
         count = len(runs)
-        return errors(runs, truth.runs[:count], truth.scored[:count], self.size, STICKS[cone])
+        return errors(runs, truth.runs[:count], truth.scored[:count], self.size)
 
     def failure(self, runs: Sequence[Run], truth: Truth) -> str | None:
         """Explain why runs from the first starts failed, or return None.

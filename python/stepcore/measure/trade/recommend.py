@@ -20,7 +20,7 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.experiment.batched_runs import screened
-from stepcore.experiment.errors import WORST_START, errors
+from stepcore.experiment.errors import errors
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.failure import far_off
 from stepcore.experiment.growth import DIRECTIONS, Growth
@@ -141,7 +141,7 @@ class Confirmation:
             failure = run.failure or far_off([run], truth, further.size)
             wrong = math.inf
             if not failure:
-                wrong = WORST_START(errors([run], truth, self.scored[[start]]))
+                wrong = errors([run], truth, self.scored[[start]]).high
             known[start] = (start, wrong, failure)
         return [known[start] for start in starts]
 

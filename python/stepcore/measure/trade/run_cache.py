@@ -18,7 +18,6 @@ from stepcore._core import Settings
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.cost import UNKNOWN, TimedRun, Work, costs, priced
-from stepcore.experiment.errors import WORST_START
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.other_models import ErrorSplit
 from stepcore.experiment.reference import Reference
@@ -108,8 +107,8 @@ class RunCache:
         runs = self.screened[settings][:starts]
         if self.why_failed(runs):
             return PricedError(math.inf, math.inf)
-        errors = self.experiment.errors(runs, self.reference)
-        return PricedError(self.work[settings].flops, WORST_START(errors))
+        error = self.experiment.errors(runs, self.reference).high
+        return PricedError(self.work[settings].flops, error)
 
     def failure(self, settings: Settings) -> str | None:
         """Return why a setting failed that was run from all starts, or None."""
