@@ -196,7 +196,7 @@ def set_up(
     fields: the keyword arguments that are fields of `Motion`.
     missing: words for the error if nothing in the scene can move, such as "no motion to predict".
     """
-    motion = Motion.of(motion, fields, measurement)
+    motion = Motion.of(motion, fields, measurement).without_sines()
     compiled = find_model(model)
     workers = Workers.checked(measurement.__name__, threads, executor, progress)
     if not compiled.nv:

@@ -166,7 +166,7 @@ class Motion:
         """
         refuse_unknown(measurement, given)
         if motion is None:
-            return cls(**given)._without_sines()
+            return cls(**given)
         if not isinstance(motion, Motion):
             raise ValueError(f"motion = {checks.shown(motion)}: must be a stepcore.Motion")
         if given:
@@ -177,9 +177,9 @@ class Motion:
         for word in (field.name for field in fields(cls) if field.name not in takes):
             if getattr(motion, word) is not getattr(cls, word):
                 raise ValueError(f"motion: {name} does not use {word}; leave it out of the Motion")
-        return motion._without_sines()
+        return motion
 
-    def _without_sines(self) -> Motion:
+    def without_sines(self) -> Motion:
         """Return the motion with the controls "sines" replaced by None, which means the same."""
         return replace(self, ctrl=None) if self.follows_sines else self
 
