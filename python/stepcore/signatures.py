@@ -72,10 +72,10 @@ def keyword(name: str, default: object, annotation: object) -> inspect.Parameter
 
 def spell_out(function: F, keywords: Iterable[inspect.Parameter]) -> F:
     """Replace ``**fields`` by `keywords` in the signature of a function."""
-    own = inspect.signature(function).parameters.values()
-    listed = [p for p in own if p.kind is not inspect.Parameter.VAR_KEYWORD]
+    own = inspect.signature(function)
+    listed = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
     plain = [_plain(parameter) for parameter in (*listed, *keywords)]
-    returns = inspect.signature(function).return_annotation
+    returns = own.return_annotation
     if isinstance(returns, str):
         returns = _Annotation(returns)
     function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
@@ -97,6 +97,15 @@ def refuse_unknown(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
         if word not in takes:
             near = checks.nearest(word, takes)
             raise UnknownArgument(f"{call.__name__}() has no argument {checks.quoted(word)}{near}")
+
+
+def refuse_unknown_settings(call: Callable[..., Any], given: SettingsFields) -> None:
+    """Do the same for a call whose ``**fields`` are those of `Settings`.
+
+    The signature is read only for an error: reading it takes as long as creating a Sim.
+    """
+    if not given.keys() <= SettingsFields.__annotations__.keys():
+        refuse_unknown(call, given)
 
 
 def _plain(parameter: inspect.Parameter) -> inspect.Parameter:

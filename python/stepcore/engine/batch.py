@@ -22,7 +22,7 @@ from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import recordable
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
 from stepcore.engine.world import World, compiled
-from stepcore.signatures import refuse_unknown, takes_settings
+from stepcore.signatures import refuse_unknown_settings, takes_settings
 
 if TYPE_CHECKING:
     import os
@@ -94,7 +94,7 @@ class Batch(World):
         on_failure: str = "stop",
         **fields: Unpack[SettingsFields],
     ) -> None:
-        refuse_unknown(Batch, fields)
+        refuse_unknown_settings(Batch, fields)
         self._model = compiled(model).with_settings(settings, **fields)
         self._lanes = checks.one_of(True, False, "auto")("Batch", "lanes", lanes)
         self._threads = _threads(threads, n, self._model.nv)

@@ -22,7 +22,7 @@ from stepcore.engine.tables import ContactPair, Keyframe
 from stepcore.engine.touches import Touches, touches
 from stepcore.scene import gc_pause
 from stepcore.scene.value_paths import changed
-from stepcore.signatures import refuse_unknown, takes_settings
+from stepcore.signatures import refuse_unknown_settings, takes_settings
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -63,7 +63,7 @@ class Model:
     ) -> None:
         if not hasattr(scene, "to_dict"):
             raise ValueError(f"scene = {checks.shown(scene)}: must be a stepcore.Scene")
-        refuse_unknown(Model, fields)
+        refuse_unknown_settings(Model, fields)
         with gc_pause.paused():
             self._scene = copy.deepcopy(scene)
             merged = _merged(self._scene.settings, settings, fields)
@@ -456,7 +456,7 @@ class Model:
         self, settings: Settings | None = None, **fields: Unpack[SettingsFields]
     ) -> Model:
         """Return this model with other settings, without compiling it again."""
-        refuse_unknown(self.with_settings, fields)
+        refuse_unknown_settings(self.with_settings, fields)
         other = copy.copy(self)
         other._settings = _merged(self._settings, settings, fields)
         return other

@@ -18,7 +18,7 @@ from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run
 from stepcore.engine.unsolved import UnsolvedWarning
 from stepcore.engine.world import World, compiled
-from stepcore.signatures import refuse_unknown, takes_settings
+from stepcore.signatures import refuse_unknown_settings, takes_settings
 
 if TYPE_CHECKING:
     import os
@@ -99,7 +99,7 @@ class Sim(World):
         threads: int = 1,
         **fields: Unpack[SettingsFields],
     ) -> None:
-        refuse_unknown(Sim, fields)
+        refuse_unknown_settings(Sim, fields)
         self._model = compiled(model).with_settings(settings, **fields)
         self._threads = checks.count("threads", threads)
         self._own(_core.Sim(self._model.core, self._model.settings, self._threads))
