@@ -22,7 +22,8 @@ class Entry:
     """
 
     def __init__(self, array: str, doc: str, *, axes: int = 1, writable: bool = False) -> None:
-        self.array, self.axes, self.writable = array, axes, writable
+        self.array, self.writable = array, writable
+        self.rest = (slice(None),) * axes
         self.__doc__ = doc
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -32,7 +33,7 @@ class Entry:
         if view is None:
             return self  # type: ignore[return-value]
         array: Floats = getattr(view._sim, self.array)
-        return array[(..., view._at(self.array), *[slice(None)] * self.axes)]
+        return array[(..., view._at(self.array), *self.rest)]
 
     def __set__(self, view: Any, value: ArrayLike) -> None:
         if not self.writable:
@@ -71,13 +72,16 @@ class _View(KnownNames):
         return f"<{self.kind} {self.index} {quoted(self.name)} of {self._sim!r}>"
 
 
-class _Point(_View):
-    """A view of an element with a moving frame; the frame's velocity follows from the Jacobian."""
+class _Frame(_View):
+    """A view of an element with a moving frame; the engine has its Jacobian as `_jacobian`."""
+
+    _jacobian = ""
 
     @property
     def jacobian(self) -> Floats:
         """Jacobian of the frame, shape (6, nv); see `Sim.jacobian`."""
-        raise NotImplementedError
+        jacobian: Floats = getattr(self._sim._core, self._jacobian)(self.index)
+        return jacobian
 
     @property
     def velocity(self) -> Floats:
@@ -86,10 +90,11 @@ class _Point(_View):
         return velocity[..., 0]
 
 
-class BodyView(_Point):
+class BodyView(_Frame):
     """One body of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
 
     kind = "body"
+    _jacobian = "jacobian"
     xpos = Entry("xpos", "Position of the body's frame [m], shape (3,).")
     xquat = Entry("xquat", "Orientation of the body's frame as a quaternion w x y z, shape (4,).")
     xmat = Entry(
@@ -103,11 +108,6 @@ class BodyView(_Point):
         "Force on its centre of mass [N] and moment [N·m], shape (6,); can be written.",
         writable=True,
     )
-
-    @property
-    def jacobian(self) -> Floats:
-        """Jacobian of the body's frame, shape (6, nv); see `Sim.jacobian`."""
-        return self._sim.jacobian(self.index)
 
     @property
     def mass(self) -> float:
@@ -169,18 +169,13 @@ class GeomView(_View):
     xmat = Entry("geom_xmat", "Orientation of the geom as a rotation matrix, shape (3, 3).", axes=2)
 
 
-class SiteView(_Point):
+class SiteView(_Frame):
     """One site of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
 
     kind = "site"
+    _jacobian = "site_jacobian"
     xpos = Entry("site_xpos", "Position of the site [m], shape (3,).")
     xmat = Entry("site_xmat", "Orientation of the site as a rotation matrix, shape (3, 3).", axes=2)
-
-    @property
-    def jacobian(self) -> Floats:
-        """Jacobian of the site's frame, shape (6, nv); see `Sim.jacobian`."""
-        jacobian: Floats = self._sim._core.site_jacobian(self.index)
-        return jacobian
 
 
 class TendonView(_View):
