@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from stepcore import checks
 
 Floats = NDArray[np.float64]
+Array = TypeVar("Array", bound=NDArray[Any])
 
 
 class StateArray:
@@ -157,6 +158,12 @@ def numbers(name: str, value: ArrayLike) -> Floats:
             f"{name} = {checks.shown(value)}: must be real numbers, not {table.dtype.name}"
         )
     return np.ascontiguousarray(table, dtype=np.float64)
+
+
+def frozen(array: Array) -> Array:
+    """Make an array read-only, and return it."""
+    array.flags.writeable = False
+    return array
 
 
 def digest(qpos: Floats, qvel: Floats) -> str:

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings
-from stepcore.engine.arrays import Count, Floats, ModelArray, Names, numbers
+from stepcore.engine.arrays import Count, Floats, ModelArray, Names, frozen, numbers
 from stepcore.engine.compilation import bare, compiled_once, compiled_scenes
-from stepcore.engine.tables import ContactPair, Keyframe
+from stepcore.engine.tables import ContactPair, Keyframe, contact_pair, pair_arrays
 from stepcore.engine.touches import Touches, touches
 from stepcore.scene import gc_pause
 from stepcore.scene.value_paths import changed
@@ -287,7 +287,7 @@ class Model:
     def _arrays(self) -> dict[str, NDArray[Any]]:
         lists = self._core.addresses().items()
         addresses = {name: np.array(entries, dtype=np.int32) for name, entries in lists}
-        return {name: _frozen(array) for name, array in (self._core.tables() | addresses).items()}
+        return {name: frozen(array) for name, array in (self._core.tables() | addresses).items()}
 
     @functools.cached_property
     def _pair_arrays(self) -> dict[str, NDArray[Any]]:
@@ -296,15 +296,7 @@ class Model:
                 f"pairs: this model is a heap, whose {self.npair} pairs of geoms that could meet "
                 "are not listed: contact_pair(index) tells of one, Sim.contacts which touch now"
             )
-        pairs = self._core.pairs()
-        data = [self._core.pair(index) for index in range(len(pairs))]
-        arrays: dict[str, NDArray[Any]] = {
-            "pair_geoms": np.array(pairs, dtype=np.int32).reshape(-1, 2),
-            "pair_solref": np.array([pair[4] for pair in data], dtype=float).reshape(-1, 2),
-            "pair_friction": np.array([pair[3] for pair in data], dtype=float),
-            "pair_invweight0": np.array([pair[5] for pair in data], dtype=float),
-        }
-        return {name: _frozen(array) for name, array in arrays.items()}
+        return pair_arrays(self._core)
 
     def contact_pair(self, index: int) -> ContactPair:
         """Return the two geoms of a contact pair, and the parameters that their contacts share.
@@ -313,10 +305,7 @@ class Model:
 
         Raises ValueError if no pair has this index.
         """
-        first, second, condim, friction, solref, invweight = self._core.pair(
-            checks.count("index", index, 0)
-        )
-        return ContactPair((first, second), condim, friction, (solref[0], solref[1]), invweight)
+        return contact_pair(self._core, checks.count("index", index, 0))
 
     qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")
     body_mass = ModelArray("Mass of each body [kg], shape (nbody,).")
@@ -428,7 +417,7 @@ class Model:
         """The keyframes. Values that a keyframe omits have their defaults."""
         states = zip(self.key_names, self._core.keys(), strict=True)
         return tuple(
-            Keyframe(name, time, *(_frozen(np.array(x, dtype=float)) for x in arrays))
+            Keyframe(name, time, *(frozen(np.array(x, dtype=float)) for x in arrays))
             for name, (time, arrays) in states
         )
 
@@ -498,11 +487,6 @@ def _unpickled(pickled: bytes, settings: Settings) -> Model:
     model._core = compiled_scenes.get(pickled, model._scene)
     model.__dict__["_pickled"] = pickled
     return model
-
-
-def _frozen(array: Any) -> Any:
-    array.flags.writeable = False
-    return array
 
 
 def _merged(own: Settings, given: Settings | None, fields: SettingsFields) -> Settings:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
-from stepcore.engine.arrays import Floats, numbers
+from stepcore.engine.arrays import Floats, frozen, numbers
 from stepcore.engine.compilation import compile_data
 from stepcore.engine.model import Model
 from stepcore.scene.elements import Body
@@ -131,9 +131,7 @@ class Parameters(Mapping[str, Floats]):
         if bad.any():
             world = int(np.flatnonzero(bad)[0])
             raise ValueError(f"{name}[{world}] = {checks.shown(table[world])}: must be finite")
-        column = table.copy()
-        column.flags.writeable = False
-        return column
+        return frozen(table.copy())
 
     def _take(self, columns: dict[str, Floats]) -> None:
         variants = Variants(self._base, columns, self._n)

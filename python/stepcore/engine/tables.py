@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from stepcore.engine.model import Model
+from stepcore.engine.arrays import Floats, frozen
 
-Floats = NDArray[np.float64]
+if TYPE_CHECKING:
+    from stepcore import _core
+    from stepcore.engine.model import Model
 
 VECTORS = ("pos", "normal", "force", "torque")
 # kind, index and part of an element: the arguments of `Model.element_name`.
@@ -51,6 +52,24 @@ class ContactPair(NamedTuple):
     invweight0: float
 
 
+def contact_pair(core: _core.Model, index: int) -> ContactPair:
+    """Return a contact pair; see `Model.contact_pair`."""
+    first, second, condim, friction, solref, invweight = core.pair(index)
+    return ContactPair((first, second), condim, friction, (solref[0], solref[1]), invweight)
+
+
+def pair_arrays(core: _core.Model) -> dict[str, NDArray[Any]]:
+    """Return the arrays `pair_…` of a model that is no heap."""
+    pairs = [contact_pair(core, index) for index in range(len(core.pairs()))]
+    arrays: dict[str, NDArray[Any]] = {
+        "pair_geoms": np.array([pair.geoms for pair in pairs], dtype=np.int32).reshape(-1, 2),
+        "pair_solref": np.array([pair.solref for pair in pairs], dtype=float).reshape(-1, 2),
+        "pair_friction": np.array([pair.friction for pair in pairs], dtype=float),
+        "pair_invweight0": np.array([pair.invweight0 for pair in pairs], dtype=float),
+    }
+    return {name: frozen(array) for name, array in arrays.items()}
+
+
 def contact_table(
     geom_names: Sequence[str],
     elements: list[tuple[str, int, int]],
@@ -70,8 +89,7 @@ def contact_table(
     table["dist"] = numbers[:, 0]
     for k, field in enumerate(VECTORS):
         table[field] = numbers[:, 1 + 3 * k : 4 + 3 * k]
-    table.flags.writeable = False
-    return table
+    return frozen(table)
 
 
 def contacts_of_body(table: NDArray[Any], model: Model, body: str | int) -> NDArray[Any]:
@@ -98,8 +116,7 @@ def row_table(
     for k, field in enumerate(ROW_NUMBERS):
         table[field] = numbers[:, k]
     table["force"] = table["impulse"] / dt
-    table.flags.writeable = False
-    return table
+    return frozen(table)
 
 
 # The types are cached, because creating the type takes as long as filling the table.
