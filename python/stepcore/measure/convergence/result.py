@@ -136,7 +136,10 @@ class Convergence(Result):
     @property
     def slowest(self) -> ResidualHistory | None:
         """The state at which sweeps converge slowest, at the shipped time step."""
-        known = [h for h in self.at(self.settings.dt) if h.contraction is not None]
+        return self._slowest(self.settings.dt)
+
+    def _slowest(self, dt: float) -> ResidualHistory | None:
+        known = [h for h in self.at(dt) if h.contraction is not None]
         return max(known, key=lambda h: h.contraction or 0.0, default=None)
 
     @property
@@ -174,16 +177,15 @@ class Convergence(Result):
         Each element is shown after the shipped sweeps, at the state where its force is furthest
         off.
         """
-        worst: dict[str, RowForce] = {}
-        count: dict[str, int] = {}
+        by_name: dict[str, list[RowForce]] = {}
         for history in self.at(self.settings.dt):
             for force in history.forces:
-                name = force.name
-                if name not in worst or force.missing > worst[name].missing:
-                    worst[name] = force
-                count[name] = count.get(name, 0) + 1
-        order = sorted(worst.values(), key=lambda force: -force.missing)
-        return [replace(force, states=count[force.name]) for force in order]
+                by_name.setdefault(force.name, []).append(force)
+        rows = [
+            replace(max(forces, key=lambda force: force.missing), states=len(forces))
+            for forces in by_name.values()
+        ]
+        return sorted(rows, key=lambda row: -row.missing)
 
     # --- tables and data -------------------------------------------------------------------------
 
@@ -243,12 +245,11 @@ class Convergence(Result):
         """
 
         def record(settings: Settings) -> dict[str, Any]:
-            run = self.runs[settings]
-            known = [h.contraction for h in self.at(settings.dt) if h.contraction is not None]
+            run, slowest = self.runs[settings], self._slowest(settings.dt)
             return {
                 "dt": settings.dt,
                 "residual": run.residual,
-                "contraction": max(known, default=math.nan),
+                "contraction": slowest.contraction if slowest else math.nan,
                 "error": run.error,
                 "updates": run.updates,
                 "failure": run.failure,

@@ -178,19 +178,15 @@ def stack(tolerance: Tolerance, size: float | None) -> MapCase:
     }
     settings = [
         MapSetting(f"penalty, {PENALTY:.0e} N/m", penalty, None, penalised, GROWS),
-        MapSetting(
-            "rows, 4 sweeps, cold",
-            rest | {"sweeps": 4, "warm_start": False},
-            at_rest,
-            partial(_each, partial(sinking, sweeps=4, depth=depth)),
-            SINKS,
-        ),
-        MapSetting(
-            "rows, 64 sweeps, cold",
-            rest | {"sweeps": 64, "warm_start": False},
-            at_rest,
-            partial(_each, partial(sinking, sweeps=64, depth=depth)),
-            SINKS,
+        *(
+            MapSetting(
+                f"rows, {sweeps} sweeps, cold",
+                rest | {"sweeps": sweeps, "warm_start": False},
+                at_rest,
+                partial(_each, partial(sinking, sweeps=sweeps, depth=depth)),
+                SINKS,
+            )
+            for sweeps in (4, 64)
         ),
         MapSetting(
             "rows, 4 sweeps, warm",
