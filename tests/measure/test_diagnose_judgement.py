@@ -7,7 +7,7 @@ import pytest
 import stiff
 
 import stepcore as sc
-from stepcore.measure.diagnosis.motion_check import first_failing
+from stepcore.measure.diagnosis.motion_limit import first_failing
 from stepcore.measure.diagnosis.servo_range import crossing_dt
 
 # Steps beyond a limit are run on purpose.

@@ -29,7 +29,8 @@ from stepcore.measure.diagnosis.limits import (
     dt_limit,
 )
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
-from stepcore.measure.diagnosis.motion_check import Judge, judge, judged_limit
+from stepcore.measure.diagnosis.motion_check import Judge, judge
+from stepcore.measure.diagnosis.motion_limit import judged_limit
 from stepcore.measure.diagnosis.motion_runs import MotionRuns
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.saturation import holds_when_kicked, kicked, look

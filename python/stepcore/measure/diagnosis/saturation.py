@@ -28,8 +28,8 @@ from stepcore.measure.diagnosis.motion_check import (
     Judge,
     Outcome,
     Runaway,
-    first_failing,
 )
+from stepcore.measure.diagnosis.motion_limit import first_failing
 from stepcore.measure.diagnosis.motion_runs import MotionRun, largest_speeds
 from stepcore.measure.diagnosis.servo_range import (
     crossing_dt,
