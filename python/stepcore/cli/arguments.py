@@ -20,6 +20,7 @@ from stepcore.checks import nearest, one_line
 from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
 from stepcore.experiment.control_table import ENDINGS, SINES, control_table
+from stepcore.experiment.motion import INTERPOLATIONS
 from stepcore.loading import find_scene
 from stepcore.reading import load
 from stepcore.report.units import counted, length_of, time_of
@@ -62,6 +63,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "control": {
         "metavar": "FILE.py:FUNCTION",
         "help": "a function (time, sim) -> controls, in a file or a module",
+    },
+    "interpolation": {
+        "choices": INTERPOLATIONS,
+        "help": "between the rows of a log with times (default: held)",
     },
     "ctrl": {"metavar": "VALUES", "help": f"{CTRL} (default: seeded sines)"},
     "control_dt": {

@@ -118,9 +118,14 @@ class BatchRun:
             periods, count = 1, count * periods
         for period in range(periods):
             checkpoint()
+            done = 0
             if schedule.ctrl is not None:
                 batch.ctrl[:] = schedule.ctrl[list(self.starts), period]
-            step(count)
+            for end, row in schedule.stretches(period * count, batch.settings.dt, count):
+                if row is not None:
+                    batch.ctrl[:] = row
+                step(end - done)
+                done = end
             if sample is not None and (period + 1) % schedule.every == 0 and sample():
                 break
 

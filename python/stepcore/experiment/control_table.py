@@ -15,12 +15,17 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
+from stepcore.experiment.control_log import ControlLog
+from stepcore.report.units import seconds
 
 # The name of the measurements' default controls in --ctrl and `Motion.ctrl`.
 SINES = "sines"
 ENDINGS = (".csv", ".npy", ".npz")
 # The largest number of constant controls that are listed, not counted.
 NAMED = 8
+# A period that follows from a log has at least this many of the model's steps, so that steps longer
+# than the model's can be tried.
+SOME = 4
 # Names of a column of times: "time", "t", "Time [s]", "t_s".
 TIME = re.compile(r"(time|t)([\s_]*[\[(]?s[\])]?)?", re.IGNORECASE)
 
@@ -72,18 +77,53 @@ class ControlTable:
             values = [f"{name}={value}" for name, value in zip(self.columns, values, strict=True)]
         return ", ".join(values)
 
-    def period(self, dt: float) -> float:
-        """Return the control period [s]; dt: time step [s].
-
-        The period is the spacing of the times, if they are equidistant in whole steps; else dt.
-        """
+    @property
+    def gap(self) -> float | None:
+        """The time between two rows [s]; None without times, or if it is not constant."""
         if self.times is None or len(self.times) < 2:
-            return dt
+            return None
         gaps = np.diff(self.times)
-        gap = (self.times[-1] - self.times[0]) / len(gaps)
+        gap = float(self.times[-1] - self.times[0]) / len(gaps)
+        # Loggers jitter, and files round times to about six digits.
+        return gap if np.allclose(gaps, gap, rtol=1e-6, atol=1e-6 * gap) else None
+
+    def period(self, dt: float) -> float | None:
+        """Return the control period [s], or None if the rows do not determine one; dt: [s].
+
+        Rows without times have a period of dt. Rows at equal times have a period in which all steps
+        can end on their times: the spacing or a whole part of it, in at least `SOME` steps of dt.
+        Otherwise the rows follow their own times whatever the period; see `ControlLog`.
+        """
+        if self.times is None:
+            return dt
+        gap = self.gap
+        if gap is None or abs(gap - round(gap / dt) * dt) > 1e-6 * dt:
+            return None
         steps = round(gap / dt)
-        even = np.allclose(gaps, gap, rtol=1e-6, atol=1e-6 * dt)
-        return steps * dt if even and steps and abs(gap - steps * dt) < 1e-6 * dt else dt
+        parts = [steps // k for k in range(1, steps + 1) if steps % k == 0]
+        return min((n for n in parts if n >= SOME), default=0) * dt or None
+
+    def paced(self, period: str) -> str:
+        """Return when rows take effect, in words; period: the control period in words."""
+        if self.times is None or len(self.times) < 2:
+            return f"a row {period}"
+        gap = self.gap
+        return "rows at their own times" if gap is None else f"a row every {seconds(gap)}"
+
+    def log(self, model: Model, held: np.ndarray, linear: bool = False) -> ControlLog | None:
+        """Return the rows at their own times; None for a table without times.
+
+        held: the controls of actuators without a column, shape (nu,).
+        linear: whether to interpolate the rows.
+
+        Raises ValueError for a table that does not match the model's actuators.
+        """
+        if self.times is None:
+            if linear and self.changes:
+                raise ValueError(f"{self.source}: has no times to interpolate between")
+            return None
+        rows = self._complete(model, held)
+        return ControlLog(self.times - self.times[0], rows, linear)
 
     def over(self, model: Model, held: np.ndarray, periods: int, period: float) -> np.ndarray:
         """Return the controls in each period, shape (periods, nu); the last row stays to the end.
@@ -98,14 +138,19 @@ class ControlTable:
         else:
             now = period * np.arange(periods) + 1e-6 * period
             index = np.searchsorted(self.times - self.times[0], now, side="right") - 1
+        rows: np.ndarray = self._complete(model, held)[index]
+        return rows
+
+    def _complete(self, model: Model, held: np.ndarray) -> np.ndarray:
+        """Return the rows with the controls of all actuators, shape (n, nu)."""
         if self.columns is None:
             rows = self.rows[:, None] if self.rows.ndim == 1 and model.nu == 1 else self.rows
             if rows.ndim != 2 or rows.shape[1] != model.nu:
                 limit = f"(n, {model.nu}), one row a period"
                 raise ValueError(f"{self.source} has shape {rows.shape}: must be {limit}")
-            return rows[index]
-        values = np.tile(held, (periods, 1))
-        values[:, _actuators(self.source, self.columns, model)] = self.rows[index]
+            return rows
+        values = np.tile(held, (len(self.rows), 1))
+        values[:, _actuators(self.source, self.columns, model)] = self.rows
         return values
 
 

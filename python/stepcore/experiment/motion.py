@@ -50,6 +50,10 @@ def picklable(control: Control) -> Control:
 Controls = ArrayLike | ControlTable | Mapping[str, Any] | str | os.PathLike[str] | Any
 
 
+# How rows with times are continued between these times.
+INTERPOLATIONS = ("held", "linear")
+
+
 def _is_array(ctrl: object) -> bool:
     """Return whether controls are a plain array, which `Motion` keeps unchanged."""
     kinds = (str, os.PathLike, Mapping, Trajectory, ControlTable)
@@ -67,6 +71,7 @@ class MotionFields(TypedDict, total=False):
     control: Control | None
     ctrl: Controls | None
     control_dt: float | None
+    interpolation: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,17 +89,20 @@ class Motion:
         of the joint that the actuator drives: the path of a .csv or .npz file, a recorded run
         (`Trajectory`), a DataFrame, or a dict such as ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An
         actuator without a column keeps the keyframe's control. In a table with a column "time"
-        [s], each row takes effect at its time, relative to the first row. A file without column
-        names (.csv, .npy) is read as an array. "sines" selects the default controls.
+        [s], each row takes effect at its time, relative to the first row, at any rate: a step gets
+        the mean of the controls over the step, whatever its length. A file without column names
+        (.csv, .npy) is read as an array. "sines" selects the default controls.
     control: a function of (time, sim) that returns the controls, in place of `ctrl`. The function
         is called once per control period, possibly from several threads, and must depend on
         nothing but its arguments. A callable object may keep state in its attributes; each run gets
         a copy of the object. By default, without `ctrl` and `control`, every actuator follows a sum
         of a few random sines within its range.
-    control_dt: the control period [s], a multiple of every time step. With `control` or `ctrl` the
-        default is the scene's time step, as in a loop that sets ctrl and steps. Without them the
-        measurement chooses the period. The period is part of the physics, so runs with different
-        time steps have the same period.
+    control_dt: the control period [s], a multiple of every time step. With `control`, or rows
+        without times, the default is the scene's time step, as in a loop that sets ctrl and steps.
+        The period is part of the physics, so runs with different time steps have the same period.
+        Rows with times follow their own times by default; with control_dt, the row in effect at the
+        beginning of each period is held.
+    interpolation: "held" (each row until the next) or "linear", for rows with times.
 
     Raises ValueError for a value outside its limits.
 
@@ -109,6 +117,7 @@ class Motion:
     control: Control | None = None
     ctrl: Controls | None = None
     control_dt: float | None = None
+    interpolation: str = "held"
 
     def __post_init__(self) -> None:
         for name in ("horizon", "control_dt"):
@@ -117,6 +126,7 @@ class Motion:
         if self.starts is not None:
             object.__setattr__(self, "starts", checks.count("starts", self.starts))
         object.__setattr__(self, "seed", checks.count("seed", self.seed, least=0))
+        checks.one_of(*INTERPOLATIONS)("motion", "interpolation", self.interpolation)
         if self.control is not None:
             checks.function("time", "sim")("motion", "control", self.control)
             if self.ctrl is not None:
@@ -145,7 +155,8 @@ class Motion:
         except ValueError:
             # The error is raised later, where the controls are matched to a model.
             return None
-        return table.period(dt) if table.changes else None
+        linear = table.times is not None and self.interpolation == "linear"
+        return table.period(dt) if table.changes and not linear else None
 
     @classmethod
     def of(

@@ -99,7 +99,8 @@ def drive_in_words(
         if not table.changes:
             return f"{what} hold {table.constants}"
         source = "the controls given" if table.source == "ctrl" else table.source
-        return f"{what} driven by {source}, a row {sampled}"
+        sampled = table.paced(sampled) if motion.control_dt is None else f"a row {sampled}"
+        return f"{what} driven by {source}, {sampled}"
     still = list(undriven)
     if len(still) == model.nu:
         return f"{what} are held at zero, because nothing gives their range"

@@ -98,12 +98,9 @@ class Recorder(Probe):
         self.updates, self.rowless = sim.row_updates, sim.settings.law != "penalty"
         self._state(sim)
 
-    def period(self, sim: Sim, period: int) -> None:
-        self.held = np.array(sim.ctrl)
-
     def step(self, sim: Sim) -> None:
         self._state(sim)
-        self.ctrl.append(self.held)
+        self.ctrl.append(np.array(sim.ctrl))
         if self.calls % self.often == 0:
             self._contacts(sim)
         self.calls += 1

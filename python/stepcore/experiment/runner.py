@@ -162,18 +162,24 @@ class Runner:
                 blocks = [(0, sum(count for _, count in blocks))]
         elif self.explosion.watches and isinstance(sim, Sim):
             step = self.explosion.guarded(sim)
+        made = 0
         for period, count in blocks:
             checkpoint()
             self.control(sim, start, period, function)
             for probe in probes:
                 probe.period(sim, period)
             done = 0
-            while done < count:
-                stop = min((n for probe in probes if (n := probe.stop(done, count))), default=count)
-                step(stop - done)
-                done = stop
-                for probe in probes:
-                    probe.step(sim)
+            for end, row in schedule.stretches(made, sim.settings.dt, count):
+                if row is not None:
+                    sim.ctrl[:] = row
+                while done < end:
+                    stops = (n for probe in probes if (n := probe.stop(done, count)))
+                    stop = min(stops, default=end)
+                    step(min(stop, end) - done)
+                    done = min(stop, end)
+                    for probe in probes:
+                        probe.step(sim)
+            made += count
             if (period + 1) % schedule.every == 0:
                 for probe in probes:
                     probe.sample(sim)

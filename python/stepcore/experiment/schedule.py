@@ -1,7 +1,8 @@
 """The schedule of a motion for one model: starts, controls and a common time grid.
 
 Controls are constant over a control period, which is a multiple of every time step. Coarse and fine
-runs therefore get the same controls at the same times.
+runs therefore get the same controls at the same times. A log has times of its own: see
+`ControlLog`.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from stepcore import checks
 from stepcore.engine.control import Control, control_name
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.control_log import ControlLog, changes
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Coordinates, Start
 from stepcore.experiment.motion import Motion
@@ -45,9 +47,12 @@ class Schedule:
     periods: the number of control periods.
     every: the number of periods between two samples.
     starts: the initial states.
-    ctrl: the controls, (starts, periods, nu); None if `control` returns the controls.
+    ctrl: the controls, (starts, periods, nu); None if `control` returns the controls. With a log,
+        the means over the periods.
     control: the control function, or None.
     undriven: the names of the actuators without a control range, whose controls are constant.
+    log: controls that change within periods, at times of their own; None for controls that are
+        constant in each period.
     """
 
     period: float
@@ -57,6 +62,7 @@ class Schedule:
     ctrl: np.ndarray | None
     control: Control | None
     undriven: tuple[str, ...] = ()
+    log: ControlLog | None = None
 
     @property
     def horizon(self) -> float:
@@ -106,6 +112,22 @@ class Schedule:
                 yield min(period, self.periods - 1), end - done
             done, period = end, period + 1
 
+    def stretches(
+        self, made: int, dt: float, count: int
+    ) -> Iterator[tuple[int, np.ndarray | None]]:
+        """Yield the end of each stretch of equal controls in some time steps, and these controls.
+
+        The controls are None if nothing changes them within a period.
+
+        made: the number of time steps before these. dt: time step [s]. count: the number of steps.
+        """
+        if self.log is None:
+            yield count, None
+            return
+        rows = self.log.steps(made * dt, dt, count)
+        first = changes(rows)
+        yield from ((end, rows[end - 1]) for end in (*first[1:], count))
+
     def part(self, first: int, last: int | None = None) -> Schedule:
         """Return the schedule with the starts from `first` up to, but not including, `last`."""
         ctrl = None if self.ctrl is None else self.ctrl[first:last]
@@ -137,14 +159,29 @@ def scheduled(
     coordinates = Coordinates(model)
     first, held = home(model, motion.key)
     begin = [first, *(near(model, coordinates, first, rng) for _ in range(count - 1))]
-    ctrl, still = None, list[str]()
+    ctrl, log, still = None, None, list[str]()
     if motion.ctrl is not None:
-        rows = control_table(motion.ctrl).over(model, held, periods, period)
+        rows, log = played(motion, model, held, periods, period)
         ctrl = np.broadcast_to(rows, (count, periods, model.nu))
     elif motion.control is None:
         values = [smooth(model, held, periods, period, rng) for _ in begin]
         ctrl, still = np.stack(values), undriven(model, held)
-    return Schedule(period, periods, every, tuple(begin), ctrl, motion.control, tuple(still))
+    return Schedule(period, periods, every, tuple(begin), ctrl, motion.control, tuple(still), log)
+
+
+def played(
+    motion: Motion, model: Model, held: np.ndarray, periods: int, period: float
+) -> tuple[np.ndarray, ControlLog | None]:
+    """Return the rows of a motion's `ctrl`, (periods, nu), and a log that changes within periods.
+
+    held: the controls of actuators without a column, (nu,). period: the control period [s].
+    """
+    table, linear = control_table(motion.ctrl), motion.interpolation == "linear"
+    log = table.log(model, held, linear)
+    if log is None or (motion.control_dt is not None and not linear):
+        return table.over(model, held, periods, period), None
+    within = motion.control_dt is None and not log.ends_on(period)
+    return log.steps(0.0, period, periods), log if within else None
 
 
 def time_steps(

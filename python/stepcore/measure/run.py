@@ -24,7 +24,7 @@ from stepcore.experiment.motion_words import (
     scene_in_words,
     start_in_words,
 )
-from stepcore.experiment.schedule import smooth, undriven
+from stepcore.experiment.schedule import played, smooth, undriven
 from stepcore.experiment.single_run import LOOKS, Pace, Push, SingleRun
 from stepcore.loading import find_model
 from stepcore.measure.monitors import Finding, Monitor
@@ -301,12 +301,12 @@ def _driven(sim: Sim, motion: Motion, horizon: float) -> tuple[Control | None, f
     if motion.control is not None:
         said = drive_in_words(model, motion, (), f"every {seconds(period)}")
         return motion.control, motion.control_dt, said
-    table = control_table(motion.ctrl)
-    period = motion.control_dt or table.period(dt)
-    periods = int(np.ceil(horizon / period)) + 1 if table.changes else 1
-    rows = table.over(model, held, periods, period)
+    changes = control_table(motion.ctrl).changes
+    periods = int(np.ceil(horizon / period)) + 1 if changes else 1
+    # Without a period of its own, each row of controls is that of a step.
+    rows, _ = played(motion, model, held, periods, period)
     said = drive_in_words(model, motion, (), f"every {seconds(period)}")
-    if table.changes:
+    if changes:
         return _player(rows, period, sim), period, said
     sim.ctrl = rows[0]
     return None, motion.control_dt, said

@@ -175,6 +175,12 @@ class World:
         self.model, self.settings = model, settings
         self.data = require().MjData(model)
 
+    @property
+    def ctrl(self) -> np.ndarray:
+        """The controls, shape (nu,)."""
+        ctrl: np.ndarray = self.data.ctrl
+        return ctrl
+
     def step(self, count: int) -> None:
         require().mj_step(self.model, self.data, nstep=count)
 
