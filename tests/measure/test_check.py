@@ -343,7 +343,7 @@ def test_what_the_run_shows_is_found():
     soft = text.format("0.02 1")
     assert kinds(soft, horizon=1.0) == []
     asked = the(soft, "depth at rest", horizon=1.0, depth="0.1mm")
-    assert asked.severity == "remark" and "leaves 100 µm" in asked.text
+    assert asked.severity == "remark" and "leaves 99.9 µm" in asked.text
 
 
 def test_the_motion_is_the_users():

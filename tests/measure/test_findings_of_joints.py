@@ -95,6 +95,16 @@ def test_a_joint_that_only_runs_into_its_limit_is_not_told():
     assert next(watch.joints.overshoots()).most > 0 and findings == []
 
 
+def test_an_equality_that_aims_within_the_range_is_not_what_pushes():
+    """It holds the joint at 0, in the middle; its damping points outwards as the joint returns."""
+    scene = stop(5.0, "0.1 1")
+    scene.add_equality("joint", joint1="elbow", solref=(0.5, 3), solimp=(0.1, 0.2, 1, 0.5, 2))
+    watch, findings = watched(scene, time=3.0, control=lambda t, s: [math.sin(4 * t)])
+    pushing = [of for at in watch.joints.overshoots() for of, _ in at.forces]
+    assert pushing and "joint equality" not in {kind for kind, _ in pushing}
+    assert not [one for one in findings if one.text.startswith("Joint equality")]
+
+
 def test_a_limit_and_what_pushes_are_elements_of_their_finding():
     one = the(watched(stop(5.0, "0.1 1"), time=3.0, control=lambda t, s: [1.0])[1], "limit")
     assert [(e.kind, e.index, e.name) for e in one.elements] == [

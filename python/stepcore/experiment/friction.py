@@ -83,10 +83,18 @@ class Friction:
 
     def passing(self, sim: Sim, contacts: np.ndarray) -> np.ndarray:
         """Return the velocity of geom 2 relative to geom 1 at each contact [m/s], (n, 3)."""
-        pos = contacts["pos"]
-        first, second = ([self.body[g] for g in contacts[n].tolist()] for n in ("geom1", "geom2"))
-        past: np.ndarray = self._speed(sim, pos, second) - self._speed(sim, pos, first)
-        return past
+        return self.motion(sim, contacts)[0]
+
+    def motion(self, sim: Sim, contacts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the motion of geom 2 relative to geom 1 at each contact.
+
+        The result is the velocity [m/s], (n, 3), and the angular velocity [rad/s], (n, 3).
+        """
+        first, second = (
+            self._motion(sim, contacts["pos"], [self.body[g] for g in contacts[name].tolist()])
+            for name in ("geom1", "geom2")
+        )
+        return second[0] - first[0], second[1] - first[1]
 
     def movable(self, sim: Sim, contacts: np.ndarray) -> list[bool]:
         """Return for each contact whether any dof changes the gap along the normal."""
@@ -103,8 +111,10 @@ class Friction:
             result.append(bool(along > 1e-9 * np.abs(point).max(initial=0.0)))
         return result
 
-    def _speed(self, sim: Sim, points: np.ndarray, bodies: list[int]) -> np.ndarray:
-        """Return the velocities of points fixed to bodies [m/s], (n, 3)."""
+    def _motion(
+        self, sim: Sim, points: np.ndarray, bodies: list[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the velocities [m/s] and angular velocities [rad/s] of points fixed to bodies."""
         qvel, place = np.array(sim.qvel), sim.xpos
         still = np.zeros(6)
         twists = {
@@ -113,7 +123,7 @@ class Friction:
         }
         twist = np.array([twists[body] for body in bodies])
         speed: np.ndarray = twist[:, :3] + cross(twist[:, 3:], points - place[bodies])
-        return speed
+        return speed, twist[:, 3:]
 
 
 def _slips(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -12,7 +13,8 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.axes import axes_of
-from stepcore.engine.control import Control
+from stepcore.engine.control import Control, fresh
+from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
@@ -27,7 +29,7 @@ from stepcore.experiment.motion_words import (
 from stepcore.experiment.schedule import played, smooth, undriven
 from stepcore.experiment.single_run import LOOKS, Pace, Push, SingleRun
 from stepcore.loading import find_model
-from stepcore.measure.monitors import Finding, Monitor
+from stepcore.measure.monitors import Finding, Monitor, verified
 from stepcore.report.progress import Choice
 from stepcore.report.result import Result
 from stepcore.report.table import Table
@@ -257,6 +259,19 @@ def simulated(
         progress=progress,
     )
     error, interrupted, begun = None, False, sim.time
+    held, unused = np.array(sim.ctrl), None if control is None else fresh(control)
+
+    def again(cured: Model) -> Monitor:
+        """Return the monitor of the same run with another model."""
+        other, watching = Sim(cured), Monitor(cured)
+        other.reset(key=0 if motion.key is None and cured.keys else motion.key)
+        other.ctrl = held
+        function = None if unused is None else fresh(unused)
+        repeated = SingleRun(other, function, period or dt, shoved, [watching])
+        repeated.run(round(steps * dt / other.settings.dt))
+        return watching
+
+    clock = perf_counter()
     try:
         single.run(steps)
         sim.balance()
@@ -266,6 +281,9 @@ def simulated(
         if not interruptible:
             raise
         interrupted, steps = True, round((sim.time - begun) / dt)
+    took = perf_counter() - clock
+    found = monitor.findings(failed=error is not None) if steps else []
+    plain = model.with_settings(settings.replace(ledger=False))
     timed = steps and error is None
     cost = pace.seconds(Sim(model, sim.settings)) if timed else 0.0
     return SimulationRun(
@@ -275,7 +293,7 @@ def simulated(
         settings=settings,
         steps=steps,
         sim=sim,
-        findings=monitor.findings(failed=error is not None) if steps else [],
+        findings=verified(found, plain, again, took),
         us_per_step=1e6 * cost or None,
         notes=notes,
         trajectory=single.trajectory,

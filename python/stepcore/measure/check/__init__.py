@@ -27,7 +27,7 @@ from stepcore.measure.check.bodies import about_bodies
 from stepcore.measure.check.ranges import about_ranges
 from stepcore.measure.check.servos import about_servos
 from stepcore.measure.diagnosis import Diagnosis, diagnose
-from stepcore.measure.monitors import Finding, Monitor, Next, ordered
+from stepcore.measure.monitors import Finding, Next, monitored, ordered, proven
 from stepcore.mjcf.worldbody import EmptyRange
 from stepcore.report import units
 from stepcore.report.progress import Choice
@@ -240,6 +240,7 @@ def check(
         seen = [finding for finding in seen if finding.kind != "clamped control"]
     start, held = home(compiled, motion.key)
     read = list(_read(compiled, start, held, _key(compiled, motion.key)))
+    read = proven(read, compiled)
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(motion, horizon=horizon))
     return Check(
         name=setup.name,
@@ -271,10 +272,8 @@ def _monitored(
     model: Model, schedule: Schedule, depth: float | None
 ) -> tuple[list[Finding], list[Finding]]:
     """Return the failure of the run, if any, and the findings of its monitor."""
-    runner = Runner(model, schedule)
-    monitor = Monitor(model, runner.bodies, schedule.periods)
-    failure = runner.run(model.settings.replace(ledger=True), 0, [monitor]).failure
-    seen = monitor.findings(depth, failed=failure is not None)
+    settings = model.settings.replace(ledger=True)
+    seen, failure = monitored(Runner(model, schedule), settings, depth)
     if failure is None:
         return [], seen
     replay = Next("run", "writes a replay of the failure for `stepcore replay`")

@@ -11,8 +11,10 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Start
+from stepcore.experiment.single_run import SingleRun
+from stepcore.measure.monitors import Monitor
 from stepcore.measure.monitors.actuators import on_one_dof, strength
-from stepcore.measure.monitors.finding import PLOT, Finding, listed, named
+from stepcore.measure.monitors.finding import PLOT, Finding, Remedy, listed, named
 from stepcore.measure.monitors.joints import (
     BEYOND,
     LEFT,
@@ -28,6 +30,9 @@ from stepcore.scene.layout import Layout
 
 # Least excess over a limit, relative to the range; rest poses are often slightly outside.
 OUTSIDE = 0.02
+# The run in which an actuator pushes against a limit [s], its steps, and the control of an actuator
+# without a ctrlrange.
+PUSHED, STEPS, UNBOUNDED = 1.0, 4000, 1e6
 
 
 def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Finding]:
@@ -45,7 +50,7 @@ def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Findin
     for index, frame in enumerate(model.keys):
         yield from _clamped(model, frame.ctrl, f"Keyframe `{frame.name or index}`")
     yield from _one_sided(model)
-    yield from _overpowered(model)
+    yield from _overpowered(model, start)
     yield from _pressed(model)
     yield from _unused(model)
 
@@ -157,7 +162,7 @@ def _one_sided(model: Model) -> Iterator[Finding]:
         yield Finding("force range", "warning", problem, cure, servos, most)
 
 
-def _overpowered(model: Model) -> Iterator[Finding]:
+def _overpowered(model: Model, start: Start) -> Iterator[Finding]:
     """Yield actuators that can push their joint far beyond its limit.
 
     The excess is the closed form of a soft row under the actuator's largest outward force. Gravity
@@ -192,28 +197,53 @@ def _overpowered(model: Model) -> Iterator[Finding]:
         f"{listed(actuators, 'actuators')} can push {model.element_name('joint', index)} "
         f"{length_of(model, index, beyond)} beyond its range with {strength(model, k, force)}"
     )
-    cure = f"a smaller {range_} of {name}, or {harder_limit(model, index, beyond, wanted)}"
+    cure = f"a smaller {range_} of {name}"
     elements = named(model, "limit", [index])
     unit = "rad" if is_angular(model, index) else "m"
-    yield Finding("limit", "warning", problem, cure, elements, beyond, unit, PLOT)
+    remedy = Remedy(
+        (harder_limit(model, index, beyond, wanted),),
+        lambda run: run.joints.excess_of(index),
+        BEYOND * width_of(model, index),
+        partial(length_of, model, index),
+        again=lambda other: _pushed(other, start, k),
+    )
+    yield Finding("limit", "warning", problem, cure, elements, beyond, unit, PLOT, remedy=remedy)
+
+
+def _pushed(model: Model, start: Start, k: int) -> Monitor:
+    """Return the monitor of a run in which an actuator pushes its joint beyond its range."""
+    joint = int(model.actuator_joint[k])
+    low, high = (float(bound) for bound in model.jnt_range[joint])
+    _, end, control = _outward(model, k, low, high)
+    sim, monitor = Sim(model), Monitor(model)
+    start.put(sim)
+    sim.qpos[model.jnt_qposadr[joint]] = end
+    sim.ctrl[k] = np.clip(control, -UNBOUNDED, UNBOUNDED)
+    SingleRun(sim, probes=[monitor]).run(max(1, min(round(PUSHED / model.settings.dt), STEPS)))
+    return monitor
 
 
 def _largest_force(model: Model, k: int, low: float, high: float) -> float:
     """Return an actuator's largest outward force at an end of a joint's range."""
+    return _outward(model, k, low, high)[0]
+
+
+def _outward(model: Model, k: int, low: float, high: float) -> tuple[float, float, float]:
+    """Return an actuator's largest outward force, the end of the range, and the control."""
     gear, gain = float(model.actuator_gear[k, 0]), model.actuator_gain[k]
     bias, controls = model.actuator_bias[k], model.actuator_ctrlrange[k]
     if not model.scene.features.clampctrl or not np.isfinite(controls).all():
         if bias[1] < 0 or not np.isfinite(model.actuator_forcerange[k]).all():
             # The control of this servo has no range.
-            return 0.0
+            return 0.0, low, 0.0
         controls = np.array([-np.inf, np.inf])
-    most = 0.0
+    most = 0.0, low, 0.0
     for end, outwards in ((low, -1.0), (high, 1.0)):
         for control in controls:
             with np.errstate(invalid="ignore"):
                 force = gain * control + bias[0] + bias[1] * gear * end
             force = float(np.clip(force, *model.actuator_forcerange[k])) * gear * outwards
-            most = max(most, force)
+            most = max(most, (force, end, float(control)))
     return most
 
 

@@ -136,7 +136,7 @@ def converge(
         ending=end,
         notes=[*model.scene.notes, *schedule.notes],
         # The residual is already reported by this measurement.
-        findings=[finding for finding in monitored(runner, shipped) if finding.kind != "residual"],
+        findings=[one for one in monitored(runner, shipped)[0] if one.kind != "residual"],
         ran=motion_in_words(model, motion, schedule),
     )
 

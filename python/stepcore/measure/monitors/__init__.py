@@ -7,6 +7,7 @@ The findings are measured on the run itself and need no reference. `run`, `trade
 from __future__ import annotations
 
 from collections.abc import Iterator
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -20,12 +21,14 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.actuators import ActuatorMonitor
 from stepcore.measure.monitors.contacts import REST, ContactMonitor
+from stepcore.measure.monitors.creep import creep_findings
+from stepcore.measure.monitors.cures import proven, verified
 from stepcore.measure.monitors.finding import Finding, Next, named, ordered
 from stepcore.measure.monitors.joints import JointMonitor
 from stepcore.report.settings import solver_words
 from stepcore.report.units import percent, speed, times
 
-__all__ = ["Finding", "Monitor", "Next", "monitored", "ordered"]
+__all__ = ["Finding", "Monitor", "Next", "monitored", "ordered", "proven", "verified"]
 
 # Approximate number of readings in a run.
 LOOKS = 1000
@@ -87,7 +90,8 @@ class Monitor(Probe):
         failed: whether the run failed.
         """
         every = (
-            *self.contacts.findings(self.times, depth),
+            *creep_findings(self.contacts, self.times[1:]),
+            *self.contacts.findings(depth),
             *self.joints.findings(),
             *self.actuators.findings(),
             *self._unsolved_rows(),
@@ -119,8 +123,26 @@ class Monitor(Probe):
         yield Finding("residual", "warning", problem, cure, worst, stays, "m/s", commands)
 
 
-def monitored(runner: Runner, settings: Settings) -> list[Finding]:
-    """Return the findings of a measurement's motion from the first start, under some settings."""
-    monitor = Monitor(runner.model.with_settings(settings), runner.bodies, runner.schedule.periods)
-    path = runner.run(settings, 0, [monitor])
-    return monitor.findings(failed=path.failure is not None)
+def monitored(
+    runner: Runner, settings: Settings, depth: float | None = None
+) -> tuple[list[Finding], str | None]:
+    """Run a measurement's motion from the first start, and return the findings and any failure.
+
+    Their cures are seen to hold in this motion. depth: see `Monitor.findings`.
+    """
+
+    def seen(other: Runner, settings: Settings) -> tuple[Monitor, str | None]:
+        model = other.model.with_settings(settings)
+        monitor = Monitor(model, other.bodies, other.schedule.periods)
+        return monitor, other.run(settings, 0, [monitor]).failure
+
+    def again(model: Model) -> Monitor | None:
+        monitor, failure = seen(type(runner)(model, runner.schedule), model.settings)
+        return None if failure else monitor
+
+    begun = perf_counter()
+    monitor, failure = seen(runner, settings)
+    took = perf_counter() - begun
+    findings = monitor.findings(depth, failed=failure is not None)
+    model = runner.model.with_settings(settings.replace(ledger=False))
+    return verified(findings, model, again, took), failure

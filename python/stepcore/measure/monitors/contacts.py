@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,29 +14,25 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.errors import STICKS
 from stepcore.experiment.friction import Friction
-from stepcore.experiment.sizes import Sizes
-from stepcore.measure.monitors.finding import Finding, Next, listed, named, others
-from stepcore.measure.monitors.soft_rows import advised, pair_solimp
+from stepcore.experiment.sizes import UNKNOWN, Sizes
+from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy, listed, named, others
+from stepcore.measure.monitors.soft_rows import pair_solimp, stiffened
 from stepcore.report.units import metres, newtons, percent, speed
 
 # The last share of a run, in which rest is judged; the largest relative variation of a quantity at
 # rest; and the fewest readings from which rest or creep is judged.
 REST, STEADY, FEWEST = 0.25, 0.2, 8
-# Creep: largest relative deviation from the mean velocity; length of the window in time constants;
-# and least load, as a share of the largest friction.
-UNSTEADY, WINDOW, RUBS = 0.5, 10.0, 0.05
 # An edge of a friction pyramid pushes if its force exceeds this share of the strongest edge's.
 EDGE = 1e-6
-# Thresholds of findings, relative to the thickness of the thinner geom: creep in one second, a
-# depth at rest, an overlap at the start, an overlap that joints maintain, frictionless sliding in
-# one second.
-CREEP, DEEP, OVERLAP, JAMMED, SLIDES = 0.01, 0.1, 0.01, 0.2, 0.1
+# Thresholds of findings, relative to the thickness of the thinner geom: a depth at rest, an overlap
+# at the start, an overlap that joints maintain, frictionless sliding in one second.
+DEEP, OVERLAP, JAMMED, SLIDES = 0.1, 0.01, 0.2, 0.1
 # An initial overlap up to this many times the resting depth is the scene's resting state.
 RESTS = 3.0
 # The share of a threshold that a cure leaves.
 LEFT = 0.1
-# Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved.
-IMPRATIO = 1e4
+# A depth that was asked for is reached within this factor.
+REACHED = 1.05
 
 # A pair of geoms, and the index of one of its contacts.
 Key = tuple[int, int]
@@ -51,6 +47,7 @@ class Look(NamedTuple):
     share: friction over μ × normal force.
     held: whether friction holds the contact.
     past: the tangential velocity [m/s].
+    rolls: the speed at which the surfaces turn on each other: angular velocity × lever [m/s].
     """
 
     look: int
@@ -59,6 +56,7 @@ class Look(NamedTuple):
     share: float
     held: bool
     past: np.ndarray
+    rolls: float
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,6 @@ class Contact:
     depth: the overlap at the start, or at rest [m].
     force: the normal force at rest [N].
     speed: the mean tangential speed, or the speed at which the geoms left their overlap [m/s].
-    share: friction over μ × normal force.
-    held: the time for which friction held the contact [s].
     movable: whether some joint can separate the geoms.
     """
 
@@ -78,8 +74,6 @@ class Contact:
     depth: float = 0.0
     force: float = 0.0
     speed: float = 0.0
-    share: float = 0.0
-    held: float = 0.0
     movable: bool = True
 
 
@@ -91,6 +85,7 @@ class ContactMonitor:
         self.separation: Separation | None = None
         self.seen: dict[Key, list[Look]] = {}
         self.looks = 0
+        self.levers: dict[int, float] = {}
 
     def begin(self, sim: Sim) -> None:
         """Record the overlaps at the start with another Sim, to keep this Sim's warm impulses."""
@@ -119,7 +114,8 @@ class ContactMonitor:
             force, normal = contacts["force"], contacts["normal"]
             pushed = np.einsum("ci,ci->c", force, normal)
             rubbed = np.linalg.norm(force - pushed[:, None] * normal, axis=1)
-            past = self.friction.passing(sim, contacts)
+            past, spin = self.friction.motion(sim, contacts)
+            turning = np.linalg.norm(spin, axis=1)
             past = past - np.einsum("ci,ci->c", past, normal)[:, None] * normal
         sticks = self._sticks(sim)
         for k in np.flatnonzero(pushed > 0):
@@ -128,7 +124,8 @@ class ContactMonitor:
             share = rubbed[k] / most if most > 0 else 0.0
             held = share < STICKS[sim.settings.cone] or sticks.get(key, False)
             depth = -float(contacts["dist"][k])
-            seen = Look(look, depth, float(pushed[k]), float(share), bool(held), past[k])
+            rolls = float(turning[k]) * self.lever(key[0])
+            seen = Look(look, depth, float(pushed[k]), float(share), bool(held), past[k], rolls)
             self.seen.setdefault(key, []).append(seen)
 
     def _sticks(self, sim: Sim) -> dict[Key, bool]:
@@ -153,31 +150,6 @@ class ContactMonitor:
         """The overlaps at the start, deepest first."""
         return [] if self.separation is None else self.separation.overlaps()
 
-    def creeps(self, times: list[float]) -> Iterator[Contact]:
-        """Yield contacts that move steadily for a while although friction holds.
-
-        Soft friction is a damper: the initial speed of a contact decays within the time constant,
-        and under a load a speed remains. Of all windows of `WINDOW` time constants (and at least a
-        tenth of the run), the fastest steady speed counts.
-
-        times: the times of the readings [s].
-        """
-        spacing = (times[-1] - times[0]) / max(1, len(times) - 1) if len(times) > 1 else 0.0
-        for (pair, part), seen in self.seen.items():
-            if self.friction.of(pair) <= 0 or not spacing:
-                continue
-            constant = self.model.contact_pair(pair).solref[0]
-            least = WINDOW * constant / spacing if constant > 0 else 0.0
-            count = math.ceil(max(FEWEST, least, 0.1 * self.looks))
-            creeps = [
-                creep
-                for held in _spells(seen)
-                for first in range(0, len(held) - count + 1, max(1, count // 2))
-                if (creep := _steady(pair, part, held[first : first + count], times))
-            ]
-            if creeps:
-                yield max(creeps, key=lambda creep: creep.speed)
-
     def slides(self) -> Iterator[Contact]:
         """Yield frictionless contacts that lasted a fifth of the run or more."""
         for (pair, part), seen in self.seen.items():
@@ -198,12 +170,24 @@ class ContactMonitor:
                 force = float(np.mean([at.force for at in late]))
                 yield Contact(pair, part, float(depth.mean()), force)
 
+    def depth_of(self, pairs: Collection[int]) -> float | None:
+        """Return the mean depth of the deepest of some pairs over the end of the run [m].
+
+        None if none touches there.
+        """
+        first = self.looks - max(FEWEST, int(REST * self.looks))
+        depths = [
+            float(np.mean(late))
+            for (pair, _), seen in self.seen.items()
+            if pair in pairs and (late := [at.depth for at in seen if at.look >= first])
+        ]
+        return max(depths, default=None)
+
     # Findings.
 
-    def findings(self, times: list[float], depth: float | None) -> Iterator[Finding]:
+    def findings(self, depth: float | None) -> Iterator[Finding]:
         """Yield all findings on contacts.
 
-        times: the times of the readings [s].
         depth: see `Monitor.findings`.
         """
         resting, starts = list(self.resting()), self.starts
@@ -213,12 +197,20 @@ class ContactMonitor:
         resting = [rest for rest in resting if rest.pair not in jammed]
         yield from self._overlaps([at for at in starts if at.pair not in jammed], resting)
         if self.model.settings.law == "solref":
-            yield from self._creeps(times)
             yield from self._depths(resting, depth)
         yield from self._slides()
 
-    def _thick(self, pair: int) -> float:
+    def thick(self, pair: int) -> float:
+        """Return the half thickness of the thinner geom of a pair [m]."""
         return self.sizes.contact(*self.model.contact_pair(pair).geoms)
+
+    def lever(self, pair: int) -> float:
+        """Return the radius on which the smaller geom of a pair rolls [m]."""
+        lever = self.levers.get(pair)
+        if lever is None:
+            reach = min(self.sizes.reach[geom] for geom in self.model.contact_pair(pair).geoms)
+            lever = self.levers[pair] = reach if math.isfinite(reach) else UNKNOWN
+        return lever
 
     def _named(self, pairs: Iterable[int]) -> tuple[Element, ...]:
         return named(self.model, "contact", pairs)
@@ -261,14 +253,14 @@ class ContactMonitor:
             rest[at.pair] = max(rest.get(at.pair, 0.0), at.depth)
         deep: dict[int, Contact] = {}
         for start in starts:
-            notable = OVERLAP * self._thick(start.pair)
+            notable = OVERLAP * self.thick(start.pair)
             known = RESTS * rest.get(start.pair, 0.0)
             if start.depth > (max(notable, known) if start.movable else LEFT * notable):
                 deep.setdefault(start.pair, start)
         if not deep:
             return
         worst, contacts = next(iter(deep.values())), self._named(deep)
-        share = worst.depth / self._thick(worst.pair)
+        share = worst.depth / self.thick(worst.pair)
         thrown = self._thrown(worst)
         becomes = f" and are thrown apart at {speed(worst.speed)}" if thrown else ""
         if not worst.movable:
@@ -301,41 +293,11 @@ class ContactMonitor:
         mover = model.element_name("body", bodies[1] if tree[1] else bodies[0])
         return f"move {mover} away by that much in the model or in the keyframe"
 
-    def _creeps(self, times: list[float]) -> Iterator[Finding]:
-        """Yield contacts that move although friction holds."""
-        settings = self.model.settings
-        creeps = [
-            (ratio, creep)
-            for creep in self.creeps(times)
-            if (ratio := creep.speed / (CREEP * self._thick(creep.pair))) > 1
-        ]
-        if not creeps or settings.stiction:
-            return
-        creeps.sort(key=lambda entry: -entry[0])
-        ratio, worst = creeps[0]
-        contacts = self._named(creep.pair for _, creep in creeps)
-        impratio = _round_up(settings.impratio * ratio / LEFT)
-        cure = 'stiction=True or law="rigid" (solver pgs, integrator semi-implicit) leaves none'
-        changes: dict[str, Any] = {}
-        commands: tuple[Next, ...] = ()
-        if impratio <= IMPRATIO:
-            changes = {"cone": "elliptic", "impratio": impratio}
-            sets = ("--set", "cone=elliptic", "--set", f"impratio={impratio:g}")
-            commands = (Next("run", "whether the creep is gone", sets),)
-            less = speed(worst.speed * settings.impratio / impratio)
-            cure = f'cone="elliptic" with impratio="{impratio:g}" leaves {less} or less, and {cure}'
-        problem = (
-            f"{listed(contacts, 'contacts')} creeps at {speed(worst.speed)} although its friction "
-            f"holds ({percent(worst.share)} of what it could be)"
-        )
-        value, unit = worst.speed, "m/s"
-        yield Finding("creep", "warning", problem, cure, contacts, value, unit, commands, changes)
-
     def _depths(self, resting: list[Contact], asked: float | None) -> Iterator[Finding]:
         """Yield how deep contacts rest, with the solref that reduces the depth."""
         notable = []
         for at in resting:
-            thick = self._thick(at.pair)
+            thick = self.thick(at.pair)
             ratio = at.depth / (DEEP * thick)
             if ratio > 1 or (asked is not None and at.depth > asked):
                 notable.append((ratio, thick, at))
@@ -352,14 +314,24 @@ class ContactMonitor:
             f"{percent(worst.depth / thick)} of the thinner geom's half thickness, under "
             f'solref="{pair.solref[0]:g} {pair.solref[1]:g}"'
         )
-        cure = advised("", pair.solref, solimp, worst.depth, wanted, self.model.settings)
-        kind = "depth at rest"
+        pairs = {at.pair for _, _, at in notable}
+        harder = stiffened(self.model, contacts, pair.solref, solimp, worst.depth, wanted)
+        # Steep friction pyramids are soft along the normal, too.
+        round_ = (Cure('cone="elliptic"', settings={"cone": "elliptic"}),)
+        steep = self.model.settings.cone == "pyramidal" and self.friction.of(worst.pair) > 1
+        remedy = Remedy(
+            (*((round_,) * steep), harder),
+            lambda m: m.contacts.depth_of(pairs),
+            REACHED * wanted if asked is not None else DEEP * thick,
+            metres,
+        )
         severity = "warning" if ratio > 1 else "remark"
-        yield Finding(kind, severity, problem, cure, contacts, worst.depth, "m", TEST_CONTACTS)
+        finding = Finding("depth at rest", severity, problem, "", contacts, worst.depth, "m")
+        yield replace(finding, commands=TEST_CONTACTS, remedy=remedy)
 
     def _slides(self) -> Iterator[Finding]:
         """Yield contacts that slide because they have no friction."""
-        fast = [at for at in self.slides() if at.speed > SLIDES * self._thick(at.pair)]
+        fast = [at for at in self.slides() if at.speed > SLIDES * self.thick(at.pair)]
         if not fast:
             return
         fast.sort(key=lambda slide: -slide.speed)
@@ -382,10 +354,15 @@ TEST_CONTACTS = (
 
 
 class Separation:
-    """A record of how fast geoms that overlap at the start separate."""
+    """A record of how fast geoms that overlap at the start separate.
+
+    The speed is that of the centres of mass of free trees: a leg that straightens moves its foot,
+    and does not throw the robot.
+    """
 
     def __init__(self, sim: Sim, contacts: np.ndarray, movable: list[bool], time: float) -> None:
-        owner = sim.model.geom_body
+        model = sim.model
+        owner = model.geom_body
         self.pairs, self.movable = contacts["index"].tolist(), movable
         self.depth, self.normal = -contacts["dist"], np.array(contacts["normal"])
         self.bodies = [owner[contacts[name]] for name in ("geom1", "geom2")]
@@ -394,23 +371,39 @@ class Separation:
             np.einsum("cji,cj->ci", sim.xmat[body], contacts["pos"] - sim.xpos[body])
             for body in self.bodies
         ]
-        self.time, self.moved = time, np.zeros(len(contacts))
-        self.speed = np.zeros(len(contacts))
+        roots = [np.array([model.root(int(body)) for body in side]) for side in self.bodies]
+        free = [int(body) for k, body in enumerate(model.jnt_body) if model.jnt_type[k] == "free"]
+        self.trees = [(root, np.isin(root, free)[:, None]) for root in roots]
+        self.time, self.rose = time, self._apart(sim)[1]
+        self.speed, self.left = np.zeros(len(contacts)), np.zeros(len(contacts), bool)
 
     def look(self, sim: Sim) -> None:
         """Record the speed of geoms that leave their overlap."""
-        place, turn = sim.xpos, sim.xmat
         with np.errstate(over="ignore", invalid="ignore"):
-            first, second = (
-                place[body] + np.einsum("cij,cj->ci", turn[body], point)
-                for body, point in zip(self.bodies, self.points, strict=True)
-            )
-            moved = np.einsum("ci,ci->c", self.normal, second - first)
+            moved, rose = self._apart(sim)
             if sim.time > self.time:
-                leaves = (self.moved < self.depth) & (moved >= self.depth)
-                speed = (moved - self.moved) / (sim.time - self.time)
-                self.speed = np.where(leaves, np.maximum(self.speed, speed), self.speed)
-        self.time, self.moved = sim.time, moved
+                # Only the first time: a later one follows another impact.
+                leaves = ~self.left & (moved >= self.depth)
+                speed = (rose - self.rose) / (sim.time - self.time)
+                self.speed, self.left = np.where(leaves, speed, self.speed), self.left | leaves
+        self.time, self.rose = sim.time, rose
+
+    def _apart(self, sim: Sim) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances along the normal of the contact points, and of what carries them."""
+        place, turn, centre = sim.xpos, sim.xmat, sim.subtree_com
+        points = [
+            place[body] + np.einsum("cij,cj->ci", turn[body], point)
+            for body, point in zip(self.bodies, self.points, strict=True)
+        ]
+        carried = [
+            np.where(free, centre[root], point)
+            for point, (root, free) in zip(points, self.trees, strict=True)
+        ]
+        moved, rose = (
+            np.einsum("ci,ci->c", self.normal, second - first)
+            for first, second in (points, carried)
+        )
+        return moved, rose
 
     def overlaps(self) -> list[Contact]:
         """Return the overlaps with the speeds of separation, deepest first."""
@@ -428,33 +421,3 @@ def settled(series: np.ndarray) -> float | None:
     mean = float(late.mean())
     steady = len(late) >= FEWEST and mean > 0 and float(np.ptp(late)) < STEADY * mean
     return mean if steady else None
-
-
-def _spells(seen: list[Look]) -> Iterator[list[Look]]:
-    """Yield successive readings in which friction held."""
-    spell: list[Look] = []
-    for at in seen:
-        if spell and (not at.held or at.look != spell[-1].look + 1):
-            yield spell
-            spell = []
-        if at.held:
-            spell.append(at)
-    if spell:
-        yield spell
-
-
-def _steady(pair: int, part: int, held: list[Look], times: list[float]) -> Contact | None:
-    """Return the creep in a window; None if the speed changes, or without enough friction."""
-    past = np.array([at.past for at in held])
-    drift, share = past.mean(axis=0), float(np.mean([at.share for at in held]))
-    mean = float(np.linalg.norm(drift))
-    if share < RUBS or np.linalg.norm(past - drift, axis=1).max() > UNSTEADY * mean:
-        return None
-    held_for = times[held[-1].look] - times[held[0].look]
-    return Contact(pair, part, speed=mean, share=share, held=held_for)
-
-
-def _round_up(value: float) -> float:
-    """Return the next 1, 2 or 5 times a power of ten, at or above the value."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(power * step for step in (1, 2, 5, 10) if power * step >= value * (1 - 1e-9))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import copy
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from stepcore.engine.element import Element
+from stepcore.engine.element import Element, SceneField
 from stepcore.engine.model import Model
+from stepcore.scene.layout import Layout
 
 # Most severe first: certainly wrong, will be noticed, may be intended.
 SEVERITIES = ("error", "warning", "remark")
@@ -30,6 +32,55 @@ PLOT = (Next("run", "energy over time", ("--plot", "run.png")),)
 
 
 @dataclass(frozen=True)
+class Cure:
+    """A change of a scene that may cure a finding.
+
+    words: the change in words, such as 'solref="0.005 1"'.
+    changes: fields of the scene with their new values.
+    settings: settings with their new values.
+    """
+
+    words: str
+    changes: tuple[tuple[SceneField, Any], ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def made(self, model: Model) -> Model:
+        """Return a model with this cure.
+
+        Raises ValueError if the scene does not accept the values.
+        """
+        settings = model.settings.replace(**self.settings)
+        if not self.changes:
+            return model.with_settings(settings)
+        scene = copy.deepcopy(model.scene)
+        layout = Layout(scene)
+        for changed, value in self.changes:
+            changed.assign(layout, value)
+        return Model(scene, settings)
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """The cures that a monitor proposes for a finding, and how to measure their effect.
+
+    ways: alternative cures, the preferred first. Each is a sequence of stronger and stronger
+        ones, of which the first that holds is named.
+    left: returns what is left of the problem in the `Monitor` of a run; None if it cannot tell.
+    enough: the amount that is no longer a problem.
+    say: what is left, in words.
+    most: the largest number of alternatives that are named.
+    again: makes the run that `left` reads with another model; by default the motion of the finding.
+    """
+
+    ways: tuple[tuple[Cure, ...], ...]
+    left: Callable[[Any], float | None]
+    enough: float
+    say: Callable[[float], str]
+    most: int = 1
+    again: Callable[[Model], Any] | None = None
+
+
+@dataclass(frozen=True)
 class Finding:
     """One finding of `stepcore.check`.
 
@@ -41,6 +92,7 @@ class Finding:
     value, unit: the number by which the finding is judged; None and "" without a number.
     commands: the commands to run next because of the finding.
     settings: the settings that the cure changes, with their new values.
+    remedy: cures that have not been tried yet; `verified` tries them, and writes what they leave.
     """
 
     kind: str
@@ -52,6 +104,7 @@ class Finding:
     unit: str = ""
     commands: tuple[Next, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    remedy: Remedy | None = field(default=None, repr=False, compare=False)
 
     @property
     def element(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +14,17 @@ from stepcore.engine.sim import Sim
 from stepcore.experiment.bodies import Joints
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.contacts import settled
-from stepcore.measure.monitors.finding import OTHERS, PLOT, Finding, Next, listed, named
-from stepcore.measure.monitors.soft_rows import advised
+from stepcore.measure.monitors.finding import (
+    OTHERS,
+    PLOT,
+    Cure,
+    Finding,
+    Next,
+    Remedy,
+    listed,
+    named,
+)
+from stepcore.measure.monitors.soft_rows import stiffened
 from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
 from stepcore.scene.layout import Layout
 
@@ -74,6 +83,7 @@ class JointMonitor:
         self.gaps: list[np.ndarray] = []
         self.beyond: list[np.ndarray] = []
         self.dofs = [int(model.jnt_dofadr[joint]) for joint in joints.limited]
+        self.held_at = held_at(model)
         # For each limit: the excess, and the forces on its dof.
         self.acted: dict[int, list[tuple[float, dict[tuple[str, int], float]]]] = {}
 
@@ -93,7 +103,24 @@ class JointMonitor:
             for k in over.tolist():
                 dof = self.dofs[k]
                 acting = {of: float(force[dof]) for of, force in forces.items() if force[dof]}
+                for equality in self._restoring(sim, self.joints.limited[k]):
+                    acting.pop(("joint equality", equality), None)
                 self.acted.setdefault(k, []).append((float(beyond[k]), acting))
+
+    def _restoring(self, sim: Sim, joint: int) -> Iterator[int]:
+        """Yield the joint equalities that hold a joint within its range.
+
+        Their damping can point outwards, but they are not what pushes the joint out.
+        """
+        model, (low, high) = self.model, self.model.jnt_range[joint]
+        for equality, other, coefficients in self.held_at.get(joint, ()):
+            moved = 0.0
+            if other is not None:
+                at = model.jnt_qposadr[other]
+                moved = float(sim.qpos[at] - model.qpos0[at])
+            aim = model.qpos0[model.jnt_qposadr[joint]] + np.polyval(coefficients[::-1], moved)
+            if low <= aim <= high:
+                yield equality
 
     def gapes(self) -> Iterator[Gape]:
         """Yield every connection with its gap."""
@@ -101,6 +128,16 @@ class JointMonitor:
         for column, equality in enumerate(self.joints.tied if len(series) else ()):
             gap = series[:, column]
             yield Gape(equality, float(gap.max()), settled(gap))
+
+    def gap_of(self, equalities: Sequence[int]) -> float | None:
+        """Return the widest gap of some connections [m], at rest if they settled."""
+        gapes = (at for at in self.gapes() if at.equality in equalities)
+        gaps = [at.most if at.rest is None else at.rest for at in gapes]
+        return max(gaps, default=None)
+
+    def excess_of(self, joint: int) -> float:
+        """Return how far a joint was beyond its range for a while [rad or m]."""
+        return max((at.kept for at in self.overshoots() if at.joint == joint), default=0.0)
 
     def overshoots(self) -> Iterator[Beyond]:
         """Yield every joint that was beyond its range."""
@@ -153,12 +190,13 @@ class JointMonitor:
             f"{metres(now)}, {percent(now / size)} of the smaller body's size, under its "
             f'solref="{solref[0]:g} {solref[1]:g}"'
         )
-        cure = advised("", solref, solimp, now, wanted, model.settings)
+        cures = stiffened(model, connections, solref, solimp, now, wanted)
+        remedy = Remedy((cures,), lambda m: m.joints.gap_of(tied), GAPES * size, metres)
         commands = (
             Next("converge", "whether the connections are solved"),
             Next("run", "energy and overlap over time", ("--plot", "run.png")),
         )
-        yield Finding("gap", "warning", problem, cure, connections, now, "m", commands)
+        yield Finding("gap", "warning", problem, "", connections, now, "m", commands, remedy=remedy)
 
     def _overpowered(self) -> Iterator[Finding]:
         """Yield limits that a force overcomes: the worst with its cure, the others by name."""
@@ -177,11 +215,11 @@ class JointMonitor:
         (kind, index), force = worst.forces[0]
         pusher = "gravity" if kind == "gravity" else model.element_name(kind, index)
         wanted = LEFT * BEYOND * width
-        cure = harder_limit(model, worst.joint, worst.kept, wanted)
+        cure = "less of that force"
         if kind == "actuator":
             motor = model.actuator_bias[index, 1] >= 0
             range_ = "ctrlrange" if motor else "forcerange or ctrlrange"
-            cure = f"a smaller {range_} of {pusher}" + (f", or {cure}" if cure else "")
+            cure = f"a smaller {range_} of {pusher}"
         strength = quantity(force, TORQUES if angular else FORCES)
         also = [
             f"{model.element_name('joint', at.joint)} by {length_of(model, at.joint, at.kept)}"
@@ -189,16 +227,38 @@ class JointMonitor:
         ]
         if also:
             more = f" and {len(also) - OTHERS} more" if len(also) > OTHERS else ""
-            cure = f"{cure or 'less of that force'}. Also beyond: {', '.join(also[:OTHERS])}{more}"
+            cure += f". Also beyond: {', '.join(also[:OTHERS])}{more}"
         problem = (
             f"{pusher} pushes {model.element_name('joint', worst.joint)} "
             f"{length_of(model, worst.joint, worst.kept)} beyond its range with {strength}"
             f"{', and stays there' if worst.rest is not None else ''}"
         )
-        cure = cure or "less of that force"
         elements = named(model, "limit", [at.joint for at in (worst, *(at for _, at in rest))])
         unit = "rad" if angular else "m"
-        yield Finding("limit", "warning", problem, cure, elements, worst.kept, unit, PLOT)
+        remedy = Remedy(
+            (harder_limit(model, worst.joint, worst.kept, wanted),),
+            lambda m: m.joints.excess_of(worst.joint),
+            BEYOND * width,
+            lambda value: length_of(model, worst.joint, value),
+        )
+        yield Finding(
+            "limit", "warning", problem, cure, elements, worst.kept, unit, PLOT, remedy=remedy
+        )
+
+
+def held_at(model: Model) -> dict[int, list[tuple[int, int | None, Sequence[float]]]]:
+    """Return the joint equalities by the joint that they hold.
+
+    Each is its index, the other joint that it depends on, and its polynomial by ascending powers.
+    """
+    place = {id(joint): k for k, joint in enumerate(Layout(model.scene).joints)}
+    held: dict[int, list[tuple[int, int | None, Sequence[float]]]] = {}
+    for k, equality in enumerate(model.scene.equalities):
+        if equality.type == "joint" and equality.active:
+            other = None if equality.joint2 is None else place[id(equality.joint2)]
+            entry = (k, other, equality.polycoef)
+            held.setdefault(place[id(equality.joint1)], []).append(entry)
+    return held
 
 
 def is_angular(model: Model, joint: int) -> bool:
@@ -217,10 +277,9 @@ def length_of(model: Model, joint: int, value: float) -> str:
     return radians(value) if is_angular(model, joint) else metres(value)
 
 
-def harder_limit(model: Model, joint: int, now: float, wanted: float) -> str:
-    """Return the solreflimit, in words, that reduces a limit's excess from `now` to `wanted`."""
+def harder_limit(model: Model, joint: int, now: float, wanted: float) -> tuple[Cure, ...]:
+    """Return the solreflimits that should reduce a limit's excess from `now` to `wanted`."""
     if model.settings.law != "solref":
-        return ""
-    at = Layout(model.scene).joints[joint]
-    text = length_of(model, joint, wanted)
-    return advised("limit", at.solreflimit, at.solimplimit, now, wanted, model.settings, text)
+        return ()
+    at, limit = Layout(model.scene).joints[joint], named(model, "limit", [joint])
+    return stiffened(model, limit, at.solreflimit, at.solimplimit, now, wanted)

@@ -16,8 +16,11 @@ import math
 from collections.abc import Sequence
 
 from stepcore._core import Settings
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
-from stepcore.report.units import metres, seconds
+from stepcore.measure.monitors.cures import assigned, finer
+from stepcore.measure.monitors.finding import Cure
+from stepcore.report.units import seconds
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 
@@ -27,6 +30,8 @@ LEAST, MOST = 1e-4, 0.9999
 HARD = (0.99, 0.99, 0.001, 0.5, 2.0)
 # Shortest time constant that is advised: a shorter one needs too small a time step [s].
 SHORTEST = 1e-5
+# Shares of the wanted violation that are tried, in order.
+STIFFER = (1.0, 1 / 3, 1 / 10)
 
 
 def impedance(solimp: Sequence[float], violation: float) -> float:
@@ -97,34 +102,62 @@ def _slope(solimp: Sequence[float], violation: float) -> float:
     return (1 - d) / d**2 * most**2
 
 
-def advised(
-    suffix: str,
+def stiffened(
+    model: Model,
+    elements: Sequence[Element],
     solref: Sequence[float],
     solimp: Sequence[float],
     now: float,
     wanted: float,
-    settings: Settings,
-    length: str | None = None,
-) -> str:
-    """Return the cure in words: 'solref="0.005 1" leaves 20 µm', with a solimp if needed.
+) -> tuple[Cure, ...]:
+    """Return the solref, with solimp and dt if needed, that should leave a wanted violation.
 
-    suffix: of the attributes' names, "" or "limit".
-    length: `wanted` in words, if not a length.
+    The closed form knows the load of the worst row alone, so stiffer ones follow.
+
+    elements: the rows, all of which get the same values.
+    solref, solimp, now: of the worst row, with its violation [m or rad]. wanted: [m or rad].
     """
-    leaves = f"leaves {length or metres(wanted)}"
-    new, words = stiffer(solref, solimp, now, wanted, settings), ""
+    names = {of.name for element in elements for of in element.fields(model)}
+    suffix = "limit" if "solreflimit" in names else ""
+    where = " on both geoms" if elements[0].kind == "contact" else ""
+    cures = (
+        _stiffened(model, elements, solref, solimp, now, wanted * share, suffix, where)
+        for share in STIFFER
+    )
+    return tuple({cure.words: cure for cure in cures if cure is not None}.values())
+
+
+def _stiffened(
+    model: Model,
+    elements: Sequence[Element],
+    solref: Sequence[float],
+    solimp: Sequence[float],
+    now: float,
+    wanted: float,
+    suffix: str,
+    where: str,
+) -> Cure | None:
+    settings = model.settings
+    new, hard = stiffer(solref, solimp, now, wanted, settings), False
     if not _resolved(new, settings):
         harder = stiffer(solref, solimp, now, wanted, settings, HARD)
         if harder[0] > SHORTEST or harder[0] < 0:
-            new, words = harder, f' with solimp{suffix}="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
+            new, hard = harder, True
     if 0 < new[0] < SHORTEST:
-        return f"smaller time constants in solref{suffix} and smaller time steps leave less"
-    text = f'solref{suffix}="{new[0]:.3g} {new[1]:.3g}"{words} {leaves}'
+        return None
+    new = float(f"{new[0]:.3g}"), float(f"{new[1]:.3g}")
+    values: dict[str, tuple[float, ...]] = {f"solref{suffix}": new}
+    words = f'solref{suffix}="{new[0]:g} {new[1]:g}"'
+    if hard:
+        values[f"solimp{suffix}"] = HARD
+        words += f' with solimp{suffix}="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
+    words += where
+    sets = {}
     if not _resolved(new, settings):
-        # Round down, so that refsafe does not soften the three printed digits.
-        half = math.floor(float(f"{new[0]:.3g}") / 2 * 1e6) / 1e6
-        text += f" (refsafe asks for a dt of at most {seconds(half)})"
-    return text
+        # A longer step would soften the row: refsafe raises its time constant to 2 dt.
+        sets = {"dt": finer(settings, new[0] / 2)}
+        words += f" at a dt of {seconds(sets['dt'])}"
+    return Cure(words, assigned(model, elements, values), sets)
 
 
 def _resolved(solref: Sequence[float], settings: Settings) -> bool:

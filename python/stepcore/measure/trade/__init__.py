@@ -206,7 +206,7 @@ def trade(
         batches=workers.speedup.sentences,
         screened=len({*cache.full, *cache.screened}),
         chosen=chosen,
-        findings=monitored(runner, shipped),
+        findings=monitored(runner, shipped)[0],
         runner=runner,
     )
     answer = (result.recommended, result.shipped, *result.offered)

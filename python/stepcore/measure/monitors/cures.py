@@ -1,0 +1,143 @@
+"""Cures of findings: each is made on a copy of the scene, run again, and its effect measured.
+
+A monitor proposes cures, and how to measure what is left of the problem (`Remedy`). `verified`
+runs the motion again with each cure until one holds, and writes into the finding what that run
+shows. A cure that was not run, or that did not help, promises nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Mapping
+from time import perf_counter
+from typing import Any
+
+from stepcore._core import Settings, SimulationError
+from stepcore.engine.element import Element, SceneField
+from stepcore.engine.model import Model
+from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy
+
+# A cure that leaves more than a finding's threshold is still named if it leaves at most this share
+# of the problem.
+HELPS = 0.5
+# The computing time of all the cures of a run [s], and the time steps of one, relative to the run.
+SECONDS, FINER = 5.0, 16.0
+
+
+# Runs the motion of a finding with another model, and returns the monitor; None if the run fails.
+Again = Callable[[Model], Any]
+
+
+def verified(
+    findings: Iterable[Finding],
+    model: Model,
+    again: Again,
+    took: float,
+    seconds: float = SECONDS,
+) -> list[Finding]:
+    """Return findings with the cures that were seen to hold, and with what they leave.
+
+    model: the model of the run. again: runs the same motion with another model.
+    took: the computing time of the run [s].
+    seconds: the computing time for all cures [s]; those that do not fit are named without a
+        promise.
+    """
+    trial = _Trial(model, again, took, perf_counter() + seconds)
+    return [trial.cured(finding) for finding in findings]
+
+
+def proven(findings: Iterable[Finding], model: Model) -> list[Finding]:
+    """Return findings about a scene that was not run; their cures are run in their own motion."""
+    return verified(findings, model, lambda other: None, 0.0)
+
+
+class _Trial:
+    def __init__(self, model: Model, again: Again, took: float, end: float) -> None:
+        self.model, self.again, self.took, self.end = model, again, took, end
+
+    def cured(self, finding: Finding) -> Finding:
+        """Return a finding with the best of its cures."""
+        remedy = finding.remedy
+        if remedy is None:
+            return finding
+        finding = dataclasses.replace(finding, remedy=None)
+        held: list[tuple[float, Cure]] = []
+        helped: list[tuple[float, Cure]] = []
+        untried: list[Cure] = []
+        before = math.inf if finding.value is None else abs(finding.value)
+        for way in remedy.ways:
+            if len(held) == remedy.most:
+                break
+            for cure in way:
+                if not self._affordable(cure):
+                    untried.append(cure)
+                    break
+                left = self._left(remedy, cure)
+                if left is not None and left <= remedy.enough:
+                    held.append((left, cure))
+                    break
+                if left is not None and left <= HELPS * before:
+                    helped.append((left, cure))
+        named = held or sorted(helped, key=lambda entry: entry[0])[: remedy.most]
+        if named:
+            said = ", or ".join(f"{cure.words} leaves {remedy.say(left)}" for left, cure in named)
+            cure = named[0][1]
+            also = f", or {finding.cure}" if finding.cure else ""
+            commands = (*_commands(cure), *finding.commands)
+            return dataclasses.replace(
+                finding, cure=said + also, settings=cure.settings, commands=commands
+            )
+        if untried:
+            also = f", or {finding.cure}" if finding.cure else ""
+            return dataclasses.replace(finding, cure=f"try {untried[0].words}{also}")
+        tried = "; ".join(dict.fromkeys(cure.words for way in remedy.ways for cure in way))
+        failed = f"tried without success: {tried}" if tried else ""
+        return dataclasses.replace(finding, cure=finding.cure or failed)
+
+    def _affordable(self, cure: Cure) -> bool:
+        finer = self.model.settings.dt / cure.settings.get("dt", self.model.settings.dt)
+        return finer <= FINER and perf_counter() + self.took * max(1.0, finer) < self.end
+
+    def _left(self, remedy: Remedy, cure: Cure) -> float | None:
+        """Return what a cure leaves; None if its run fails, or makes an error of its own."""
+        try:
+            monitor = (remedy.again or self.again)(cure.made(self.model))
+        except (ValueError, SimulationError):
+            return None
+        return None if monitor is None else remedy.left(monitor)
+
+
+def _commands(cure: Cure) -> tuple[Next, ...]:
+    """Return the command that shows a cure; only settings can be given on a command line."""
+    if cure.changes or not cure.settings:
+        return ()
+    sets = [word for name, value in cure.settings.items() for word in ("--set", f"{name}={value}")]
+    return (Next("run", "the same with this cure", tuple(sets)),)
+
+
+def assigned(
+    model: Model, elements: Iterable[Element], values: Mapping[str, Any]
+) -> tuple[tuple[SceneField, Any], ...]:
+    """Return the fields of elements with new values; each field once.
+
+    values: the new values by the name of the field.
+    """
+    changes = {
+        (of.kind, of.index, of.name): (of, values[of.name])
+        for element in elements
+        for of in element.fields(model)
+        if of.name in values
+    }
+    return tuple(changes.values())
+
+
+def finer(settings: Settings, most: float) -> float:
+    """Return the largest whole part of the time step that is at most `most` [s]."""
+    return settings.dt / max(1, math.ceil(settings.dt / most * (1 - 1e-9)))
+
+
+def setting_words(settings: Mapping[str, Any]) -> str:
+    """Return settings in words: 'cone="elliptic" with impratio="100"'."""
+    first, *rest = (f'{name}="{value}"' for name, value in settings.items())
+    return f"{first} with {' and '.join(rest)}" if rest else first
