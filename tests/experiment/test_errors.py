@@ -1,5 +1,6 @@
 """Each error of a trade against what is known of it: momentum, joints, friction, models."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment.friction import Friction
+from stepcore.measure.trade.rows import Further
 
 G = 9.81
 
@@ -170,6 +172,26 @@ def test_errors_are_relative_to_the_size_of_the_scene():
     e = result.shipped.errors
     assert e.relative == pytest.approx(e.position / result.size, rel=1e-12)
     assert e.relative_max == pytest.approx(e.position_max / result.size, rel=1e-12)
+
+
+def test_no_rms_is_above_the_largest_error_nor_on_further_starts():
+    """A wheel that turns on the spot: its centre is exact, and all of the error is rotation."""
+    scene = sc.Scene(gravity=(0, 0, 0))
+    wheel = scene.add_body("wheel", mass=1.0, inertia=(0.01, 0.01, 0.01))
+    scene.add_joint(wheel, "hinge", stiffness=1.0)
+    scene.add_key(qpos=[1.0])
+    scene.options = {"dt": 0.01, "integrator": "semi-implicit"}
+    result = trade(scene, horizon=0.4, error=1e-3, by="flops", further=4)
+    tested = [row for row in result.rows if row.errors and row.further]
+    assert tested and tested[0].errors.angle_max > 0
+    for row in result.rows:
+        assert result.frontier.largest(row) >= result.error(row) > 0
+        assert row.errors.position_max >= row.errors.high
+    # What is printed of a row is of the same starts: those of the search, and the further ones.
+    row = dataclasses.replace(tested[0], further=Further(4, 4, 0.5, 0.75))
+    frontier = result.frontier.updated(row)
+    assert (frontier.error(row), frontier.largest(row)) == (0.5, 0.75)
+    assert not any(r.below or r.below_max for r in frontier.rows if r.further == row.further)
 
 
 def test_a_contact_that_is_about_to_overflow_is_looked_at_in_silence():

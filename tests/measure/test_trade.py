@@ -298,7 +298,7 @@ def test_the_sentence_names_the_worst_start_and_what_the_others_say():
     said = result.sentences[0]
     assert "error over 400 ms is 200 mm in the worst of 3 starts (start 2; " in said
     assert "starts differ widely: median 1 mm), for " in said
-    assert said.endswith("The largest error of a centre of mass is 500 mm.")
+    assert said.endswith("The largest error of a body at any time is 500 mm.")
     shipped = result.shipped
     assert result.error(shipped) == 0.2
     assert result.table[result.rows.index(shipped)]["position_high"] == 0.2

@@ -144,9 +144,12 @@ def known(
         else:
             sure[name] = 2 * last
             bases[name] = "twice the change in its last halving, because no other integrator runs"
-    # The median error cannot exceed that of the worst start.
+    # The median error cannot exceed that of the worst start, nor an RMS the largest of its parts.
     if sure["high"] < sure["error"]:
         sure["error"], orders["error"], bases["error"] = sure["high"], orders["high"], bases["high"]
+    if sure["largest"] < sure["high"]:
+        sure["largest"], orders["largest"] = sure["high"], orders["high"]
+        bases["largest"] = bases["high"]
     bound = np.sqrt(count) * sure["high"]
     if bound < sure["largest"]:
         sure["largest"], orders["largest"] = float(bound), orders["high"]

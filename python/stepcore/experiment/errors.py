@@ -21,10 +21,11 @@ class Errors:
 
     position [m], angle [rad]: RMS errors of centres of mass and of orientations over samples and
         moving bodies, in the median start.
-    position_max [m], angle_max [rad]: the largest errors of any body, sample and start.
-    worst: the index of the start with the largest position error.
     each [m]: the RMS position error of every start, of centres of mass and of orientations times
         the body's radius of gyration.
+    position_max [m]: the largest such error of any body, sample and start.
+    angle_max [rad]: the largest error of an orientation.
+    worst: the index of the start with the largest RMS position error.
     relative, relative_max: `position` and `position_max` divided by the scene's size.
     gained, lost [J]: the largest rise of the energy balance of `Run` above its initial value, and
         the largest fall below it, in any start.
@@ -97,21 +98,21 @@ def errors(
         radians.append(angle(run, true)[mask])
         both.append(np.hypot(metres[-1], lever(run, true) * radians[-1]))
         creeps.append(creep(run.slips, true.slips, mask, sticks))
-    largest = [float(part.max(initial=0.0)) for part in metres]
     position, each = float(np.median(_roots(metres))), tuple(_roots(both))
+    largest = max(float(part.max(initial=0.0)) for part in both)
     return Errors(
         position=position,
-        position_max=max(largest),
+        position_max=largest,
         angle=float(np.median(_roots(radians))),
         angle_max=max(float(part.max(initial=0.0)) for part in radians),
         gained=max(0.0, *(float(run.balance.max(initial=0.0)) for run in runs)),
         lost=max(0.0, *(-float(run.balance.min(initial=0.0)) for run in runs)),
         overlap=max(run.overlap for run in runs),
         residual=max(run.residual for run in runs),
-        worst=largest.index(max(largest)),
+        worst=each.index(max(each)),
         each=each,
         relative=position / size,
-        relative_max=max(largest) / size,
+        relative_max=largest / size,
         numerical=max(each),
         momentum=_worst([run.momentum for run in runs]),
         angular_momentum=_worst([run.spin for run in runs]),

@@ -15,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,8 +53,17 @@ CALM = 30.0
 # it begins with; and the number of cheaper settings that are tested.
 HARD, CLOSE, TESTED = 8, 2.0, 3
 
-# A start, the error of the run from there [m], and the reason if the run failed.
-Ran = tuple[int, float, str | None]
+
+class Ran(NamedTuple):
+    """The run of one setting from one further start.
+
+    error: RMS position error [m]; inf for a failure. largest: that of any body at any time [m].
+    """
+
+    start: int
+    error: float
+    largest: float
+    failure: str | None
 
 
 class Confirmation:
@@ -96,7 +106,7 @@ class Confirmation:
         error: the requested error [m]; the starts within this error are counted.
         """
         if self.scored is None:
-            return Further(0, 0, 0.0, f"the reference fails on them: {self.truth.failed}")
+            return Further(0, 0, 0.0, failure=f"the reference fails on them: {self.truth.failed}")
         rest = [i for i in range(self.count) if i not in self.hard]
         ran = self._runs(settings, self.hard)
         if not self._bad(ran, limit):
@@ -108,19 +118,20 @@ class Confirmation:
         return self._result(self._runs(settings, list(range(self.count))), limit, error)
 
     def _result(self, ran: list[Ran], limit: float, error: float) -> Further:
-        worst = max(ran, key=lambda run: run[1])
-        if worst[1] > limit and worst[0] not in self.hard:
-            self.hard.append(worst[0])
-        failure = next((f"further start {i}: {text}" for i, _, text in ran if text), None)
-        held = sum(wrong <= error for _, wrong, _ in ran)
-        return Further(len(ran), held, worst[1], failure)
+        worst = max(ran, key=lambda run: run.error)
+        if worst.error > limit and worst.start not in self.hard:
+            self.hard.append(worst.start)
+        failed = (f"further start {run.start}: {run.failure}" for run in ran if run.failure)
+        held = sum(run.error <= error for run in ran)
+        largest = max(run.largest for run in ran)
+        return Further(len(ran), held, worst.error, largest, next(failed, None))
 
     def hardness(self) -> np.ndarray:
         """Return the largest error of all tested settings on each further start [m]."""
         worst = np.zeros(self.count)
         for ran in self.ran.values():
-            for start, wrong, _ in ran.values():
-                worst[start] = max(worst[start], wrong)
+            for run in ran.values():
+                worst[run.start] = max(worst[run.start], run.error)
         return worst
 
     def holds(self, settings: Settings, error: float) -> bool:
@@ -128,7 +139,7 @@ class Confirmation:
         return not self._bad(self._runs(settings, self.hard), error)
 
     def _bad(self, ran: list[Ran], error: float) -> bool:
-        return any(wrong > error for _, wrong, _ in ran)
+        return any(run.error > error for run in ran)
 
     def _runs(self, settings: Settings, starts: list[int]) -> list[Ran]:
         assert self.scored is not None
@@ -139,10 +150,11 @@ class Confirmation:
         for start, run in zip(missing, runs, strict=True):
             truth = [self.truth.runs[start]]
             failure = run.failure or far_off([run], truth, further.size)
-            wrong = math.inf
+            high = largest = math.inf
             if not failure:
-                wrong = errors([run], truth, self.scored[[start]]).high
-            known[start] = (start, wrong, failure)
+                wrong = errors([run], truth, self.scored[[start]])
+                high, largest = wrong.high, wrong.position_max
+            known[start] = Ran(start, high, largest, failure)
         return [known[start] for start in starts]
 
 

@@ -72,12 +72,14 @@ class Further:
     starts: the number of these starts.
     held: the number of these starts on which the error was within the requested error.
     high: the RMS position error of the worst start [m].
+    largest: the largest error of any body, sample and start [m].
     failure: the reason why the first failing start failed.
     """
 
     starts: int
     held: int
     high: float
+    largest: float = 0.0
     failure: str | None = None
 
 
@@ -184,10 +186,10 @@ class Frontier:
         )
         marked = []
         for row, mark in zip(plain.rows, best, strict=True):
-            e = row.errors
-            below, below_max = (
-                (False, False) if e is None else (e.high < known, e.position_max < known_max)
-            )
+            below = below_max = False
+            if (e := row.errors) is not None:
+                below = e.high < known and plain.error(row) <= known
+                below_max = e.position_max < known_max and plain.largest(row) <= known_max
             marked.append(dataclasses.replace(row, best=mark, below=below, below_max=below_max))
         return dataclasses.replace(plain, rows=tuple(marked))
 
@@ -208,6 +210,13 @@ class Frontier:
             return math.inf
         further = 0.0 if row.further is None else row.further.high
         return max(row.errors.high, self.known, further)
+
+    def largest(self, row: TradeRow) -> float:
+        """Return the largest error of any body, sample and start that a row can claim [m]."""
+        if row.errors is None:
+            return math.inf
+        further = 0.0 if row.further is None else row.further.largest
+        return max(row.errors.position_max, self.known_max, further)
 
     def searched(self, row: TradeRow) -> float:
         """Return the error of a row on the starts of the search, from which every row ran [m]."""

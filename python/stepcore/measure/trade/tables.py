@@ -25,8 +25,8 @@ MARKS = {
 }
 LEGEND = """ref: the converged motion that errors are measured from. dt [ms]; cost [µs] and flops \
 per simulated second; error: RMS position error of the worst start [m]{below}, of centres of mass \
-and of rotations times radii of gyration; median: of the median start; max: largest error of a \
-centre of mass alone, which may be below an error that comes from rotation."""
+and of rotations times radii of gyration; median: of the median start; max: the largest of any \
+body at any time."""
 BELOW = " (<: below what the converged motion can tell)"
 FULL_LEGEND = """ rows: row updates per simulated second. numeric, model: numerical and modelling \
 part of the error, for settings that change the model. angle: RMS rotation error [rad]. gained, \
@@ -161,9 +161,17 @@ def _cells(frontier: Frontier, row: TradeRow, chosen: TradeRow | None) -> dict[s
         record["solver"] += f" {s.precision}"
     if e is None:
         return record | dict.fromkeys(ERRORS, "") | {"error": "failed"}
-    largest = max(e.position_max, frontier.known_max)
     split = (e.numerical, e.modelling) if e.modelling else (0.0, 0.0)
-    numbers = (e.median, *split, largest, e.angle, e.gained, e.lost, e.overlap, e.residual)
+    numbers = (
+        e.median,
+        *split,
+        frontier.largest(row),
+        e.angle,
+        e.gained,
+        e.lost,
+        e.overlap,
+        e.residual,
+    )
     record |= dict(zip(ERRORS, map(compact, (frontier.error(row), *numbers)), strict=True))
     if not e.modelling:
         record["numeric"] = record["model"] = ""

@@ -186,11 +186,10 @@ class Words:
             if e.high > DIFFER * e.median:
                 median = f"starts differ widely: {median}"
             where = f" in the worst of {count} starts (start {e.each.index(e.high)}; {median})"
-        # The error includes rotation, so the largest error of the centres may be smaller.
         return (
             f"{what} the RMS position error over {seconds(self.horizon)} is "
             f"{metres(self.frontier.error(row))}{where}, for {self._priced(row)}. The largest "
-            f"error of a centre of mass is {metres(e.position_max)}."
+            f"error of a body at any time is {metres(self.frontier.largest(row))}."
         )
 
     def _improvements(self) -> Iterator[str]:
