@@ -84,8 +84,30 @@ def test_bounces_part_perturbed_runs_as_mirrors_part_rays():
     assert found.time == pytest.approx(0.5 + math.log(1e3) / math.log(2 + math.sqrt(3)), abs=0.6)
 
 
+def test_a_contact_met_one_step_later_is_no_loss():
+    """A capsule falls on a floor and rolls to rest: nothing in it is unpredictable."""
+    capsule = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="1 1 .1"/>
+      <body pos="0 0 .5"><freejoint/><geom type="capsule" size=".03 .1" mass="1"/></body>
+      </worldbody></mujoco>"""
+    found = sc.predict(sc.loads(capsule), horizon=1.0, starts=24, **QUIET)
+    assert found.time == math.inf and found.growth.factor.max() < 50
+
+
+def test_one_motion_has_one_answer_whatever_the_horizon():
+    short, long = (sc.predict(billiard(), horizon=t, starts=2, **QUIET) for t in (6.4, 9.6))
+    assert short.time < 6.4 and long.growth.ends.tolist() == short.growth.ends.tolist()
+    count = len(short.growth.times)
+    assert np.array_equal(long.growth.factor[:, :count], short.growth.factor)
+    # A trade, for which samples are further apart, and other starts and steps are judged.
+    options = {"integrators": ["semi-implicit"], "precisions": ["f64"], "by": "flops"}
+    result = sc.trade(billiard(), horizon=6.4, starts=2, **options, **QUIET)
+    assert result.reference.growth.ends.tolist() == short.growth.ends.tolist()
+    assert len(result.reference.growth.samples) < count
+
+
 def test_growth_ends_between_samples_and_masks_what_follows():
-    growth = Growth(np.array([1.0, 2.0, 3.0]), np.ones((2, 3)), np.array([1.5, np.inf]))
+    samples = np.array([1.0, 2.0, 3.0])
+    growth = Growth(samples, np.ones((2, 3)), np.array([1.5, np.inf]), samples, sc.Settings())
     assert growth.scored.tolist() == [[True, False, False], [True, True, True]]
     assert growth.overall == 1.5
 

@@ -126,7 +126,7 @@ class Experiment:
 
     def growth(self, settings: Settings, bar: Progress) -> Growth:
         """Measure how fast perturbed runs separate under some settings."""
-        return growth(self.runner, settings, self.size, self.workers, bar)
+        return growth(self.runner, settings, self.workers, bar)
 
     @property
     def size(self) -> float:

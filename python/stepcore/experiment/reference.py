@@ -33,7 +33,7 @@ from stepcore.experiment.converged import (
 )
 from stepcore.experiment.errors import Errors, errors
 from stepcore.experiment.failure import runaway
-from stepcore.experiment.growth import DIRECTIONS, Growth, growth
+from stepcore.experiment.growth import DIRECTIONS, SHORTER, Growth, growth
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.sizes import scene_size
@@ -266,9 +266,10 @@ class ReferenceRuns:
                 f"there is nothing to compare with: {failures[1] or failures[0]}"
             )
         self._refuse_runaway(levels[-1] for levels in self.chains.values())
-        # The third-finest level (or the coarsest of fewer), of rk4 if that runs.
-        base = list(self.chains.values())[-1][-3:][0]
-        growth = self._growth(base, bar)
+        # rk4 if that runs, as in `growth`.
+        integrator = list(self.chains)[-1]
+        self.size = scene_size(self.runner.model.scene, self.chains[integrator][-1].runs)
+        growth = self._growth(integrator, self.shipped.dt / SHORTER[0], bar)
         for name, levels in self.chains.items():
             levels[1:] = [self._measured(*pair, growth) for pair in pairwise(levels)]
             self._add_coarser(name, growth, bar)
@@ -330,16 +331,16 @@ class ReferenceRuns:
         return chosen
 
     def growth(self, bar: Progress) -> tuple[Level, Growth]:
-        """Measure the growth of perturbations at one level; return the level and the growth.
+        """Measure the growth of perturbations; return the unperturbed runs and the growth.
 
         Raises ValueError if every level fails.
         """
-        for dt in (self.finest / 2, self.finest / 8):
+        for dt in (self.shipped.dt / shorter for shorter in SHORTER):
             for integrator in ("rk4", self.second):
                 base = self.level(integrator, dt, bar)
                 if not base.failed:
                     self._refuse_runaway([base])
-                    return base, self._growth(base, bar)
+                    return base, self._growth(integrator, dt, bar)
         raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
 
     def can_refine(self, reference: Reference) -> bool:
@@ -390,12 +391,9 @@ class ReferenceRuns:
         count = self.runner.schedule.period / dt
         return count >= 0.5 and abs(count - round(count)) < 1e-6 * count
 
-    def _growth(self, base: Level, bar: Progress) -> Growth:
-        """Measure the growth of perturbations at a level, and set the size of the scene."""
-        self.size = scene_size(self.runner.model.scene, base.runs)
-        settings = self.settings(base.integrator, base.dt)
-        self.spent += (1 + DIRECTIONS) * self.cost(base.integrator, base.dt)
-        return growth(self.runner, settings, self.size, self.workers, bar)
+    def _growth(self, integrator: str, dt: float, bar: Progress) -> Growth:
+        self.spent += (1 + DIRECTIONS) * self.cost(integrator, dt)
+        return growth(self.runner, self.settings(integrator, dt), self.workers, bar)
 
     def _add_coarser(self, integrator: str, growth: Growth, bar: Progress) -> None:
         """Add coarser levels, to show an order where rounding limits all existing levels."""

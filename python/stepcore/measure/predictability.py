@@ -166,9 +166,9 @@ def predict(
 ) -> Predictability:
     """Measure how long the motion of a scene can be predicted.
 
-    Each start runs again from three perturbed states, 1e-9 of the scene's size away. The motion
+    Each start runs again from three perturbed states, 1e-10 of the scene's size away. The motion
     counts as predictable until the distance between these runs has grown by a factor of 1e3. After
-    that, only statistics of the motion are meaningful. The runs use rk4 at a 16th of the shipped
+    that, only statistics of the motion are meaningful. The runs use rk4 at a quarter of the shipped
     time step, with rows solved to rounding. If such a run fails, a quarter of that step or another
     integrator is used.
 

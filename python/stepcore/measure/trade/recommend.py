@@ -24,7 +24,7 @@ from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.errors import errors
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.failure import far_off
-from stepcore.experiment.growth import DIRECTIONS, Growth
+from stepcore.experiment.growth import DIRECTIONS
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.runner import positions
 from stepcore.experiment.schedule import Schedule
@@ -88,7 +88,7 @@ class Confirmation:
             self.scored = np.ones((self.count, len(others.times)), bool)
             return
         with experiment.workers.bar("further perturbed runs", (1 + DIRECTIONS) * self.count) as bar:
-            grown = self.further.growth(settings, bar)
+            grown = self.further.growth(cache.reference.growth.settings, bar)
         self.scored, self.ends = grown.scored, grown.ends
 
     @property
@@ -212,7 +212,7 @@ class HardestStarts:
         level = dataclasses.replace(reference.level, runs=[runs[i] for i in few])
         ends = np.concatenate([reference.growth.ends, self.confirm.ends])[list(few)]
         factor = np.ones((len(few), len(reference.growth.times)))
-        grown = Growth(reference.growth.times, factor, ends)
+        grown = dataclasses.replace(reference.growth, factor=factor, ends=ends)
         return dataclasses.replace(reference, level=level, growth=grown, exact=None)
 
 
