@@ -1,5 +1,6 @@
 """`stepcore check`: what it prints and writes, and how a scene that is refused is told."""
 
+import importlib
 import json
 import shlex
 
@@ -91,7 +92,58 @@ def test_every_command_takes_the_same_file_and_motion(capsys, scene, tmp_path):
             assert (args.control, args.control_dt, args.horizon) == (control, 0.004, 0.1)
             assert args.seed == 3
         if argv[0] == "run":
-            assert (args.control, args.control_dt, args.duration) == (control, 0.004, 0.1)
+            assert (args.control, args.control_dt, args.horizon) == (control, 0.004, 0.1)
+
+
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--ctrl", "my log.csv", "--interpolation", "linear", "--key", "home"],
+        ["--ctrl", "servo=0.3", "--without", "sensor", "--horizon", "50ms"],
+        ["--control", "own.py:still", "--control-dt", "4ms"],
+    ],
+    ids=["log", "constant", "function"],
+)
+def test_every_command_that_is_printed_runs(capsys, scene, tmp_path, monkeypatch, options):
+    """In the folder of the user's files, each as it stands, with the user's own motion."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my log.csv").write_text("t,knee\n0,0.1\n0.025,0.3\n0.04,0.2\n")
+    (tmp_path / "own.py").write_text("def still(time, sim):\n    return [0.0]\n")
+    if "--horizon" not in options:
+        options = [*options, "--horizon", "80ms"]
+    # A servo that is nearly too stiff for the step: `diagnose` is named too.
+    stiff = ('kp="5"', 'kp="7000"')
+    assert call(capsys, scene(0.5, stiff=stiff), *options, "--json", "check.json")[0] == 0
+    commands = json.loads((tmp_path / "check.json").read_text())["next"]
+    assert len(commands) == 3
+    for line in commands:
+        program, *argv = shlex.split(line)
+        assert program == "stepcore"
+        given = [] if argv[0] in ("plan",) else options[: 2 + 2 * (options[0] == "--ctrl")]
+        assert all(word in argv for word in given if word not in ("--without", "sensor"))
+        assert main(argv) == 0, line
+    capsys.readouterr()
+
+
+def test_commands_of_python_name_the_user_s_files(scene, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = scene(0.5)
+    (tmp_path / "log.csv").write_text("t,knee\n0,0.1\n0.025,0.3\n")
+    (tmp_path / "still_arm.py").write_text("def still(time, sim):\n    return [0.0]\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    still = importlib.import_module("still_arm").still
+    motions = {
+        "--ctrl log.csv": {"ctrl": "log.csv"},
+        "--ctrl servo=0.3": {"ctrl": {"servo": 0.3}},
+        "--ctrl 0.3": {"ctrl": [[0.3]]},
+        f"--control {tmp_path / 'still_arm.py'}:still": {"control": still},
+        "--ctrl FILE.npy": {"ctrl": [[0.3], [0.4]]},
+    }
+    for said, fields in motions.items():
+        found = sc.check(file, horizon="50ms", progress=False, **fields)
+        commands = [line for line, _ in found.commands]
+        assert f"stepcore predict {file} --horizon 0.05 {said}" in commands
 
 
 @pytest.mark.parametrize("kind", ["overlap", "creep", "failure", "residual", "units"])

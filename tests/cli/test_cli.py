@@ -32,14 +32,14 @@ def call(capsys, *args):
 
 
 def test_run_prints_the_final_state(capsys, ball):
-    status, out, err = call(capsys, "run", ball, "--duration", 0.4, "--json")
+    status, out, err = call(capsys, "run", ball, "--horizon", 0.4, "--json")
     assert status == 0 and not err
     data = json.loads(out)
     assert data["steps"] == 100 and data["time"] == pytest.approx(0.4)
     # v-first: 1 - g dt² n (n + 1) / 2
     assert data["qpos"][2] == pytest.approx(1 - 9.81 * 0.004**2 * 5050, abs=1e-12)
     status, out, err = call(
-        capsys, "run", ball, "--duration", "0.4", "--dt", "0.002", "--set", "integrator=rk4"
+        capsys, "run", ball, "--horizon", "0.4", "--dt", "0.002", "--set", "integrator=rk4"
     )
     assert status == 0 and "200 steps" in out and "rk4" in out
 
@@ -48,12 +48,12 @@ def test_run_starts_at_the_first_key_though_it_has_no_name(capsys, tmp_path):
     file = tmp_path / "keys.xml"
     keys = '<keyframe><key qpos="0 0 5 1 0 0 0"/><key qpos="0 0 9 1 0 0 0"/></keyframe>'
     file.write_text(BALL.replace("</mujoco>", f"{keys}</mujoco>"))
-    status, out, _ = call(capsys, "run", file, "--duration", 0, "--json")
+    status, out, _ = call(capsys, "run", file, "--horizon", 0, "--json")
     assert status == 0 and json.loads(out)["qpos"][2] == 5
 
 
 def test_run_of_a_scene_of_the_lesson_starts_at_its_key(capsys):
-    status, out, _ = call(capsys, "run", "lesson:drop", "--duration", 2, "--json")
+    status, out, _ = call(capsys, "run", "lesson:drop", "--horizon", 2, "--json")
     assert status == 0
     assert json.loads(out)["qpos"][0] == pytest.approx(-98.1e-6, abs=1e-12)
 
@@ -87,9 +87,9 @@ def test_trade_with_a_control_function(capsys, tmp_path, monkeypatch):
 
 def test_a_model_of_an_installed_package(capsys):
     assert find_asset("gymnasium", "half_cheetah").name == "half_cheetah.xml"
-    status, out, _ = call(capsys, "run", "gymnasium:half_cheetah", "--duration", 0.1, "--json")
+    status, out, _ = call(capsys, "run", "gymnasium:half_cheetah", "--horizon", 0.1, "--json")
     assert status == 0 and len(json.loads(out)["qpos"]) == 9
-    status, _, err = call(capsys, "run", "gymnasium:half_cheeta", "--duration", 0.1)
+    status, _, err = call(capsys, "run", "gymnasium:half_cheeta", "--horizon", 0.1)
     assert status == 2 and "half_cheetah" in err
 
 
@@ -119,27 +119,27 @@ def test_info(capsys):
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (["run", "no.xml", "--duration", "1"], "no.xml: no such file"),
+        (["run", "no.xml", "--horizon", "1"], "no.xml: no such file"),
         (["run", "FOLDER"], "is a folder, not an MJCF or URDF file"),
         (["trade", "no.xml"], "no.xml: no such file"),
         (["replay", "no.json"], "no.json: no such file"),
         (["replay", "FOLDER"], "is a folder, not a replay file"),
         (["plan", "BALL", "--key", "1"], "key = 1"),
-        (["run", "lesson:slide", "--duration", "1"], "spring, drop, stack, grasp"),
-        (["run", "no_such_package:x", "--duration", "1"], "no package"),
-        (["run", "a-b:x", "--duration", "1"], "not the name of a package"),
-        (["run", "BALL", "--duration", "nan"], "--duration"),
-        (["run", "BALL", "--duration", "-1"], "--duration"),
-        (["run", "BALL", "--duration", "1 hour"], "'1 hour' must be a time: seconds, 1ms or 20us"),
-        (["run", "BALL", "--duration", "1e300"], "--duration 1e+300 s: must be below"),
+        (["run", "lesson:slide", "--horizon", "1"], "spring, drop, stack, grasp"),
+        (["run", "no_such_package:x", "--horizon", "1"], "no package"),
+        (["run", "a-b:x", "--horizon", "1"], "not the name of a package"),
+        (["run", "BALL", "--horizon", "nan"], "--horizon"),
+        (["run", "BALL", "--horizon", "-1"], "--horizon"),
+        (["run", "BALL", "--horizon", "1 hour"], "'1 hour' must be a time: seconds, 1ms or 20us"),
+        (["run", "BALL", "--horizon", "1e300"], "--horizon 1e+300 s: must be below"),
         (["diagnose", "BALL", "--starts", "3"], "--starts"),
-        (["run", "BALL", "--duration", "1", "--dt", "0"], "dt"),
-        (["run", "BALL", "--duration", "1", "--key", "home"], "home"),
-        (["run", "BALL", "--duration", "1", "--set", "sweps=3"], "nearest"),
-        (["run", "BALL", "--duration", "1", "--set", "sweeps"], "NAME=VALUE"),
-        (["run", "BALL", "--duration", "1", "--set", "sweeps=few"], "not a number"),
-        (["run", "BALL", "--duration", "1", "--set", "refsafe=maybe"], "true or false"),
-        (["run", "BROKEN", "--duration", "1"], "broken.xml:1"),
+        (["run", "BALL", "--horizon", "1", "--dt", "0"], "dt"),
+        (["run", "BALL", "--horizon", "1", "--key", "home"], "home"),
+        (["run", "BALL", "--horizon", "1", "--set", "sweps=3"], "nearest"),
+        (["run", "BALL", "--horizon", "1", "--set", "sweeps"], "NAME=VALUE"),
+        (["run", "BALL", "--horizon", "1", "--set", "sweeps=few"], "not a number"),
+        (["run", "BALL", "--horizon", "1", "--set", "refsafe=maybe"], "true or false"),
+        (["run", "BROKEN", "--horizon", "1"], "broken.xml:1"),
         (["trade", "BALL", "--horizon", "-1"], "horizon"),
         (["trade", "BALL", "--starts", "none"], "--starts"),
         (["trade", "BALL", "--ctrl", "no.npy"], "no such file"),
@@ -158,7 +158,7 @@ def test_info(capsys):
         (["dance"], "dance"),
         (["tarde", "BALL"], "no command 'tarde'; nearest: \"trade\""),
         (["trade", "--errr", "1mm", "BALL"], "no option --errr; nearest: --error"),
-        (["run", "BALL", "--durtion=3"], "no option --durtion; nearest: --duration"),
+        (["run", "BALL", "--horizn=3"], "no option --horizn; nearest: --horizon"),
         (["run", "BALL", "--xyzzy"], "no option --xyzzy; stepcore run --help"),
         (["run", "BALL", "BALL"], "unexpected argument"),
     ],
@@ -174,7 +174,7 @@ def test_bad_input_is_one_line_and_exit_2(capsys, tmp_path, ball, args, words):
 
 
 def test_a_run_that_diverges_is_exit_1(capsys):
-    args = ["--duration", 1, "--set", "integrator=explicit", "--dt", 0.001]
+    args = ["--horizon", 1, "--set", "integrator=explicit", "--dt", 0.001]
     status, _, err = call(capsys, "run", "lesson:spring", *args)
     assert status == 0, "gains a tenth"
     args[1::4] = 100_000, 10
@@ -203,7 +203,7 @@ KEYS = """<keyframe><key name="1" qpos="0 0 5 1 0 0 0"/><key qpos="0 0 9 1 0 0 0
 def test_a_key_is_a_name_or_an_index_where_no_key_has_that_name(capsys, tmp_path, key, height):
     file = tmp_path / "keys.xml"
     file.write_text(BALL.replace("</mujoco>", KEYS))
-    status, out, err = call(capsys, "run", file, "--duration", 0, "--json", "--key", key)
+    status, out, err = call(capsys, "run", file, "--horizon", 0, "--json", "--key", key)
     assert status == 0 and json.loads(out)["qpos"][2] == height, err
     for command in ("plan", "predict"):
         status, _, err = call(capsys, command, file, "--key", key, *SHORT.get(command, ()))
@@ -230,10 +230,10 @@ def test_the_help_names_every_command_and_the_exit_statuses(capsys, arguments):
 
 
 def test_a_run_says_first_what_is_wrong(capsys, ball):
-    status, out, _ = call(capsys, "run", ball, "--duration", 0.2)
+    status, out, _ = call(capsys, "run", ball, "--horizon", 0.2)
     assert status == 0 and out.startswith("ball: 200 ms in 50 steps of 4 ms; ")
     assert out.index("Nothing found: ") < out.index("The motion: ")
-    assert "no step was made" in call(capsys, "run", ball, "--duration", 0)[1]
+    assert "no step was made" in call(capsys, "run", ball, "--horizon", 0)[1]
     status, out, _ = call(capsys, "run", "gymnasium:half_cheetah")
     assert status == 0 and out.index("warning: Contact") < out.index("The motion: ")
 
@@ -242,23 +242,32 @@ def test_a_state_of_many_numbers_is_cut(capsys, tmp_path):
     hinge = '<body pos="0 0 -.1"><joint/><geom size=".01"/>'
     file = tmp_path / "chain.xml"
     file.write_text(f"<mujoco><worldbody>{hinge * 40}{'</body>' * 40}</worldbody></mujoco>")
-    status, out, _ = call(capsys, "run", file, "--duration", 0)
+    status, out, _ = call(capsys, "run", file, "--horizon", 0)
     assert status == 0 and "and 44 more (--all)" in " ".join(out.split())
 
 
 def test_a_plot_of_a_run(capsys, tmp_path, ball):
     picture = tmp_path / "energy.svg"
-    status, out, _ = call(capsys, "run", ball, "--duration", 0.2, "--plot", picture)
+    status, out, _ = call(capsys, "run", ball, "--horizon", 0.2, "--plot", picture)
     assert status == 0 and "50 steps" in out and "<svg" in picture.read_text()
-    again = call(capsys, "run", ball, "--duration", 0.2)[1]
+    again = call(capsys, "run", ball, "--horizon", 0.2)[1]
     assert out.partition("\n")[2] == again.partition("\n")[2], "all but the time that it took"
+
+
+def test_the_former_name_of_horizon_is_taken_and_not_shown(capsys, ball):
+    old, new = (
+        call(capsys, "run", ball, f"--{n}", "8ms", "--json") for n in ("duration", "horizon")
+    )
+    assert json.loads(old[1])["steps"] == json.loads(new[1])["steps"]
+    said = call(capsys, "run", "--help")[1]
+    assert "--horizon S" in said and "--duration" not in said
 
 
 def test_times_and_lengths_take_units(capsys, ball):
     """As --error does: 0.4 s in 2 ms are 200 steps."""
-    run = call(capsys, "run", ball, "--duration", "400ms", "--dt", "2ms", "--json")[1]
+    run = call(capsys, "run", ball, "--horizon", "400ms", "--dt", "2ms", "--json")[1]
     assert json.loads(run)["steps"] == 200
-    status, out, err = call(capsys, "run", ball, "--duration", "8ms", "--set", "dt=4 ms", "--json")
+    status, out, err = call(capsys, "run", ball, "--horizon", "8ms", "--set", "dt=4 ms", "--json")
     assert status == 0 and json.loads(out)["steps"] == 2, err
     plain = ["--dts", "0.001:0.01:3", "--size", "0.2", "--horizon", "0.1"]
     units = ["--dts", "1ms:10ms:3", "--size", "20cm", "--horizon", "100ms"]
@@ -282,7 +291,7 @@ def test_ctrl_c_ends_a_run_and_keeps_what_it_showed(capsys, ball, monkeypatch, t
 
     monkeypatch.setattr(stepcore.Sim, "step", interrupted)
     save = str(tmp_path / "run.npz")
-    status, out, _ = call(capsys, "run", ball, "--duration", 10, "--save", save)
+    status, out, _ = call(capsys, "run", ball, "--horizon", 10, "--save", save)
     assert status == 130 and "400 ms in 100 steps" in out and "Interrupted." in out
     assert len(stepcore.Trajectory.load(save)) == 101
 
@@ -292,7 +301,7 @@ def test_ctrl_c_is_exit_130(capsys, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("stepcore.cli.arguments.load", interrupted)
-    status, _, err = call(capsys, "run", "x", "--duration", 1)
+    status, _, err = call(capsys, "run", "x", "--horizon", 1)
     assert status == 130 and err.count("\n") == 1
 
 
@@ -314,7 +323,7 @@ def test_ctrl_c_in_a_measurement_says_what_was_done(capsys, monkeypatch):
 
 
 def test_it_runs_as_a_module(ball):
-    command = [sys.executable, "-m", "stepcore", "run", ball, "--duration", "0.1"]
+    command = [sys.executable, "-m", "stepcore", "run", ball, "--horizon", "0.1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "J kinetic" in done.stdout
 
@@ -333,18 +342,18 @@ def test_a_run_is_one_second_by_default(capsys, ball):
 
 
 def test_a_run_says_what_it_makes_of_a_duration_between_steps(capsys, ball):
-    status, out, _ = call(capsys, "run", ball, "--duration", 0.0149)
+    status, out, _ = call(capsys, "run", ball, "--horizon", 0.0149)
     assert status == 0 and "4 steps" in out
     assert "Note: 0.0149 s is not a whole number of steps of 0.004 s" in out
     assert "the run is 0.016 s long" in " ".join(out.split())
-    assert "Note" not in call(capsys, "run", ball, "--duration", 0.4)[1]
+    assert "Note" not in call(capsys, "run", ball, "--horizon", 0.4)[1]
 
 
 def test_a_run_tells_the_notes_of_its_file(capsys, tmp_path):
     file = tmp_path / "hinge.xml"
     joint = '<joint range="1 -1"/><geom size="1"/>'
     file.write_text(f"<mujoco><worldbody><body>{joint}</body></worldbody></mujoco>")
-    status, out, _ = call(capsys, "run", file, "--duration", 0)
+    status, out, _ = call(capsys, "run", file, "--horizon", 0)
     assert status == 0 and "Note:" in out
     assert "range = 1 -1 is empty: no limit" in " ".join(out.split())
 

@@ -42,22 +42,22 @@ def folder(tmp_path, monkeypatch):
 
 COMMANDS = [
     ["check", "calm.xml"],
-    ["run", "calm.xml", "--duration", "0.5"],
-    ["run", "wild.xml", "--duration", "5"],
+    ["run", "calm.xml", "--horizon", "0.5"],
+    ["run", "wild.xml", "--horizon", "5"],
     ["run", "calm.xml", "--key", "zz"],
     ["plan", "calm.xml", "--all"],
     ["diagnose", "wild.xml"],
     ["predict", "calm.xml", "--horizon", "0.2"],
     ["converge", "calm.xml", "--horizon", "0.2", "--starts", "2"],
     ["ablate", "calm.xml", "--horizon", "0.2", "--starts", "2"],
-    ["view", "calm.xml", "--duration", "0.1", "--html", "page\x1b[1m.html"],
+    ["view", "calm.xml", "--horizon", "0.1", "--html", "page\x1b[1m.html"],
     ["run", "no\x1b[1m.xml"],
     ["run", "bad\x1b[1m.xml"],
     ["replay", "bad\x1b[1m.xml"],
     ["run", "calm.xml", "--set", "\x1b[1m=3"],
     ["run", "calm.xml", "--nonsense\x1b[1m"],
     ["no\x1b[1mcommand"],
-    *(["run", name, "--duration", "0.1"] for name in FILES),
+    *(["run", name, "--horizon", "0.1"] for name in FILES),
 ]
 
 
@@ -70,7 +70,7 @@ def test_no_command_prints_a_control_character(folder, capfd, command):
 
 
 def test_a_failure_is_replayed_without_one(folder, capfd):
-    assert main(["run", "wild.xml", "--duration", "5", "--replay", "w.json"]) == 1
+    assert main(["run", "wild.xml", "--horizon", "5", "--replay", "w.json"]) == 1
     assert "\\x9b31m" in capfd.readouterr().err
     for options in ([], ["--json"], ["--html", "w.html"]):
         assert main(["replay", "w.json", *options]) == 0

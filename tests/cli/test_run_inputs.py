@@ -38,9 +38,9 @@ def velocities(capsys, file, *args):
 def test_a_missing_extra_is_named_before_the_run(capsys, monkeypatch, tmp_path, package, ending):
     monkeypatch.setitem(sys.modules, package, None)
     out = str(tmp_path / f"run{ending}")
-    commands = [["run", "lesson:drop", "--duration", "1e9", "--save", out]]
+    commands = [["run", "lesson:drop", "--horizon", "1e9", "--save", out]]
     if ending == ".html":
-        commands.append(["view", "lesson:drop", "--duration", "1e9", "--html", out])
+        commands.append(["view", "lesson:drop", "--horizon", "1e9", "--html", out])
     for command in commands:
         assert main(command) == 1
         err = capsys.readouterr().err
@@ -141,7 +141,7 @@ def test_a_push_and_a_plot_leave_the_steps_as_they_are(capsys, carts, tmp_path):
         (["--control", "none.py:f"], "none.py: no such file"),
         (["--control", "none"], "FILE.py:FUNCTION"),
         (["--control-dt", "0.015"], "whole number of steps"),
-        (["--save", "run.txt"], "must end in .npz, .mcap, .html"),
+        (["--save", "run.txt"], "must end in .npz, .csv, .mcap, .html"),
         (["--save", "no/such/run.npz"], "no such folder"),
         (["--record", "qpos"], "--record is what --plot and --save have"),
         (["--plot", "p.png", "--record", "qpso"], 'nearest: "qpos"'),
@@ -214,7 +214,7 @@ def test_sines_are_the_controls_of_a_measurement(capsys, carts, tmp_path):
     assert rows[:, 0] == pytest.approx(0) and np.ptp(rows[:, 1]) > 1
     # An impulse each period: m Δv = Σ F Δt.
     expected = 0.02 * rows.sum(axis=0) / (2, 4)
-    options = ("--ctrl", "sines", "--control-dt", 0.02, "--duration", 0.2)
+    options = ("--ctrl", "sines", "--control-dt", 0.02, "--horizon", 0.2)
     assert velocities(capsys, carts, *options) == pytest.approx(expected, abs=1e-12)
     assert main(["run", carts, "--ctrl", "sines"]) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -223,12 +223,12 @@ def test_sines_are_the_controls_of_a_measurement(capsys, carts, tmp_path):
 
 def test_a_run_is_saved(capsys, carts, tmp_path):
     run = tmp_path / "run.npz"
-    assert main(["run", carts, "--duration", "0.5", "--ctrl", "3,-8", "--save", str(run)]) == 0
+    assert main(["run", carts, "--horizon", "0.5", "--ctrl", "3,-8", "--save", str(run)]) == 0
     saved = sc.Trajectory.load(run)
     assert list(saved.data) == ["qpos", "qvel", "ctrl", "energy", "overlap"]
     assert saved.qvel[-1] == pytest.approx([0.75, -1.0], abs=1e-12) and len(saved) == 51
     assert saved.axes("ctrl")[0].entries == ("a", "b")
-    options = ["--duration", "0.1", "--record", "qpos, ctrl", "--save"]
+    options = ["--horizon", "0.1", "--record", "qpos, ctrl", "--save"]
     assert main(["run", carts, *options, str(run)]) == 0
     assert list(sc.Trajectory.load(run).data) == ["qpos", "ctrl"]
     for name in ("run.mcap", "run.html"):
@@ -239,7 +239,7 @@ def test_a_run_is_saved(capsys, carts, tmp_path):
 
 def test_a_run_that_fails_is_saved_until_then(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    options = ["--duration", "10000", "--dt", "0.205", "--set", "integrator=semi-implicit"]
+    options = ["--horizon", "10000", "--dt", "0.205", "--set", "integrator=semi-implicit"]
     assert main(["run", "lesson:spring", *options, "--save", "run.npz"]) == 1
     assert "stepcore replay " in capsys.readouterr().err
     saved = sc.Trajectory.load("run.npz")
@@ -283,3 +283,31 @@ def test_controls_are_counted(motors, ctrl, text, capsys, tmp_path):
     )
     assert main(["run", str(file), "--ctrl", ctrl]) == 2
     assert text in capsys.readouterr().err
+
+
+def test_a_run_saved_as_a_table_is_played_again(capsys, carts, tmp_path):
+    """Controls of each step, by actuator, to all digits; by `run`, by a Motion and by `check`."""
+    (tmp_path / "wave.py").write_text(
+        "import math\ndef wave(time, sim):\n    return [math.sin(9 * time), time]\n"
+    )
+    log, options = tmp_path / "log.csv", ["--horizon", "200ms"]
+    given = ["--control", f"{tmp_path / 'wave.py'}:wave", *options]
+    assert main(["run", carts, *given, "--save", str(log)]) == 0
+    capsys.readouterr()
+    expected = velocities(capsys, carts, *given)
+    assert velocities(capsys, carts, "--ctrl", log, *options) == expected
+    data = sc.run(carts, horizon="200ms", ctrl=log)
+    assert data.sim.qvel.tolist() == expected and "a row every 10 ms" in data.ran
+    assert main(["check", carts, "--ctrl", str(log), *options, "--threads", "1"]) == 0
+
+
+@pytest.mark.parametrize("way", ["held", "linear"])
+def test_a_log_at_any_rate_drives_a_run(capsys, carts, tmp_path, way):
+    """40 Hz at 10 ms: v = ∫u dt / m, whatever divides what."""
+    times = np.arange(41) / 40
+    rows = np.column_stack([times, np.cos(3 * times)])
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="time,a", comments="")
+    moved = velocities(capsys, carts, "--ctrl", tmp_path / "log.csv", "--interpolation", way)
+    held = rows[:-1, 1].sum() / 40
+    lines = (rows[:-1, 1] + rows[1:, 1]).sum() / 80
+    assert moved[0] == pytest.approx((held if way == "held" else lines) / 2, abs=1e-9)

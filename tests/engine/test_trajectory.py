@@ -1,5 +1,6 @@
 """Runs over time: overlap as a recordable number, and the picture."""
 
+import csv
 import sys
 
 import numpy as np
@@ -210,9 +211,29 @@ def test_a_forged_file_is_refused_in_one_line(tmp_path, change):
 
 def test_a_file_of_another_kind_is_refused_by_its_name(tmp_path):
     """What stood there before stays."""
-    file = tmp_path / "x.csv"
+    file = tmp_path / "x.xlsx"
     file.write_text("a,b")
     run = sc.Sim("lesson:drop").run(0.05)
-    with pytest.raises(ValueError, match=r"must end in .npz; to_pandas\(\) has the frame"):
+    with pytest.raises(ValueError, match=r"must end in .npz or .csv; to_pandas\(\) has the frame"):
         run.save(file)
     assert file.read_text() == "a,b"
+
+
+def test_a_table_has_every_number_by_name_and_time_from_the_beginning(tmp_path):
+    """The keyframe's time is 59.5 s; a run lasts from 0 on."""
+    arm = EVERYTHING.replace("</mujoco>", '<keyframe><key time="59.5"/></keyframe></mujoco>')
+    sim = sc.Sim(sc.loads(arm))
+    sim.reset(key=0)
+    run = sim.run(0.1, record=("qpos", "xpos", "energy", "overlap"))
+    assert run.time[0] == 59.5
+    run.save(tmp_path / "run.csv")
+    with open(tmp_path / "run.csv", encoding="utf-8", newline="") as file:
+        names, *rows = csv.reader(file)
+    assert names[:2] == ["time [s]", "qpos[root.x]"] and names[-1] == "overlap"
+    values = np.array(rows, float)
+    assert len(names) == values.shape[1] == 1 + 12 + 12 + 2 + 1
+    assert values[0, 0] == 0.0 and values[-1, 0] == pytest.approx(0.1)
+    assert np.array_equal(values[:, names.index("xpos[arm, z]")], run.xpos[:, 2, 2])
+    assert np.array_equal(values[:, names.index("qpos[knee]")], run.qpos[:, 7])
+    axes = run.plot().axes[-1]
+    assert axes.get_xlim() == pytest.approx((0.0, 0.1)) and axes.lines[0].get_xdata()[0] == 0.0

@@ -64,16 +64,16 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "FILE.py:FUNCTION",
         "help": "a function (time, sim) -> controls, in a file or a module",
     },
-    "interpolation": {
-        "choices": INTERPOLATIONS,
-        "help": "between the rows of a log with times (default: held)",
-    },
     "ctrl": {"metavar": "VALUES", "help": f"{CTRL} (default: seeded sines)"},
     "control_dt": {
         "type": time,
         "metavar": "S",
         "help": "control period [s] (default: the model's time step with --control or --ctrl, else "
         "chosen to fit)",
+    },
+    "interpolation": {
+        "choices": INTERPOLATIONS,
+        "help": "between the rows of a log with times (default: held)",
     },
 }
 
@@ -103,6 +103,12 @@ def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
 def add_key(command: argparse.ArgumentParser) -> None:
     """Add the option --key, the initial keyframe."""
     command.add_argument("--key", **OPTIONS["key"])
+
+
+def add_horizon(command: Any, words: str) -> None:
+    """Add the option --horizon of a single run; words: the help. --duration means the same."""
+    command.add_argument("--horizon", type=time, metavar="S", help=words)
+    command.add_argument("--duration", type=time, dest="horizon", help=argparse.SUPPRESS)
 
 
 def add_motion(

@@ -9,7 +9,7 @@ from typing import Any
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
-from stepcore.cli.arguments import OPTIONS, add_file, model_of, motion_of, time
+from stepcore.cli.arguments import OPTIONS, add_file, add_horizon, model_of, motion_of, time
 from stepcore.cli.output import Writes, add_output, attempted, deliver
 from stepcore.cli.terminal import INTERRUPTED, Usage, put, reason, say
 from stepcore.engine.model import Model
@@ -26,7 +26,7 @@ from stepcore.report.units import time_of
 from stepcore.viewing.needs import need
 
 # Extensions of --save, and the quantities that --save records without --record.
-SAVED = (".npz", ".mcap", ".html")
+SAVED = (".npz", ".csv", ".mcap", ".html")
 RECORD = ("qpos", "qvel", "ctrl", "energy", "overlap")
 # Settings with the unit of time.
 TIMES = ("dt", "sleep_time")
@@ -37,7 +37,7 @@ wrong on the way: contacts that creep, joints beyond their limits, servos that d
 that fails writes a replay file, from which `stepcore replay` shows what failed.
 
 Example:
-  stepcore run gymnasium:half_cheetah --duration 2 --ctrl bthigh=1,fthigh=-1 --push torso:50,0,0@1
+  stepcore run gymnasium:half_cheetah --horizon 2 --ctrl bthigh=1,fthigh=-1 --push torso:50,0,0@1
 """,
     "replay": """\
 Run a failed simulation again from its replay file, and show which elements injected
@@ -59,9 +59,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
         return
     add_file(command)
     command.add_argument("--key", **OPTIONS["key"])
-    command.add_argument(
-        "--duration", type=time, metavar="S", help=f"simulated time [s] (default: {HORIZON:g})"
-    )
+    add_horizon(command, f"simulated time [s] (default: {HORIZON:g})")
     command.add_argument(
         "--dt", type=time, metavar="S", help="time step [s] (default: the model's)"
     )
@@ -78,8 +76,8 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
     command.add_argument(
         "--save",
         metavar="OUT",
-        help="write the run: .npz (arrays), .mcap (a log for Foxglove) or .html (a page that "
-        "replays it)",
+        help="write the run: .npz (arrays), .csv (columns by name), .mcap (a log for Foxglove) or "
+        ".html (a page that replays it)",
     )
     command.add_argument(
         "--record",
@@ -97,6 +95,7 @@ def add_inputs(command: argparse.ArgumentParser) -> None:
     ctrl = OPTIONS["ctrl"]["help"].partition(" (default")[0]
     words = f'{ctrl}; or "{SINES}", the seeded sines that measurements run'
     inputs.add_argument("--ctrl", metavar="VALUES", help=words)
+    inputs.add_argument("--interpolation", **OPTIONS["interpolation"])
     inputs.add_argument("--control", **OPTIONS["control"])
     inputs.add_argument(
         "--control-dt", type=time, metavar="S", help="control period [s] (default: every step)"
@@ -120,19 +119,19 @@ def _run(args: argparse.Namespace) -> int:
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt
-    duration = HORIZON if args.duration is None else args.duration
-    if not 0 <= duration < float("inf"):
-        raise Usage(f"--duration {duration:g}: must be finite and >= 0 s")
+    horizon = HORIZON if args.horizon is None else args.horizon
+    if not 0 <= horizon < float("inf"):
+        raise Usage(f"--horizon {horizon:g}: must be finite and >= 0 s")
     model = model_of(args).with_settings(**changes)
     # The ledger is needed to explain a failure in full, and costs only a few per cent.
     sim = Sim(model, **({"ledger": True} | changes))
     dt = model.settings.dt
-    if not duration / dt < MOST_STEPS:
+    if not horizon / dt < MOST_STEPS:
         limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s"
-        raise Usage(f"--duration {duration:g} s: must be {limit} (2^64 steps)")
+        raise Usage(f"--horizon {horizon:g} s: must be {limit} (2^64 steps)")
     record = _recorded(args)
     pushes, motion = pushes_of(args, model), motion_of_run(args, sim)
-    result = simulated(sim, model.settings, motion, duration, pushes, record, None, True)
+    result = simulated(sim, model.settings, motion, horizon, pushes, record, None, True)
     if result.error is not None:
         said = [f"{one_line(result.error)}.", *(finding.text for finding in result.findings)]
         # Printed first, because saving can fail too.
@@ -150,7 +149,7 @@ def motion_of_run(args: argparse.Namespace, sim: Sim) -> Motion:
     """Return the motion of --key, --ctrl, --control and --control-dt."""
     if args.control_dt is not None:
         whole_steps("--control-dt", args.control_dt, sim.settings.dt, least=1)
-    return Motion(horizon=args.duration or None, **motion_of(args, sim.model))
+    return Motion(**(motion_of(args, sim.model) | {"horizon": args.horizon or None}))
 
 
 def pushes_of(args: argparse.Namespace, model: Model) -> list[Push]:
@@ -192,7 +191,7 @@ def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
     saves: Writes = []
     if run is not None and args.save is not None:
         ending = SAVED.index(args.save[args.save.rindex(".") :])
-        save = (run.save, run.save_mcap, run.save_html)[ending]
+        save = (run.save, run.save, run.save_mcap, run.save_html)[ending]
         saves.append((args.save, lambda: save(args.save)))
     return saves
 

@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 
 from stepcore.checks import one_line
-from stepcore.cli.arguments import add_file, add_key, controls_of, key_of, model_of, time
+from stepcore.cli.arguments import (
+    add_file,
+    add_horizon,
+    add_key,
+    controls_of,
+    key_of,
+    model_of,
+    time,
+)
 from stepcore.cli.output import add_force, attempted
 from stepcore.cli.run import add_inputs, motion_of_run, pushes_of
 from stepcore.cli.terminal import Usage, put, say
@@ -28,8 +36,8 @@ Example:
   stepcore view gymnasium:half_cheetah --ctrl bthigh=1,fthigh=-1 --html run.html
 """
 }
-# Default duration of the run on a page [s].
-DURATION = 5.0
+# Default horizon of the run on a page [s].
+HORIZON = 5.0
 
 
 def add(command: argparse.ArgumentParser, name: str) -> None:
@@ -49,9 +57,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
     live.add_argument("--port", type=int, default=8080, help="of the page (default: 8080)")
     page = command.add_argument_group("page")
     page.add_argument("--html", dest="page", metavar="OUT", help="write a page that replays a run")
-    page.add_argument(
-        "--duration", type=time, metavar="S", help=f"of that run [s] (default: {DURATION:g})"
-    )
+    add_horizon(page, f"of that run [s] (default: {HORIZON:g})")
     add_inputs(command)
     add_force(page)
 
@@ -60,11 +66,11 @@ def call(args: argparse.Namespace, name: str) -> int:
     """Show the model, or write the page; return the exit status."""
     if args.page is not None:
         need("trimesh", f"--html {args.page}")
-    elif args.duration is not None:
-        raise Usage("--duration is of the run that --html writes; a live view has no end")
-    duration = args.duration = DURATION if args.duration is None else args.duration
-    if not 0 < duration < float("inf"):
-        raise Usage(f"--duration {duration:g}: must be finite and > 0 s")
+    elif args.horizon is not None:
+        raise Usage("--horizon is of the run that --html writes; a live view has no end")
+    horizon = args.horizon = HORIZON if args.horizon is None else args.horizon
+    if not 0 < horizon < float("inf"):
+        raise Usage(f"--horizon {horizon:g}: must be finite and > 0 s")
     model = model_of(args)
     sim = Sim(model, **({} if args.dt is None else {"dt": args.dt}))
     key = key_of(args, model)
@@ -73,7 +79,7 @@ def call(args: argparse.Namespace, name: str) -> int:
         _live(args, sim)
         return 0
     motion, pushes = motion_of_run(args, sim), pushes_of(args, model)
-    run = simulated(sim, sim.settings, motion, duration, pushes, ("qpos",), None)
+    run = simulated(sim, sim.settings, motion, horizon, pushes, ("qpos",), None)
     if run.error is not None:
         say(one_line(run.error))
     # The page of a failed run shows the motion up to the failure.

@@ -96,6 +96,15 @@ def fresh(function: Control) -> Control:
         return function
 
 
+def control_option(function: Callable[..., Any]) -> str:
+    """Return the value of the option --control: "file.py:function", or a placeholder."""
+    name = getattr(function, "__qualname__", "")
+    file = getattr(getattr(function, "__code__", None), "co_filename", "")
+    if not name.isidentifier():
+        return "FILE.py:FUNCTION"
+    return f"{file if Path(file).is_file() else 'FILE.py'}:{name}"
+
+
 def control_name(function: Callable[..., Any]) -> str:
     """Return the name of a control function for sentences, with its file.
 

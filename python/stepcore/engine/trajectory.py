@@ -139,15 +139,19 @@ class Trajectory:
         return plot("trajectory", self, path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the recorded arrays and the names of their axes to a numpy file (.npz).
+        """Write the recorded arrays and the names of their axes to a file, .npz or .csv.
 
-        `Trajectory.load` reads the file. The file has no snapshots, so that a loaded run cannot be
+        `Trajectory.load` reads an .npz file. It has no snapshots, so that a loaded run cannot be
         drawn: use `save_html`, `save_video` or `save_mcap` for this purpose. For other formats see
         `to_pandas`.
 
+        A .csv file has a row for each instant, a column "time [s]" that begins at 0, and columns
+        such as "qpos[knee]". As the controls of a motion (``ctrl="run.csv"``), either file plays
+        the recorded controls again.
+
         path: the file to write.
 
-        Raises ValueError for a path with the extension of another format, such as .csv.
+        Raises ValueError for a path with the extension of another format, such as .xlsx.
 
         >>> from stepcore import Sim, Trajectory, lesson
         >>> Sim(lesson.drop()).run(0.5).save("drop.npz")

@@ -1,7 +1,8 @@
-"""A recorded run as a numpy file (.npz), and as pandas and xarray frames."""
+"""A recorded run as a numpy file (.npz) or a table (.csv), and as pandas and xarray frames."""
 
 from __future__ import annotations
 
+import csv
 import importlib
 import os
 import zipfile
@@ -19,8 +20,10 @@ Axes = Mapping[str, tuple[Axis, ...]]
 
 # Increases when the layout of the file changes.
 KIND, VERSION = "stepcore trajectory", 1
+# The extension of a table, and the name of its column of times.
+TABLE, TIME = ".csv", "time [s]"
 # Extensions of other formats. Such a file name would be misleading, so it is rejected.
-OTHERS = (".csv", ".tsv", ".txt", ".json", ".xlsx", ".parquet", ".html", ".mcap", ".mp4", ".gif")
+OTHERS = (".tsv", ".txt", ".json", ".xlsx", ".parquet", ".html", ".mcap", ".mp4", ".gif")
 
 
 def write(
@@ -29,8 +32,12 @@ def write(
     """Write a trajectory file; see `Trajectory.save`."""
     target = files.path("path", path)
     if target.lower().endswith(OTHERS):
-        limit = "must end in .npz; to_pandas() has the frame that pandas writes in other formats"
-        raise ValueError(f"path = {checks.shown(target)}: {limit}")
+        limit = "must end in .npz or .csv"
+        frame = "to_pandas() has the frame that pandas writes in other formats"
+        raise ValueError(f"path = {checks.shown(target)}: {limit}; {frame}")
+    if target.lower().endswith(TABLE):
+        _write_table(target, time, data, axes)
+        return
     arrays = {"kind": np.array(KIND), "version": np.array(VERSION), "time": time}
     arrays["unsolved"] = np.array(unsolved)
     for name, values in data.items():
@@ -44,6 +51,14 @@ def write(
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     with zipfile.ZipFile(target, "a") as archive:
         archive.comment = MARK.encode()
+
+
+def _write_table(path: str, time: NDArray[Any], data: Data, axes: Axes) -> None:
+    """Write a row for each instant, with time from the beginning of the run, and all digits."""
+    columns = {TIME: time - time[:1]} | _columns(data, axes)
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerow(columns)
+        np.savetxt(file, np.column_stack(list(columns.values())), fmt="%.17g", delimiter=",")
 
 
 def read(
@@ -94,13 +109,18 @@ def _parts(
 def to_pandas(time: NDArray[Any], data: Data, axes: Axes) -> Any:
     """Return a DataFrame; see `Trajectory.to_pandas`."""
     pandas = _needed("pandas", "Trajectory.to_pandas")
+    return pandas.DataFrame(_columns(data, axes), index=pandas.Index(time, name=TIME))
+
+
+def _columns(data: Data, axes: Axes) -> dict[str, NDArray[Any]]:
+    """Return the values over time by names such as "qpos[knee]", each of shape (n,)."""
     columns: dict[str, NDArray[Any]] = {}
     for name, values in data.items():
         entries = [axis.entries for axis in axes[name]]
         for index in np.ndindex(*values.shape[1:]):
             of = ", ".join(names[k] for names, k in zip(entries, index, strict=True))
             columns[f"{name}[{of}]" if of else name] = values[(slice(None), *index)]
-    return pandas.DataFrame(columns, index=pandas.Index(time, name="time [s]"))
+    return columns
 
 
 def to_xarray(time: NDArray[Any], data: Data, axes: Axes) -> Any:

@@ -7,7 +7,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,8 @@ NAMED = 8
 # A period that follows from a log has at least this many of the model's steps, so that steps longer
 # than the model's can be tried.
 SOME = 4
+# Names of the columns of controls of a recorded run.
+RECORDED = re.compile(r"ctrl\[(.+)\]")
 # Names of a column of times: "time", "t", "Time [s]", "t_s".
 TIME = re.compile(r"(time|t)([\s_]*[\[(]?s[\])]?)?", re.IGNORECASE)
 
@@ -39,12 +41,14 @@ class ControlTable:
     times: when each row takes effect [s], relative to the first; None for one row per control
         period.
     source: the origin of the rows, in words.
+    path: the file of the rows; None for rows of Python.
     """
 
     rows: np.ndarray
     columns: tuple[str, ...] | None = None
     times: np.ndarray | None = None
     source: str = "ctrl"
+    path: str | None = None
 
     def __post_init__(self) -> None:
         if not self.rows.size:
@@ -70,12 +74,21 @@ class ControlTable:
     @property
     def constants(self) -> str:
         """The first row in words: "a=1, b=3", or "1, 3" without column names."""
+        count = np.atleast_2d(self.rows).shape[1]
+        return f"{count} constant controls" if count > NAMED else self._first(", ")
+
+    @property
+    def option(self) -> str:
+        """The value of the option --ctrl; a placeholder for rows of Python that change."""
+        if self.path is not None:
+            return self.path
+        return "FILE.npy" if self.changes else self._first(",")
+
+    def _first(self, separator: str) -> str:
         values = [f"{value:g}" for value in np.atleast_2d(self.rows)[0]]
-        if len(values) > NAMED:
-            return f"{len(values)} constant controls"
         if self.columns is not None:
             values = [f"{name}={value}" for name, value in zip(self.columns, values, strict=True)]
-        return ", ".join(values)
+        return separator.join(values)
 
     @property
     def gap(self) -> float | None:
@@ -162,7 +175,8 @@ def control_table(ctrl: Any) -> ControlTable:
     if isinstance(ctrl, ControlTable):
         return ctrl
     if isinstance(ctrl, (str, os.PathLike)):
-        return _of_file(os.fsdecode(ctrl))
+        path = os.fsdecode(ctrl)
+        return replace(_of_file(path), path=path)
     if isinstance(ctrl, Trajectory):
         return _of_run(ctrl, "a recorded run")
     if isinstance(ctrl, Mapping):
@@ -251,7 +265,10 @@ def _named(
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise ValueError(f"{source}: several columns are named {checks.quoted(min(twice))}")
+    recorded = [name for name in names if RECORDED.fullmatch(str(name))]
     clocks = [name for name in names if TIME.fullmatch(str(name))]
+    if recorded and clocks:
+        return _of_table(source, columns, clocks[0], recorded)
     drives = [str(name) for name in names if name not in clocks[:1]]
     values = [np.ravel(_numbers(f"{source}, column {name}", columns[name])) for name in names]
     count = max((len(column) for column in values), default=0)
@@ -263,6 +280,20 @@ def _named(
     rows = np.array([table[name] for name in drives]).reshape(len(drives), count).T
     times = _times(source, table[clocks[0]], count) if clocks else None
     return ControlTable(rows, tuple(drives), times, source)
+
+
+def _of_table(
+    source: str, columns: Mapping[str, Any], clock: str, recorded: Sequence[str]
+) -> ControlTable:
+    """Return the controls of a recorded run that `Trajectory.save` or `to_pandas` wrote.
+
+    As in `_of_run`, an instant has the controls of the last step. clock, recorded: the names of the
+    columns of times and of controls.
+    """
+    rows = np.column_stack([_numbers(f"{source}, column {n}", columns[n])[1:] for n in recorded])
+    times = _times(source, columns[clock][:-1], len(rows))
+    actuators = tuple(RECORDED.sub(r"\1", name) for name in recorded)
+    return ControlTable(rows, actuators, times, source)
 
 
 def _times(source: str, times: Any, count: int) -> np.ndarray | None:
@@ -282,8 +313,8 @@ def _actuators(source: str, columns: Sequence[str], model: Model) -> list[int]:
             by_joint.setdefault(model.joint_names[joint], []).append(index)
     indices = []
     for name in columns:
-        if name in model.actuator_names and name:
-            indices.append(model.actuator_names.index(name))
+        if name and name in model.called("actuator"):
+            indices.append(model.called("actuator").index(name))
         elif len(by_joint.get(name, ())) == 1:
             indices += by_joint[name]
         elif name in by_joint:

@@ -16,6 +16,7 @@ from stepcore.engine.control import Control
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.control_table import SINES, ControlTable, control_table
+from stepcore.report import units
 from stepcore.signatures import F, keyword, refuse_unknown, spell_out
 
 
@@ -64,13 +65,13 @@ def _is_array(ctrl: object) -> bool:
 class MotionFields(TypedDict, total=False):
     """The fields of `Motion`, as keyword arguments of a measurement."""
 
-    horizon: float | None
+    horizon: float | str | None
     starts: int | None
     seed: int
     key: str | int | None
     control: Control | None
     ctrl: Controls | None
-    control_dt: float | None
+    control_dt: float | str | None
     interpolation: str
 
 
@@ -78,7 +79,7 @@ class MotionFields(TypedDict, total=False):
 class Motion:
     """The motion of a measurement. Measurements take a Motion, or its fields as arguments.
 
-    horizon: simulated time [s]; by default the measurement chooses the horizon.
+    horizon: simulated time [s], or a text such as "500ms"; by default the measurement chooses it.
     starts: the number of initial states: the keyframe, and random states near it. By default the
         measurement chooses the number.
     seed: the random seed of the starts, and of the default controls.
@@ -122,7 +123,7 @@ class Motion:
     def __post_init__(self) -> None:
         for name in ("horizon", "control_dt"):
             if getattr(self, name) is not None:
-                checks.seconds(name, getattr(self, name))
+                object.__setattr__(self, name, units.time(name, getattr(self, name)))
         if self.starts is not None:
             object.__setattr__(self, "starts", checks.count("starts", self.starts))
         object.__setattr__(self, "seed", checks.count("seed", self.seed, least=0))

@@ -23,6 +23,7 @@ from stepcore.experiment.control_log import ControlLog, changes
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Coordinates, Start
 from stepcore.experiment.motion import Motion
+from stepcore.report import units
 from stepcore.report.units import seconds
 
 # Default time steps, relative to the shipped step.
@@ -199,7 +200,7 @@ def time_steps(
     if control_dt is not None and control_dt > horizon:
         raise ValueError(f"control_dt = {control_dt:g}: must be at most the horizon, {horizon:g} s")
     if dts is not None:
-        chosen = sorted({checks.seconds("dts", dt) for dt in dts} | {shipped}, reverse=True)
+        chosen = sorted({units.time("dts", dt) for dt in dts} | {shipped}, reverse=True)
         period = control_dt or _common(chosen, horizon)
         _check_divide(chosen, period)
     elif control_dt is not None:

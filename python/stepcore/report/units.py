@@ -195,6 +195,18 @@ def _in_units(text: str, units: Units) -> float | None:
         return float(Decimal(match[1]) * Decimal(repr(known[match[2]])))
 
 
+def time(name: str, value: object) -> float:
+    """Return a time [s]: a number, or a text such as "1ms"; see `checks.seconds` for its limits.
+
+    name: the argument, for the ValueError.
+
+    >>> time("dt", "2ms"), time("horizon", 3)
+    (0.002, 3.0)
+    """
+    parsed = time_of(value) if isinstance(value, str) else None
+    return checks.seconds(name, value if parsed is None else parsed)
+
+
 def length(owner: str, name: str, value: object, size: float) -> float:
     """Parse a length [m]: a number, "1mm", or "0.1%" of the scene's size.
 

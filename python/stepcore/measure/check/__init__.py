@@ -15,8 +15,10 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.checks import one_line
+from stepcore.engine.control import control_option
 from stepcore.engine.model import Model
 from stepcore.experiment.arguments import Setup, Source, set_up
+from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Start
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
@@ -57,7 +59,7 @@ ALWAYS = (
 # Command options by fields of the motion; `run` and `plan` accept fewer.
 MOTION = {name: f"--{name.replace('_', '-')}" for name in MotionFields.__annotations__}
 TAKEN = {
-    "run": MOTION | {"horizon": "--duration", "seed": ""},
+    "run": MOTION | {"seed": ""},
     "plan": dict.fromkeys(MOTION, "") | {"key": "--key"},
 }
 
@@ -352,14 +354,14 @@ def file_in_words(file: str, without: list[str], fuse: bool = True) -> str:
 
 
 def _options(motion: Motion) -> dict[str, str]:
-    """Return the motion as command options; placeholder files stand for functions and arrays."""
+    """Return the motion as command options; placeholders stand for what is in no file."""
     options = {}
     for name in MOTION:
         value, default = getattr(motion, name), getattr(Motion, name)
         if name == "control" and value is not None:
-            options[name] = f"FILE.py:{getattr(value, '__name__', 'FUNCTION')}"
+            options[name] = control_option(value)
         elif name == "ctrl" and value is not None:
-            options[name] = "FILE.npy"
+            options[name] = control_table(value).option
         elif name != "starts" and value != default:
             options[name] = str(value)
     return options

@@ -9,7 +9,6 @@ from typing import Unpack
 
 import numpy as np
 
-from stepcore import checks
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.experiment.arguments import Source, set_up
@@ -38,6 +37,7 @@ from stepcore.measure.diagnosis.shares import limiters
 from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
 from stepcore.measure.diagnosis.visited_states import visit
 from stepcore.measure.diagnosis.words import gentle_chatter, notes
+from stepcore.report import units
 from stepcore.report.progress import Choice
 
 __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
@@ -48,7 +48,7 @@ def diagnose(
     model: Source,
     motion: Motion | None = None,
     *,
-    dt: float | None = None,
+    dt: float | str | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
@@ -96,7 +96,7 @@ def diagnose(
     )
     workers, model = setup.workers, with_converged_rows(setup.model)
     settings, own = model.settings, model.settings.integrator
-    wanted = settings.dt if dt is None else checks.seconds("dt", dt)
+    wanted = settings.dt if dt is None else units.time("dt", dt)
     horizon = setup.motion.horizon or HORIZON
     motion = dataclasses.replace(setup.motion, horizon=horizon)
     with workers.bar("states", 1) as bar:

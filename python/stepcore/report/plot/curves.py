@@ -43,6 +43,9 @@ UNITS = {"overlap": "deepest overlap [m]", "residual": "residual [m/s]"}
 def trajectory(run: Trajectory) -> Any:
     """Draw energy and deepest overlap over time, or else all recorded arrays, one panel each.
 
+    Time counts from the beginning of the run: the first state of a Sim can have another time, such
+    as that of a keyframe.
+
     Raises ValueError for a run without recorded arrays.
     """
     wanted: list[str] = [name for name in ("energy", "overlap") if name in run.data]
@@ -51,22 +54,23 @@ def trajectory(run: Trajectory) -> Any:
         raise ValueError("the run recorded nothing that can be drawn")
     figure = new_figure(height=max(4.0, PANEL * len(names)))
     panels = figure.subplots(len(names), sharex=True, squeeze=False)[:, 0]
+    time = run.time - run.time[0]
     for axes, name in zip(panels, names, strict=True):
         if name == "energy":
-            _energy(axes, run)
+            _energy(axes, time, run)
         else:
-            _lines(axes, run.time, name, np.asarray(run.data[name], float))
+            _lines(axes, time, name, np.asarray(run.data[name], float))
         frame(axes)
     panels[-1].set_xlabel("time [s]")
-    panels[-1].set_xlim(float(run.time[0]), float(run.time[-1]) or None)
+    panels[-1].set_xlim(0.0, float(time[-1]) or None)
     return figure
 
 
-def _energy(axes: Any, run: Trajectory) -> None:
+def _energy(axes: Any, time: np.ndarray, run: Trajectory) -> None:
     kinetic, potential = np.asarray(run.data["energy"], float).T
-    axes.plot(run.time, kinetic, color=BLUE, lw=1.2, label="kinetic")
-    axes.plot(run.time, potential, color=ORANGE, lw=1.2, label="potential")
-    axes.plot(run.time, kinetic + potential, color="black", lw=1.6, label="total")
+    axes.plot(time, kinetic, color=BLUE, lw=1.2, label="kinetic")
+    axes.plot(time, potential, color=ORANGE, lw=1.2, label="potential")
+    axes.plot(time, kinetic + potential, color="black", lw=1.6, label="total")
     axes.set_ylabel("energy [J]")
     _legend(axes)
 
