@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from concurrent.futures import Executor
-from functools import partial
 from typing import Unpack
 
 import numpy as np
@@ -15,24 +15,16 @@ from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import HORIZON
-from stepcore.measure.diagnosis.advice import advise
+from stepcore.measure.diagnosis.advice import Advice, ways
+from stepcore.measure.diagnosis.confirmation import Confirmation
 from stepcore.measure.diagnosis.control import KIND
-from stepcore.measure.diagnosis.control_advice import advise_control, longest_period
+from stepcore.measure.diagnosis.control_advice import control_ways, longest_period
 from stepcore.measure.diagnosis.elements import softened_from
+from stepcore.measure.diagnosis.examination import Examination, examine
 from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements
-from stepcore.measure.diagnosis.limits import (
-    LONGEST,
-    SHORTEST,
-    Limit,
-    StepStability,
-    dt_limit,
-)
+from stepcore.measure.diagnosis.limits import Limit, StepStability
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
-from stepcore.measure.diagnosis.motion_check import Judge, judge
-from stepcore.measure.diagnosis.motion_limit import judged_limit
-from stepcore.measure.diagnosis.motion_runs import MotionRuns
 from stepcore.measure.diagnosis.result import Diagnosis
-from stepcore.measure.diagnosis.saturation import holds_when_kicked, kicked, look
 from stepcore.measure.diagnosis.shares import limiters
 from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
 from stepcore.measure.diagnosis.visited_states import visit
@@ -102,37 +94,20 @@ def diagnose(
     with workers.bar("states", 1) as bar:
         visited = visit(model, motion, horizon)
         bar.advance()
-    here = visited.here
-    longest = max(LONGEST, 2 * wanted, 2 * settings.dt)
-    shortest = min(SHORTEST, wanted / 2, settings.dt / 2)
-    limit_of = partial(dt_limit, here, longest=longest, shortest=shortest)
-    linear = workers.each(limit_of, INTEGRATORS, "limits")
+    found = examine(model, visited, horizon, wanted, INTEGRATORS, workers.each)
+    here, limits, shares, seen, check = (
+        found.here,
+        found.limits,
+        found.shares,
+        found.seen,
+        found.check,
+    )
     elements = _element_limits(here)
-    check = None
-    if not any(state.feedback is not None and state.feedback.order for state in here.states):
-        # A run with other steps would give a control function with memory another history.
-        check = judge(MotionRuns(model, visited.driven, horizon), visited.dt)
-    by = check if isinstance(check, Judge) else None
-    judged = workers.each(partial(judged_limit, here, by, wanted), linear, "motion")
-    limits = {limit.integrator: limit for limit, _ in judged}
-    shares = {limit.integrator: its_shares for limit, its_shares in judged}
-    seen = look(check, limits[own], shares[own], wanted)
-    limits[own], shares[own] = seen.limit, seen.shares
-    if by is not None and any(servo.severe and not servo.reached for servo in seen.saturations):
-        # The kick that causes severe chatter is repeated under the other integrators stable at dt.
-        for name in limits:
-            if name != own and wanted <= limits[name].dt:
-                limits[name], shares[name], _ = kicked(by, limits[name], shares[name], wanted)
-    if by is not None:
-        here = dataclasses.replace(here, holds=partial(holds_when_kicked, by))
     limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
-    advice = []
+    advice: list[Advice] = []
     if limits[own].dt < wanted and limiting[own]:
         with workers.bar("advice", 1) as bar:
-            advice = advise(here, limits, elements, wanted, limiting[own])
-            if limiting[own][0].kind == KIND:
-                advice += advise_control(here, limiting[own], wanted, limits[own].state)
-                advice.sort(key=lambda a: (not a.met, a.size))
+            advice = _advice(found, elements, limiting[own], motion)
             bar.advance()
     confirmed = check is not None and check.confirmed
     gentle = [servo for servo in seen.saturations if not (servo.reached or servo.severe)]
@@ -163,6 +138,23 @@ def diagnose(
         lasting=seen.lasting,
         runaway=seen.runaway,
     )
+
+
+def _advice(
+    found: Examination,
+    elements: dict[Element, ElementLimits],
+    limiting: Sequence[Element],
+    motion: Motion,
+) -> list[Advice]:
+    """Return the changes that make the wanted step stable, and those that fail."""
+    here, wanted = found.here, found.wanted
+    limit = found.limits[found.model.settings.integrator]
+    changes = list(ways(here, limit, elements, wanted, limiting))
+    if limiting[0].kind == KIND:
+        changes += control_ways(here, limiting, list(elements), wanted, motion)
+    confirmation = Confirmation(found, motion, here.horizon)
+    advice = [*confirmation.integrators(), *confirmation.advice(changes)]
+    return sorted(advice, key=lambda a: a.rank)
 
 
 def _rate(here: StepStability, limit: Limit, wanted: float) -> float | None:

@@ -1,26 +1,27 @@
-"""Search for the least changes of a model that make the wanted dt stable, and verify each.
+"""Search for the least changes of a model that make the wanted dt stable.
 
 For each way to change the limiting elements, the search finds the least change that leaves a margin
-at the wanted dt. It works in both directions, on copies of the model and at every state. A run of
-the real step confirms the change. Where one element is not enough, the elements that limit dt next
-are changed by the same factor.
+at the wanted dt. It works in both directions, on copies of the model and on the linearised step at
+every state. Where one element is not enough, the elements that limit dt next are changed by the
+same factor. `confirmation` then makes each change and diagnoses the motion again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from stepcore._core import Settings
 from stepcore.engine.element import Element, Elements
 from stepcore.engine.model import Model
+from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis.changes import (
     ARMATURE,
     CHAIN,
     CHANGES,
+    DAMPING,
     GAINS,
     LESS,
     Change,
@@ -32,18 +33,30 @@ from stepcore.measure.diagnosis.changes import (
 )
 from stepcore.measure.diagnosis.growth import bisected
 from stepcore.measure.diagnosis.isolated import ElementLimits
-from stepcore.measure.diagnosis.limits import LONGEST, Limit, StepStability, step_stability
+from stepcore.measure.diagnosis.limits import Limit, StepStability, step_stability
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import step_map
 from stepcore.measure.diagnosis.motion_runs import stays_bounded
 from stepcore.measure.diagnosis.saturation import settles
 from stepcore.measure.diagnosis.shares import step_shares
-from stepcore.report.units import seconds
 
 # The stability margin of every change: the largest stable dt over the wanted one.
 MARGIN = 1.5
 # The most elements that one advice changes, and the relative resolution of its factor.
 TOGETHER, FINE = 8, 0.01
+# Changes of what a robot is built of; other changes are ranked before them.
+HARDWARE = (ARMATURE.what, CHAIN.what, DAMPING.what)
+
+
+# Names of changes in a list of those that fail, where they are not the name of the change.
+SHORTLY = {
+    "servo": "a servo in place of the control",
+    "control_dt": "a shorter control period",
+    "control gains": "gains of the control",
+    "control gain on position": "gain on position of the control",
+    "control gain on velocity": "gain on velocity of the control",
+    "refsafe": "refsafe=True",
+}
 
 
 @dataclass(frozen=True)
@@ -53,11 +66,12 @@ class Advice:
     what: the name of the change, such as "kp" or "integrator".
     values: the new values of the scene.
     settings: the new settings.
-    met: whether the change, made on the model, makes dt stable at every state. False means that no
-        change of this kind is enough; the text says so.
+    met: whether the change, made on the model and diagnosed again, makes dt stable. False means
+        that no change of this kind is enough; the text says so.
     text: the change in words.
     size: how much the model changes: root sum of squares of |log| of the factors of its values; 0
         for settings.
+    limit: the largest stable dt [s] with the change made; inf if nothing limits it.
     """
 
     what: str
@@ -66,63 +80,87 @@ class Advice:
     met: bool
     text: str
     size: float = 0.0
+    limit: float | None = None
+
+    @property
+    def hardware(self) -> bool:
+        """Whether the change is one of the robot itself: inertia or friction of its joints."""
+        return self.what in HARDWARE
+
+    @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """The order of a list of advice: what works first, hardware last, small changes first."""
+        return not self.met, self.hardware, self.size
 
 
-def advise(
+@dataclass(frozen=True)
+class Cure:
+    """A change that the linearised step shows to be enough, ready to be made.
+
+    advice: the change.
+    model: the model with the change made.
+    motion: the motion under the change; None if it is the same.
+    """
+
+    advice: Advice
+    model: Model
+    motion: Motion | None = None
+
+
+# A function of a stability margin that returns the least change that leaves it, or the advice that
+# no such change is enough, or None if the change applies to nothing.
+Way = Callable[[float], Cure | Advice | None]
+
+
+def failed(what: str, text: str = "") -> Advice:
+    """Return the advice that no change of this kind is enough.
+
+    text: the change in a few words; "" for its name.
+    """
+    return Advice(what, (), {}, False, text or SHORTLY.get(what, what))
+
+
+def ways(
     now: StepStability,
-    limits: dict[str, Limit],
+    limit: Limit,
     elements: dict[Element, ElementLimits],
     wanted: float,
     stiffest: Sequence[Element],
-) -> list[Advice]:
-    """Return the changes that work, the smallest change of the model first, then those that fail.
+) -> Iterator[Way]:
+    """Yield the ways to change the model's elements and settings, integrators excepted.
 
     now: the stability of the unchanged model.
-    limits: the limits by integrator.
+    limit: the limit of the model's own integrator.
     elements: each element on its own.
     wanted: the wanted dt [s].
     stiffest: the elements, of one kind, that limit the model's own integrator.
     """
     settings = now.model.settings
-    own = limits[settings.integrator]
-    search = _Search(now, elements, own.integrator, wanted, own.state, bool(own.outcome))
-    if own.outcome:
+    search = _Search(now, elements, limit.integrator, wanted, limit.state, bool(limit.outcome))
+    if limit.outcome:
         search.servos = [element.index for element in stiffest if element.kind == "actuator"]
-    tried = [search.least(change, stiffest) for change in CHANGES.get(stiffest[0].kind, ())]
+    if settings.law == "solref" and not settings.refsafe:
+        yield search.refsafe
     if settings.law == "penalty" and stiffest[0].kind == "contact":
-        tried.append(search.softer_penalty())
-    advice = [*_settings(now, limits, settings, wanted), *(a for a in tried if a is not None)]
-    met = {a.what: a for a in advice if a.met}
-    if "kp" in met or "kv" in met:
-        # A single sufficient gain is a smaller change than both gains.
-        advice = [a for a in advice if a.what != GAINS.what]
-    if _owners(met.get(ARMATURE.what)) == _owners(met.get(CHAIN.what)):
-        advice = [a for a in advice if a.what != CHAIN.what]
-    return sorted(advice, key=lambda a: (not a.met, a.size))
+        yield search.softer_penalty
+    for change in CHANGES.get(stiffest[0].kind, ()):
+        yield partial(search.least, change, stiffest)
+
+
+def repeats(advice: Advice, met: Sequence[Advice]) -> bool:
+    """Return whether an advice contains a smaller change that works.
+
+    met: the advice that works.
+    """
+    smaller = {a.what: a for a in met}
+    if advice.what == GAINS.what:
+        return "kp" in smaller or "kv" in smaller
+    single = smaller.get(ARMATURE.what)
+    return advice.what == CHAIN.what and _owners(single) == _owners(advice)
 
 
 def _owners(advice: Advice | None) -> set[str]:
     return {value.owner for value in advice.values} if advice else set()
-
-
-def _settings(
-    now: StepStability, limits: dict[str, Limit], settings: Settings, wanted: float
-) -> Iterator[Advice]:
-    for name, limit in limits.items():
-        if name == settings.integrator or limit.dt < wanted:
-            continue
-        dt = f"up to {seconds(limit.dt)}"
-        if math.isinf(limit.dt):
-            short = limit.longest < LONGEST
-            dt = f"at every dt tried, up to {seconds(limit.longest)}" if short else "at any dt"
-        met = limit.dt >= MARGIN * wanted and _bounded(now, now.model, name, wanted, limit.state)
-        text = f"use integrator {name}, stable {dt}" if met else f"integrator {name} (stable {dt})"
-        yield Advice("integrator", (), {"integrator": name}, met, text)
-    if settings.law == "solref" and not settings.refsafe:
-        safe = step_stability(now.model.with_settings(refsafe=True), now.states, now.horizon)
-        if all(safe.stable(settings.integrator, dt) for dt in (wanted, MARGIN * wanted)):
-            text = "use refsafe=True, which softens rows that are too stiff for the step"
-            yield Advice("refsafe", (), {"refsafe": True}, True, text)
 
 
 def _bounded(now: StepStability, model: Model, name: str, dt: float, worst: int) -> bool:
@@ -145,6 +183,7 @@ class _Search:
     by_motion: whether the limit comes from a run of the motion, which then also judges every
         change.
     servos: the actuators that limit dt in that run, and must come to rest.
+    margin: the stability margin that is searched for.
     nearest: the least excess growth found so far [1/s], and its x.
     """
 
@@ -155,14 +194,25 @@ class _Search:
     worst: int
     by_motion: bool = False
     servos: Sequence[int] = ()
+    margin: float = MARGIN
     nearest: tuple[float, float] = field(default=(math.inf, 1.0))
 
-    def least(self, change: Change, first: Sequence[Element]) -> Advice | None:
+    @property
+    def beyond(self) -> float:
+        """The step [s] at which a change must still be stable."""
+        return self.margin * self.wanted
+
+    def least(
+        self, change: Change, first: Sequence[Element], margin: float
+    ) -> Cure | Advice | None:
         """Return the least change of the limiting elements, extended to the next ones if needed.
 
         The result is None if the change applies to no element. If no value is stable, the advice
         says that the change fails.
         """
+        return replace(self, margin=margin)._least(change, first)
+
+    def _least(self, change: Change, first: Sequence[Element]) -> Cure | Advice | None:
         group = [self.elements[element] for element in first if element in self.elements]
         if not group or not any(self._made(group, change, x)[1] for x in change.xs[:2]):
             return None
@@ -171,38 +221,45 @@ class _Search:
             if following is None or len(group) >= max(TOGETHER, len(first)):
                 return _not_enough(change, group[len(first) :])
             group.append(following)
-        values = tuple(self._made(group, change, x)[1])
+        model, values = self._made(group, change, x)
         size = math.sqrt(sum(value.size**2 for value in values))
         text = _chain_text(values, x) if change is CHAIN else text_of(values)
-        return Advice(change.what, values, {}, True, text, size)
+        text = f"hardware: {text}" if change.what in HARDWARE else text
+        return Cure(Advice(change.what, tuple(values), {}, True, text, size), model)
 
-    def softer_penalty(self) -> Advice | None:
-        """Return the stiffest contact spring of the law `penalty` that is stable, or None."""
-        old = self.now.model.settings.penalty_stiffness
+    def softer_penalty(self, margin: float) -> Cure | Advice:
+        """Return the stiffest contact spring of the law `penalty` that is stable."""
+        search, old = replace(self, margin=margin), self.now.model.settings.penalty_stiffness
 
         def softer(factor: float) -> Model:
             stiffness = rounded(old * factor, up=False)
             return self.now.model.with_settings(penalty_stiffness=stiffness)
 
         def stable(factor: float) -> bool:
-            return self._excess(softer(factor), self.now.states) <= 0
+            return search._excess(softer(factor), self.now.states) <= 0
 
+        name = "penalty_stiffness"
         for x in LESS.xs:
-            if not stable(x):
-                continue
-            model = softer(bisected(stable, x, LESS.before(x), FINE))
-            if _bounded(self.now, model, self.integrator, self.wanted, self.worst):
+            if stable(x):
+                model = softer(bisected(stable, x, LESS.before(x), FINE))
                 new = model.settings.penalty_stiffness
-                text = f"use penalty_stiffness={new:g} in place of {old:g} N/m"
-                setting = {"penalty_stiffness": new}
-                return Advice("penalty_stiffness", (), setting, True, text, ratio(old, new))
-        return None
+                text = f"use {name}={new:g} in place of {old:g} N/m"
+                return Cure(Advice(name, (), {name: new}, True, text, ratio(old, new)), model)
+        return failed(name)
+
+    def refsafe(self, margin: float) -> Cure | Advice:
+        """Return the setting that softens rows with dt."""
+        model = self.now.model.with_settings(refsafe=True)
+        if replace(self, margin=margin)._excess(model, self.now.states) > 0:
+            return failed("refsafe")
+        text = "use refsafe=True, which softens rows that are too stiff for the step"
+        return Cure(Advice("refsafe", (), {"refsafe": True}, True, text), model)
 
     def _made(
         self, group: Sequence[ElementLimits], change: Change, x: float
     ) -> tuple[Model, list[NewValue]]:
         """Return the model with the change made, and its new values."""
-        scene, values = changed(self.now.model, group, change, x, MARGIN * self.wanted)
+        scene, values = changed(self.now.model, group, change, x, self.beyond)
         return Model(scene, self.now.model.settings), values
 
     def _stable(self, group: Sequence[ElementLimits], change: Change, x: float) -> bool:
@@ -222,7 +279,7 @@ class _Search:
 
     def _holds(self, model: Model) -> bool:
         """Return whether the motion holds and the servos settle at the margin's step."""
-        beyond, begin = MARGIN * self.wanted, self.now.states[0]
+        beyond, begin = self.beyond, self.now.states[0]
         return _bounded(self.now, model, self.integrator, beyond, self.worst) and all(
             settles(model, begin, self.integrator, dt, servo)
             for servo in self.servos
@@ -236,7 +293,7 @@ class _Search:
         except ValueError:
             return math.inf
         largest = -math.inf
-        for dt in (MARGIN * self.wanted, self.wanted):
+        for dt in (self.beyond, self.wanted):
             for k in range(len(made.states)):
                 largest = max(largest, made.growth(self.integrator, dt, k).excess)
                 if largest > 0:
@@ -251,18 +308,14 @@ class _Search:
         for x in change.xs:
             if not self._stable(group, change, x):
                 continue
-            stable = partial(self._stable, group, change)
-            for least in dict.fromkeys((bisected(stable, x, change.before(x), FINE), x)):
-                model, _ = self._made(group, change, least)
-                if _bounded(self.now, model, self.integrator, self.wanted, self.worst):
-                    return least
+            return bisected(partial(self._stable, group, change), x, change.before(x), FINE)
         return None
 
     def _next(self, group: Sequence[ElementLimits], change: Change) -> ElementLimits | None:
         """Return the element that limits dt after the group's most effective change, or None."""
         model, _ = self._made(group, change, self.nearest[1])
         made = step_stability(model, self.now.states, self.now.horizon)
-        dt = MARGIN * self.wanted
+        dt = self.beyond
         every = range(len(made.states))
         growths = [made.growth(self.integrator, dt, k) for k in every]
         worst = max(every, key=lambda k: growths[k].excess)
@@ -287,8 +340,7 @@ def _not_enough(change: Change, more: Sequence[ElementLimits]) -> Advice:
     more: the elements that were changed in addition to those that limit dt.
     """
     names = Elements(limits.element for limits in more).name
-    text = f"{change.what} (of {names} too)" if more else change.what
-    return Advice(change.what, (), {}, False, text)
+    return failed(change.what, f"{change.what} (of {names} too)" if more else change.what)
 
 
 def _chain_text(values: Sequence[NewValue], x: float) -> str:

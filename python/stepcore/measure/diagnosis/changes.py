@@ -44,6 +44,8 @@ class NewValue:
     before, after: the numbers, in `unit`.
     unit: the unit, "" for none.
     size: |log| of the factor by which the change multiplies the gain, the inertia or the damping.
+    gain: for a value that is a row of parameters, the name of the gain in it, and its value before
+        and after.
     """
 
     element: Element = dataclasses.field(repr=False)
@@ -52,6 +54,7 @@ class NewValue:
     after: tuple[float, ...]
     unit: str = ""
     size: float = 0.0
+    gain: tuple[str, float, float] | None = None
     owner: str = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
@@ -60,21 +63,32 @@ class NewValue:
     @property
     def way(self) -> str:
         """The old and the new numbers in words, with unit."""
-        old, new = (" ".join(f"{x:.6g}" for x in side) for side in (self.before, self.after))
+        before, after = (self.before, self.after) if self.gain is None else self._gains
+        old, new = (" ".join(f"{x:.6g}" for x in side) for side in (before, after))
         unit = f" {self.unit}" if self.unit else ""
         return f"from {old} to {new}{unit}"
+
+    @property
+    def _gains(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        assert self.gain is not None
+        return (self.gain[1],), (self.gain[2],)
+
+    @property
+    def name(self) -> str:
+        """The name of what changes: the field, or the gain in it."""
+        return self.field if self.gain is None else self.gain[0]
 
 
 def text_of(values: Sequence[NewValue]) -> str:
     """Return several changes in words; equal changes are merged, and at most three written out."""
     alike: dict[tuple[str, str], list[Element]] = {}
     for value in values:
-        alike.setdefault((value.field, value.way), []).append(value.element)
+        alike.setdefault((value.name, value.way), []).append(value.element)
     if len(alike) <= WRITTEN:
         texts = (f"change {f} of {Elements(owners).name} {w}" for (f, w), owners in alike.items())
         return ", ".join(texts)
     # Too many to write out: one field with a range of values.
-    fields = " and ".join(dict.fromkeys(value.field for value in values))
+    fields = " and ".join(dict.fromkeys(value.name for value in values))
     low, high = min(v.after[-1] for v in values), max(v.after[-1] for v in values)
     unit = f" {values[0].unit}" if values[0].unit else ""
     owners = Elements(dict.fromkeys(value.element for value in values)).name
@@ -219,7 +233,8 @@ def _scaled(
     if element.kind == "actuator":
         servo = layout.scene.actuators[element.index]
         if servo.type == "general":
-            return _general(servo, limits, name, x)
+            turns = joint is not None and joint.type in ("hinge", "ball")
+            return _general(servo, limits, name, x, unit_of(name, turns) if joint else "")
         if name == "kv" and servo.dampratio:
             name = "dampratio"
     field = next((field for field in element.fields(model) if field.name == name), None)
@@ -240,7 +255,9 @@ def _scaled(
     return [NewValue(element, name, (old,), (new,), field.unit, size)]
 
 
-def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> list[NewValue]:
+def _general(
+    servo: Actuator, element: ElementLimits, field: str, x: float, unit: str
+) -> list[NewValue]:
     """Scale the feedback of a general actuator, biasprm[1] with its gain or biasprm[2].
 
     Return the new value.
@@ -258,7 +275,8 @@ def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> l
     else:
         after = (bias[0], bias[1], new)
     servo.biasprm = after
-    return [NewValue(element.element, "biasprm", bias, after, size=ratio(bias[at], new))]
+    gain = field, -bias[at], -new
+    return [NewValue(element.element, "biasprm", bias, after, unit, ratio(bias[at], new), gain)]
 
 
 def _added(

@@ -1,8 +1,8 @@
 """Search for changes of a control function that limits dt: its gains, its period, or a servo.
 
-A gain of a black box is changed about the state: the advised function adds the gain's derivative
-times the displacement from the state to the function's answer. Every change leaves a margin of the
-step or of the control period. A run of the real step confirms each change, as in `advice`.
+The gains of a black box are changed by calls: f(q, v) − f(q, 0) is its answer to velocities, after
+any delay or filter, and f(q, 0) the rest. Each is multiplied. Every change leaves a margin of the
+step or of the control period; `confirmation` then makes it, with the changed function.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -18,19 +18,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.control import Control, fresh
+from stepcore.engine.control import Control, controls, fresh
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
-from stepcore.experiment.coordinates import Coordinates
-from stepcore.measure.diagnosis.advice import FINE, MARGIN, Advice
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.experiment.motion import Motion
+from stepcore.measure.diagnosis.advice import FINE, TOGETHER, Advice, Cure, Way, failed
 from stepcore.measure.diagnosis.changes import NewValue, ratio, rounded, text_of
 from stepcore.measure.diagnosis.control import KIND, growth_when_held
 from stepcore.measure.diagnosis.growth import FINE as PERIOD_FINE
 from stepcore.measure.diagnosis.growth import bisected
 from stepcore.measure.diagnosis.limits import StepStability, step_stability
 from stepcore.measure.diagnosis.linear_step import State
-from stepcore.measure.diagnosis.motion_runs import stays_bounded
 from stepcore.report.units import seconds, unit_of
 from stepcore.scene.layout import Layout
 
@@ -38,31 +37,40 @@ from stepcore.scene.layout import Layout
 LESS, GREATER = 12, 6
 # A control acts as a servo of its joint if its gains elsewhere are below this share.
 ELSEWHERE = 0.05
+# Decimals of a servo's target [rad or m].
+DECIMALS = 9
 # Whether each change scales the gain on position and that on velocity.
 WAYS = {
-    "gains": (True, True),
     "gain on position": (True, False),
     "gain on velocity": (False, True),
+    "gains": (True, True),
 }
 
 
-def advise_control(
-    here: StepStability, elements: Sequence[Element], wanted: float, worst: int
-) -> list[Advice]:
-    """Return changes of the controls that make the wanted dt [s] stable, and those that fail.
+def control_ways(
+    here: StepStability,
+    limiting: Sequence[Element],
+    elements: Sequence[Element],
+    wanted: float,
+    motion: Motion,
+) -> Iterator[Way]:
+    """Yield the ways to change the controls of the motion.
 
     here: the stability of the unchanged model.
-    elements: the elements that limit dt; those of kind "control" are changed.
+    limiting: the elements that limit dt; those of kind "control" are changed first.
+    elements: all elements, the stiffest first; further controls are changed where needed.
     wanted: the wanted dt [s].
-    worst: the index of the state that decides.
+    motion: the motion, with its control function.
     """
-    controls = [element for element in elements if element.kind == KIND]
-    search = _ControlSearch(here, controls, wanted, max(worst, 0))
-    gains = [search.gain(what) for what in WAYS]
-    if any(advice.met for advice in gains[1:]):
-        # A single sufficient gain is a smaller change than both gains.
-        gains = gains[1:]
-    return [*gains, *search.period(), *search.servo()]
+    if motion.control is None:
+        return
+    first = [element for element in limiting if element.kind == KIND]
+    more = [element for element in elements if element.kind == KIND and element not in first]
+    search = _ControlSearch(here, first, more, wanted, motion)
+    for what in WAYS:
+        yield partial(search.gain, what)
+    yield search.period
+    yield search.servo
 
 
 def longest_period(here: StepStability, integrator: str, dt: float, longest: float) -> float:
@@ -96,63 +104,81 @@ def _held(here: StepStability, integrator: str, dt: float, period: float) -> boo
 class _ControlSearch:
     """A search for changes of the controls of some actuators.
 
+    first: the controls that limit dt, which are changed first.
+    more: the other controls, the stiffest first.
     wanted: the wanted dt [s].
-    worst: the index of the state that decides.
+    motion: the motion, with its control function.
     """
 
     here: StepStability
-    elements: Sequence[Element]
+    first: Sequence[Element]
+    more: Sequence[Element]
     wanted: float
-    worst: int
+    motion: Motion
 
     def __post_init__(self) -> None:
-        periods = [s.feedback.period for s in self.here.states if s.feedback is not None]
+        laws = [s.feedback for s in self.here.states if s.feedback is not None]
         # The control period [s]; None if controls are sampled at every step.
-        self.asked = periods[0] if periods else None
-        self.rows = [element.index for element in self.elements]
+        self.asked = laws[0].period if laws else None
+        self.remembers = any(law.order for law in laws)
 
-    def stable(self, states: Sequence[State], model: Model) -> bool:
+    @property
+    def groups(self) -> Iterator[Sequence[Element]]:
+        """The controls to change: those that limit dt, then one more at a time."""
+        for count in range(min(len(self.more), max(0, TOGETHER - len(self.first))) + 1):
+            yield [*self.first, *self.more[:count]]
+
+    def stable(self, states: Sequence[State], model: Model, margin: float) -> bool:
         """Return whether states with changed controls are stable, with a margin."""
         made, own = step_stability(model, states, self.here.horizon), model.settings.integrator
         if not made.stable(own, self.wanted):
             return False
         if self.asked is not None and self.asked > self.wanted:
-            return _held(made, own, self.wanted, MARGIN * self.asked)
-        return made.stable(own, MARGIN * self.wanted)
+            return _held(made, own, self.wanted, margin * self.asked)
+        return made.stable(own, margin * self.wanted)
 
-    def bounded(self, states: Sequence[State], model: Model) -> bool:
-        """Return whether runs from the first state and the worst one stay bounded."""
-        own, horizon = model.settings.integrator, self.here.horizon
-        starts = [states[k] for k in {0, self.worst} if k < len(states)]
-        return all(stays_bounded(model, s, own, self.wanted, horizon) for s in starts)
-
-    def gain(self, what: str) -> Advice:
+    def gain(self, what: str, margin: float) -> Cure | Advice | None:
         """Return the least sufficient change of some gains."""
-        model, (position, velocity) = self.here.model, WAYS[what]
-
-        def scaled(x: float) -> list[State]:
-            by = x if position else 1.0, x if velocity else 1.0
-            return [_rescaled(model, state, self.rows, by) for state in self.here.states]
-
-        def stable(x: float) -> bool:
-            return self.stable(scaled(x), model)
-
+        position, velocity = WAYS[what]
+        assert self.motion.control is not None
+        if (
+            self.remembers
+            and position != velocity
+            and fresh(self.motion.control) is (self.motion.control)
+        ):
+            # A second call per sample would change the memory of a function without a copy.
+            return None
+        model = self.here.model
         downs = [2.0**-k for k in range(1, LESS + 1)]
         ups = [2.0**k for k in range(1, GREATER + 1)] if what != "gains" else []
-        for x in sorted([*downs, *ups], key=lambda x: abs(math.log(x))):
-            if stable(x):
-                before = min(2 * x, 1.0) if x < 1 else max(x / 2, 1.0)
-                for least in dict.fromkeys((bisected(stable, x, before, FINE), x)):
-                    if self.bounded(scaled(least), model):
-                        return self._gain(what, least)
-        return Advice(f"control {what}", (), {}, False, f"{what} of the control")
+        tries = sorted([*downs, *ups], key=lambda x: abs(math.log(x)))
 
-    def _gain(self, what: str, x: float) -> Advice:
+        def gains(x: float, elements: Sequence[Element]) -> _Gains:
+            rows = [element.index for element in elements]
+            return _Gains(rows, x if position else 1.0, x if velocity else 1.0)
+
+        for elements in self.groups:
+
+            def holds(x: float, elements: Sequence[Element] = elements) -> bool:
+                law = gains(x, elements)
+                states = [law.scaled(state) for state in self.here.states]
+                return self.stable(states, model, margin)
+
+            for x in tries:
+                if holds(x):
+                    before = min(2 * x, 1.0) if x < 1 else max(x / 2, 1.0)
+                    least = bisected(holds, x, before, FINE)
+                    function = _Regained(self.motion.control, gains(least, elements))
+                    motion = replace(self.motion, control=function)
+                    return Cure(self._gain(what, least, elements), model, motion)
+        return failed(f"control {what}")
+
+    def _gain(self, what: str, x: float, elements: Sequence[Element]) -> Advice:
         """Return the advice, with the gains on each joint's own position and velocity."""
         values = []
-        for element in self.elements:
+        for element in elements:
             servo = _servo_gains(self.here, element) or (0.0, 0.0)
-            for old, name, field, changes in zip(
+            for old, name, label, changes in zip(
                 servo,
                 ("kp", "kv"),
                 ("gain on position", "gain on velocity"),
@@ -161,36 +187,51 @@ class _ControlSearch:
             ):
                 if changes and old > 0:
                     new, unit = rounded(old * x, up=x > 1), unit_of(name, self._angular(element))
-                    values.append(NewValue(element, field, (old,), (new,), unit, ratio(old, new)))
-        names = " and ".join(element.name for element in self.elements)
+                    values.append(NewValue(element, label, (old,), (new,), unit, ratio(old, new)))
+        names = " and ".join(element.name for element in elements)
         text = text_of(values) if values else f"multiply the {what} of {names} by {x:.3g}"
-        return Advice(f"control {what}", tuple(values), {}, True, text, abs(math.log(x)))
+        size = abs(math.log(x)) * math.sqrt(len(elements))
+        return Advice(f"control {what}", tuple(values), {}, True, text, size)
 
-    def period(self) -> Iterator[Advice]:
-        """Yield a shorter control period, if the present one is longer than a step."""
-        asked, wanted = self.asked, self.wanted
+    def period(self, margin: float) -> Cure | Advice | None:
+        """Return a shorter control period, if the present one is longer than a step."""
+        asked, wanted, model = self.asked, self.wanted, self.here.model
         if asked is None or asked <= wanted:
-            return
-        limit = longest_period(self.here, self.here.model.settings.integrator, wanted, asked)
-        count = math.floor(min(limit / MARGIN, asked) / wanted * (1 + 1e-9))
+            return None
+        limit = longest_period(self.here, model.settings.integrator, wanted, asked)
+        count = math.floor(min(limit / margin, asked) / wanted * (1 + 1e-9))
         if count < 1:
-            yield Advice("control_dt", (), {}, False, "a shorter control period")
-            return
-        text = f"sample the control every {seconds(count * wanted)} in place of "
-        text += f"{seconds(asked)}, stable up to {seconds(limit)}"
-        yield Advice("control_dt", (), {}, True, text, ratio(asked, count * wanted))
+            return failed("control_dt")
+        text = f"sample the control every {seconds(count * wanted)} in place of {seconds(asked)}"
+        advice = Advice("control_dt", (), {}, True, text, ratio(asked, count * wanted))
+        return Cure(advice, model, replace(self.motion, control_dt=count * wanted))
 
-    def servo(self) -> Iterator[Advice]:
-        """Yield a servo in place of the control, whose damping `implicitfast` treats implicitly."""
-        found = [_servo_gains(self.here, element) for element in self.elements]
-        if not found or any(gains is None or not gains[0] > 0 for gains in found):
-            return
-        model = self.here.model
+    def servo(self, margin: float) -> Cure | Advice | None:
+        """Return servos in place of controls, whose damping `implicitfast` treats implicitly.
+
+        A control with a delay, a filter or an integral is no servo.
+        """
+        if self.remembers:
+            return None
+        for elements in self.groups:
+            gains = [_servo_gains(self.here, element) for element in elements]
+            known = [pair for pair in gains if pair is not None and pair[0] > 0]
+            if len(known) < len(elements):
+                return None if elements == self.first else failed("servo")
+            cure = self._servos(elements, known, margin)
+            if cure is not None:
+                return cure
+        return failed("servo")
+
+    def _servos(
+        self, elements: Sequence[Element], gains: Sequence[tuple[float, float]], margin: float
+    ) -> Cure | None:
+        """Return servos with these gains in place of some controls, or None if not stable."""
+        model, rows = self.here.model, [element.index for element in elements]
         scene = copy.deepcopy(model.scene)
         layout, values, texts = Layout(scene), [], []
-        for element, gains in zip(self.elements, found, strict=True):
-            assert gains is not None
-            kp, kv = (float(f"{gain:.6g}") for gain in gains)
+        for element, pair in zip(elements, gains, strict=True):
+            kp, kv = float(f"{pair[0]:.6g}"), max(float(f"{pair[1]:.6g}"), 0.0)
             servo, actuator = (
                 scene.actuators[element.index],
                 Element.of(model, "actuator", element.index),
@@ -200,26 +241,31 @@ class _ControlSearch:
                 low, high = servo.forcerange
                 servo.forcerange = (low * gear, high * gear)
             servo.type, servo.gear, servo.ctrlrange = "position", (1.0, 0, 0, 0, 0, 0), None
-            servo.kp, servo.kv = kp, max(kv, 0.0)
+            servo.kp, servo.kv = kp, kv
             units = [unit_of(field, self._angular(element)) for field in ("kp", "kv")]
             joint = model.element_name("joint", layout.joints.index(servo.target[1]))
             texts.append(
-                f"a position servo on {joint} with kp {kp:.4g} {units[0]} and kv {kv:.4g} "
-                f"{units[1]} in place of the control of {actuator.name}"
+                f"on {joint} with kp {kp:.4g} {units[0]} and kv {kv:.4g} {units[1]} in place of "
+                f"{actuator.name}"
             )
             values.append(NewValue(actuator, "kp", (), (kp,), units[0]))
             values.append(NewValue(actuator, "kv", (), (kv,), units[1]))
-        states = [_as_servo(model, state, self.rows) for state in self.here.states]
+        assert self.motion.control is not None
+        targets = partial(_Targets, rows=rows, gear=model.actuator_gear[rows, 0], gains=gains)
+        states = [_as_servo(model, state, rows, targets) for state in self.here.states]
         own = model.settings.integrator
         for integrator in dict.fromkeys((own, "implicitfast")):
             changed = Model(scene, model.settings.replace(integrator=integrator))
-            if self.stable(states, changed) and self.bounded(states, changed):
+            if self.stable(states, changed, margin):
                 under = "" if integrator == own else f", under {integrator}"
-                text = f"use {' and '.join(texts)}{under}"
+                servos = "a position servo" if len(elements) == 1 else "position servos"
+                text = f"use {servos} {', '.join(texts)}{under}"
                 settings = {} if integrator == own else {"integrator": integrator}
-                yield Advice("servo", tuple(values), settings, True, text, math.log(2))
-                return
-        yield Advice("servo", (), {}, False, "a servo in place of the control")
+                size = math.log(2) * math.sqrt(len(elements))
+                motion = replace(self.motion, control=targets(self.motion.control))
+                advice = Advice("servo", tuple(values), settings, True, text, size)
+                return Cure(advice, changed, motion)
+        return None
 
     def _angular(self, element: Element) -> bool:
         model = self.here.model
@@ -228,59 +274,132 @@ class _ControlSearch:
 
 
 @dataclass(frozen=True)
-class _Adjusted:
-    """A user's control function whose answer is adjusted; a copy has its own memory."""
+class _Gains:
+    """Factors of the gains of some controls.
+
+    rows: the actuators.
+    position, velocity: the factors of the answers to positions and to velocities.
+    """
+
+    rows: Sequence[int]
+    position: float
+    velocity: float
+
+    def scaled(self, state: State) -> State:
+        """Return the state with the gains of its linear law multiplied.
+
+        Memory is driven by the same factors, which is exact for delays and filters. Where only some
+        actuators are changed, the others keep a memory of their own.
+        """
+        old = state.feedback
+        if old is None:
+            return state
+        n = old.gain.shape[1] // 2
+        by = np.repeat([self.position, self.velocity], n)
+        factors = np.ones_like(old.gain)
+        factors[self.rows] = by
+        others = np.ones(len(old.gain), bool)
+        others[self.rows] = False
+        # The memory of the changed rows, and that of the other rows.
+        a, b = np.zeros((2 * old.order,) * 2), np.vstack([old.b * by, old.b])
+        a[: old.order, : old.order] = a[old.order :, old.order :] = old.a
+        c = np.hstack([old.c * ~others[:, None], old.c * others[:, None]])
+        if not others.any():
+            a, b, c = old.a, old.b * by, old.c
+        law = replace(
+            old,
+            function=_Regained(old.function, self),
+            gain=old.gain * factors,
+            settled=old.settled * factors,
+            a=a,
+            b=b,
+            c=c,
+        )
+        return replace(state, feedback=law)
+
+
+@dataclass
+class _Regained:
+    """A user's control function with some gains multiplied; a copy has its own memory.
+
+    at_rest: the same function with its own memory, called at velocities of zero.
+    """
 
     function: Control
-    adjust: Callable[[Floats, Sim], Floats]
+    gains: _Gains
+    at_rest: Control | None = None
+    _still: Sim | None = field(default=None, repr=False)
 
     def __call__(self, time: float, sim: Sim) -> ArrayLike:
-        return self.adjust(np.array(self.function(time, sim), float).reshape(-1), sim)
+        gains = self.gains
+        ctrl = np.array(controls(self.function, sim))
+        if gains.position == gains.velocity:
+            ctrl[gains.rows] *= gains.position
+            return ctrl
+        if self.at_rest is None:
+            self.at_rest = fresh(self.function)
+        rest = controls(self.at_rest, self._stopped(sim))[gains.rows]
+        moving = ctrl[gains.rows] - rest
+        ctrl[gains.rows] = gains.position * rest + gains.velocity * moving
+        return ctrl
 
-    def __deepcopy__(self, memo: Any) -> _Adjusted:
-        return _Adjusted(fresh(self.function), self.adjust)
+    def _stopped(self, sim: Sim) -> Sim:
+        """Return another Sim at the same positions, with velocities of zero."""
+        if self._still is None or self._still.model is not sim.model:
+            self._still = unwatched(Sim(sim.model))
+        still = self._still
+        still.qpos[:], still.qvel[:], still.ctrl[:] = sim.qpos, 0.0, sim.ctrl
+        still.act[:], still.time = sim.act, sim.time
+        still.forward()
+        return still
+
+    def __deepcopy__(self, memo: Any) -> _Regained:
+        at_rest = None if self.at_rest is None else fresh(self.at_rest)
+        return _Regained(fresh(self.function), self.gains, at_rest)
 
 
-def _rescaled(model: Model, state: State, rows: Sequence[int], by: tuple[float, float]) -> State:
-    """Return the state with the position and velocity gains of some actuators multiplied."""
-    old, n, coordinates = state.feedback, model.nv, Coordinates(model)
-    if old is None:
-        return state
-    factors = np.ones_like(old.gain)
-    factors[rows, :n], factors[rows, n:] = by
-    settled, more = old.settled * factors, old.settled * (factors - 1)
+@dataclass(frozen=True)
+class _Targets:
+    """A user's control function for servos in place of some controls: the targets of those servos.
 
-    def adjust(ctrl: Floats, sim: Sim) -> Floats:
-        way = np.concatenate([coordinates.change(state.qpos, sim.qpos), sim.qvel - state.qvel])
-        return ctrl + more @ way
+    A control that acts as a servo, gear · u = kp (target − q) − kv q̇, has that target. It is
+    rounded, because the rounding error of q would be read as feedback.
 
-    # One memory serves all gains, so a single factor scales its output.
-    c = old.c.copy()
-    if old.order:
-        c[rows] *= by[0] if by[0] == by[1] else float(np.sqrt(by[0] * by[1]))
-    function = _Adjusted(old.function, adjust)
-    changed = replace(old, function=function, gain=old.gain * factors, settled=settled, c=c)
-    return replace(state, feedback=changed)
+    rows: the actuators.
+    gear: their gears as motors.
+    gains: kp and kv of the servos, for each row.
+    """
+
+    function: Control
+    rows: Sequence[int]
+    gear: Floats
+    gains: Sequence[tuple[float, float]]
+
+    def __call__(self, time: float, sim: Sim) -> ArrayLike:
+        model, ctrl = sim.model, np.array(controls(self.function, sim))
+        joints = model.actuator_joint[self.rows]
+        q, v = sim.qpos[model.jnt_qposadr[joints]], sim.qvel[model.jnt_dofadr[joints]]
+        kp, kv = np.array(self.gains).T
+        ctrl[self.rows] = np.round(q + (self.gear * ctrl[self.rows] + kv * v) / kp, DECIMALS)
+        return ctrl
+
+    def __deepcopy__(self, memo: Any) -> _Targets:
+        return _Targets(fresh(self.function), self.rows, self.gear, self.gains)
 
 
-def _as_servo(model: Model, state: State, rows: Sequence[int]) -> State:
+def _as_servo(
+    model: Model, state: State, rows: Sequence[int], targets: Callable[[Control], Control]
+) -> State:
     """Return the state with the controls of some actuators replaced by servos at rest."""
     old = state.feedback
     if old is None:
         return state
     ctrl = state.ctrl.copy()
     ctrl[rows] = state.qpos[model.jnt_qposadr[model.actuator_joint[rows]]]
-
-    def adjust(values: Floats, sim: Sim) -> Floats:
-        values[rows] = ctrl[rows]
-        return values
-
-    parts: dict[str, Any] = {}
-    for name in ("gain", "settled", "c"):
-        parts[name] = getattr(old, name).copy()
-        parts[name][rows] = 0.0
-    feedback = replace(old, function=_Adjusted(old.function, adjust), **parts)
-    return replace(state, ctrl=ctrl, feedback=feedback if np.any(feedback.gain) else None)
+    gain = old.gain.copy()
+    gain[rows] = 0.0
+    law = replace(old, function=targets(old.function), gain=gain, settled=gain)
+    return replace(state, ctrl=ctrl, feedback=law if np.any(gain) else None)
 
 
 def _servo_gains(here: StepStability, element: Element) -> tuple[float, float] | None:

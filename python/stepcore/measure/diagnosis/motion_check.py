@@ -49,6 +49,8 @@ CHANGED = 1e3
 THROWN = 1e9
 # Horizons over which slow growth is searched for, and the divisor of the step for comparison.
 LONGER, SHORTER = 10, 4
+# Slow periods for which a cure must hold.
+PERIODS = 10
 
 
 @dataclass(frozen=True)
@@ -183,6 +185,31 @@ class Judge:
         finer = self.real.run(integrator, dt / SHORTER, horizon=far.reached)
         alike = not finer.finite or finer.peak > self.bound / 2
         return None if alike or finer.reached < 0.9 * far.reached else far.reached
+
+    def agrees(self, integrator: str, dt: float, slowest: float) -> bool:
+        """Return whether the kinetic energy at a step stays that of shorter steps.
+
+        It may exceed the fine run's by `REFINED`, for `LONGER` horizons and for `PERIODS` slow
+        periods; beyond that only if a quarter of the step does so too. With a control function,
+        which may be undefined after the horizon, it is compared over the horizon.
+
+        integrator, dt: the integrator and its step [s].
+        slowest: the period of the slowest oscillation [s]; 0 for none.
+        """
+        # What rests on something may fall for a step before it is caught.
+        model = self.real.model
+        fall = float(np.sum(model.body_mass)) * float(np.linalg.norm(model.scene.gravity) * dt) ** 2
+        floor = max(self.floor, fall)
+        span, bound = self.fine.reached, REFINED * max(self.fine.peak, floor)
+        if self.real.schedule.control is None:
+            span = max(LONGER * span, PERIODS * slowest)
+        run = self.real.run(integrator, dt, horizon=span, beyond=max(self.bound, bound))
+        if run.finite and run.peak <= bound:
+            return True
+        if not run.finite or run.peak > max(self.bound, bound):
+            return False
+        finer = self.real.run(integrator, dt / SHORTER, horizon=run.reached)
+        return finer.finite and run.peak <= REFINED * max(finer.peak, floor)
 
 
 # --- the fine run ---------------------------------------------------------------------------------

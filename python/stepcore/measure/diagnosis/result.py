@@ -245,14 +245,12 @@ class Diagnosis(Result):
         wanted = seconds(self.wanted)
         if met:
             yield (
-                f"Any one of these changes makes {wanted} stable with a margin of {times(MARGIN)}, "
-                "the smallest change of the model first:"
+                f"Any one of these changes makes {wanted} stable with a margin of {times(MARGIN)}:"
             )
             yield from (f"- {text}" for text in met)
-            states = counted(len(self.states), "state")
             yield (
-                "Each was made on a copy of the model, and verified on the linearised step at "
-                f"{states} and in a run of the real step."
+                "Each was made, run and diagnosed again with the same motion. The smallest change "
+                "comes first, hardware last."
             )
         elif limit.dt < self.wanted:
             yield f"No change that was tried makes {wanted} stable."

@@ -1,0 +1,127 @@
+"""`diagnose`: every cure was run and diagnosed again before it is printed."""
+
+import math
+
+import pytest
+import stiff
+
+import stepcore as sc
+
+# Runs beyond their limits are what these tests make.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::stepcore.EnergyWarning", "ignore::stepcore.StiffnessWarning"
+)
+QUIET = {"threads": 1, "progress": False}
+MARGIN = 1.5
+
+
+def advised(d):
+    """The advice that is printed as a cure, by name."""
+    return {advice.what: advice for advice in d.advice if advice.met}
+
+
+# --- a servo in place of a control --------------------------------------------------------------
+
+# Rebuilt from a thread of 2015: three links of 0.1 kg on motors, moved by PID controllers of
+# Gazebo with p = 100 and d = 10, explode.
+LINKS = """<mujoco><option timestep=".001"/><worldbody>
+<geom name="base" type="box" size=".1 .1 .05"/>
+<body name="link0" pos="0 0 .05"><joint name="joint0" axis="0 0 1" range="-90 90"/>{0}
+<body name="link1" pos="0 0 0.5"><joint name="joint1" axis="0 1 0" range="-90 90"/>{0}
+<body name="link2" pos="0 0 0.5"><joint name="joint2" axis="0 1 0" range="-90 90"/>{0}
+</body></body></body></worldbody>
+<actuator><motor name="m0" joint="joint0"/><motor name="m1" joint="joint1"/>
+<motor name="m2" joint="joint2"/></actuator></mujoco>""".replace(
+    "{0}",
+    """<inertial pos="0 0 0.25" mass="0.1" diaginertia="0.00209896 0.00209896 0.00003125"/>
+    <geom type="cylinder" size="0.025 0.25" pos="0 0 0.25" contype="0" conaffinity="0"/>""",
+)
+
+
+def pid(time, sim):
+    return [100.0 * (0.5 - q) - 10.0 * v for q, v in zip(sim.qpos, sim.qvel, strict=True)]
+
+
+def test_as_many_controls_become_servos_as_it_takes():
+    """Law: kp 100 and kv 10 on 3e-5 to 0.05 kg·m², held over 1 ms, is unstable; the servos' damping
+    under implicitfast is not. Two of the three controls limit dt, one after the other."""
+    scene = sc.loads(LINKS)
+    d = sc.diagnose(scene, control=pid, **QUIET)
+    servo = advised(d)["servo"]
+    assert {value.after[0] for value in servo.values if value.field == "kp"} == {100.0}
+    swapped = sorted({value.owner.split("`")[1] for value in servo.values})
+    assert len(swapped) >= 2 and servo.settings == {"integrator": "implicitfast"}
+    for value in servo.values:
+        actuator = scene.actuator(value.owner.split("`")[1])
+        actuator.type = "position"
+        setattr(actuator, value.field, value.after[0])
+    scene = scene.with_settings(**servo.settings)
+
+    def mixed(time, sim):
+        torques = pid(time, sim)
+        return [
+            0.5 if name in swapped else torque
+            for name, torque in zip(("m0", "m1", "m2"), torques, strict=True)
+        ]
+
+    again = sc.diagnose(scene, control=mixed, dt=1e-3, **QUIET)
+    assert again.limit() == pytest.approx(servo.limit, rel=0.05)
+    sim = sc.Sim(scene.compile())
+    for _ in range(5000):
+        sim.ctrl = mixed(sim.time, sim)
+        sim.step()
+    assert abs(sim.qpos - 0.5).max() < 0.02 and abs(sim.qvel).max() < 1e-3
+
+
+# --- a longer run than the horizon ----------------------------------------------------------------
+
+# Rebuilt from a thread of MuJoCo (2896): a hinge that carries a ball joint.
+HINGE_AND_BALL = """<mujoco><compiler angle="radian"/><option timestep="0.02"/><worldbody>
+<body name="b1" pos="1 0 5"><joint name="ori" type="hinge" axis="0 1 0" pos="-1 0 0"/>
+<geom type="box" size="1 0.1 0.1" mass="2"/><body name="b2" pos="1 1 0" euler="0 0 1.57">
+<joint type="ball" axis="0 1 0" pos="-1 0 0"/><geom type="box" size="1 0.1 0.1" mass="2"/>
+</body></body></worldbody></mujoco>"""
+
+
+def test_an_integrator_that_feeds_energy_in_is_no_cure():
+    """Law: nothing but gravity acts, so the energy is constant; explicit has doubled it at 40 s."""
+    model = sc.loads(HINGE_AND_BALL).compile()
+    d = sc.diagnose(model, horizon=40.0, **QUIET)
+    cures = [advice.settings["integrator"] for advice in d.advice if advice.met]
+    assert {"midpoint", "rk4"} <= set(cures) and "explicit" not in cures
+    for name in cures:
+        sim = sc.Sim(model, integrator=name)
+        sim.forward()
+        begun = sim.energy.kinetic + sim.energy.potential
+        sim.step(10_000)
+        assert sim.energy.kinetic + sim.energy.potential == pytest.approx(begun, rel=0.05), name
+
+
+# --- no advice contradicts itself -----------------------------------------------------------------
+
+
+def planar(kp):
+    """Five links in a plane, on servos without damping that are far too stiff."""
+    scene = sc.Scene(name="planar").with_settings(dt=2e-3)
+    parent = scene.world
+    for i in range(5):
+        parent = scene.add_body(f"link{i}", parent=parent, pos=(0.2 * (i > 0), 0, 0))
+        scene.add_joint(parent, "hinge", name=f"j{i}", axis=(0, 1, 0), range=(-6.28, 6.28))
+        ends = (0, 0, 0, 0.2, 0, 0)
+        scene.add_geom(parent, "capsule", 0.03, fromto=ends, mass=0.8, **stiff.INERT)
+        scene.add_actuator(f"j{i}", type="position", kp=kp, ctrlrange=(-6.28, 6.28))
+    return scene
+
+
+@pytest.mark.parametrize("kp", [1e4, 1e6, 1e8])
+def test_what_is_called_stable_at_a_step_is_stable_beyond_it(kp):
+    """Law: "makes 2 ms stable" and "up to 1.5 ms" exclude each other. At a kp of 1e6 no fine run
+    reaches the horizon, so nothing can be told of 2 ms."""
+    d = sc.diagnose(planar(kp), **QUIET)
+    assert d.limit() < 2e-3
+    for advice in advised(d).values():
+        assert advice.limit >= 0.97 * MARGIN * 2e-3, advice.text
+    for sentence in d.sentences:
+        assert not ("2 ms" in sentence and "µs" in sentence and "stable up to" in sentence)
+    if math.isinf(d.limit("discrete")) and d.limits["discrete"].longest < MARGIN * 2e-3:
+        assert "discrete" not in {a.settings.get("integrator") for a in advised(d).values()}
