@@ -110,7 +110,7 @@ def test_a_recorded_run_is_played_again(model, tmp_path):
         ({"time": [0.0, 0.0], "lift": [1, 2]}, "times must be finite and increase"),
         ({"lift": [1, 2, 3], "kick": [1, 2]}, '"kick" has another length'),
         ({}, "is empty"),
-        ("log.txt", r"must end in .csv, .npy, .npz"),
+        ("log.txt", r"must end in .csv, .npz, .npy"),
         ([[1.0, 2.0, 3.0]], r"ctrl has shape \(1, 3\): must be \(n, 2\)"),
         ([[1.0, np.inf]], r"ctrl\[0, 1\] = inf: must be finite"),
         ([], "is empty"),

@@ -107,6 +107,17 @@ def test_part_of_a_schedule_keeps_its_starts_and_their_controls():
     assert (part.ctrl == whole.ctrl[1:3]).all() and part.horizon == whole.horizon
 
 
+def test_times_are_texts_with_units_too():
+    motion = sc.Motion(horizon="500ms", control_dt="2 ms")
+    assert (motion.horizon, motion.control_dt) == (0.5, 0.002)
+    with pytest.raises(ValueError, match="horizon = 'soon': must be a finite number of seconds"):
+        sc.Motion(horizon="soon")
+    quick = {"horizon": "80ms", "progress": False}
+    trade = sc.trade("lesson:spring", dts=["5ms", 0.01], starts=1, by="flops", **quick)
+    assert {row.settings.dt for row in trade.rows} == {0.005, 0.01}
+    assert "20 ms" in str(sc.diagnose("lesson:spring", dt="20ms", **quick))
+
+
 def test_a_motion_shows_what_was_set():
     assert repr(sc.Motion()) == "Motion()"
     assert repr(sc.Motion(horizon=2.0, key="home")) == "Motion(horizon=2.0, key='home')"

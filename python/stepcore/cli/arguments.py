@@ -8,6 +8,7 @@ import importlib.util
 import inspect
 import math
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Collection
@@ -19,7 +20,7 @@ from stepcore._core import SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
-from stepcore.experiment.control_table import ENDINGS, SINES, control_table
+from stepcore.experiment.control_table import ENDINGS, SINES, control_table, is_file
 from stepcore.experiment.motion import INTERPOLATIONS
 from stepcore.loading import find_scene
 from stepcore.reading import load
@@ -43,8 +44,9 @@ def length(text: str) -> float:
 
 
 CTRL = (
-    'constant controls, "1,0,-1" or "hip=1,knee=-1"; or a file (.csv, .npz, .npy) with a row for '
-    "each control period, or with a column for each actuator or joint by name and one of times"
+    'constant controls, "1,0,-1" or "hip=1,knee=-1"; or a file (.csv, .npz, .npy, .parquet, .mcap) '
+    "with a row for each control period, or with a column for each actuator or joint by name and "
+    "one of times; of an MCAP log with several topics, log.mcap:/TOPIC or log.mcap:/TOPIC.FIELD"
 )
 # Options, by the field of `Motion` that the option sets.
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -165,12 +167,12 @@ def controls_of(text: str, model: Model) -> Any:
     """Return the controls of --ctrl as an argument of `Motion`."""
     if text == SINES:
         return text
-    if text.endswith(ENDINGS):
-        if not os.path.isfile(text):
+    if is_file(text):
+        if not os.path.isfile(re.sub(r"(\.mcap):.*", r"\1", text)):
             raise Usage(f"--ctrl {text}: no such file")
         try:
             return control_table(text)
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, ImportError) as error:
             raise Usage(f"--ctrl {text}: {one_line(error)}") from None
     if os.path.exists(text):
         raise Usage(f"--ctrl {text}: must end in {', '.join(ENDINGS)}")

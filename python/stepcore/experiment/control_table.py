@@ -15,12 +15,13 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
+from stepcore.experiment.control_files import MCAP, mcap_rows, parquet_columns
 from stepcore.experiment.control_log import ControlLog
 from stepcore.report.units import seconds
 
 # The name of the measurements' default controls in --ctrl and `Motion.ctrl`.
 SINES = "sines"
-ENDINGS = (".csv", ".npy", ".npz")
+ENDINGS = (".csv", ".npz", ".npy", ".parquet", ".mcap")
 # The largest number of constant controls that are listed, not counted.
 NAMED = 8
 # A period that follows from a log has at least this many of the model's steps, so that steps longer
@@ -92,13 +93,13 @@ class ControlTable:
 
     @property
     def gap(self) -> float | None:
-        """The time between two rows [s]; None without times, or if it is not constant."""
+        """The time between two rows [s]; None without times, or if it varies by more than 0.1 %."""
         if self.times is None or len(self.times) < 2:
             return None
         gaps = np.diff(self.times)
         gap = float(self.times[-1] - self.times[0]) / len(gaps)
-        # Loggers jitter, and files round times to about six digits.
-        return gap if np.allclose(gaps, gap, rtol=1e-6, atol=1e-6 * gap) else None
+        # Loggers jitter, and seconds since 1970 are rounded to 0.2 µs.
+        return gap if np.allclose(gaps, gap, rtol=1e-3, atol=1e-6) else None
 
     def period(self, dt: float) -> float | None:
         """Return the control period [s], or None if the rows do not determine one; dt: [s].
@@ -189,10 +190,20 @@ def control_table(ctrl: Any) -> ControlTable:
     return ControlTable(_numbers("ctrl", ctrl))
 
 
+def is_file(text: str) -> bool:
+    """Return whether a text is the path of a file of controls, by its ending."""
+    return text.endswith(ENDINGS) or MCAP.fullmatch(text) is not None
+
+
 def _of_file(path: str) -> ControlTable:
     source = os.path.basename(path)
-    if not path.endswith(ENDINGS):
+    if not is_file(path):
         raise ValueError(f"ctrl = '{path}': must end in {', '.join(ENDINGS)}")
+    if MCAP.fullmatch(path):
+        times, rows, columns = mcap_rows(path)
+        return ControlTable(rows, columns, times, source)
+    if path.endswith(".parquet"):
+        return _named(source, parquet_columns(path))
     if path.endswith(".csv"):
         with open(path, encoding="utf-8-sig", newline="") as file:
             return _of_text(source, file.read().splitlines())

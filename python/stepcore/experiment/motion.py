@@ -87,12 +87,13 @@ class Motion:
         scene at rest.
     ctrl: the controls. Either an array of shape (n, nu) with one row for each control period; the
         last row stays to the end. Or a table in which each column has the name of an actuator, or
-        of the joint that the actuator drives: the path of a .csv or .npz file, a recorded run
-        (`Trajectory`), a DataFrame, or a dict such as ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An
-        actuator without a column keeps the keyframe's control. In a table with a column "time"
-        [s], each row takes effect at its time, relative to the first row, at any rate: a step gets
-        the mean of the controls over the step, whatever its length. A file without column names
-        (.csv, .npy) is read as an array. "sines" selects the default controls.
+        of the joint that the actuator drives: the path of a .csv, .npz, .parquet or .mcap file, a
+        recorded run (`Trajectory`), a DataFrame, or a dict such as
+        ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An actuator without a column keeps the keyframe's
+        control. In a table with a column "time" [s], each row takes effect at its time, relative to
+        the first row, at any rate: a step gets the mean of the controls over the step, whatever its
+        length. A file without column names (.csv, .npy) is read as an array. "sines" selects the
+        default controls.
     control: a function of (time, sim) that returns the controls, in place of `ctrl`. The function
         is called once per control period, possibly from several threads, and must depend on
         nothing but its arguments. A callable object may keep state in its attributes; each run gets

@@ -186,7 +186,7 @@ def played(
 
 
 def time_steps(
-    shipped: float, dts: Sequence[float] | None, control_dt: float | None, horizon: float
+    shipped: float, dts: Sequence[float | str] | None, control_dt: float | None, horizon: float
 ) -> tuple[list[float], float]:
     """Return the time steps to try, coarsest first, and a control period they all divide [s].
 

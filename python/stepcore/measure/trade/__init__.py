@@ -49,7 +49,7 @@ def trade(
     further: int = 32,
     search: str | None = None,
     by: str = "time",
-    dts: Sequence[float] | None = None,
+    dts: Sequence[float | str] | None = None,
     integrators: Sequence[str] | None = None,
     solvers: Sequence[str] | None = None,
     sweeps: Sequence[int] | None = None,
@@ -223,7 +223,7 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
         for value in values:
             # Check every value now, including values that would never be tried.
             if name == "dts":
-                checks.real(above=0)("trade", name, value)
+                units.time(name, value)
             else:
                 Settings(**{name if name == "sweeps" else name.removesuffix("s"): value})
     if given and search == "frugal":
