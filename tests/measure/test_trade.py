@@ -235,7 +235,7 @@ def test_refsafe_is_said_to_soften():
     [
         ({"horizon": 0.0}, "horizon"),
         ({"horizon": float("nan")}, "horizon"),
-        ({"horizon": "1"}, "horizon = '1': must be a finite number of seconds > 0"),
+        ({"horizon": "1 foot"}, "horizon = '1 foot': must be a finite number of seconds"),
         ({"control_dt": 1e3}, "control_dt = 1000: must be at most the horizon"),
         ({"starts": 0}, "starts = 0: must be a whole number >= 1"),
         ({"starts": 1.5}, "starts = 1.5: must be a whole number >= 1"),

@@ -60,7 +60,8 @@ class Exact:
         """Error in all measures."""
         measures = dict.fromkeys(MEASURES, self.error) | {"angle": self.angle}
         bases = dict.fromkeys(MEASURES, "closed form")
-        return Known(**measures, orders=dict.fromkeys(MEASURES), bases=bases)
+        each = (self.error,) * len(self.runs)
+        return Known(**measures, each=each, orders=dict.fromkeys(MEASURES), bases=bases)
 
 
 class Unfit(Exception):

@@ -95,6 +95,7 @@ class Known:
     largest: the largest error of any body, sample and start [m].
     high: the error of the worst start [m].
     angle: the error of orientations [rad].
+    each: the error of every start [m]; the largest is `high`.
     orders: the order of the Richardson extrapolation of each measure (1, 2 or 4); None without one.
     bases: the method of each estimate, in words.
     """
@@ -103,6 +104,7 @@ class Known:
     largest: float
     high: float
     angle: float
+    each: tuple[float, ...]
     orders: dict[str, int | None]
     bases: dict[str, str]
 
@@ -154,4 +156,14 @@ def known(
     if bound < sure["largest"]:
         sure["largest"], orders["largest"] = float(bound), orders["high"]
         bases["largest"] = f"{bases['high']}; √(samples × bodies) times the worst start's"
-    return Known(**sure, orders=orders, bases=bases)
+    each = _each(halvings[-1], floor, orders["high"], rival)
+    return Known(**sure, each=each, orders=orders, bases=bases)
+
+
+def _each(last: Errors, floor: float, order: int | None, rival: Errors | None) -> tuple[float, ...]:
+    """Estimate the error of every start as that of the worst start is estimated."""
+    if order is not None:
+        return tuple(moved if moved <= floor else moved / (2**order - 1) for moved in last.each)
+    if rival is None:
+        return tuple(2 * moved for moved in last.each)
+    return tuple(max(2 * far, moved) for far, moved in zip(rival.each, last.each, strict=True))

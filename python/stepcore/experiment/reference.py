@@ -152,6 +152,11 @@ class Reference:
         return self.sure.high
 
     @property
+    def each(self) -> tuple[float, ...]:
+        """Error of every start [m]."""
+        return self.sure.each
+
+    @property
     def largest(self) -> float:
         """Largest error of any body, sample and start [m]."""
         return self.sure.largest

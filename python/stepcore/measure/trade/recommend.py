@@ -55,14 +55,10 @@ HARD, CLOSE, TESTED = 8, 2.0, 3
 
 
 class Ran(NamedTuple):
-    """The run of one setting from one further start.
-
-    error: RMS position error [m]; inf for a failure. largest: that of any body at any time [m].
-    """
+    """The run of one setting from one further start; error: RMS position error [m], or inf."""
 
     start: int
     error: float
-    largest: float
     failure: str | None
 
 
@@ -106,7 +102,7 @@ class Confirmation:
         error: the requested error [m]; the starts within this error are counted.
         """
         if self.scored is None:
-            return Further(0, 0, 0.0, failure=f"the reference fails on them: {self.truth.failed}")
+            return Further(0, 0, 0.0, f"the reference fails on them: {self.truth.failed}")
         rest = [i for i in range(self.count) if i not in self.hard]
         ran = self._runs(settings, self.hard)
         if not self._bad(ran, limit):
@@ -123,8 +119,7 @@ class Confirmation:
             self.hard.append(worst.start)
         failed = (f"further start {run.start}: {run.failure}" for run in ran if run.failure)
         held = sum(run.error <= error for run in ran)
-        largest = max(run.largest for run in ran)
-        return Further(len(ran), held, worst.error, largest, next(failed, None))
+        return Further(len(ran), held, worst.error, next(failed, None))
 
     def hardness(self) -> np.ndarray:
         """Return the largest error of all tested settings on each further start [m]."""
@@ -150,11 +145,10 @@ class Confirmation:
         for start, run in zip(missing, runs, strict=True):
             truth = [self.truth.runs[start]]
             failure = run.failure or far_off([run], truth, further.size)
-            high = largest = math.inf
+            wrong = math.inf
             if not failure:
-                wrong = errors([run], truth, self.scored[[start]])
-                high, largest = wrong.high, wrong.position_max
-            known[start] = Ran(start, high, largest, failure)
+                wrong = errors([run], truth, self.scored[[start]]).high
+            known[start] = Ran(start, wrong, failure)
         return [known[start] for start in starts]
 
 

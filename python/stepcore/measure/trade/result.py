@@ -263,7 +263,7 @@ class Trade(Result):
             truth = "the exact motion"
         return (
             f"{counted(len(self.rows), 'setting')}{tried}. Errors are measured from {truth}; its "
-            f"uncertainty is {metres(ref.high)} ({ref.basis})."
+            f"uncertainty is {metres(ref.high)}."
         )
 
     @property

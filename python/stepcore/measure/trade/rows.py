@@ -72,14 +72,12 @@ class Further:
     starts: the number of these starts.
     held: the number of these starts on which the error was within the requested error.
     high: the RMS position error of the worst start [m].
-    largest: the largest error of any body, sample and start [m].
     failure: the reason why the first failing start failed.
     """
 
     starts: int
     held: int
     high: float
-    largest: float = 0.0
     failure: str | None = None
 
 
@@ -97,7 +95,7 @@ class TradeRow:
     shipped: whether these are the shipped settings.
     clamped: whether refsafe softens rows at this dt.
     below, below_max: whether the error and the largest error are below the reference's own.
-    best: whether no other setting is cheaper and at least as accurate.
+    best: whether no other setting is cheaper and at least as accurate on the same starts.
     failure: the reason why a run failed.
     """
 
@@ -182,14 +180,13 @@ class Frontier:
         """Return the frontier of some rows, with the best rows marked."""
         plain = cls(tuple(sorted(rows, key=lambda row: -row.settings.dt)), known, known_max, by)
         best = pareto(
-            [plain.price(row) for row in plain.rows], [plain.error(row) for row in plain.rows]
+            [plain.price(row) for row in plain.rows], [plain.searched(row) for row in plain.rows]
         )
         marked = []
         for row, mark in zip(plain.rows, best, strict=True):
             below = below_max = False
             if (e := row.errors) is not None:
-                below = e.high < known and plain.error(row) <= known
-                below_max = e.position_max < known_max and plain.largest(row) <= known_max
+                below, below_max = e.high < known, e.position_max < known_max
             marked.append(dataclasses.replace(row, best=mark, below=below, below_max=below_max))
         return dataclasses.replace(plain, rows=tuple(marked))
 
@@ -205,22 +202,26 @@ class Frontier:
         return any(row.settings == settings for row in self.rows)
 
     def error(self, row: TradeRow) -> float:
-        """Return the error that a row can claim [m]; inf if the row failed."""
+        """Return the error that a row can claim in all starts it ran from [m]; inf if it failed."""
         if row.errors is None:
             return math.inf
         further = 0.0 if row.further is None else row.further.high
         return max(row.errors.high, self.known, further)
 
-    def largest(self, row: TradeRow) -> float:
-        """Return the largest error of any body, sample and start that a row can claim [m]."""
-        if row.errors is None:
-            return math.inf
-        further = 0.0 if row.further is None else row.further.largest
-        return max(row.errors.position_max, self.known_max, further)
-
     def searched(self, row: TradeRow) -> float:
-        """Return the error of a row on the starts of the search, from which every row ran [m]."""
+        """Return the error of a row on the starts of the search, from which every row ran [m].
+
+        Tables and plots have this error, so that their rows can be compared.
+        """
         return math.inf if row.errors is None else max(row.errors.high, self.known)
+
+    def largest(self, row: TradeRow) -> float:
+        """Return the largest error of any body and sample on the starts of the search [m]."""
+        return math.inf if row.errors is None else max(row.errors.position_max, self.known_max)
+
+    def tied(self, row: TradeRow) -> bool:
+        """Return whether the error is below the reference's, which cannot rank such rows."""
+        return row.below and self.error(row) <= self.known
 
     def halving(self, row: TradeRow) -> TradeRow | None:
         """Return the cheapest row with at most half the error of a row, or None.

@@ -21,12 +21,11 @@ MARKS = {
     "*": "no other setting is cheaper and at least as accurate",
     "s": "shipped",
     "r": "recommended",
-    "c": "refsafe softens contacts at this dt",
+    "c": "contacts are softened at this dt (MuJoCo's refsafe)",
 }
-LEGEND = """ref: the converged motion that errors are measured from. dt [ms]; cost [µs] and flops \
-per simulated second; error: RMS position error of the worst start [m]{below}, of centres of mass \
-and of rotations times radii of gyration; median: of the median start; max: the largest of any \
-body at any time."""
+LEGEND = """ref: the converged motion, with its uncertainty. dt [ms]; cost [µs] and flops per \
+simulated second; error: RMS position error of the worst of the {starts} [m]{below}, rotations \
+included as arcs; median: of the median start; max: the largest of any body at any time."""
 BELOW = " (<: below what the converged motion can tell)"
 FULL_LEGEND = """ rows: row updates per simulated second. numeric, model: numerical and modelling \
 part of the error, for settings that change the model. angle: RMS rotation error [rad]. gained, \
@@ -71,8 +70,9 @@ def settings_table(
     columns = [n for n in some if n in HEADS or any(r.get(n) not in BLANK for r in records)]
     used = "".join(str(record[""]) for record in records)
     marks = [f"{mark}: {words}" for mark, words in MARKS.items() if mark in used.replace("ref", "")]
+    starts = counted(len(reference.runs), "start")
     below = any(str(record.get(name)).startswith("<") for record in records for name in ERRORS)
-    legend = "; ".join([*marks, LEGEND.format(below=BELOW * below)])
+    legend = "; ".join([*marks, LEGEND.format(below=BELOW * below, starts=starts)])
     legend += ALSO * ("also" in columns) + FULL_LEGEND * full + MUJOCO * bool(points)
     left = len(frontier.rows) - len(shown)
     more = f"{counted(left, 'more setting')} and " if left else ""
@@ -172,7 +172,7 @@ def _cells(frontier: Frontier, row: TradeRow, chosen: TradeRow | None) -> dict[s
         e.overlap,
         e.residual,
     )
-    record |= dict(zip(ERRORS, map(compact, (frontier.error(row), *numbers)), strict=True))
+    record |= dict(zip(ERRORS, map(compact, (frontier.searched(row), *numbers)), strict=True))
     if not e.modelling:
         record["numeric"] = record["model"] = ""
     record["error"] = "<" * row.below + record["error"]

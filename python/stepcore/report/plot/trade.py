@@ -46,13 +46,14 @@ def trade(trade: Trade) -> Any:
     good, far = _split(trade)
     for row in good:
         _point(axes, trade, row)
-    front = sorted((_cost(trade, row), trade.error(row)) for row in good if row.best)
+    front = sorted((_cost(trade, row), trade.frontier.searched(row)) for row in good if row.best)
     axes.plot(*zip(*front, strict=True), color="black", lw=1.3, alpha=0.8, zorder=2)
-    limit = max(trade.error(row) for row in good)
+    limit = max(trade.frontier.searched(row) for row in good)
     theirs = _mujoco(axes, trade, limit)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    low, high = _limits([trade.error(row) for row in good] + theirs)
+    target = [] if trade.target is None else [trade.target]
+    low, high = _limits([*(trade.frontier.searched(row) for row in good), *theirs, *target])
     axes.set_ylim(low, high)
     axes.margins(x=0.08)
     _failures(axes, trade, far, high)
@@ -76,11 +77,15 @@ def _cost(trade: Trade, row: TradeRow) -> float:
 
 def _split(trade: Trade) -> tuple[list[TradeRow], list[TradeRow]]:
     """Return the rows drawn at their values, and the rows that failed or are far off."""
-    errors = sorted(trade.error(row) for row in trade.rows if row.errors)
-    middle = trade.error(trade.shipped) if trade.shipped.errors else errors[len(errors) // 2]
+    errors = sorted(trade.frontier.searched(row) for row in trade.rows if row.errors)
+    middle = (
+        trade.frontier.searched(trade.shipped) if trade.shipped.errors else errors[len(errors) // 2]
+    )
     limit = FAR * max(middle, trade.reference.high, 1e-300)
-    good = [row for row in trade.rows if row.errors and trade.error(row) <= limit]
-    return good, [row for row in trade.rows if not row.errors or trade.error(row) > limit]
+    good = [row for row in trade.rows if row.errors and trade.frontier.searched(row) <= limit]
+    return good, [
+        row for row in trade.rows if not row.errors or trade.frontier.searched(row) > limit
+    ]
 
 
 def _point(axes: Any, trade: Trade, row: TradeRow) -> None:
@@ -88,7 +93,7 @@ def _point(axes: Any, trade: Trade, row: TradeRow) -> None:
     colour = COLOURS.get(s.integrator, GREY)
     axes.plot(
         _cost(trade, row),
-        trade.error(row),
+        trade.frontier.searched(row),
         MARKERS.get(s.solver, "^"),
         ms=7 if row.best else 5.5,
         mfc=colour if s.precision == "f64" else "white",
@@ -169,18 +174,22 @@ def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
         words = label(chosen.settings).replace(", dt", ",\ndt")
         marked.append((chosen, f"recommended\n{words}"))
     if other is not None and other is not trade.shipped:
-        at = (_cost(trade, other), trade.error(other))
+        at = (_cost(trade, other), trade.frontier.searched(other))
         axes.plot(*at, "o", ms=15, mfc="none", mec=GREY, mew=1.6, zorder=5)
     for row, text in marked:
         if row not in good:
             continue
-        at = (_cost(trade, row), trade.error(row))
+        at = (_cost(trade, row), trade.frontier.searched(row))
         axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
         # Below and left of the front there are no points, so a text covers nothing except the
         # axis. A point far above the front has its text on the other side.
         left = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > EDGE
-        front = [trade.error(r) for r in good if r.best and trade.price(r) <= trade.price(row)]
-        below = trade.error(row) <= ABOVE * min(front, default=math.inf)
+        front = [
+            trade.frontier.searched(r)
+            for r in good
+            if r.best and trade.price(r) <= trade.price(row)
+        ]
+        below = trade.frontier.searched(row) <= ABOVE * min(front, default=math.inf)
         style: dict[str, Any] = {"textcoords": "offset points"}
         style |= {"ha": "right" if left and below else "left", "va": "top" if below else "bottom"}
         place = (-9 if left and below else 9, -9 if below else 9)
