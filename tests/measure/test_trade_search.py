@@ -321,7 +321,11 @@ def test_a_printed_table_has_every_row_that_the_answer_names(ball):
         cells = [(record["dt"], record["integrator"], record["error"]) for record in printed]
         for row in named:
             s = row.settings
-            assert (f"{s.dt * 1e3:.4g}", s.integrator, compact(trade.frontier.searched(row))) in cells
+            assert (
+                f"{s.dt * 1e3:.4g}",
+                s.integrator,
+                compact(trade.frontier.searched(row)),
+            ) in cells
 
 
 def test_what_holds_on_nearly_all_starts_is_said_to_do_so(ball):
