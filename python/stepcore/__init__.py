@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from stepcore.engine.trajectory import Trajectory as Trajectory
     from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
     from stepcore.experiment.motion import Motion as Motion
+    from stepcore.experiment.policy import policy as policy
     from stepcore.measure.ablation import Ablation as Ablation
     from stepcore.measure.ablation import ablate as ablate
     from stepcore.measure.check import Check as Check
@@ -102,6 +103,7 @@ _MODULES = {
     "stepcore.engine.trajectory": "Trajectory",
     "stepcore.engine.unsolved": "UnsolvedWarning",
     "stepcore.experiment.motion": "Motion",
+    "stepcore.experiment.policy": "policy",
     "stepcore.measure.ablation": "Ablation ablate",
     "stepcore.measure.check": "Check check",
     "stepcore.measure.convergence": "Convergence converge",

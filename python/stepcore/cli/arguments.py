@@ -22,6 +22,8 @@ from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
 from stepcore.experiment.control_table import ENDINGS, SINES, control_table, is_file
 from stepcore.experiment.motion import INTERPOLATIONS
+from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
+from stepcore.experiment.policy import Policy
 from stepcore.loading import find_scene
 from stepcore.reading import load
 from stepcore.report.units import counted, length_of, time_of
@@ -64,7 +66,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "key": {"help": "keyframe to start from, by name or index (default: the first)"},
     "control": {
         "metavar": "FILE.py:FUNCTION",
-        "help": "a function (time, sim) -> controls, in a file or a module",
+        "help": "a function (time, sim) -> controls, in a file or a module; or a policy (.onnx, or "
+        ".pt of TorchScript) from qpos and qvel to controls",
     },
     "ctrl": {"metavar": "VALUES", "help": f"{CTRL} (default: seeded sines)"},
     "control_dt": {
@@ -219,6 +222,8 @@ def control_function(text: str) -> Callable[..., Any]:
 
     A module is found as by `python -m` in the working directory.
     """
+    if text.endswith(ENDINGS_OF_POLICIES):
+        return _policy(text)
     module, colon, name = text.rpartition(":")
     if not colon or not module or not name:
         raise Usage(f"--control {text}: must be FILE.py:FUNCTION or MODULE:FUNCTION")
@@ -241,6 +246,16 @@ def control_function(text: str) -> Callable[..., Any]:
         # Some C functions have no signature.
         pass
     return _NamedControl(text, function)
+
+
+def _policy(path: str) -> Callable[..., Any]:
+    """Return the policy of a file that exists, whose package is installed."""
+    try:
+        control = Policy(path)
+        control.network()
+        return control
+    except (ImportError, ValueError, OSError) as error:
+        raise Usage(f"--control {path}: {one_line(error)}") from None
 
 
 class _NamedControl:

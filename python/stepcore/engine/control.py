@@ -100,6 +100,9 @@ def control_option(function: Callable[..., Any]) -> str:
     """Return the value of the option --control: "file.py:function", or a placeholder."""
     name = getattr(function, "__qualname__", "")
     file = getattr(getattr(function, "__code__", None), "co_filename", "")
+    if isinstance(path := getattr(function, "path", None), str):
+        # A policy.
+        return path
     if not name.isidentifier():
         return "FILE.py:FUNCTION"
     return f"{file if Path(file).is_file() else 'FILE.py'}:{name}"

@@ -1,0 +1,152 @@
+"""`policy`: a network from a file (.onnx, TorchScript) as the control function of a motion."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stepcore import checks, files
+from stepcore.engine.control import Control
+from stepcore.engine.sim import Sim
+from stepcore.viewing.needs import need
+
+ONNX, TORCH = (".onnx",), (".pt", ".pth", ".ts")
+ENDINGS = (*ONNX, *TORCH)
+Network = Callable[[np.ndarray], np.ndarray]
+
+
+class Policy:
+    """A network as a control function of (time, sim); `policy` makes it.
+
+    path: the file. observe, act: see `policy`.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        observe: Callable[[float, Sim], ArrayLike] | None = None,
+        act: Callable[[np.ndarray, Sim], ArrayLike] | None = None,
+    ) -> None:
+        self.path, self.observe, self.act = path, observe, act
+        # The name in sentences: "the control function `walk.onnx`".
+        self.__qualname__ = os.path.basename(path)
+        self._network: Network | None = None
+        self._lock = threading.Lock()
+
+    def __call__(self, time: float, sim: Sim) -> ArrayLike:
+        """Return the controls, shape (nu,)."""
+        network = self.network()
+        if self.observe is None:
+            observed = np.concatenate([sim.qpos, sim.qvel])
+        else:
+            observed = np.asarray(self.observe(time, sim), float).ravel()
+        action = network(observed.astype(np.float32))
+        return action if self.act is None else self.act(action, sim)
+
+    def network(self) -> Network:
+        """Return the network as a function of its input, shape (n,); the file is read once."""
+        with self._lock:
+            if self._network is None:
+                self._network = _loaded(self.path)
+        return self._network
+
+    def __deepcopy__(self, memo: Any) -> Policy:
+        # A network has no state, so the runs share it.
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "observe": self.observe, "act": self.act}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(**state)  # type: ignore[misc]
+
+    def __repr__(self) -> str:
+        return f"policy({self.path!r})"
+
+
+def policy(
+    path: str | os.PathLike[str],
+    *,
+    observe: Callable[[float, Sim], ArrayLike] | None = None,
+    act: Callable[[np.ndarray, Sim], ArrayLike] | None = None,
+) -> Control:
+    """Return a network from a file as the control function of a motion.
+
+    The network gets one row of numbers and returns one row, in single precision. It must have no
+    state of its own. The file is read in the first step of a run. ONNX files need the extra "onnx",
+    and TorchScript files need PyTorch.
+
+    path: the file, .onnx, or .pt, .pth or .ts for TorchScript.
+    observe: a function of (time, sim) that returns the network's input; by default qpos and qvel.
+    act: a function of (output, sim) that returns the controls; by default the output is the
+        controls.
+
+    Most policies were trained at a period of their own, such as 20 ms: give it as `control_dt`.
+
+    Raises ValueError for a path with another ending. A run raises ImportError without the package,
+    and ValueError for a network with other inputs.
+
+    >>> from stepcore import Motion, policy
+    >>> Motion(control=policy("walk.onnx"), control_dt=0.02).control
+    policy('walk.onnx')
+    """
+    source = files.path("path", path)
+    if not source.endswith(ENDINGS):
+        raise ValueError(f"path = {checks.shown(source)}: must end in {', '.join(ENDINGS)}")
+    return Policy(source, observe, act)
+
+
+def _loaded(path: str) -> Network:
+    """Return the network of a file as a function of its inputs, shape (n,)."""
+    if not os.path.isfile(path):
+        raise FileNotFoundError(f"{checks.cut(path, 300)}: no such file")
+    return _onnx(path) if path.endswith(ONNX) else _torch(path)
+
+
+def _onnx(path: str) -> Network:
+    runtime = need("onnxruntime", f"reading {checks.cut(path, 80)}", "onnx")
+    options = runtime.SessionOptions()
+    # Measurements make several runs at the same time.
+    options.intra_op_num_threads = 1
+    session = runtime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    inputs = session.get_inputs()
+    if len(inputs) != 1:
+        names = ", ".join(entry.name for entry in inputs)
+        raise ValueError(f"{path}: has {len(inputs)} inputs ({names}); write a control function")
+    name, shape = inputs[0].name, list(inputs[0].shape)
+
+    def network(observed: np.ndarray) -> np.ndarray:
+        width = shape[-1] if shape else None
+        if isinstance(width, int) and width != len(observed):
+            raise ValueError(f"{path}: takes {width} numbers, and not {len(observed)}: {OBSERVE}")
+        row = observed[None] if len(shape) > 1 else observed
+        return np.ravel(session.run(None, {name: row})[0])
+
+    return network
+
+
+OBSERVE = "observe=FUNCTION of stepcore.policy makes its input (by default qpos and qvel)"
+
+
+def _torch(path: str) -> Network:
+    try:
+        torch = need("torch", f"reading {checks.cut(path, 80)}", "torch")
+    except ImportError:
+        raise ImportError(
+            f"reading {checks.cut(path, 80)} needs torch: pip install torch"
+        ) from None
+    module = torch.jit.load(path, map_location="cpu").eval()
+
+    def network(observed: np.ndarray) -> np.ndarray:
+        with torch.inference_mode():
+            output = module(torch.from_numpy(observed)[None])
+        if isinstance(output, (tuple, list)):
+            output = output[0]
+        return np.ravel(output.numpy())
+
+    return network
