@@ -7,6 +7,7 @@ the points in chunks, so that the function with its model is sent once for many 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
 import sys
@@ -20,11 +21,11 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from stepcore import checks
-from stepcore.report.progress import Progress
+from stepcore import checks, deadline
+from stepcore.report.progress import Progress, show_life
 
 if TYPE_CHECKING:
     from stepcore.engine.sim import Sim
@@ -38,6 +39,8 @@ R = TypeVar("R")
 MAX_CHUNKS = 512
 # Number of steps between two checkpoints of a long run.
 STEPS_PER_CHECK = 1000
+# How often the deadline is looked at while another executor works [s].
+PATIENCE = 0.1
 # Number of retries of a point whose worker was lost.
 MAX_RETRIES = 3
 
@@ -51,6 +54,7 @@ def each(
     bar: Progress,
     threads: int = 1,
     executor: Executor | None = None,
+    done: list[R | None] | None = None,
 ) -> list[R]:
     """Return the results of `function` in the order of the points.
 
@@ -61,32 +65,43 @@ def each(
     executor: any `concurrent.futures` executor, used in place of threads and left open. An executor
         of processes needs a function and points that pickle (a function of a module, or a
         `functools.partial` of such a function).
+    done: a list that is filled with the results so far, for a caller that catches OutOfTime; None
+        stands for points without a result.
 
     The first error is raised. After an error or Ctrl-C, points that have not begun are cancelled. A
     point whose worker was lost (on a Dask cluster) is retried alone.
 
-    Raises ValueError for work that cannot be sent to processes, and RuntimeError if processes die
-    and are not replaced.
+    Raises ValueError for work that cannot be sent to processes, RuntimeError if processes die and
+    are not replaced, and OutOfTime at the deadline of this thread.
     """
+    done = [] if done is None else done
+    done[:] = [None] * len(points)
     if executor is not None:
         _check_sendable(function, points, executor)
-        return _Chunks(function, points, executor, -(-len(points) // MAX_CHUNKS), bar).results()
+        size = -(-len(points) // MAX_CHUNKS)
+        return _Chunks(function, points, executor, size, bar, done).results()
     if threads == 1 or len(points) < 2:
         results = []
-        for point in points:
+        for index, point in enumerate(points):
+            checkpoint()
             results.append(function(point))
+            done[index] = results[-1]
             bar.advance()
         return results
-    stop = threading.Event()
+    stop, limit = threading.Event(), deadline.current()
 
     def unless_stopped(point: T) -> R:
         _thread.stop = stop
-        checkpoint()
-        return function(point)
+        if limit is None:
+            checkpoint()
+            return function(point)
+        with limit.opened():
+            checkpoint()
+            return function(point)
 
     with ThreadPoolExecutor(threads) as pool:
         try:
-            return _Chunks(unless_stopped, points, pool, 1, bar).results()
+            return _Chunks(unless_stopped, points, pool, 1, bar, done).results()
         finally:
             # Running points end at their next checkpoint.
             stop.set()
@@ -102,11 +117,12 @@ class _Chunks(Generic[T, R]):
         executor: Executor,
         size: int,
         bar: Progress,
+        done: list[R | None],
     ) -> None:
         self.function, self.points, self.executor, self.bar = function, points, executor, bar
         self.size = size
         self.key = os.urandom(8).hex()
-        self.done: list[Any] = [None] * len(points)
+        self.done: list[Any] = done
         self.pending: dict[Future[list[R]], range] = {}
         self.finished: SimpleQueue[Future[list[R]]] = SimpleQueue()
         self.losses: dict[int, int] = {}
@@ -118,7 +134,7 @@ class _Chunks(Generic[T, R]):
             for first in range(0, total, self.size or 1):
                 self._submit(range(first, min(first + self.size, total)))
             while self.pending:
-                future = self.finished.get()
+                future = self._next()
                 self._take(future, self.pending[future])
                 del self.pending[future]
         except BrokenExecutor as error:
@@ -132,6 +148,18 @@ class _Chunks(Generic[T, R]):
             for future in self.pending:
                 future.cancel()
         return self.done
+
+    def _next(self) -> Future[list[R]]:
+        """Wait for a finished chunk.
+
+        Threads look at the deadline themselves. Other executors do not know it.
+        """
+        if isinstance(self.executor, ThreadPoolExecutor) or deadline.current() is None:
+            return self.finished.get()
+        while True:
+            deadline.check()
+            with contextlib.suppress(Empty):
+                return self.finished.get(timeout=PATIENCE)
 
     def _submit(self, indices: range, attempt: int = 0) -> None:
         chunk = [self.points[i] for i in indices]
@@ -186,8 +214,11 @@ def _run_sent_chunk(function: Callable[[T], R], points: Sequence[T], key: str) -
 def checkpoint() -> None:
     """Raise CancelledError if another thread has failed or the work was interrupted.
 
-    Long work calls this function from time to time.
+    Raises OutOfTime if the deadline of this thread is over. Long work calls this function from time
+    to time.
     """
+    show_life()
+    deadline.check()
     stop = getattr(_thread, "stop", None)
     if stop is not None and stop.is_set():
         raise CancelledError

@@ -15,7 +15,7 @@ ROOT = Path(stepcore.__file__).parent
 
 # From the ground up. A file belongs to the entry with the longest matching prefix.
 LAYERS = (
-    ("_core", "checks", "escapes", "files", "signatures", "vectors"),
+    ("_core", "checks", "deadline", "escapes", "files", "signatures", "vectors"),
     ("report",),
     ("executors",),
     ("scene",),

@@ -92,3 +92,28 @@ def test_short_work_has_no_bar(monkeypatch):
         assert sys.stderr.getvalue() == ""
         bar.advance()
     assert "2/4, 2 s left\r" in sys.stderr.getvalue()
+
+
+def test_a_log_gets_a_line_every_ten_seconds(monkeypatch):
+    """Also while one piece of work lasts, and bar after bar; work in a pause does not count."""
+    now = [100.0]
+    monkeypatch.setattr(progress, "clock", lambda: now[0])
+    monkeypatch.setattr(progress, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress, "_lines", progress._Lines())
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    with Progress("reference", 4) as bar:
+        for now[0] in (104.0, 109.9):
+            progress.show_life()
+        assert sys.stderr.getvalue() == ""
+        now[0] = 110.0
+        progress.show_life()
+        bar.advance()
+        assert sys.stderr.getvalue() == "reference: 0 of 4\n"
+    with Progress("search", 10, False), Progress("starts", 10) as bar:
+        now[0] = 120.0
+        bar.advance(5)
+    assert sys.stderr.getvalue().splitlines()[1:] == ["starts: 5 of 10, 10 s left"]
+    now[0] = 1000.0
+    with Progress("later", 3):
+        progress.show_life()
+    assert len(sys.stderr.getvalue().splitlines()) == 2

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
 from stepcore.cli.terminal import INTERRUPTED, print_what_can_be_printed, reason, say
+from stepcore.deadline import OutOfTime
 from stepcore.escapes import printable
 
 COMMANDS = {
@@ -140,6 +141,7 @@ def _asked(argv: Sequence[str]) -> str | None:
 
 def _run(args: argparse.Namespace) -> int:
     from stepcore import files
+    from stepcore.cli.interrupts import ends_early_on_ctrl_c
     from stepcore.cli.output import check_output, deliver
     from stepcore.report.result import Result
 
@@ -147,18 +149,21 @@ def _run(args: argparse.Namespace) -> int:
         warnings.showwarning = _warned
         check_output(args)
         try:
-            result = args.call(args, args.command)
+            with ends_early_on_ctrl_c():
+                result = args.call(args, args.command)
         finally:
             files.outputs.clear()
         if isinstance(result, Result):
             deliver(result, args)
-            return 0
+            return INTERRUPTED if result.interrupted else 0
         return int(result or 0)
 
 
 def _failed(error: Exception) -> int:
     """Print the error in one line and return its exit status."""
     say(reason(error))
+    if isinstance(error, OutOfTime) and error.interrupted:
+        return INTERRUPTED
     return 2 if isinstance(error, (ValueError, OSError)) else 1
 
 

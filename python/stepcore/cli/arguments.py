@@ -37,6 +37,11 @@ def time(text: str) -> float:
     return value
 
 
+def limit(text: str) -> float:
+    """Parse a time limit on the command line [s]."""
+    return math.inf if text == "inf" else time(text)
+
+
 def length(text: str) -> float:
     """Parse a length on the command line [m]."""
     value = length_of(text)
@@ -114,6 +119,18 @@ def add_horizon(command: Any, words: str) -> None:
     """Add the option --horizon of a single run; words: the help. --duration means the same."""
     command.add_argument("--horizon", type=time, metavar="S", help=words)
     command.add_argument("--duration", type=time, dest="horizon", help=argparse.SUPPRESS)
+
+
+def add_seconds(command: argparse.ArgumentParser, default: float) -> None:
+    """Add the option --seconds, the time limit of a measurement; default: [s]."""
+    command.add_argument(
+        "--seconds",
+        type=limit,
+        default=default,
+        metavar="N",
+        help="longest time of the measurement [s], or inf; the answer then says what was not done, "
+        "as it does after Ctrl-C (default: %(default)g)",
+    )
 
 
 def add_motion(

@@ -7,7 +7,7 @@ import importlib
 import inspect
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from stepcore.cli.arguments import (
@@ -15,6 +15,7 @@ from stepcore.cli.arguments import (
     add_file,
     add_key,
     add_motion,
+    add_seconds,
     key_of,
     length,
     model_of,
@@ -23,6 +24,7 @@ from stepcore.cli.arguments import (
 )
 from stepcore.cli.output import add_output
 from stepcore.cli.terminal import Usage
+from stepcore.deadline import SECONDS
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment import schedule
@@ -87,6 +89,8 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
         shown["horizon"] = shown["horizon"] or schedule.HORIZON
         shown["starts"] = shown["starts"] or schedule.STARTS
         add_motion(command, takes, **(shown | dict(measurement.motion)))
+    if name in SECONDS:
+        add_seconds(command, SECONDS[name])
     add_output(command, full=measurement.full)
 
 
@@ -98,6 +102,8 @@ def call(args: argparse.Namespace, name: str) -> Result:
     given = {option: getattr(args, option) for option in measurement.options if option in takes}
     if measurement.motion is not None:
         given |= motion_of(args, model)
+    if name in SECONDS:
+        given["seconds"] = args.seconds
     if measurement.call is not None:
         return measurement.call(function, args, model, given)
     result: Result = function(model, **given)
@@ -118,11 +124,9 @@ def _check(
     result: Any = function(_source(args, model), **given)
     # The commands recommended by the result get the same file and motion.
     said = {name: getattr(args, name, None) for name in OPTIONS}
-    checked: Result = replace(
-        result,
-        file=file_in_words(args.file, args.without, args.fuse is not False),
-        options={name: str(value) for name, value in said.items() if value is not None},
-    )
+    result.file = file_in_words(args.file, args.without, args.fuse is not False)
+    result.options = {name: str(value) for name, value in said.items() if value is not None}
+    checked: Result = result
     return checked
 
 

@@ -9,7 +9,8 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
-from stepcore import checks
+from stepcore import checks, deadline
+from stepcore.deadline import Deadline
 from stepcore.engine.model import Model
 from stepcore.executors import check_executor, each
 from stepcore.experiment.coordinates import Coordinates
@@ -105,6 +106,11 @@ class Workers:
     speedup: BatchSpeedup = field(default_factory=BatchSpeedup, compare=False)
 
     @property
+    def deadline(self) -> Deadline:
+        """The deadline of the measurement; one that never ends if the measurement has none."""
+        return deadline.current() or Deadline()
+
+    @property
     def inside(self) -> Workers:
         """Workers with one thread, for a job that runs in parallel with others."""
         return Workers(speedup=self.speedup)
@@ -130,15 +136,25 @@ class Workers:
         """Return a progress bar, to be used in a `with` statement."""
         return Progress(label, total, self.progress)
 
-    def each(self, job: Callable[[T], R], points: Sequence[T], bar: Progress | str) -> list[R]:
+    def each(
+        self,
+        job: Callable[[T], R],
+        points: Sequence[T],
+        bar: Progress | str,
+        done: list[R | None] | None = None,
+    ) -> list[R]:
         """Call a job at every point, and return the results in the order of the points.
 
         bar: an open progress bar, or the label of a new one.
+        done: filled with the results so far; see `stepcore.executors.each`.
+
+        Raises OutOfTime if the measurement's time is over before the last result.
         """
         if isinstance(bar, str):
             with self.bar(bar, len(points)) as drawn:
-                return self.each(job, points, drawn)
-        return each(job, points, bar=bar, threads=self.threads, executor=self.executor)
+                return self.each(job, points, drawn, done)
+        how: dict[str, Any] = {"threads": self.threads, "executor": self.executor}
+        return each(job, points, bar=bar, done=done, **how)
 
     def until(
         self,

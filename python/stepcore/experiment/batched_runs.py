@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import thread_time
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Clock, Runner
 from stepcore.report.progress import Progress
 
+T = TypeVar("T")
 # Worlds per batch: the numbers in a vector register.
 WIDTH = 8
 # The smallest number of runs that fills enough of a register.
@@ -149,7 +151,7 @@ class BatchRun:
             return
         dt = batch.settings.dt
         for _ in range(count):
-            batch.step(1)
+            batch.step(1, progress=False)
             for world in np.flatnonzero(explosion.beyond(batch.qvel, dt).any(axis=1)).tolist():
                 if world not in self.exploded:
                     text = explosion.reason(batch.qvel[world], dt, batch.time)
@@ -176,24 +178,46 @@ def screened(
     workers: Workers,
     bar: Progress | str,
     until_fails: bool = False,
+    made: list[Run] | None = None,
 ) -> list[Run]:
     """Make the runs of `Runner.screen` from several starts, in batches where these are faster.
 
     bar: an open progress bar, or the label of a new one.
     until_fails: whether the result ends with the first failed run; later runs may be skipped.
+    made: is filled with the runs, for a caller that catches OutOfTime: then with the first ones.
     """
+    made = [] if made is None else made
     if isinstance(bar, str):
         with workers.bar(bar, len(starts)) as drawn:
-            return screened(runner, settings, starts, workers, drawn, until_fails)
+            return screened(runner, settings, starts, workers, drawn, until_fails, made)
     if not (can(runner) and helps(len(starts) - 1, workers.threads, workers.speedup)):
         job = partial(runner.screen, settings)
         if until_fails:
-            return workers.until(lambda run: run.failure, job, starts, bar)
-        return workers.each(job, starts, bar)
-    jobs = [starts[:1], *portions(starts[1:])]
-    made = workers.each(partial(timed, runner, settings), jobs, bar)
+            made += workers.until(lambda run: run.failure, job, starts, bar)
+            return made
+        singly: list[Run | None] = []
+        try:
+            workers.each(job, starts, bar, singly)
+        finally:
+            made += _first(singly)
+        return made
+    jobs, parts = [starts[:1], *portions(starts[1:])], list[Timed | None]()
+    try:
+        workers.each(partial(timed, runner, settings), jobs, bar, parts)
+    finally:
+        whole = _first(parts)
+        made += [run for part in whole for run in part.runs]
     bar.advance(len(starts) - len(jobs))
-    workers.speedup.compare(made[0], made[1:])
-    runs = [run for part in made for run in part.runs]
-    ends = next((k for k, run in enumerate(runs) if until_fails and run.failure), len(runs))
-    return runs[: ends + 1]
+    workers.speedup.compare(whole[0], whole[1:])
+    ends = next((k for k, run in enumerate(made) if until_fails and run.failure), len(made))
+    return made[: ends + 1]
+
+
+def _first(results: Sequence[T | None]) -> list[T]:
+    """Return the results before the first that is missing."""
+    first: list[T] = []
+    for result in results:
+        if result is None:
+            break
+        first.append(result)
+    return first

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stepcore import deadline
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.sim import Sim
 from stepcore.experiment.arguments import Workers
@@ -16,6 +17,7 @@ from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner, positions
 from stepcore.report.progress import Progress
+from stepcore.report.units import counted
 
 # The smallest and the largest number of rounds over all settings, and the time for fast rounds [s].
 ROUNDS, MOST, LONG = 3, 9, 4.0
@@ -75,12 +77,15 @@ def costs(runs: Sequence[TimedRun], bar: Progress) -> list[float]:
 
     The time is the median over several rounds. A round makes every run once, so that other load on
     the machine affects all runs alike. Only the steps are timed, with one call per control period.
-    Time in which the thread had no core does not count. A run that fails gives NaN.
+    Time in which the thread had no core does not count. A run that fails, or that the deadline
+    leaves out, gives NaN.
     """
-    spent = _round(runs, bar)
-    more = max(ROUNDS, min(MOST, int(LONG / spent))) - 1 if spent > 0 else ROUNDS
-    for _ in range(more):
-        _round(runs, None)
+    time = deadline.current() or deadline.Deadline()
+    with time.stage(f"all timing of {counted(len(runs), 'setting')}"):
+        spent = _round(runs, bar)
+        more = max(ROUNDS, min(MOST, int(LONG / spent))) - 1 if spent > 0 else ROUNDS
+        for _ in range(more):
+            _round(runs, None)
     return [run.cost for run in runs]
 
 

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.deadline import OutOfTime
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.bodies import Bodies
@@ -79,10 +80,14 @@ class Growth:
         return mask
 
 
-def growth(runner: Runner, settings: Settings, workers: Workers, bar: Progress) -> Growth:
+def growth(
+    runner: Runner, settings: Settings, workers: Workers, bar: Progress, partly: bool = False
+) -> Growth:
     """Make perturbed runs under some settings, and measure how fast they separate.
 
     Perturbed runs that fail are ignored.
+
+    partly: whether the growth of the first starts alone is returned if the time is over.
     """
     samples, schedule = runner.schedule.times, sampled(runner.schedule, runner.model.settings.dt)
     runner = Runner(runner.model, schedule)
@@ -90,12 +95,18 @@ def growth(runner: Runner, settings: Settings, workers: Workers, bar: Progress) 
     count = len(runner.schedule.starts)
     # Runs of one start are adjacent, because similar worlds make a batch fast.
     order = sorted(range(len(schedule.starts)), key=lambda k: (k % count, k))
-    made = screened(Runner(runner.model, schedule), settings, order, workers, bar)
-    runs = dict(zip(order, made, strict=True))
-    factor = np.ones((count, len(schedule.times)))
-    for k in range(count, len(runs)):
+    made: list[Run] = []
+    try:
+        screened(Runner(runner.model, schedule), settings, order, workers, bar, made=made)
+    except OutOfTime:
+        if not partly or len(made) <= DIRECTIONS:
+            raise
+    measured = len(made) // (1 + DIRECTIONS)
+    runs = dict(zip(order, made, strict=False))
+    factor = np.ones((measured, len(schedule.times)))
+    for k in range(count, len(schedule.starts)):
         start = k % count
-        if not (runs[k].failure or runs[start].failure):
+        if start < measured and not (runs[k].failure or runs[start].failure):
             far = separation(runs[start], runs[k]).max(axis=1, initial=0.0)
             near = _begun(runner.bodies, schedule.starts[start], schedule.starts[k])
             factor[start] = np.maximum(factor[start], far / near)

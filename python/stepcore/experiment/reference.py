@@ -338,6 +338,8 @@ class ReferenceRuns:
     def growth(self, bar: Progress) -> tuple[Level, Growth]:
         """Measure the growth of perturbations; return the unperturbed runs and the growth.
 
+        If the time is over, the growth is that of the first starts.
+
         Raises ValueError if every level fails.
         """
         for dt in (self.shipped.dt / shorter for shorter in SHORTER):
@@ -345,7 +347,7 @@ class ReferenceRuns:
                 base = self.level(integrator, dt, bar)
                 if not base.failed:
                     self._refuse_runaway([base])
-                    return base, self._growth(integrator, dt, bar)
+                    return base, self._growth(integrator, dt, bar, partly=True)
         raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
 
     def can_refine(self, reference: Reference) -> bool:
@@ -396,9 +398,9 @@ class ReferenceRuns:
         count = self.runner.schedule.period / dt
         return count >= 0.5 and abs(count - round(count)) < 1e-6 * count
 
-    def _growth(self, integrator: str, dt: float, bar: Progress) -> Growth:
+    def _growth(self, integrator: str, dt: float, bar: Progress, partly: bool = False) -> Growth:
         self.spent += (1 + DIRECTIONS) * self.cost(integrator, dt)
-        return growth(self.runner, self.settings(integrator, dt), self.workers, bar)
+        return growth(self.runner, self.settings(integrator, dt), self.workers, bar, partly)
 
     def _add_coarser(self, integrator: str, growth: Growth, bar: Progress) -> None:
         """Add coarser levels, to show an order where rounding limits all existing levels."""

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.deadline import in_time
 from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.growth import DIRECTIONS, GROWTH, NEARBY, Growth
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
@@ -155,6 +156,7 @@ class Predictability(Result):
 
 
 @takes_motion()
+@in_time
 def predict(
     model: Source,
     motion: Motion | None = None,
@@ -162,6 +164,7 @@ def predict(
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    seconds: float | None = None,
     **fields: Unpack[MotionFields],
 ) -> Predictability:
     """Measure how long the motion of a scene can be predicted.
@@ -177,6 +180,8 @@ def predict(
     threads: the number of runs at the same time (default: one per core).
     executor: any concurrent.futures executor, used in place of threads.
     progress: False for no progress bar, or a function of (label, done, total).
+    seconds: the longest time of the measurement [s]; by default there is none. When the time is
+        over, the result has what is known, and `unfinished` says what was not done.
 
     Raises ValueError for an argument outside its limits, or if the scene cannot be run.
 
@@ -203,8 +208,12 @@ def predict(
     runner.check_repeatable()
     # Sleeping bodies would hide the growth of perturbations.
     runs = ReferenceRuns(runner, model.settings.replace(sleep=False), min(steps), 0.0, workers)
-    with workers.bar("predictability", (2 + DIRECTIONS) * runs.starts) as bar:
+    with workers.bar("runs", (2 + DIRECTIONS) * runs.starts) as bar:
         level, growth = runs.growth(bar)
+    lost = runs.starts - len(growth.ends)
+    if lost:
+        starts = f"{lost} of {counted(runs.starts, 'start')}"
+        workers.deadline.left_out.append(starts)
     return Predictability(
         name=setup.name,
         settings=model.settings,

@@ -1,5 +1,7 @@
 """A progress bar on the error stream of a terminal or a notebook, with the remaining time.
 
+Elsewhere, as in the log of a cluster, a line every ten seconds stands for the bar.
+
 tqdm has the same features, but numpy is stepcore's only dependency at run time. tqdm would be an
 optional dependency, and users without tqdm would still need this bar. Users who prefer tqdm pass a
 function as `progress`:
@@ -13,14 +15,17 @@ function as `progress`:
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 from collections.abc import Callable
 from time import monotonic
+from time import monotonic as clock
 from types import TracebackType
 from typing import TextIO
 
 from stepcore import checks
+from stepcore.deadline import OutOfTime
 from stepcore.report.table import window
 from stepcore.report.units import seconds
 
@@ -31,6 +36,8 @@ Choice = Callable[[str, int, int], None] | bool | None
 BAR = 28
 # The remaining time is shown only after this time [s], because earlier estimates are unreliable.
 BEGUN = 2.0
+# The time between two lines where nobody watches, and the pause after which it counts anew [s].
+LINES, PAUSE = 10.0, 1.0
 
 
 class Progress:
@@ -58,12 +65,19 @@ class Progress:
                 self._call(self.label, self.done, self.total)
             self._draw()
 
+    def show_life(self) -> None:
+        """Write the next line where nobody watches, if it is due."""
+        if self._shows and self._stream is None and _lines.due:
+            with self._lock:
+                self._draw()
+
     def _draw(self) -> None:
         if not self._shows or (self.after and monotonic() - self._begun < self.after):
             return
         if self._stream is None:
             if not _watched():
-                self._shows = False
+                if _lines.due:
+                    _lines.write(f"{self.label}: {self.done} of {self.total}{self._left()}")
                 return
             self._stream = sys.stderr
             self._room = window()
@@ -89,6 +103,9 @@ class Progress:
         return f", {left / 60:.0f} min left" if left > 100 else f", {seconds(round(left))} left"
 
     def __enter__(self) -> Progress:
+        if not _open:
+            _lines.begin()
+        _open.append(self)
         self._draw()
         return self
 
@@ -98,12 +115,52 @@ class Progress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if isinstance(error, KeyboardInterrupt):
-            # The message of an interrupted command contains this note.
+        _open.remove(self)
+        if not _open:
+            _lines.end()
+        if isinstance(error, (KeyboardInterrupt, OutOfTime)):
+            # The message of a command that ends early contains this note.
             error.add_note(f"{self.done} of {self.total} {self.label}")
         if self._stream is not None:
             self._stream.write("\r" + " " * len(self._drawn) + "\r")
             self._stream.flush()
+
+
+class _Lines:
+    """The times of the lines that all bars of a process share."""
+
+    def __init__(self) -> None:
+        self._last = self._ended = -math.inf
+
+    def begin(self) -> None:
+        """Begin to count, unless the last work has only just ended."""
+        if clock() - self._ended > PAUSE:
+            self._last = clock()
+
+    def end(self) -> None:
+        self._ended = clock()
+
+    @property
+    def due(self) -> bool:
+        """Whether a line is due."""
+        return clock() - self._last >= LINES
+
+    def write(self, text: str) -> None:
+        """Write a line to the error stream."""
+        self._last = clock()
+        if sys.stderr is not None:
+            print(text, file=sys.stderr, flush=True)
+
+
+# The bars that are open, the innermost last.
+_open: list[Progress] = []
+_lines = _Lines()
+
+
+def show_life() -> None:
+    """Show that long work goes on, if a line is due; see `Progress.show_life`."""
+    if _open:
+        _open[-1].show_life()
 
 
 def _watched() -> bool:

@@ -23,6 +23,9 @@ class Result(ABC):
     name: the name of the scene.
     ran: the simulated motion in words; "" without a motion.
     notes: remarks on how the figures were obtained, and on their limits.
+    unfinished: what was not done because the time was over (`seconds`, or Ctrl-C), and how to go
+        on; "" if everything was done. not_done: the same as a list. interrupted: whether Ctrl-C
+        ended the measurement.
     batches: notes on the time saved by running worlds as batches. These notes are not part of the
         data, which are the same on every machine.
 
@@ -39,6 +42,9 @@ class Result(ABC):
     notes: list[str]
     batches: Sequence[str] = ()
     ran: str = ""
+    unfinished: str = ""
+    not_done: Sequence[str] = ()
+    interrupted: bool = False
 
     @property
     @abstractmethod
@@ -88,7 +94,8 @@ class Result(ABC):
     def report(self, full: bool = False) -> Report:
         """Return the sentences, tables and notes; `full`: every row of the tables."""
         notes = [*self.notes, *self.batches]
-        return Report(self.title, self.sentences, self.tables(full), notes, self.head)
+        below = "\n".join(filter(None, (self.unfinished, self.head)))
+        return Report(self.title, self.sentences, self.tables(full), notes, below)
 
     def text(self, width: int | None = None, full: bool = False) -> str:
         """Return the report in lines of at most `width` >= 20 characters (default: the terminal's).
@@ -100,8 +107,8 @@ class Result(ABC):
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data; non-finite numbers become None.
 
-        "kind", "model", "motion", "ran", "settings", "sentences", "rows", "units", "notes" and
-        "generator" exist for every measurement; "rows" are the records of `table`.
+        "kind", "model", "motion", "ran", "settings", "sentences", "rows", "units", "notes",
+        "unfinished" and "generator" exist for every measurement; "rows" are the records of `table`.
         """
         plain: dict[str, Any] = jsonable(
             {
@@ -114,6 +121,7 @@ class Result(ABC):
                 "rows": self.table.records,
                 "units": self.units,
                 "notes": self.notes,
+                "unfinished": self.unfinished,
                 **self.details(),
                 "generator": MARK,
             }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import Unpack
@@ -11,6 +11,7 @@ from typing import Unpack
 import numpy as np
 
 from stepcore import checks
+from stepcore.deadline import OutOfTime, in_time
 from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
 from stepcore.experiment.arguments import Source, Workers, set_up
@@ -50,9 +51,13 @@ SETS_BUDGET = 6e6
 FEATURES_BUDGET, SCREENED = 1.2e7, 2
 # Limit on the cost of the reference, in steps × (dofs + 2).
 BUDGET = 3e6
+# The shares of the time (`seconds`) at which the converged motion, the features alone, the choice
+# and the tests on other starts end.
+CONVERGED, ALONE, CHOSEN, CONFIRMED = 0.4, 0.7, 0.8, 0.95
 
 
 @takes_motion()
+@in_time
 def ablate(
     model: Source,
     motion: Motion | None = None,
@@ -61,6 +66,7 @@ def ablate(
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    seconds: float | None = None,
     **fields: Unpack[MotionFields],
 ) -> Ablation:
     """Remove one modelled feature at a time, and measure the work saved and the error added.
@@ -78,6 +84,8 @@ def ablate(
     threads: the number of parallel runs (default: one per core).
     executor: any `concurrent.futures` executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
+    seconds: the longest time of the measurement [s]; by default there is none. When the time is
+        over, the result has what is known, and `unfinished` says what was not done.
 
     Raises ValueError for an argument outside its limits, or if the whole model fails.
 
@@ -112,7 +120,10 @@ def ablate(
     more = max(starts, min(CONFIRMED_ON, int(SETS_BUDGET / (2 * SETS * work))))
     schedule = scheduled(motion, model, period, starts=starts + SETS * more)
     experiment = Experiment(model, schedule.part(0, starts), workers)
-    reference, notes = _reference(experiment)
+    time = workers.deadline
+    reference, notes = None, list[str]()
+    with time.stage("the converged motion, and errors against it", CONVERGED):
+        reference, notes = _reference(experiment)
     baseline = _baseline(experiment, reference)
     tolerance = units.length("ablate", "added", added, baseline.size)
     if reference:
@@ -123,14 +134,22 @@ def ablate(
     dear = (1 + len(removals)) * starts * work > FEATURES_BUDGET
     few = SCREENED if dear and starts > SCREENED else starts
     whole, alone, cut = _alone(baseline, removals, few, tolerance, workers)
-    selection.known = dict(zip(removals, alone, strict=True))
-    with workers.bar("smallest", len(removals)) as bar:
+    removals = list(alone)
+    selection.known = alone
+    complete = False
+    with (
+        time.stage("the whole search for the smallest model", CHOSEN),
+        workers.bar("smallest", len(removals)) as bar,
+    ):
         selection.choose(removals, whole, bar)
+        complete = True
     sets = (schedule.part(k, k + more) for k in range(starts, starts + SETS * more, more))
-    selection.confirm(_baseline(Experiment(model, part, workers)) for part in sets)
+    with time.stage("all tests of the smallest model on other starts", CONFIRMED):
+        selection.confirm(_baseline(Experiment(model, part, workers)) for part in sets)
     removed = selection.removed
     removals += [removal for removal in removed if removal not in removals]
-    times = times_of(baseline, [(), *((removal,) for removal in removals), removed])
+    with time.closing():
+        times = times_of(baseline, [(), *((removal,) for removal in removals), removed])
     return Ablation(
         name=setup.name,
         settings=model.settings,
@@ -153,6 +172,7 @@ def ablate(
         notes=[*notes, *schedule.notes, *_screened(cut, few, starts)],
         batches=workers.speedup.sentences,
         ran=motion_in_words(model, motion, experiment.schedule),
+        complete=complete,
     )
 
 
@@ -163,25 +183,41 @@ def _work(model: Model, horizon: float, weight: float) -> float:
 
 def _alone(
     baseline: Baseline, removals: list[Removal], few: int, tolerance: float, workers: Workers
-) -> tuple[VariantOutcome, list[VariantOutcome], int]:
+) -> tuple[VariantOutcome, dict[Removal, VariantOutcome], int]:
     """Run the whole model and every feature removed alone.
 
-    Return both outcomes, and the number of features that ran from few starts only.
+    Return both outcomes, and the number of features that ran from few starts only. If the time is
+    over, some features have no outcome.
 
     few: the number of starts that all features run from. A feature that adds more than `tolerance`
         [m] there does not run from the other starts.
     """
     points = [(), *((removal,) for removal in removals)]
     job = partial(outcome_of, baseline.first(few), workers=workers.inside)
-    outcomes = workers.each(job, points, "features")
-    if few == len(baseline.runs):
-        return outcomes[0], outcomes[1:], 0
-    again = [i for i, outcome in enumerate(outcomes) if outcome.worst <= tolerance]
-    job = partial(outcome_of, baseline, workers=workers.inside)
-    full = workers.each(job, [points[i] for i in again], "features from all starts")
-    for i, outcome in zip(again, full, strict=True):
-        outcomes[i] = outcome
-    return outcomes[0], outcomes[1:], len(points) - len(again)
+    outcomes: list[VariantOutcome | None] = []
+    with workers.deadline.stage(lambda: _not_run(outcomes, "feature"), ALONE):
+        workers.each(job, points, "features", outcomes)
+    if not outcomes or outcomes[0] is None:
+        raise OutOfTime("the whole model has not been run")
+    whole, cut = outcomes[0], 0
+    if few < len(baseline.runs):
+        again = [i for i, one in enumerate(outcomes) if one is not None and one.worst <= tolerance]
+        job = partial(outcome_of, baseline, workers=workers.inside)
+        full: list[VariantOutcome | None] = []
+        with workers.deadline.stage(lambda: _not_run(full, "feature") + " from all starts", ALONE):
+            workers.each(job, [points[i] for i in again], "features from all starts", full)
+        for i, outcome in zip(again, full, strict=True):
+            outcomes[i] = outcome or outcomes[i]
+        cut = len(points) - len(again)
+        whole = outcomes[0] or whole
+    known = zip(removals, outcomes[1:], strict=True)
+    return whole, {removal: one for removal, one in known if one is not None}, cut
+
+
+def _not_run(outcomes: Sequence[VariantOutcome | None], what: str) -> str:
+    """Return how many features, of how many, the deadline left out."""
+    left = sum(outcome is None for outcome in outcomes)
+    return f"{left} of {units.counted(len(outcomes), what)}"
 
 
 def _reference(experiment: Experiment) -> tuple[Reference | None, list[str]]:

@@ -52,6 +52,7 @@ class Ablation(Result):
     restored_on: the smallest model on the last starts that restored a feature, if any.
     smallest: the smallest model as a Scene.
     reference: the error of the converged motion [m]; None without a converged motion.
+    complete: whether the search for the smallest model came to its end.
 
     >>> from stepcore import ablate, lesson
     >>> result = ablate(lesson.drop(), horizon=0.2, starts=1, progress=False)
@@ -89,6 +90,7 @@ class Ablation(Result):
     notes: list[str] = field(default_factory=list)
     ran: str = ""
     batches: Sequence[str] = ()
+    complete: bool = True
 
     @property
     def title(self) -> str:
@@ -243,6 +245,8 @@ class Ablation(Result):
                 f"No feature can be removed within {within}: features that were removable on the "
                 f"first starts exceed the tolerance on others: {_listed(self.restored)}."
             ]
+        if not self.removed and not self.complete:
+            return [f"A smaller model within {within} has not been found so far."]
         if not self.removed:
             return [
                 f"No feature can be removed within {within}: removing any that costs work adds a "
@@ -255,16 +259,26 @@ class Ablation(Result):
             f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
             f"{kind}{speed}.",
             f"It leaves out {_listed(self.removed)}.",
-            f"It adds {self._added()}, so at least {percent(self.kept)} of such starts keep to the "
-            "tolerance (95 % confidence).",
+            f"It adds {self._added()}{self._confidence()}.",
         ]
         if self.restored:
             sentences.append(f"Kept after all, for other starts: {_listed(self.restored)}.")
         return sentences
 
+    def _confidence(self) -> str:
+        """Describe on how many starts the smallest model keeps to the tolerance."""
+        if not self.confirmed.added:
+            return ""
+        return (
+            f", so at least {percent(self.kept)} of such starts keep to the tolerance "
+            "(95 % confidence)"
+        )
+
     def _added(self) -> str:
         """Describe the error of the smallest model in the first starts, and in others."""
         here, there = self.best.outcome.worst, self.confirmed.worst
+        if not self.confirmed.added:
+            return f"{_error(here)} in the worst of these starts; others were not tried"
         others = counted(len(self.confirmed.added), "other start")
         before = self.restored_on.worst if self.restored_on else 0.0
         if before > max(here, there):

@@ -50,7 +50,12 @@ class Selection:
             return outcome_of(self.baseline, chosen, self.workers)
 
         alone = [self.alone(removal) for removal in removals]
-        self.removed, self.chosen_on = greedy(removals, alone, whole, self.tolerance, measure)
+
+        def keep(removed: list[Removal], outcome: VariantOutcome) -> None:
+            self.removed, self.chosen_on = removed, outcome
+
+        keep([], whole)
+        greedy(removals, alone, whole, self.tolerance, measure, keep)
 
     def confirm(self, others: Iterable[Baseline]) -> None:
         """Run the smallest model on sets of other starts, until a set needs nothing restored."""
@@ -81,6 +86,7 @@ def greedy(
     whole: VariantOutcome,
     tolerance: float,
     measure: Measure,
+    keep: Callable[[list[Removal], VariantOutcome], object] = lambda removed, outcome: None,
 ) -> tuple[list[Removal], VariantOutcome]:
     """Return features that together add at most `tolerance` [m], and their outcome.
 
@@ -95,6 +101,7 @@ def greedy(
     whole: the outcome of the whole model.
     tolerance: the largest error added [m].
     measure: runs the model without some features.
+    keep: is called with every larger set of features, and its outcome.
     """
     order = sorted(range(len(removals)), key=lambda i: alone[i].work)
     chosen: list[Removal] = []
@@ -107,6 +114,7 @@ def greedy(
         unused = all(alone[i].worst == 0.0 for i in group)
         if tried.worst <= tolerance and _saves(tried, best, unused):
             chosen, best = more, tried
+            keep(chosen, best)
         elif len(group) > 1:
             remove(group[: len(group) // 2])
             remove(group[len(group) // 2 :])

@@ -15,6 +15,7 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.checks import one_line
+from stepcore.deadline import OutOfTime, in_time
 from stepcore.engine.control import control_option
 from stepcore.engine.model import Model
 from stepcore.experiment.arguments import Setup, Source, set_up
@@ -40,6 +41,8 @@ from stepcore.report.units import beginning, counted
 
 __all__ = ["Check", "check"]
 
+# The share of the time (`seconds`) at which the run as shipped ends.
+MONITORED = 0.5
 # Default number of control periods of the run.
 PERIODS = 100
 # Largest number of steps if no horizon is given: some seconds of computing.
@@ -181,6 +184,7 @@ class Check(Result):
 
 
 @takes_motion(without=("starts",))
+@in_time
 def check(
     model: Source,
     motion: Motion | None = None,
@@ -189,6 +193,7 @@ def check(
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    seconds: float | None = None,
     **fields: Unpack[MotionFields],
 ) -> Check:
     """Find what makes a scene misbehave, in seconds; the first thing to run.
@@ -208,6 +213,8 @@ def check(
     threads: the number of integrators diagnosed in parallel (default: one per core).
     executor: any concurrent.futures executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
+    seconds: the longest time of the measurement [s]; by default there is none. When the time is
+        over, the result has what is known, and `unfinished` says what was not done.
 
     Raises ValueError for an argument outside its limits, for a scene that cannot be compiled, and
     for a scene in which nothing can move.
@@ -235,14 +242,18 @@ def check(
     dt = compiled.settings.dt
     horizon = motion.horizon or max(dt, min(HORIZON, LONGEST * dt))
     schedule = _schedule(compiled, motion, horizon)
-    failure, seen = _monitored(compiled, schedule, wanted)
+    start, held = home(compiled, motion.key)
+    # What the scene alone says comes first: it takes no run.
+    read = list(_read(compiled, start, held, _key(compiled, motion.key)))
+    failure, seen = list[Finding](), list[Finding]()
+    with setup.workers.deadline.stage("the run as shipped", MONITORED):
+        failure, seen = _monitored(compiled, schedule, wanted)
+    with setup.workers.deadline.stage("runs of the cures that the scene alone suggests", MONITORED):
+        read = proven(read, compiled)
     driven = motion.ctrl is not None or motion.control is not None
     if not driven and not compiled.keys:
         # A default control of 0 may be outside its range; this is not the user's error.
         seen = [finding for finding in seen if finding.kind != "clamped control"]
-    start, held = home(compiled, motion.key)
-    read = list(_read(compiled, start, held, _key(compiled, motion.key)))
-    read = proven(read, compiled)
     diagnosis, notes = _diagnosis(setup, dataclasses.replace(motion, horizon=horizon))
     return Check(
         name=setup.name,
@@ -327,11 +338,15 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
             executor=workers.executor,
             progress=workers.progress,
         )
+    except OutOfTime:
+        workers.deadline.left_out.append("the diagnosis of the time step")
+        return None, []
     except Exception as error:
         # The diagnosis may fail on a misbehaving scene; the findings must still be reported.
         return None, [
             f"the time step was not diagnosed ({type(error).__name__}: {one_line(error)})"
         ]
+    workers.deadline.left_out += diagnosis.not_done
     return diagnosis, []
 
 

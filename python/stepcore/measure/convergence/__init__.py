@@ -13,6 +13,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.deadline import OutOfTime, in_time
 from stepcore.experiment.arguments import Source, Workers, set_up
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
@@ -36,7 +37,7 @@ from stepcore.measure.convergence.sweeps import (
     SweepTheory,
     residual_history,
 )
-from stepcore.measure.monitors import monitored
+from stepcore.measure.monitors import Finding, monitored
 from stepcore.report.progress import Choice
 
 __all__ = [
@@ -54,9 +55,12 @@ BUDGET = 4e6
 MOST, FEWER = 4096, 256
 # Default number of starts.
 STARTS = 3
+# The shares of the time (`seconds`) at which the runs and the measurement of sweeps end.
+RUN, MEASURED = 0.7, 0.95
 
 
 @takes_motion()
+@in_time
 def converge(
     model: Source,
     motion: Motion | None = None,
@@ -65,6 +69,7 @@ def converge(
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    seconds: float | None = None,
     **fields: Unpack[MotionFields],
 ) -> Convergence:
     """Test whether a scene's contact forces and other rows are converged along its motion.
@@ -83,6 +88,8 @@ def converge(
     threads: the number of parallel runs (default: one per core).
     executor: any `concurrent.futures` executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
+    seconds: the longest time of the measurement [s]; by default there is none. When the time is
+        over, the result has what is known, and `unfinished` says what was not done.
 
     Raises ValueError for an argument outside its limits, or if the reference itself fails.
 
@@ -117,11 +124,23 @@ def converge(
     runner = experiment.runner
     runner.check_repeatable()
     reference = experiment.reference(min(s.dt for s in some.all), BUDGET)
-    made = _runs(runner, some.all, workers)
+    # The answer needs two of the settings, which come first.
+    made = _runs(runner, some.all[:2], workers)
+    if len(made) < len({shipped, some.solved}):
+        raise OutOfTime("the shipped settings have not been run with converged forces")
+    made |= _runs(runner, some.all[2:], workers, RUN)
+    some = some.only(made)
     runs = {s: run_of(experiment, s, those, reference) for s, those in made.items()}
     end = None
     if not (runs[shipped].failure or runs[some.solved].failure):
         end = ending(experiment, made[shipped], made[some.solved], reference.scored)
+    histories: list[ResidualHistory] = []
+    with workers.deadline.stage("the residual by sweeps", MEASURED):
+        histories = _histories(runner, some, states, workers)
+    findings: list[Finding] = []
+    with workers.deadline.stage("the findings on the shipped settings"):
+        # The residual is already reported by this measurement.
+        findings = [one for one in monitored(runner, shipped)[0] if one.kind != "residual"]
     return Convergence(
         name=setup.name,
         settings=shipped,
@@ -130,23 +149,34 @@ def converge(
         starts=starts,
         candidates=some,
         runs=runs,
-        histories=_histories(runner, some, states, workers),
+        histories=histories,
         reference=reference,
         size=experiment.size,
         ending=end,
         notes=[*model.scene.notes, *schedule.notes],
-        # The residual is already reported by this measurement.
-        findings=[one for one in monitored(runner, shipped)[0] if one.kind != "residual"],
+        findings=findings,
         ran=motion_in_words(model, motion, schedule),
     )
 
 
-def _runs(runner: Runner, some: Sequence[Settings], workers: Workers) -> dict[Settings, list[Run]]:
-    """Run every start under each of the settings."""
+def _runs(
+    runner: Runner, some: Sequence[Settings], workers: Workers, share: float = 1.0
+) -> dict[Settings, list[Run]]:
+    """Run every start under each of the settings, as far as a share of the time allows."""
     count = len(runner.starts)
     jobs = [partial(runner.run, settings, start) for settings in some for start in runner.starts]
-    runs = workers.each(operator.call, jobs, "runs")
-    return {s: runs[i * count : (i + 1) * count] for i, s in enumerate(some)}
+    runs: list[Run | None] = []
+
+    def made() -> dict[Settings, list[Run]]:
+        each = {s: runs[i * count : (i + 1) * count] for i, s in enumerate(some)}
+        return {s: [run for run in some if run] for s, some in each.items() if all(some)}
+
+    def left_out() -> str:
+        return f"{len(some) - len(made())} of {len(some)} settings"
+
+    with workers.deadline.stage(left_out, share):
+        workers.each(operator.call, jobs, "runs", runs)
+    return made()
 
 
 def _histories(

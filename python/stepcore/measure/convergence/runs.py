@@ -6,8 +6,9 @@ The settings are time steps, splits of equal work into steps and sweeps, and con
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -65,8 +66,18 @@ class Candidates:
     @property
     def all(self) -> list[Settings]:
         """All settings, without repetition."""
-        some = [*self.dts, *(split.settings for split in self.splits), self.more, self.solved]
+        first = [self.shipped, self.solved]
+        some = [*first, *self.dts, *(split.settings for split in self.splits), self.more]
         return list(dict.fromkeys(settings for settings in some if settings is not None))
+
+    def only(self, known: Collection[Settings]) -> Candidates:
+        """Return the candidates that are among some settings."""
+        return dataclasses.replace(
+            self,
+            dts=[settings for settings in self.dts if settings in known],
+            splits=[split for split in self.splits if split.settings in known],
+            more=self.more if self.more in known else None,
+        )
 
     @property
     def quarter(self) -> Settings | None:

@@ -9,6 +9,7 @@ from typing import Unpack
 
 import numpy as np
 
+from stepcore.deadline import in_time
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.experiment.arguments import Source, set_up
@@ -32,10 +33,14 @@ from stepcore.measure.diagnosis.words import gentle_chatter, notes
 from stepcore.report import units
 from stepcore.report.progress import Choice
 
+# The share of the time (`seconds`) at which the limits of single elements end.
+ELEMENTS = 0.85
+
 __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
 
 
 @takes_motion(without=("starts",))
+@in_time
 def diagnose(
     model: Source,
     motion: Motion | None = None,
@@ -44,6 +49,7 @@ def diagnose(
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    seconds: float | None = None,
     **fields: Unpack[MotionFields],
 ) -> Diagnosis:
     """Find the element that limits the time step, and changes that make a wanted step stable.
@@ -63,6 +69,8 @@ def diagnose(
     threads: the number of integrators that are diagnosed in parallel (default: one per core).
     executor: any concurrent.futures executor, used in place of threads.
     progress: False for no bar, or a function of (label, done, total).
+    seconds: the longest time of the measurement [s]; by default there is none. When the time is
+        over, the result has what is known, and `unfinished` says what was not done.
 
     Raises ValueError for an argument outside its limits, for a scene in which nothing can move, and
     for a scene whose accelerations are not finite at the start.
@@ -94,7 +102,9 @@ def diagnose(
     with workers.bar("states", 1) as bar:
         visited = visit(model, motion, horizon)
         bar.advance()
-    found = examine(model, visited, horizon, wanted, INTEGRATORS, workers.each)
+    # An answer needs the scene's own integrator, which therefore comes first.
+    order, time = sorted(INTEGRATORS, key=lambda name: name != own), workers.deadline
+    found = examine(model, visited, horizon, wanted, order, workers.each, time)
     here, limits, shares, seen, check = (
         found.here,
         found.limits,
@@ -102,11 +112,13 @@ def diagnose(
         found.seen,
         found.check,
     )
-    elements = _element_limits(here)
+    elements: dict[Element, ElementLimits] = {}
+    with time.stage("the limits of all elements", ELEMENTS):
+        elements = _element_limits(here)
     limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
     advice: list[Advice] = []
     if limits[own].dt < wanted and limiting[own]:
-        with workers.bar("advice", 1) as bar:
+        with time.stage("all changes that make the step stable"), workers.bar("advice", 1) as bar:
             advice = _advice(found, elements, limiting[own], motion)
             bar.advance()
     confirmed = check is not None and check.confirmed

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
+from stepcore.deadline import Deadline, OutOfTime
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.limits import (
     LONGEST,
@@ -27,8 +30,10 @@ from stepcore.measure.diagnosis.visited_states import Visit
 
 # A slower oscillation, over the fastest, counts as rounding.
 SLOWEST = 1e-6
-# A function of (job, items, label) that returns the results of a job at every item.
-Each = Callable[[Callable[[Any], Any], Sequence[Any], str], list[Any]]
+# A function of (job, items, label, done) that fills `done` with the results of a job at every item.
+Each = Callable[[Callable[[Any], Any], Sequence[Any], str, list[Any]], object]
+# The shares of the time at which the limits of the linearised step and the runs of the motion end.
+LINEAR, RUN = 0.4, 0.75
 
 
 @dataclass(frozen=True)
@@ -72,8 +77,10 @@ class Examination:
         return look(self.check, self.limits[integrator], self.shares[integrator], self.wanted)
 
 
-def _one_by_one(job: Callable[[Any], Any], items: Sequence[Any], label: str) -> list[Any]:
-    return [job(item) for item in items]
+def _one_by_one(
+    job: Callable[[Any], Any], items: Sequence[Any], label: str, done: list[Any]
+) -> None:
+    done[:] = [job(item) for item in items]
 
 
 def examine(
@@ -83,6 +90,7 @@ def examine(
     wanted: float,
     integrators: Sequence[str],
     each: Each = _one_by_one,
+    time: Deadline | None = None,
 ) -> Examination:
     """Return the largest stable dt of each integrator, corrected by runs of the motion.
 
@@ -90,26 +98,50 @@ def examine(
     visited, horizon: the states along the motion, and its length [s].
     wanted: the wanted step [s].
     each: how to call a job for all integrators.
+    time: the deadline, after which the limits of some integrators, and some runs, are left out; the
+        model's own integrator is then the first. None for an examination that must be whole.
+
+    Raises OutOfTime if the limit of the first integrator is not known in time.
     """
+
+    def stage(words: str, share: float) -> AbstractContextManager[None]:
+        return nullcontext() if time is None else time.stage(words, share)
+
     settings, own = model.settings, model.settings.integrator
     here = visited.here
     longest = max(LONGEST, 2 * wanted, 2 * settings.dt)
     shortest = min(SHORTEST, wanted / 2, settings.dt / 2)
     limit_of = partial(dt_limit, here, longest=longest, shortest=shortest)
-    linear = each(limit_of, integrators, "limits")
+    linear: list[Limit | None] = []
+    with stage("the limits under all integrators", LINEAR):
+        each(limit_of, integrators, "limits", linear)
+    known = [limit for limit in linear if limit is not None]
+    if not known or known[0].integrator != integrators[0]:
+        raise OutOfTime("the limit of the scene's integrator is not known")
     check = None
     if not any(state.feedback is not None and state.feedback.order for state in here.states):
-        # A run with other steps would give a control function with memory another history.
-        check = judge(MotionRuns(model, visited.driven, horizon), visited.dt)
+        with stage("runs of the motion at other steps", RUN):
+            # A run with other steps would give a control function with memory another history.
+            check = judge(MotionRuns(model, visited.driven, horizon), visited.dt)
     by = check if isinstance(check, Judge) else None
-    judged = each(partial(judged_limit, here, by, wanted), linear, "motion")
-    limits = {limit.integrator: limit for limit, _ in judged}
-    shares = {limit.integrator: its_shares for limit, its_shares in judged}
-    seen = look(check, limits[own], shares[own], wanted)
+    judged: list[tuple[Limit, Shares] | None] = []
+    with stage("runs of the motion under all integrators", RUN):
+        each(partial(judged_limit, here, by, wanted), known, "motion", judged)
+    # Without these runs the linearised step decides.
+    pairs = [
+        pair or judged_limit(here, None, wanted, limit)
+        for pair, limit in zip_longest(judged, known)
+    ]
+    limits = {limit.integrator: limit for limit, _ in pairs}
+    shares = {limit.integrator: its_shares for limit, its_shares in pairs}
+    seen = Observation(limits[own], shares[own])
+    with stage("the run at the wanted step", RUN):
+        seen = look(check, limits[own], shares[own], wanted)
     limits[own], shares[own] = seen.limit, seen.shares
     if by is not None and any(servo.severe and not servo.reached for servo in seen.saturations):
         # The kick that causes severe chatter is repeated under the other integrators stable at dt.
-        for name in limits:
-            if name != own and wanted <= limits[name].dt:
-                limits[name], shares[name], _ = kicked(by, limits[name], shares[name], wanted)
+        with stage("kicks of the servos under all integrators", RUN):
+            for name in limits:
+                if name != own and wanted <= limits[name].dt:
+                    limits[name], shares[name], _ = kicked(by, limits[name], shares[name], wanted)
     return Examination(model, wanted, visited, check, limits, shares, seen)

@@ -12,6 +12,7 @@ import numpy as np
 
 from stepcore.engine.linear_maps import amplification
 from stepcore.engine.model import Model
+from stepcore.executors import checkpoint
 from stepcore.measure.diagnosis.control import CLEAR, growth_when_held
 from stepcore.measure.diagnosis.elements import first_softened
 from stepcore.measure.diagnosis.growth import (
@@ -112,6 +113,7 @@ class StepStability:
         """
         at = (integrator, dt, state)
         if at not in self._seen:
+            checkpoint()
             self._seen[at] = self._worse_when_held(*at, *self._find_growth(integrator, dt, state))
         return self._seen[at]
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from time import perf_counter
 from typing import Any
 
+from stepcore import deadline
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.element import Element, SceneField
 from stepcore.engine.model import Model
@@ -55,6 +56,7 @@ def proven(findings: Iterable[Finding], model: Model) -> list[Finding]:
 class _Trial:
     def __init__(self, model: Model, again: Again, took: float, end: float) -> None:
         self.model, self.again, self.took, self.end = model, again, took, end
+        self.time = deadline.current() or deadline.Deadline()
 
     def cured(self, finding: Finding) -> Finding:
         """Return a finding with the best of its cures."""
@@ -73,7 +75,13 @@ class _Trial:
                 if not self._affordable(cure):
                     untried.append(cure)
                     break
-                left = self._left(remedy, cure)
+                left: float | None = None
+                known = False
+                with self.time.stage("runs of all cures"):
+                    left, known = self._left(remedy, cure), True
+                if not known:
+                    untried.append(cure)
+                    break
                 if left is not None and left <= remedy.enough:
                     held.append((left, cure))
                     break

@@ -13,6 +13,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.deadline import OutOfTime, in_time
 from stepcore.engine.model import Model
 from stepcore.experiment.arguments import Source, Workers, set_up
 from stepcore.experiment.failure import FAR
@@ -26,6 +27,7 @@ from stepcore.measure.stability.result import (
     EXPLODED,
     FINITE,
     INACCURATE,
+    UNTRIED,
     MapCell,
     MapPanel,
     StabilityMap,
@@ -40,6 +42,10 @@ __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
 
 # Least horizon in steps of the largest dt, so that instabilities have time to grow.
 STEPS = 25
+# The share of the time (`seconds`) at which the runs of the true motions end.
+TRUE = 0.6
+# The points of a cell's run, and the reason if it stopped.
+Cell = tuple[np.ndarray, str | None]
 # Largest number of steps of all cells: more than half an hour of the smallest scene.
 MOST_STEPS = 1e10
 # Motion fields that a map does not accept: every cell starts at the keyframe with its controls.
@@ -47,6 +53,7 @@ WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt")
 
 
 @takes_motion(without=WITHOUT)
+@in_time
 def stability_map(
     model: Source | None = None,
     motion: Motion | None = None,
@@ -60,6 +67,7 @@ def stability_map(
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    seconds: float | None = None,
     **fields: Unpack[MotionFields],
 ) -> StabilityMap:
     """Map stability and accuracy over dt × a parameter of the scene, with one run for each pair.
@@ -82,6 +90,8 @@ def stability_map(
     size: the length that deviations are relative to [m]; by default the size of the scene and its
         true motion, as in other measurements.
     threads, executor, progress: as in `stepcore.sweep`.
+    seconds: the longest time of the measurement [s]; by default there is none. When the time is
+        over, the result has what is known, and `unfinished` says what was not done.
 
     The true motion is a closed form for the two maps of the lesson that have one. Otherwise the
     true motion is the scene's own run at the same value, with converged rows (and rk4 if nothing in
@@ -142,6 +152,9 @@ def stability_map(
     horizon = setup.motion.horizon or case.horizon or max(1.0, STEPS * max(case.dts))
     _check_steps(case, horizon)
     panels = _Panels(case, MapMotion(horizon, case.key), tolerance, setup.workers)
+    made = [panels.panel(setting) for setting in case.settings]
+    if all(cell.state == UNTRIED for panel in made for cell in panel.cells):
+        raise OutOfTime("no cell has been run")
     return StabilityMap(
         name=setup.name,
         settings=case.model.settings,
@@ -154,7 +167,7 @@ def stability_map(
         tolerance=tolerance,
         far=FAR,
         ran=_ran(case, horizon),
-        panels=[panels.panel(setting) for setting in case.settings],
+        panels=made,
     )
 
 
@@ -245,7 +258,7 @@ class _Panels:
         self, case: MapCase, motion: MapMotion, tolerance: Tolerance, workers: Workers
     ) -> None:
         self.case, self.motion, self.tolerance, self.workers = case, motion, tolerance, workers
-        self.truths: dict[str, list[TrueMotion]] = {}
+        self.truths: dict[str, list[TrueMotion | None]] = {}
 
     def panel(self, setting: MapSetting) -> MapPanel:
         """Run and judge all cells of one setting."""
@@ -253,6 +266,7 @@ class _Panels:
         model = case.model.with_settings(**setting.settings)
         if setting.form is not None:
             times = self.motion.all_times(case.dts)
+            truth: list[TrueMotion | None]
             truth = [closed_form(setting.form, model, v, times, case.size) for v in case.values]
         else:
             law = str({k: v for k, v in setting.settings.items() if k != "integrator"})
@@ -260,10 +274,16 @@ class _Panels:
                 job = partial(
                     converged, model, case.path, case.dts, case.size, self.motion, self.tolerance
                 )
-                self.truths[law] = self.workers.each(job, case.values, "true motion")
+                self.truths[law] = []
+                with self.workers.deadline.stage("all true motions", TRUE):
+                    self.workers.each(job, case.values, "true motion", self.truths[law])
             truth = self.truths[law]
         grid = list(product(case.values, case.dts))
-        runs = self.workers.each(partial(self.motion.cell, model, case.path), grid, setting.label)
+        runs: list[Cell | None] = []
+        with self.workers.deadline.stage(lambda: _not_run(setting.label, runs)):
+            self.workers.each(
+                partial(self.motion.cell, model, case.path), grid, setting.label, runs
+            )
         cells = [
             self._judged(value, dt, run, truth[k // len(case.dts)])
             for k, ((value, dt), run) in enumerate(zip(grid, runs, strict=True))
@@ -276,9 +296,11 @@ class _Panels:
         return MapPanel(setting.label, cells, reference, boundary, beyond)
 
     def _judged(
-        self, value: float, dt: float, run: tuple[np.ndarray, str | None], true: TrueMotion
+        self, value: float, dt: float, run: Cell | None, true: TrueMotion | None
     ) -> MapCell:
         """Return one cell with its state; see `stability_map`."""
+        if run is None or true is None:
+            return MapCell(value, dt, UNTRIED, np.nan, False)
         points, stopped = run
         share = self.tolerance.share(true.size)
         known = true.points is not None and true.error <= share / FINER
@@ -293,6 +315,11 @@ class _Panels:
             return MapCell(value, dt, FINITE, np.nan, False)
         state = ACCURATE if deviation <= share else INACCURATE
         return MapCell(value, dt, state, deviation)
+
+
+def _not_run(label: str, runs: Sequence[Cell | None]) -> str:
+    left = sum(run is None for run in runs)
+    return f"{left} of {len(runs)} cells of {label}"
 
 
 def _integrators(asked: str | Sequence[str]) -> list[str]:

@@ -17,7 +17,8 @@ from stepcore.report.units import counted, seconds
 
 # The states of a cell, and their marks; "finite" is used only if the accuracy is unknown.
 ACCURATE, INACCURATE, EXPLODED, FINITE = "accurate", "inaccurate", "exploded", "finite"
-SYMBOLS = {ACCURATE: "·", INACCURATE: "o", EXPLODED: "X", FINITE: "?"}
+UNTRIED = "not run"
+SYMBOLS = {ACCURATE: "·", INACCURATE: "o", EXPLODED: "X", FINITE: "?", UNTRIED: " "}
 
 
 @dataclass(frozen=True)

@@ -5,22 +5,24 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from functools import partial
 from typing import Any, Unpack
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.deadline import OutOfTime, in_time
 from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.cost import TimedRun
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.other_models import ErrorSplit, clamping
-from stepcore.experiment.reference import FINER, Reference, ReferenceRuns, smallest
+from stepcore.experiment.reference import FINER, Gap, Reference, ReferenceRuns, smallest
 from stepcore.experiment.schedule import HORIZON, scheduled, time_steps
-from stepcore.measure.monitors import monitored
+from stepcore.measure.monitors import Finding, monitored
 from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade import words
-from stepcore.measure.trade.batch_cost import batch_points
+from stepcore.measure.trade.batch_cost import BatchPoint, batch_points
 from stepcore.measure.trade.methods import Kind, Steps, grid, longest
 from stepcore.measure.trade.recommend import Confirmation, HardestStarts, Recommendation
 from stepcore.measure.trade.result import Trade
@@ -37,9 +39,13 @@ __all__ = ["Trade", "TradeRow", "trade"]
 EFFORT = 6e6
 # Offset between the seed of the search's starts and the seed of the further starts.
 APART = 1_000_003
+# The shares of the time (`seconds`) at which the search, the finer reference, the comparison with
+# other models, the statistics and the tests on further starts end.
+SEARCHED, REFINED, COMPARED, COUNTED, TESTED = 0.55, 0.6, 0.65, 0.75, 0.95
 
 
 @takes_motion()
+@in_time
 def trade(
     model: Source,
     motion: Motion | None = None,
@@ -59,6 +65,7 @@ def trade(
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    seconds: float | None = None,
     **fields: Unpack[MotionFields],
 ) -> Trade:
     """Measure accuracy against cost over many settings of a scene, and recommend settings.
@@ -97,6 +104,8 @@ def trade(
     executor: any concurrent.futures executor, used in place of threads. Costs are timed afterwards,
         on one thread.
     progress: False for no bar, or a function of (label, done, total).
+    seconds: the longest time of the measurement [s]; by default there is none. When the time is
+        over, the result has what is known, and `unfinished` says what was not done.
 
     Raises ValueError for an argument outside its limits, or if the reference itself fails.
 
@@ -149,41 +158,66 @@ def trade(
     target = None if error is None else units.length("trade", "error", error, size)
     counts, kind = Steps(period, shipped.dt), Kind.of(model, rows)
     unjudged: list[str] = []
+    time = workers.deadline
     if full:
         tried = grid(kind, steps, **axes)
-        cache.run(tried)
+        left_out = partial(words.not_run, cache, tried)
+        with time.stage(left_out, SEARCHED):
+            cache.run([shipped, *tried])
     else:
         searching = SettingsSearch(cache, counts, kind)
-        tried = searching.run(target, budget=limit is not None, whole=mujoco)
+        with time.stage(partial(words.not_searched, cache), SEARCHED):
+            searching.search(target, budget=limit is not None)
+        tried = searching.best(whole=mujoco)
+        with time.closing(), time.stage(partial(words.not_run, cache, tried)):
+            cache.run(tried, "search: the best")
         unjudged = list(words.about_search(cache.reference, counts, min(steps)))
-    _refine(cache, tried)
+    if shipped not in cache.full:
+        raise OutOfTime("the shipped settings have not been run")
+    others = (setting for setting in tried if setting in cache.full and setting != shipped)
+    # Timed in this order, the shipped settings first.
+    tried = [shipped, *sorted(others, key=lambda setting: -setting.dt)]
+    with time.stage("a finer reference", REFINED):
+        _refine(cache, tried)
     softens = rows > 0 and shipped.law == "solref" and shipped.refsafe
     tau = clamping(model.scene) if softens else None
-    split = ErrorSplit(made, cache.reference, size)
-    reference = dataclasses.replace(cache.reference, gaps=split.gaps())
+    split, gaps = ErrorSplit(made, cache.reference, size), dict[str, Gap]()
+    with time.stage("comparisons with other models of the scene", COMPARED):
+        gaps = split.gaps()
+    reference = dataclasses.replace(cache.reference, gaps=gaps)
     maker = RowMaker(cache, split, tau, by)
     points: list[mujoco_points.Point] = []
     timed: list[TimedRun] = []
     if mujoco:
-        theirs = mujoco_points.MujocoTrials(source, experiment, reference)
-        points, timed = theirs.points(counts, workers)
-    frontier = Frontier.of(maker.rows(tried, timed), reference.high, reference.largest, by)
-    frontier = _with_statistics(frontier, made, reference, motion)
+        with time.stage("runs of MuJoCo", COMPARED):
+            theirs = mujoco_points.MujocoTrials(source, experiment, reference)
+            points, timed = theirs.points(counts, workers)
+    with time.closing():
+        rows_made = maker.rows(tried, timed)
+    frontier = Frontier.of(rows_made, reference.high, reference.largest, by)
+    with time.stage("statistics of the motion", COUNTED):
+        frontier = _with_statistics(frontier, made, reference, motion)
     chosen = None
     if further and _recommends(frontier, target, limit):
         unseen = dataclasses.replace(motion, seed=motion.seed + APART)
-        others = scheduled(unseen, model, period, starts=further + 1).part(1)
-        confirm, again = Confirmation(cache, others), None
-        if target is not None and not full:
-            again = HardestStarts(cache, confirm, counts, kind, target)
-        recommendation = Recommendation(frontier, confirm, maker.row, counts, again)
-        if target is not None:
-            chosen = recommendation.within_error(target)
-        elif limit is not None:
-            recommendation.within_budget(limit)
-        frontier = recommendation.frontier
+        with time.stage(f"all tests on {further} further starts", TESTED):
+            new = scheduled(unseen, model, period, starts=further + 1).part(1)
+            confirm, again = Confirmation(cache, new), None
+            if target is not None and not full:
+                again = HardestStarts(cache, confirm, counts, kind, target)
+            recommendation = Recommendation(frontier, confirm, maker.row, counts, again)
+            try:
+                if target is not None:
+                    chosen = recommendation.within_error(target)
+                elif limit is not None:
+                    recommendation.within_budget(limit)
+            finally:
+                frontier = recommendation.frontier
     forces = shipped.law == "penalty" and model.npair > 0
     orders = observed_orders(frontier.rows, reference)
+    findings: list[Finding] = []
+    with time.stage("the findings on the shipped settings"):
+        findings = monitored(runner, shipped)[0]
     result = Trade(
         name=setup.name,
         motion=motion,
@@ -206,11 +240,13 @@ def trade(
         batches=workers.speedup.sentences,
         screened=len({*cache.full, *cache.screened}),
         chosen=chosen,
-        findings=monitored(runner, shipped)[0],
+        findings=findings,
         runner=runner,
     )
     answer = (result.recommended, result.shipped, *result.offered)
-    in_batch = batch_points(answer, frontier, maker)
+    in_batch: list[BatchPoint] = []
+    with time.stage("costs in a batch"):
+        in_batch = batch_points(answer, frontier, maker)
     return dataclasses.replace(result, in_batch=in_batch, runs=cache.count)
 
 

@@ -7,6 +7,7 @@ recorded.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from functools import partial
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.deadline import OutOfTime
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.cost import UNKNOWN, TimedRun, Work, costs, priced
@@ -48,6 +50,7 @@ class RunCache:
     screened: runs from the first starts, with positions recorded.
     full: fully recorded runs from all starts.
     work: the work of each setting.
+    tried: the settings that were to be run, also those that the deadline left out.
     count: the number of runs made.
     """
 
@@ -56,6 +59,7 @@ class RunCache:
         self.screened: dict[Settings, list[Run]] = {}
         self.full: dict[Settings, list[Run]] = {}
         self.work: dict[Settings, Work] = {}
+        self.tried: set[Settings] = set()
         self.count = 0
 
     def screen(self, settings: Sequence[Settings], starts: int, label: str) -> None:
@@ -65,24 +69,36 @@ class RunCache:
             done = self.screened.get(setting, [])
             if len(done) < starts and not (done and done[-1].failure):
                 jobs.append((setting, len(done), starts))
-        ran = self._screened(jobs, label)
-        for (setting, first, _), (runs, work) in zip(jobs, ran, strict=True):
-            self.count += len(runs)
-            self.screened.setdefault(setting, []).extend(runs)
-            if first == 0:
-                self.work[setting] = work
+        self.tried.update(setting for setting, *_ in jobs)
+        ran: list[Ran | None] = []
+        try:
+            self._screened(jobs, label, ran)
+        finally:
+            # What the deadline lets finish is kept.
+            for (setting, first, _), made in zip(jobs, ran, strict=False):
+                if made is not None:
+                    self._keep(setting, first, *made)
 
-    def _screened(self, jobs: Sequence[Job], label: str) -> list[Ran]:
-        """Run jobs in parallel; with fewer jobs than threads, the starts run in parallel too."""
+    def _keep(self, setting: Settings, first: int, runs: list[Run], work: Work) -> None:
+        self.count += len(runs)
+        self.screened.setdefault(setting, []).extend(runs)
+        if first == 0:
+            self.work[setting] = work
+
+    def _screened(self, jobs: Sequence[Job], label: str, ran: list[Ran | None]) -> None:
+        """Run jobs in parallel; with fewer jobs than threads, the starts run in parallel too.
+
+        ran: is filled with the runs.
+        """
         runner, workers = self.experiment.runner, self.experiment.workers
+        job = partial(screen_starts, runner, workers.inside)
         if workers.executor is not None or len(jobs) >= workers.threads:
-            return workers.each(partial(screen_starts, runner, workers.inside), jobs, label)
-        job, ran = partial(screen_starts, runner, workers.inside), []
+            workers.each(job, jobs, label, ran)
+            return
         for setting, first, last in jobs:
             starts = [(setting, start, start + 1) for start in range(first, last)]
             parts = workers.until(lambda part: part[0][-1].failure, job, starts, label)
             ran.append(([run for runs, _ in parts for run in runs], parts[0][1]))
-        return ran
 
     def run(self, settings: Sequence[Settings], label: str = "errors") -> None:
         """Run settings from every start, fully recorded.
@@ -94,13 +110,18 @@ class RunCache:
             if done and setting not in self.full and self.why_failed(done):
                 self.full[setting] = done
         missing = [setting for setting in dict.fromkeys(settings) if setting not in self.full]
-        # Start with the most expensive settings, so that all threads finish together.
-        missing.sort(key=lambda setting: setting.dt)
-        job = partial(all_starts, self.experiment.runner)
-        ran = self.experiment.workers.each(job, missing, label)
-        for setting, (runs, work) in zip(missing, ran, strict=True):
-            self.full[setting], self.work[setting] = runs, work
-            self.count += len(runs)
+        workers = self.experiment.workers
+        if math.isinf(workers.deadline.left):
+            # Start with the most expensive settings, so that all threads finish together.
+            missing.sort(key=lambda setting: setting.dt)
+        job, ran = partial(all_starts, self.experiment.runner), list[Ran | None]()
+        try:
+            workers.each(job, missing, label, ran)
+        finally:
+            for setting, made in zip(missing, ran, strict=False):
+                if made is not None:
+                    self.full[setting], self.work[setting] = made
+                    self.count += len(made[0])
 
     def score(self, settings: Settings, starts: int) -> PricedError:
         """Return the price and the error of a setting, from the positions of the first starts."""
@@ -163,10 +184,15 @@ class RowMaker:
     def row(self, settings: Settings) -> TradeRow:
         """Run a setting from all starts, and return its row."""
         self.cache.run([settings])
-        return self.rows([settings])[0]
+        for row in self.rows([settings]):
+            return row
+        raise OutOfTime("the settings have not been timed")
 
     def rows(self, settings: Sequence[Settings], others: Sequence[TimedRun] = ()) -> list[TradeRow]:
-        """Return the rows of settings that have run; settings and `others` are timed in turn."""
+        """Return the rows of settings that have run; settings and `others` are timed in turn.
+
+        Settings that the deadline leaves without a time have no row.
+        """
         failed = {setting for setting in settings if self.cache.failure(setting)}
         for setting in settings:
             if setting not in failed:
@@ -176,6 +202,9 @@ class RowMaker:
             runs = [TimedRun(experiment.runner, setting, setting in failed) for setting in settings]
             with experiment.workers.bar("costs", len(runs) + len(others)) as bar:
                 times = costs([*runs, *others], bar)[: len(settings)]
+            done = [bool(run.times or run.failed) for run in runs]
+            settings = list(itertools.compress(settings, done))
+            times = list(itertools.compress(times, done))
         return [self._row(setting, cost) for setting, cost in zip(settings, times, strict=True)]
 
     def _row(self, settings: Settings, cost: float) -> TradeRow:

@@ -121,25 +121,24 @@ class SettingsSearch:
         self.few = min(FEW, self.all)
         # Methods found by changing settings of the families.
         self.methods: list[Settings] = []
+        # The settings that meet the targets, and the targets as `targets` returns them.
+        self.chosen: list[Settings] = []
+        self.aims: list[tuple[float, bool]] = []
 
     @property
     def finest(self) -> int:
         """The most steps in a control period that the reference is accurate enough to judge."""
         return max(1, int(self.steps.period / self.cache.reference.settings.dt / 2 + 1e-9))
 
-    def run(self, wanted: float | None, budget: bool, whole: bool) -> list[Settings]:
-        """Run the search, and return the settings that ran from all starts or failed.
-
-        The settings are sorted coarsest step first.
+    def search(self, wanted: float | None, budget: bool) -> None:
+        """Run the search; `best` returns what it found, also if the time ends the search.
 
         wanted: the requested error [m], or None.
         budget: whether a budget was requested.
-        whole: whether settings of any error are useful.
         """
-        cache = self.cache
-        chosen: list[Settings] = []
+        cache, chosen = self.cache, self.chosen
         self.overview()
-        targets = self.targets(wanted, budget)
+        self.aims = targets = self.targets(wanted, budget)
         for k, (error, climb) in enumerate(targets):
             halvings = REFINED
             if k and chosen and wanted is not None:
@@ -155,13 +154,21 @@ class SettingsSearch:
                 halvings -= 1
                 some = self.meeting(error, climb)
             chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
-        least = 0.0 if whole else min((error for error, _ in targets), default=0.0) / USELESS
+
+    def best(self, whole: bool) -> list[Settings]:
+        """Return the settings to run from all starts, and those that failed.
+
+        The shipped settings come first, then those that meet the targets.
+
+        whole: whether settings of any error are useful.
+        """
+        cache = self.cache
+        least = 0.0 if whole else min((error for error, _ in self.aims), default=0.0) / USELESS
         # Errors below the reference's uncertainty cannot be ranked.
         known = 0.0 if cache.can_refine else cache.reference.high
         failed = [setting for setting, runs in cache.screened.items() if cache.why_failed(runs)]
-        every = [*chosen, *self.fronts(least, known), self.shipped, *failed]
-        cache.run(every, "search: the best")
-        return sorted(dict.fromkeys(every), key=lambda s: -s.dt)
+        every = [self.shipped, *self.chosen, *self.fronts(least, known), *failed]
+        return list(dict.fromkeys(every))
 
     def targets(self, wanted: float | None, budget: bool) -> list[tuple[float, bool]]:
         """Return the errors to search for [m], each with whether methods are changed there."""

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepcore._core import Settings
 from stepcore.experiment.growth import GROWTH, NEARBY
 from stepcore.experiment.reference import FINER, Reference, smallest
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.trade.batch_cost import BatchPoint
 from stepcore.measure.trade.methods import Steps
 from stepcore.measure.trade.rows import MARGIN, NOTABLE, Frontier, TradeRow
+from stepcore.measure.trade.run_cache import RunCache
 from stepcore.report.settings import label
 from stepcore.report.units import (
     beginning,
@@ -331,6 +333,18 @@ def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float)
             f"step moves {reference.other} by only {metres(reference.other_error)}, and no nearer "
             f"to {reference.level.integrator}; errors below that distance are unknown"
         )
+
+
+def not_searched(cache: RunCache) -> str:
+    """Return what the deadline left out of a search."""
+    tried = len({*cache.full, *cache.screened})
+    return f"the rest of the search ({counted(tried, 'setting')} tried)"
+
+
+def not_run(cache: RunCache, settings: Sequence[Settings]) -> str:
+    """Return which of some settings the deadline left out."""
+    left = sum(setting not in cache.full for setting in settings)
+    return f"{left} of {len(settings)} settings from all starts"
 
 
 def about_search(reference: Reference, steps: Steps, finest: float) -> Iterator[str]:

@@ -47,12 +47,12 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
 
     shape = (len(result.values), len(result.dts))
     states = list(FILLS)
-    filled = [ACCURATE if cell.state == FINITE else cell.state for cell in panel.cells]
+    filled = [cell.state if cell.state in FILLS else ACCURATE for cell in panel.cells]
     grid = np.array([states.index(state) for state in filled]).reshape(shape).T
     across, up = _edges(result.values), _edges(result.dts)
     colours = ListedColormap(list(FILLS.values()))
     axes.pcolormesh(across, up, grid, cmap=colours, vmin=-0.5, vmax=2.5, edgecolors="none")
-    unknown = np.array([cell.state == FINITE for cell in panel.cells]).reshape(shape).T
+    unknown = np.array([cell.state not in FILLS for cell in panel.cells]).reshape(shape).T
     if unknown.any():
         masked = np.ma.masked_where(~unknown, grid)
         axes.pcolor(across, up, masked, hatch="///", alpha=0.0, zorder=2)

@@ -1,0 +1,37 @@
+"""Ctrl-C during a measurement: the first ends it with what is known, the second at once."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+from stepcore import deadline
+from stepcore.cli.terminal import say
+
+
+def stop(number: int, frame: FrameType | None) -> None:
+    """Handle Ctrl-C: stop the measurement that runs, or raise KeyboardInterrupt."""
+    measurement = deadline.current()
+    if measurement is None or measurement.interrupted:
+        raise KeyboardInterrupt
+    measurement.stop()
+    say("interrupted; what is known follows (Ctrl-C again ends at once)")
+
+
+@contextmanager
+def ends_early_on_ctrl_c() -> Iterator[None]:
+    """Handle Ctrl-C with `stop`, where Python's own handler is in place."""
+    before: Any = signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()
+    if not main or before is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

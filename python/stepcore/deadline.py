@@ -1,0 +1,220 @@
+"""`Deadline`: how long a measurement may take, and what it leaves out when its time is over.
+
+A measurement opens its deadline with `in_time`. Long work calls `check` from time to time, between
+runs and within them (`stepcore.executors.checkpoint`), which raises OutOfTime once the time is
+over. Work that an answer can do without stands in a `stage`: there the time ends that work only,
+and the result says what was left out. Without such work there is no answer, and OutOfTime reaches
+the caller.
+
+>>> from stepcore import deadline
+>>> times = iter(range(100))
+>>> now, deadline.clock = deadline.clock, lambda: next(times)
+>>> with Deadline(5.0).opened() as limit:
+...     with limit.stage("the last of ten counts"):
+...         for count in range(10):
+...             check()
+>>> limit.left_out
+['the last of ten counts']
+>>> deadline.clock = now
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import monotonic
+from typing import Any, TypeVar
+
+from stepcore import checks
+
+# The limits of the measuring commands of the command line [s]. Functions in Python have none unless
+# `seconds` is given, so that their results are the same on every machine.
+SECONDS = {
+    "check": 15.0,
+    "diagnose": 15.0,
+    "trade": 60.0,
+    "predict": 60.0,
+    "ablate": 60.0,
+    "converge": 60.0,
+    "stability-map": 60.0,
+}
+# The time in which an answer is completed from the runs made, after the deadline or Ctrl-C [s].
+CLOSING = 3.0
+# Times that a message proposes for a longer measurement [s].
+ROUND = (15, 30, 60, 120, 300, 600, 1800, 3600, 7200, 36000, 86400)
+
+F = TypeVar("F", bound=Callable[..., Any])
+clock = monotonic
+_thread = threading.local()
+
+
+class OutOfTime(RuntimeError):
+    """The time of a measurement is over before there is an answer.
+
+    interrupted: whether Ctrl-C ended the measurement.
+    """
+
+    interrupted = False
+
+
+class Deadline:
+    """The time limit of a measurement.
+
+    seconds: the limit [s]; None for none.
+    outer: the deadline of the measurement that makes this one, which applies too.
+    left_out: what the measurement left out because its time was over.
+    """
+
+    def __init__(self, seconds: float | None = None, outer: Deadline | None = None) -> None:
+        self.seconds = math.inf if seconds is None else seconds
+        self.outer, self.begun = outer, clock()
+        self.left_out: list[str] = []
+        self._end = self.begun + self.seconds
+        if outer is not None:
+            self._end = min(self._end, outer._end)
+        self._stop: threading.Event = threading.Event() if outer is None else outer._stop
+        self._closing = False
+
+    @property
+    def spent(self) -> float:
+        """The time since the beginning [s]."""
+        return clock() - self.begun
+
+    @property
+    def left(self) -> float:
+        """The time that is left for the present stage [s]; 0 when it is over."""
+        if self.interrupted and not self._closing:
+            return 0.0
+        return self._end if math.isinf(self._end) else max(0.0, self._end - clock())
+
+    @property
+    def over(self) -> bool:
+        """Whether no time is left for the present stage."""
+        return self.left <= 0
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether `stop` was called."""
+        return self._stop.is_set()
+
+    def stop(self) -> None:
+        """End the measurement with what is known, and all measurements around it."""
+        self._stop.set()
+
+    @contextmanager
+    def opened(self) -> Iterator[Deadline]:
+        """Make this the deadline of `check` in this thread."""
+        before, _thread.deadline = current(), self
+        try:
+            yield self
+        finally:
+            _thread.deadline = before
+
+    @contextmanager
+    def stage(self, words: str | Callable[[], str], share: float = 1.0) -> Iterator[None]:
+        """Do work that the answer can do without; if the time is over, it is left out.
+
+        words: what is left out then, or a function that returns it.
+        share: the stage ends at this share of all the time.
+        """
+        before = self._end
+        if not self._closing:
+            self._end = min(self._end, self.begun + share * self.seconds)
+        try:
+            yield
+        except OutOfTime:
+            said = words if isinstance(words, str) else words()
+            if said not in self.left_out:
+                self.left_out.append(said)
+        finally:
+            self._end = before
+
+    @contextmanager
+    def closing(self) -> Iterator[None]:
+        """Complete the answer from what was run, for which some time is always left."""
+        before = self._end, self._closing
+        self._end, self._closing = max(self._end, clock() + CLOSING), True
+        try:
+            yield
+        finally:
+            self._end, self._closing = before
+
+    @property
+    def longer(self) -> int:
+        """A longer time to propose [s]."""
+        least = 2 * max(1.0, self.spent)
+        return next((time for time in ROUND if time >= least), math.ceil(least))
+
+    @property
+    def sentence(self) -> str:
+        """What was left out, and how to go on; "" if nothing was."""
+        if not self.left_out:
+            return ""
+        kind = "Interrupted" if self.interrupted else "Stopped"
+        return (
+            f"{kind} after {_in_words(self.spent)}. Not done: {'; '.join(self.left_out)}. "
+            f"{_goes_on(self.longer)}."
+        )
+
+    def nothing(self, error: OutOfTime) -> OutOfTime:
+        """Return the error of a measurement without any answer."""
+        done = ", ".join(getattr(error, "__notes__", ()))
+        kind, what = "interrupted" if self.interrupted else "stopped", f" ({done})" if done else ""
+        early = f"{kind} after {_in_words(self.spent)}, too early for any answer{what}"
+        nothing = OutOfTime(f"{early}; {_goes_on(self.longer)}")
+        nothing.interrupted = self.interrupted
+        return nothing
+
+
+def _goes_on(time: int) -> str:
+    return f"`--seconds {time}` (in Python seconds={time}) goes on further"
+
+
+def _in_words(time: float) -> str:
+    return f"{time:.2g} s" if time < 100 else f"{time:.0f} s"
+
+
+def current() -> Deadline | None:
+    """Return the deadline that this thread works under, or None."""
+    deadline: Deadline | None = getattr(_thread, "deadline", None)
+    return deadline
+
+
+def check() -> None:
+    """Raise OutOfTime if the time of the present work is over."""
+    deadline = current()
+    if deadline is not None and deadline.over:
+        raise OutOfTime("the time of the measurement is over")
+
+
+def in_time(measurement: F) -> F:
+    """Decorate a measurement: its keyword argument `seconds` is its deadline.
+
+    If the time was over, the result's `unfinished` says what was left out. A measurement without
+    any answer raises OutOfTime.
+    """
+
+    @functools.wraps(measurement)
+    def bounded(*args: Any, **keywords: Any) -> Any:
+        seconds = keywords.get("seconds")
+        if seconds not in (None, math.inf):
+            seconds = checks.real(above=0)(measurement.__name__, "seconds", seconds)
+        limit = Deadline(seconds, current())
+        try:
+            with limit.opened():
+                result = measurement(*args, **keywords)
+        except OutOfTime as error:
+            if limit.outer is not None:
+                raise
+            raise limit.nothing(error) from None
+        if limit.left_out:
+            # Results are dataclasses, some of them frozen.
+            object.__setattr__(result, "not_done", tuple(limit.left_out))
+            object.__setattr__(result, "unfinished", limit.sentence)
+            object.__setattr__(result, "interrupted", limit.interrupted)
+        return result
+
+    return bounded  # type: ignore[return-value]

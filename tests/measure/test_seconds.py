@@ -1,0 +1,171 @@
+"""Measurements whose time is over: a valid answer that says what was not done, or none in a line.
+
+The clock of these tests counts how often it is asked, so that nothing depends on the machine.
+"""
+
+import itertools
+import re
+import signal
+
+import pytest
+
+import stepcore as sc
+from stepcore import deadline, lesson
+from stepcore.cli import main
+from stepcore.deadline import Deadline, OutOfTime
+from stepcore.report.progress import Progress
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that goes on by a second whenever it is asked."""
+    ticks = itertools.count()
+    monkeypatch.setattr(deadline, "clock", lambda: next(ticks))
+    return ticks
+
+
+@pytest.fixture(scope="module")
+def hinge():
+    return sc.loads("""<mujoco><option timestep="0.01" gravity="0 0 0"/><worldbody>
+      <body><joint name="a" axis="0 1 0" stiffness="100" damping="1"/>
+      <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass="1"/></body></worldbody>
+      <keyframe><key qpos="0.01"/></keyframe></mujoco>""").compile()
+
+
+def measurements(hinge):
+    short = {"horizon": 0.2, "progress": False, "threads": 1}
+    spring = lesson.spring()
+    return {
+        "check": lambda seconds: sc.check(hinge, **short, seconds=seconds),
+        "diagnose": lambda seconds: sc.diagnose(hinge, **short, dt=0.2, seconds=seconds),
+        "trade": lambda seconds: sc.trade(
+            spring, **short, starts=3, error="1mm", further=4, by="flops", seconds=seconds
+        ),
+        "predict": lambda seconds: sc.predict(spring, **short, starts=3, seconds=seconds),
+        "ablate": lambda seconds: sc.ablate(hinge, **short, starts=2, seconds=seconds),
+        "converge": lambda seconds: sc.converge(
+            lesson.stack(3, "rigid", (1.0, 10.0)), **short, starts=1, seconds=seconds
+        ),
+        "stability_map": lambda seconds: sc.stability_map(
+            path="joint/spring/stiffness",
+            values=[10, 100],
+            dts=[0.01, 0.1],
+            **short,
+            seconds=seconds,
+        ),
+    }
+
+
+NAMES = ("check", "diagnose", "trade", "predict", "ablate", "converge", "stability_map")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_measurement_ends_at_its_deadline_with_what_it_has(hinge, clock, name):
+    """From too early for any answer up to all the time that it takes."""
+    measure, ends = measurements(hinge)[name], []
+    for power in range(12, 100):
+        try:
+            result = measure(1.15**power)
+        except OutOfTime as error:
+            assert re.fullmatch(
+                r"stopped after [\d.e+]+ s, too early for any answer.*; `--seconds \d+` .*",
+                str(error),
+            )
+            ends.append("nothing")
+            continue
+        text = result.text()
+        assert (result.unfinished in text.replace("\n", " ")) and result.to_json()
+        assert result.to_dict()["unfinished"] == result.unfinished
+        if not result.unfinished:
+            ends.append("all")
+            break
+        assert re.match(r"Stopped after [\d.e+]+ s\. Not done: ", result.unfinished)
+        assert result.not_done and not result.interrupted
+        ends.append("part")
+    assert ends[-1] == "all" and "part" in ends
+    assert ends == sorted(ends, key=("nothing", "part", "all").index)
+
+
+@pytest.mark.parametrize("name", ["trade", "predict"])
+def test_without_a_cut_a_deadline_changes_nothing(hinge, clock, name):
+    measure = measurements(hinge)[name]
+    assert measure(None).to_dict() == measure(1e15).to_dict()
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(0, "seconds = 0"), ("much", "seconds = 'much'")])
+def test_a_wrong_time_is_refused(hinge, seconds, words):
+    with pytest.raises(ValueError, match=words):
+        sc.diagnose(hinge, seconds=seconds)
+
+
+def test_stages_end_at_their_shares_and_an_answer_is_still_completed(clock):
+    with Deadline(100.0).opened() as limit:
+        with limit.stage("the first half", 0.5):
+            while True:
+                deadline.check()
+        assert 50 <= limit.spent < 60
+        limit.stop()
+        with limit.stage("what follows"):
+            deadline.check()
+        with limit.closing():
+            deadline.check()
+    assert limit.left_out == ["the first half", "what follows"]
+    assert limit.sentence.startswith("Interrupted after ")
+    assert "Not done: the first half; what follows. `--seconds " in limit.sentence
+    assert deadline.current() is None
+
+
+def press(monkeypatch, after):
+    """Press Ctrl-C when the bar of the runs has advanced some times."""
+    advance, calls = Progress.advance, itertools.count(1)
+
+    def pressed(bar, count=1):
+        advance(bar, count)
+        if bar.label == "runs" and next(calls) in after:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Progress, "advance", pressed)
+
+
+COMMAND = ("predict", "lesson:stack", "--horizon", "0.2", "--threads", "1", "--starts", "3")
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_ctrl_c_prints_what_is_known_and_how_to_go_on(capsys, monkeypatch):
+    press(monkeypatch, {3 + 2})
+    status = main(COMMAND)
+    out, err = capsys.readouterr()
+    assert status == 130 and "The motion can be predicted" in out
+    assert re.search(r"Interrupted after .* s\. Not done: 1 of 3 starts\. `--seconds \d+`", out)
+    assert "what is known follows" in err
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_ctrl_c_before_any_answer_is_one_line(capsys, monkeypatch):
+    press(monkeypatch, {1})
+    status = main(COMMAND)
+    out, err = capsys.readouterr()
+    assert status == 130 and not out
+    last = err.strip().splitlines()[-1]
+    assert re.match(r"stepcore: interrupted after .*, too early for any answer \(1 of \d+ ", last)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_second_ctrl_c_ends_at_once(capsys, monkeypatch):
+    press(monkeypatch, {1})
+    closing = Deadline.stop
+
+    def twice(self):
+        closing(self)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Deadline, "stop", twice)
+    assert main(COMMAND) == 130
+    assert "interrupted after 1 of" in capsys.readouterr().err
+
+
+def test_seconds_on_the_command_line(capsys, clock):
+    assert main([*COMMAND, "--seconds", "3"]) == 1
+    assert "too early for any answer" in capsys.readouterr().err
+    assert main([*COMMAND, "--seconds", "inf"]) == 0
+    assert "Not done" not in capsys.readouterr().out
