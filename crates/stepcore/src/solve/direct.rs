@@ -2,13 +2,18 @@
 //!
 //! A row that the rows before it fix already leaves a pivot of rounding, and takes no impulse: what
 //! holds twice holds. No order of rows is looked for, so that lanes do the same operations.
+//!
+//! A row of L begins at the first row with which it has a dof in common, directly or through the
+//! rows between (the envelope of A, which elimination does not leave). A chain of loops that share
+//! bodies with their neighbours only costs what its loops cost, however many they are.
 
-use super::rows::Rows;
+use super::rows::{Row, Rows};
 use crate::real::{Mask, Real};
 use crate::room::room;
 
-/// Of more rows the sweeps are cheaper.
-pub(super) const MOST: usize = 96;
+/// The most products of an elimination; of more the sweeps have to do. 384 rows that all touch each
+/// other are as many, and take 10 ms.
+const MOST: usize = 384 * 384 * 384 / 6;
 /// A pivot of no more than so many roundings of the largest A of its group is none.
 const ROUNDINGS: f64 = 4096.0;
 /// Nor one of no more than this share of it, where an iteration has to come to rest: close to a
@@ -31,8 +36,10 @@ pub enum Choice {
     Frozen,
 }
 
-/// The method's memory: a matrix, row by row.
+/// The method's memory.
 pub struct Direct<R: Real> {
+    envelope: Envelope,
+    /// L within the envelope, row by row, without its diagonal of ones.
     l: Vec<R>,
     inv: Vec<R>,
     /// Rows that have a pivot.
@@ -44,11 +51,12 @@ pub struct Direct<R: Real> {
     z: Vec<R>,
 }
 
-room!(Direct<R>: l, inv, counts, x, begun, z;);
+room!(Direct<R>: l, inv, counts, x, begun, z; envelope);
 
 impl<R: Real> Direct<R> {
     pub fn new(nv: usize) -> Self {
         Self {
+            envelope: Envelope::new(nv),
             l: Vec::new(),
             inv: Vec::new(),
             counts: Vec::new(),
@@ -56,6 +64,67 @@ impl<R: Real> Direct<R> {
             begun: Vec::new(),
             z: vec![R::zero(); nv],
         }
+    }
+}
+
+/// Where the rows of L begin.
+struct Envelope {
+    /// By row: the first column of L that may not be zero, and where it stands.
+    first: Vec<usize>,
+    start: Vec<usize>,
+    /// By column: one past the last row that begins there or before.
+    ends: Vec<usize>,
+    /// By dof: the first row that touches it.
+    touched: Vec<usize>,
+}
+
+room!(Envelope: first, start, ends, touched);
+
+impl Envelope {
+    fn new(nv: usize) -> Self {
+        let touched = vec![usize::MAX; nv];
+        Self { first: Vec::new(), start: Vec::new(), ends: Vec::new(), touched }
+    }
+
+    /// For these rows; false if their elimination is of more than `MOST` products.
+    fn find<R: Real>(&mut self, rows: &[Row<R>], dof_lists: &[usize]) -> bool {
+        self.first.clear();
+        self.start.clear();
+        self.start.push(0);
+        self.ends.clear();
+        self.touched.fill(usize::MAX);
+        let mut work = 0;
+        for (i, row) in rows.iter().enumerate() {
+            let mut first = i;
+            for k in row.dofs.of(dof_lists) {
+                self.touched[*k] = self.touched[*k].min(i);
+                first = first.min(self.touched[*k]);
+            }
+            let wide = i - first;
+            work += wide * (wide + 1) / 2;
+            if work > MOST {
+                return false;
+            }
+            self.first.push(first);
+            self.start.push(self.start[i] + wide);
+            self.ends.push(i + 1);
+        }
+        for (i, first) in self.first.iter().enumerate() {
+            self.ends[*first] = i + 1;
+        }
+        for i in 1..rows.len() {
+            self.ends[i] = self.ends[i].max(self.ends[i - 1]);
+        }
+        true
+    }
+
+    fn len(&self) -> usize {
+        self.start.last().copied().unwrap_or(0)
+    }
+
+    /// Where a row stands.
+    fn row(&self, i: usize) -> std::ops::Range<usize> {
+        self.start[i]..self.start[i + 1]
     }
 }
 
@@ -68,7 +137,7 @@ impl<R: Real> Rows<R> {
         choice: Choice,
     ) -> bool {
         let n = self.rows.len();
-        if n > MOST {
+        if !self.direct.envelope.find(&self.rows, dof_lists) {
             return false;
         }
         if choice == Choice::Frozen {
@@ -76,9 +145,9 @@ impl<R: Real> Rows<R> {
             return true;
         }
         let Self { rows, blocks, y, direct, u, .. } = self;
-        let Direct { l, inv, counts, x, z, .. } = direct;
+        let Direct { envelope, l, inv, counts, x, z, .. } = direct;
         l.clear();
-        l.resize(n * n, R::zero());
+        l.resize(envelope.len(), R::zero());
         inv.clear();
         let rounding = ROUNDINGS * R::epsilon();
         let least = R::of(if choice == Choice::Now { rounding } else { rounding.max(ITERATED) });
@@ -97,31 +166,33 @@ impl<R: Real> Rows<R> {
                 short -= *y * u[*k];
             }
             x.push(short);
-            for j in 0..=i {
-                let other = &rows[j];
-                let mut a = R::zero();
+            let first = envelope.first[i];
+            let (before, mine) = l.split_at_mut(envelope.start[i]);
+            let mine = &mut mine[..i - first];
+            for (own, other) in mine.iter_mut().zip(&rows[first..]) {
                 for (k, y) in other.dofs.of(dof_lists).iter().zip(&y[other.y..]) {
-                    a += *y * z[*k];
+                    *own += *y * z[*k];
                 }
-                l[i * n + j] = a;
             }
             // L[i, j] · D[j] by forward substitution; then the pivot.
             let whole = own.a + own.c;
             let mut pivot = whole;
-            for j in 0..i {
-                let mut sum = l[i * n + j];
-                for k in 0..j {
-                    sum -= l[i * n + k] * l[j * n + k];
+            for j in first..i {
+                let both = first.max(envelope.first[j]);
+                let mut sum = mine[j - first];
+                let other = &before[envelope.row(j)][both - envelope.first[j]..];
+                for (own, other) in mine[both - first..].iter().zip(other) {
+                    sum -= *own * *other;
                 }
-                l[i * n + j] = sum;
+                mine[j - first] = sum;
                 // Rows j keep L[j, k]; row i keeps L[i, k]·D[k] until it is done.
             }
-            for j in 0..i {
-                let scaled = l[i * n + j];
+            for (j, own) in (first..i).zip(mine) {
+                let scaled = *own;
                 let share = scaled * inv[j];
                 pivot -= scaled * share;
                 x[i] = x[i] - share * x[j];
-                l[i * n + j] = share;
+                *own = share;
             }
             if choice != Choice::Kept {
                 // Beside the largest of its group: where nothing moves along one of its axes,
@@ -136,12 +207,13 @@ impl<R: Real> Rows<R> {
                 counts.push((least * most).lt(pivot).and(blocks[block].mask));
             }
             inv.push(R::select(counts[i], pivot.recip_or_zero(), R::zero()));
-            l[i * n + i] = R::one();
         }
         for i in (0..n).rev() {
             let mut sum = x[i] * inv[i];
-            for j in i + 1..n {
-                sum -= l[j * n + i] * x[j];
+            for j in i + 1..envelope.ends[i] {
+                if let Some(column) = i.checked_sub(envelope.first[j]) {
+                    sum -= l[envelope.start[j] + column] * x[j];
+                }
             }
             // A row without a pivot takes nothing, whatever those after it take.
             x[i] = R::select(counts[i], sum, R::zero());
