@@ -131,11 +131,30 @@ def test_how_far_a_servo_sags():
     one = the(watched(lift(80), time=6.0)[1], "servo sags")
     assert one.value == pytest.approx(2 * G / 80, rel=1e-3) and one.element == "servo `hoist`"
     assert "load of 19.6 N" in one.text
-    kp = float(re.search(r"kp (\S+) leaves", one.text)[1])
-    watch, findings = watched(lift(kp), time=3.0)
+    kp, left = re.search(r"kp (\S+) leaves (\S+) mm", one.text).groups()
+    watch, findings = watched(lift(float(kp)), time=3.0)
     assert findings == []
     (servo,) = watch.actuators.at_rest()
-    assert abs(servo.error) == pytest.approx(0.1 * 0.1, rel=0.01)
+    assert abs(servo.error) == pytest.approx(2 * G / float(kp), rel=0.01)
+    assert abs(servo.error) == pytest.approx(float(left) * 1e-3, rel=0.01)
+
+
+def test_a_sag_is_told_on_the_scale_of_the_range_with_the_kp_that_mends_it():
+    """An arm of two links sags by 40 mrad and less, together; IsaacLab's issue 2614 in small."""
+    text = """<mujoco><option integrator="implicitfast"/><worldbody><body name="a">
+    <joint name="a" axis="0 1 0" range="-100 100"/><geom type="capsule" fromto="0 0 0 .3 0 0"
+    size=".02" mass="1"/><body name="b" pos=".3 0 0"><joint name="b" axis="0 1 0" range="-100 100"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5"/></body></body></worldbody>
+    <actuator><position name="a" joint="a" kp="{}" kv="10"/>
+    <position name="b" joint="b" kp="{}" kv="5"/></actuator></mujoco>"""
+    one = the(watched(sc.loads(text.format(80, 18)), time=4.0)[1], "servo sags")
+    assert one.severity == "remark" and [of.label for of in one.elements] == ["`a`", "`b`"]
+    assert one.value == pytest.approx(G * (0.15 + 0.225) / 80, rel=0.02)
+    kps = re.search(r"kp (\S+) \(servo `b` (\S+)\) leaves ([\d.]+) mrad", one.text).groups()
+    watch, findings = watched(sc.loads(text.format(*kps[:2])), time=4.0)
+    assert findings == []
+    worst = max(abs(servo.error) for servo in watch.actuators.at_rest())
+    assert worst == pytest.approx(float(kps[2]) * 1e-3, rel=0.01) and worst < 0.011
 
 
 def test_a_servo_too_weak_for_its_load():

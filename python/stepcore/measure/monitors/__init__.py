@@ -24,6 +24,7 @@ from stepcore.measure.monitors.contacts import REST, ContactMonitor
 from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.cures import proven, verified
 from stepcore.measure.monitors.finding import Finding, Next, named, ordered
+from stepcore.measure.monitors.friction_loss import FrictionLossMonitor
 from stepcore.measure.monitors.joints import JointMonitor
 from stepcore.report.settings import solver_words
 from stepcore.report.units import percent, speed, times
@@ -53,6 +54,7 @@ class Monitor(Probe):
         self.contacts = ContactMonitor(model, bodies.friction, sizes)
         self.joints = JointMonitor(model, bodies.joints, sizes)
         self.actuators = ActuatorMonitor(model)
+        self.friction_losses = FrictionLossMonitor(model, sizes)
         # The times of the readings [s]; their residuals [m/s]; the worst residual and its row.
         self.times: list[float] = []
         self.residuals: list[float] = []
@@ -81,6 +83,8 @@ class Monitor(Probe):
         self.contacts.look(sim)
         self.joints.look(sim)
         self.actuators.look(sim)
+        if self.friction_losses.watches:
+            self.friction_losses.look(sim, sim.rows)
 
     def findings(self, depth: float | None = None, failed: bool = False) -> list[Finding]:
         """Return the findings of the run, most severe first.
@@ -92,6 +96,7 @@ class Monitor(Probe):
         every = (
             *creep_findings(self.contacts, self.times[1:]),
             *self.contacts.findings(depth),
+            *self.friction_losses.findings(self.times[1:]),
             *self.joints.findings(),
             *self.actuators.findings(),
             *self._unsolved_rows(),

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from stepcore.engine.element import Element
+from stepcore.engine.element import Element, SceneField
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.measure.monitors.contacts import FEWEST, REST
-from stepcore.measure.monitors.finding import PLOT, Finding, named
+from stepcore.measure.monitors.finding import OTHERS, PLOT, Cure, Finding, Remedy, listed, named
 from stepcore.report.units import FORCES, TORQUES, metres, percent, plural, quantity, radians
 
 # Relative distance from the end of the force range within which a force is at the end.
@@ -22,8 +24,9 @@ HALF = 0.5
 STEADY = 0.05
 # Shares of a run above which clamping and saturation are reported.
 CLAMPED, SATURATED = 0.05, 0.5
-# Largest sag, in rad or relative to a slide's range; and the share of this that a cure leaves.
-SAGS, LEFT = 0.1, 0.1
+# Least sag that is told and that will be noticed, relative to the joint's range (a hinge's, at most
+# 3 rad): 30 mrad move the hand of an arm of 0.8 m by 24 mm. And the share that a cure should leave.
+SAGS, OBVIOUS, WIDEST, LEFT = 0.01, 0.033, 3.0, 1 / 3
 
 
 @dataclass(frozen=True)
@@ -112,20 +115,28 @@ class ActuatorMonitor:
             return
         model = self.model
         ends = {saturated.actuator for saturated in self.saturated() if saturated.share > 0}
-        ctrl, length = np.array(self.ctrl[-count:]), np.array(self.length[-count:])
-        if model.scene.features.clampctrl:
-            ctrl = np.clip(ctrl, *model.actuator_ctrlrange.T)
+        length = np.array(self.length[-count:])
         for column, k in enumerate(self.servos):
-            gain, bias = model.actuator_gain[k], model.actuator_bias[k]
-            asked = (gain * ctrl[:, k] + bias[0]) / -bias[1]
+            asked, ctrl = self._asked(column, count)
             error = asked - length[:, column]
             mean = float(error.mean())
-            if np.ptp(ctrl[:, k]) == 0 and float(np.ptp(error)) < STEADY * abs(mean):
+            if np.ptp(ctrl) == 0 and float(np.ptp(error)) < STEADY * abs(mean):
                 force = float(self.force[-1][k])
                 low, high = model.actuator_forcerange[k]
                 full = int(k) in ends and not low * (1 - 1e-6) < force < high * (1 - 1e-6)
                 loaded = self._loaded(column, float(asked[-1]), force)
                 yield Servo(int(k), mean, force, full, loaded)
+
+    def _asked(self, column: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lengths that the last controls of a servo ask for, and these controls."""
+        model, k = self.model, int(self.servos[column])
+        ctrl = np.array(self.ctrl[-count:])[:, k]
+        if model.scene.features.clampctrl:
+            ctrl = np.clip(ctrl, *model.actuator_ctrlrange[k])
+        asked: np.ndarray = (model.actuator_gain[k] * ctrl + model.actuator_bias[k, 0]) / (
+            -model.actuator_bias[k, 1]
+        )
+        return asked, ctrl
 
     def _loaded(self, column: int, asked: float, force: float) -> bool:
         """Return whether a servo pushes against a weight at the end of the run.
@@ -156,14 +167,20 @@ class ActuatorMonitor:
     def findings(self) -> Iterator[Finding]:
         """Yield all findings on actuators."""
         model, explained = self.model, set()
+        sagging: list[tuple[float, Servo]] = []
         for servo in self.at_rest():
             # A servo that presses against an object or a limit does so on purpose, and may be
             # saturated.
-            finding = self._sags(servo) if servo.loaded else None
-            if finding is not None or not servo.loaded:
+            ratio = abs(servo.error) / self._notable(servo.actuator) if servo.loaded else 0.0
+            if ratio > 1 and servo.saturated:
+                yield self._weak(servo)
+            elif ratio > 1:
+                sagging.append((ratio, servo))
+            if ratio > 1 or not servo.loaded:
                 explained.add(servo.actuator)
-            if finding is not None:
-                yield finding
+        if sagging:
+            sagging.sort(key=lambda entry: -entry[0])
+            yield self._sags([servo for _, servo in sagging])
         for clamped in self.clamped():
             if clamped.share < CLAMPED:
                 continue
@@ -201,37 +218,113 @@ class ActuatorMonitor:
         value = full[0].share
         return Finding("saturation", "warning", problem, cure, actuators, value, "1", PLOT)
 
-    def _sags(self, servo: Servo) -> Finding | None:
-        """Return a finding on a servo that sags under its load, or None."""
-        model, k = self.model, servo.actuator
-        joint = int(model.actuator_joint[k])
-        angular = model.jnt_type[joint] == "hinge"
-        low, high = (float(bound) for bound in model.jnt_range[joint])
-        gear = abs(float(model.actuator_gear[k, 0])) or 1.0
-        error = abs(servo.error) / gear
-        notable = SAGS if angular else SAGS * min(high - low, 1.0)
-        if error <= notable:
-            return None
-        actuator, length = named(model, "actuator", [k]), radians if angular else metres
-        force, kp = strength(model, k, abs(servo.force)), -float(model.actuator_bias[k, 1])
-        if servo.saturated:
-            kind, severity = "servo too weak", "error"
-            problem = (
-                f"cannot hold its load: it rests {length(error)} from where its control asks it to "
-                f"be, at the end of its forcerange ({force})"
-            )
-            cure = "widen the forcerange, raise the gear, or lighten the load"
-        else:
-            kind, severity = "servo sags", "warning"
-            problem = (
-                f"sags by {length(error)} under its load of {force}, which is load / kp with kp "
-                f"{kp:.4g}"
-            )
-            enough, leaves = kp * error / (LEFT * notable), length(LEFT * notable)
-            cure = f"kp {enough:.3g} leaves {leaves}, or let the control carry the load"
-        problem = f"{actuator[0].name} {problem}"
-        unit = "rad" if angular else "m"
-        return Finding(kind, severity, problem, cure, actuator, error, unit, PLOT)
+    def _notable(self, actuator: int) -> float:
+        """Return the least sag that is told, before the gear [rad or m]."""
+        joint = int(self.model.actuator_joint[actuator])
+        low, high = (float(bound) for bound in self.model.jnt_range[joint])
+        gear = abs(float(self.model.actuator_gear[actuator, 0])) or 1.0
+        widest = WIDEST if self.model.jnt_type[joint] == "hinge" else 1.0
+        return SAGS * min(high - low, widest) * gear
+
+    def _length(self, actuator: int, error: float) -> tuple[float, str]:
+        """Return the error of a servo at its joint, and in words."""
+        joint = int(self.model.actuator_joint[actuator])
+        value = abs(error) / (abs(float(self.model.actuator_gear[actuator, 0])) or 1.0)
+        return value, (radians if self.model.jnt_type[joint] == "hinge" else metres)(value)
+
+    def _weak(self, servo: Servo) -> Finding:
+        """Return a finding on a servo whose force range is too small for its load."""
+        actuator = named(self.model, "actuator", [servo.actuator])
+        error, length = self._length(servo.actuator, servo.error)
+        force = strength(self.model, servo.actuator, abs(servo.force))
+        problem = (
+            f"{actuator[0].name} cannot hold its load: it rests {length} from where its control "
+            f"asks it to be, at the end of its forcerange ({force})"
+        )
+        cure = "widen the forcerange, raise the gear, or lighten the load"
+        unit = self._unit(servo.actuator)
+        return Finding("servo too weak", "error", problem, cure, actuator, error, unit, PLOT)
+
+    def _unit(self, actuator: int) -> str:
+        joint = int(self.model.actuator_joint[actuator])
+        return "rad" if self.model.jnt_type[joint] == "hinge" else "m"
+
+    def _sags(self, servos: list[Servo]) -> Finding:
+        """Return a finding on servos that sag under their loads, the worst first."""
+        model, worst = self.model, servos[0]
+        k, indices = worst.actuator, [servo.actuator for servo in servos]
+        actuators, notable = named(model, "actuator", indices), self._notable(k)
+        (error, length), kp = self._length(k, worst.error), -float(model.actuator_bias[k, 1])
+        force = strength(model, k, abs(worst.force))
+        ratios = {s.actuator: abs(s.error) / (self._notable(s.actuator) * LEFT) for s in servos}
+        gains = [_digits(-model.actuator_bias[k, 1] * ratio) for k, ratio in ratios.items()]
+        # "kp 1810 (servo `j2` 995)"
+        also = [f"{of.name} {gain:g}" for of, gain in zip(actuators, gains, strict=True)][1:]
+        more = f" and {len(also) - OTHERS} more in proportion" if len(also) > OTHERS else ""
+        words = f"kp {gains[0]:g}" + (f" ({', '.join(also[:OTHERS])}{more})" if also else "")
+        remedy = Remedy(
+            (
+                (
+                    Cure(words, stronger(model, ratios, damped=False)),
+                    Cure(f"{words}, with kv in proportion", stronger(model, ratios, damped=True)),
+                ),
+            ),
+            lambda m: m.actuators.sag_of(indices),
+            notable,
+            lambda left: self._length(k, left)[1],
+        )
+        problem = (
+            f"{listed(actuators, 'servos')} sags by {length} under its load of {force}, which is "
+            f"load / kp with kp {kp:.4g}"
+        )
+        severity = "warning" if abs(worst.error) > OBVIOUS / SAGS * notable else "remark"
+        cure, unit = "let the control carry the load", self._unit(k)
+        finding = Finding("servo sags", severity, problem, cure, actuators, error, unit, PLOT)
+        return replace(finding, remedy=remedy)
+
+    def sag_of(self, actuators: Collection[int]) -> float | None:
+        """Return the largest error of some servos over the end of the run, before the gear.
+
+        None if a control changes there.
+        """
+        count = max(FEWEST, int(REST * len(self.ctrl)))
+        worst = 0.0
+        for column, k in enumerate(self.servos.tolist()):
+            if k in actuators:
+                asked, ctrl = self._asked(column, count)
+                if np.ptp(ctrl):
+                    return None
+                error = asked - np.array(self.length[-count:])[:, column]
+                worst = max(worst, float(np.abs(error).max()))
+        return worst
+
+
+def stronger(
+    model: Model, ratios: Mapping[int, float], damped: bool
+) -> tuple[tuple[SceneField, Any], ...]:
+    """Return the gains of servos with kp multiplied by a ratio each.
+
+    damped: whether kv grows, too, so that the damping ratio is kept.
+    """
+    changes: list[tuple[SceneField, Any]] = []
+    for k, ratio in ratios.items():
+        fields = {field.name: field for field in Element.of(model, "actuator", k).fields(model)}
+        faster = math.sqrt(ratio) if damped else 1.0
+        if "kp" in fields:
+            changes.append((fields["kp"], _digits(fields["kp"].value * ratio)))
+            if fields["kv"].value > 0:
+                changes.append((fields["kv"], _digits(fields["kv"].value * faster)))
+        elif "biasprm" in fields:
+            gain, bias = (list(fields[name].value) for name in ("gainprm", "biasprm"))
+            scaled = [gain[0] * ratio, *gain[1:]], [bias[0], bias[1] * ratio, bias[2] * faster]
+            changes.append((fields["gainprm"], tuple(map(_digits, scaled[0]))))
+            changes.append((fields["biasprm"], tuple(map(_digits, [*scaled[1], *bias[3:]]))))
+    return tuple(changes)
+
+
+def _digits(value: float) -> float:
+    """Return a number as it is printed."""
+    return float(f"{value:.3g}")
 
 
 def on_one_dof(model: Model) -> list[int]:

@@ -1,0 +1,70 @@
+"""Joints that creep under less than their friction loss: the closed form, and cures when made."""
+
+import re
+
+import pytest
+from test_findings import G, the, watched
+
+import stepcore as sc
+
+# MuJoCo's issue 2082.
+ARM = """<mujoco><worldbody><body pos="0 0 1">
+<joint name="j" axis="0 1 0" frictionloss="5"{}/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5"/></body></worldbody></mujoco>"""
+# MuJoCo's issue 2430.
+COUPLED = """<mujoco><worldbody><body name="A" pos="0 0 1"><joint name="A" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5"/></body>
+<body name="B" pos="0 .2 1"><joint name="B" axis="0 1 0" frictionloss="5"{}/>
+<geom type="capsule" fromto="0 0 0 0 0 .1" size=".02" mass=".1"/></body></worldbody>
+<equality><joint name="couple" joint1="A" joint2="B" polycoef="0 1 0 0 0"/></equality></mujoco>"""
+WRITTEN = r'solreffriction="([^"]+)" with solimpfriction="([^"]+)" leaves ([\d.]+) µrad/s'
+
+
+def creep(scene, time=1.0):
+    """The one finding, and the solver parameters and the creep [rad/s] of its cure."""
+    one = the(watched(scene, time)[1], "creep")
+    solref, solimp, left = re.search(WRITTEN, one.text).groups()
+    fields = f' solreffriction="{solref}" solimpfriction="{solimp}"'
+    return one, fields, float(left) * 1e-6
+
+
+def test_the_creep_of_an_arm_held_by_friction_is_r_f_over_b():
+    one, fields, left = creep(sc.loads(ARM.format("")))
+    load = 0.5 * G * 0.15
+    # d = 0.9, tc = 0.02, dmax = 0.95.
+    (inverse,) = sc.loads(ARM.format("")).compile().dof_invweight0
+    rate = load * inverse * (0.1 / 0.9) * 0.95 * 0.02 / 2
+    assert one.value == pytest.approx(rate, rel=0.02) and one.unit == "rad/s"
+    assert one.element == "friction loss of joint `j`" and "15 % of its 5 N·m" in one.text
+    sim = sc.Sim(sc.loads(ARM.format(fields)))
+    sim.step(250)
+    angle = float(sim.qpos[0])
+    sim.step(250)
+    assert (float(sim.qpos[0]) - angle) / 0.5 == pytest.approx(left, rel=0.05)
+    assert left < one.value / 20
+
+
+def test_friction_against_a_coupling_creeps_and_is_cured():
+    one, fields, left = creep(sc.loads(COUPLED.format("")))
+    assert one.element == "friction loss of joint `B`" and one.value > 0.5
+    sim = sc.Sim(sc.loads(COUPLED.format(fields)))
+    sim.step(500)
+    # Within 1 s, at the speed that is promised; 0.5 rad without the cure.
+    assert abs(float(sim.qpos[1])) < 2 * left + 1e-4
+
+
+@pytest.mark.parametrize(
+    "fields", ['damping="5"', 'solreffriction="0.004 1" solimpfriction=".99 .999"']
+)
+def test_what_falls_or_rests_does_not_creep(fields):
+    """Friction of 0.1 N·m slides under 0.74, and a hard row rests."""
+    loose = ARM.format(f" {fields}").replace('frictionloss="5"', 'frictionloss=".1"')
+    scene = sc.loads(ARM.format(f" {fields}") if "solref" in fields else loose)
+    assert watched(scene)[1] == []
+
+
+def test_a_joint_that_a_servo_moves_does_not_creep():
+    servo = '<actuator><position name="servo" joint="j" kp="100" kv="10"/></actuator></mujoco>'
+    scene = sc.loads(ARM.format("").replace("</mujoco>", servo))
+    _, findings = watched(scene, control=lambda time, sim: [0.2 * time])
+    assert not [one for one in findings if one.kind == "creep"]
