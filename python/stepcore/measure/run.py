@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from time import perf_counter
+from time import thread_time
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -271,7 +271,7 @@ def simulated(
         repeated.run(round(steps * dt / other.settings.dt))
         return watching
 
-    clock = perf_counter()
+    clock = thread_time()
     try:
         single.run(steps)
         sim.balance()
@@ -281,7 +281,7 @@ def simulated(
         if not interruptible:
             raise
         interrupted, steps = True, round((sim.time - begun) / dt)
-    took = perf_counter() - clock
+    took = thread_time() - clock
     found = monitor.findings(failed=error is not None) if steps else []
     plain = model.with_settings(settings.replace(ledger=False))
     timed = steps and error is None

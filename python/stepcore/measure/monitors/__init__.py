@@ -6,8 +6,9 @@ The findings are measured on the run itself and need no reference. `run`, `trade
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
-from time import perf_counter
+from time import thread_time
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from stepcore.measure.monitors.cures import proven, verified
 from stepcore.measure.monitors.finding import Finding, Next, named, ordered
 from stepcore.measure.monitors.friction_loss import FrictionLossMonitor
 from stepcore.measure.monitors.joints import JointMonitor
+from stepcore.measure.monitors.tunnelling import TunnellingMonitor
 from stepcore.report.settings import solver_words
 from stepcore.report.units import percent, speed, times
 
@@ -55,6 +57,7 @@ class Monitor(Probe):
         self.joints = JointMonitor(model, bodies.joints, sizes)
         self.actuators = ActuatorMonitor(model)
         self.friction_losses = FrictionLossMonitor(model, sizes)
+        self.tunnelling = TunnellingMonitor(model, sizes, bodies.moving)
         # The times of the readings [s]; their residuals [m/s]; the worst residual and its row.
         self.times: list[float] = []
         self.residuals: list[float] = []
@@ -71,6 +74,7 @@ class Monitor(Probe):
     def begin(self, sim: Any) -> None:
         self.times.append(sim.time)
         self.contacts.begin(sim)
+        self.tunnelling.begin(sim)
 
     def step(self, sim: Any) -> None:
         self.times.append(sim.time)
@@ -80,11 +84,13 @@ class Monitor(Probe):
             row = rows[np.argmax(np.abs(rows["residual"]))]
             self.worst, self.unsolved = residual, (str(row["kind"]), int(row["index"]))
         self.residuals.append(residual)
-        self.contacts.look(sim)
+        rows = functools.cache(lambda: sim.rows)
+        self.contacts.look(sim, rows)
         self.joints.look(sim)
+        self.tunnelling.look(sim)
         self.actuators.look(sim)
         if self.friction_losses.watches:
-            self.friction_losses.look(sim, sim.rows)
+            self.friction_losses.look(sim, rows())
 
     def findings(self, depth: float | None = None, failed: bool = False) -> list[Finding]:
         """Return the findings of the run, most severe first.
@@ -94,6 +100,7 @@ class Monitor(Probe):
         failed: whether the run failed.
         """
         every = (
+            *self.tunnelling.findings(),
             *creep_findings(self.contacts, self.times[1:]),
             *self.contacts.findings(depth),
             *self.friction_losses.findings(self.times[1:]),
@@ -145,9 +152,9 @@ def monitored(
         monitor, failure = seen(type(runner)(model, runner.schedule), model.settings)
         return None if failure else monitor
 
-    begun = perf_counter()
+    begun = thread_time()
     monitor, failure = seen(runner, settings)
-    took = perf_counter() - begun
+    took = thread_time() - begun
     findings = monitor.findings(depth, failed=failure is not None)
     model = runner.model.with_settings(settings.replace(ledger=False))
     return verified(findings, model, again, took), failure

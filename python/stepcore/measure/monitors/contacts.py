@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -36,6 +36,8 @@ REACHED = 1.05
 
 # A pair of geoms, and the index of one of its contacts.
 Key = tuple[int, int]
+# Returns the rows of the last solve, which are read at most once a reading.
+Rows = Callable[[], np.ndarray]
 
 
 class Look(NamedTuple):
@@ -99,8 +101,8 @@ class ContactMonitor:
             movable = self.friction.movable(aside, contacts)
             self.separation = Separation(aside, contacts, movable, sim.time)
 
-    def look(self, sim: Sim) -> None:
-        """Record every contact."""
+    def look(self, sim: Sim, rows: Rows) -> None:
+        """Record every contact; rows: returns the rows of the last solve."""
         if not self.model.npair:
             return
         look, self.looks = self.looks, self.looks + 1
@@ -117,7 +119,7 @@ class ContactMonitor:
             past, spin = self.friction.motion(sim, contacts)
             turning = np.linalg.norm(spin, axis=1)
             past = past - np.einsum("ci,ci->c", past, normal)[:, None] * normal
-        sticks = self._sticks(sim)
+        sticks = self._sticks(sim, rows)
         for k in np.flatnonzero(pushed > 0):
             key = int(contacts["index"][k]), int(contacts["part"][k])
             most = self.friction.of(key[0]) * pushed[k]
@@ -128,7 +130,7 @@ class ContactMonitor:
             seen = Look(look, depth, float(pushed[k]), float(share), bool(held), past[k], rolls)
             self.seen.setdefault(key, []).append(seen)
 
-    def _sticks(self, sim: Sim) -> dict[Key, bool]:
+    def _sticks(self, sim: Sim, every: Rows) -> dict[Key, bool]:
         """Return the contacts whose friction is inside its pyramid, because every edge pushes.
 
         Between its edges, a pyramid yields at less friction than along an edge.
@@ -136,7 +138,7 @@ class ContactMonitor:
         settings = sim.settings
         if settings.law != "solref" or settings.cone != "pyramidal":
             return {}
-        rows = sim.rows
+        rows = every()
         rows = rows[rows["kind"] == "contact"]
         forces: dict[Key, list[float]] = {}
         for index, part, force in zip(rows["index"], rows["part"], rows["force"], strict=True):
@@ -379,6 +381,8 @@ class Separation:
 
     def look(self, sim: Sim) -> None:
         """Record the speed of geoms that leave their overlap."""
+        if self.left.all():
+            return
         with np.errstate(over="ignore", invalid="ignore"):
             moved, rose = self._apart(sim)
             if sim.time > self.time:

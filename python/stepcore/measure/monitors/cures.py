@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping
-from time import perf_counter
+from time import thread_time
 from typing import Any
 
 from stepcore import deadline
@@ -44,7 +44,7 @@ def verified(
     seconds: the computing time for all cures [s]; those that do not fit are named without a
         promise.
     """
-    trial = _Trial(model, again, took, perf_counter() + seconds)
+    trial = _Trial(model, again, took, thread_time() + seconds)
     return [trial.cured(finding) for finding in findings]
 
 
@@ -67,6 +67,7 @@ class _Trial:
         held: list[tuple[float, Cure]] = []
         helped: list[tuple[float, Cure]] = []
         untried: list[Cure] = []
+        tried: list[Cure] = []
         before = math.inf if finding.value is None else abs(finding.value)
         for way in remedy.ways:
             if len(held) == remedy.most:
@@ -82,6 +83,7 @@ class _Trial:
                 if not known:
                     untried.append(cure)
                     break
+                tried.append(cure)
                 if left is not None and left <= remedy.enough:
                     held.append((left, cure))
                     break
@@ -99,13 +101,13 @@ class _Trial:
         if untried:
             also = f", or {finding.cure}" if finding.cure else ""
             return dataclasses.replace(finding, cure=f"try {untried[0].words}{also}")
-        tried = "; ".join(dict.fromkeys(cure.words for way in remedy.ways for cure in way))
-        failed = f"tried without success: {tried}" if tried else ""
+        failed = "; ".join(cure.words for cure in tried)
+        failed = f"tried without success: {failed}" if failed else ""
         return dataclasses.replace(finding, cure=finding.cure or failed)
 
     def _affordable(self, cure: Cure) -> bool:
         finer = self.model.settings.dt / cure.settings.get("dt", self.model.settings.dt)
-        return finer <= FINER and perf_counter() + self.took * max(1.0, finer) < self.end
+        return finer <= FINER and thread_time() + self.took * max(1.0, finer) < self.end
 
     def _left(self, remedy: Remedy, cure: Cure) -> float | None:
         """Return what a cure leaves; None if its run fails, or makes an error of its own."""

@@ -39,15 +39,6 @@ Key = tuple[str, int]
 
 
 @dataclass(frozen=True)
-class Reading:
-    """A row of friction loss: index of the reading, velocity, and share of the friction used."""
-
-    look: int
-    velocity: float
-    share: float
-
-
-@dataclass(frozen=True)
 class Drift:
     """A joint or tendon that creeps.
 
@@ -74,41 +65,51 @@ class FrictionLossMonitor:
         features = scene.features
         works = features.constraint and features.frictionloss and model.settings.law == "solref"
         self.watches = works and any(self.losses.values())
-        self.seen: dict[Key, list[Reading]] = {}
+        # At each reading: the elements, their velocities, and the shares of their friction used.
+        self.readings: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.driven: list[np.ndarray] = []
 
     def look(self, sim: Sim, rows: np.ndarray) -> None:
         """Record every row of friction loss."""
-        look = len(self.driven)
         self.driven.append(np.array(sim.ctrl))
-        rows = rows[np.isin(rows["kind"], FRICTION_LOSSES)]
-        shares = np.abs(rows["impulse"]) / np.maximum(rows["hi"], 1e-300)
-        columns = (rows["kind"], rows["index"], rows["velocity"], shares)
-        for kind, index, velocity, share in zip(*(c.tolist() for c in columns), strict=True):
-            self.seen.setdefault((kind, index), []).append(Reading(look, velocity, share))
+        kinds = rows["kind"]
+        rows = rows[(kinds == FRICTION_LOSSES[0]) | (kinds == FRICTION_LOSSES[1])]
+        share = np.abs(rows["impulse"]) / np.maximum(rows["hi"], 1e-300)
+        self.readings.append((rows[["kind", "index"]], rows["velocity"], share))
+
+    def _series(self) -> dict[Key, tuple[np.ndarray, np.ndarray]]:
+        """Return velocities and shares of all that was read in every reading with one row."""
+        first = self.readings[0][0]
+        if any(not np.array_equal(of, first) for of, *_ in self.readings):
+            # Sleeping trees have no rows.
+            return {}
+        keys = [(str(kind), int(index)) for kind, index in first.tolist()]
+        velocity, share = (
+            np.array(column) for column in list(zip(*self.readings, strict=True))[1:]
+        )
+        return {
+            key: (velocity[:, k], share[:, k]) for k, key in enumerate(keys) if keys.count(key) == 1
+        }
 
     def drifts(self, times: list[float]) -> Iterator[Drift]:
         """Yield what moves steadily under less than its friction loss, at its fastest.
 
         A joint whose own controls change is meant to move.
         """
-        if len(times) < 2:
+        if len(times) < 2 or not self.readings:
             return
         spacing = (times[-1] - times[0]) / (len(times) - 1)
         ctrl = np.array(self.driven)
         changing = np.flatnonzero(np.ptp(ctrl, axis=0) > 0) if ctrl.size else np.array([], int)
         moved = {int(joint) for joint in self.model.actuator_joint[changing]}
-        for key, seen in self.seen.items():
-            # The part of a ball or free joint is not told apart, and neither is a tendon's drive.
-            driven = -1 in moved or (key[0] == "friction loss" and key[1] in moved)
-            if len(seen) != len(times) or driven:
+        for key, (velocity, share) in self._series().items():
+            # What a tendon's actuator moves is not told apart.
+            if -1 in moved or (key[0] == "friction loss" and key[1] in moved):
                 continue
             constant = max(self._solref(key)[0], 0.0)
             count = math.ceil(max(FEWEST, WINDOW * constant / spacing, 0.1 * len(times)))
-            velocity = np.array([at.velocity for at in seen])
-            share = np.array([at.share for at in seen])
             best: Drift | None = None
-            for first in range(0, len(seen) - count + 1, max(1, count // 2)):
+            for first in range(0, len(velocity) - count + 1, max(1, count // 2)):
                 window = slice(first, first + count)
                 mean = float(velocity[window].mean())
                 held = share[window].max() < SLIDES and share[window].mean() > RUBS
@@ -123,12 +124,11 @@ class FrictionLossMonitor:
         self, keys: Collection[Key], times: list[float], begin: float, end: float
     ) -> float | None:
         """Return the fastest mean velocity of some rows within a time; None without readings."""
-        speeds = []
-        for key in keys:
-            past = [at.velocity for at in self.seen.get(key, ()) if begin <= times[at.look] <= end]
-            if past:
-                speeds.append(abs(float(np.mean(past))))
-        return max(speeds, default=None)
+        within = (np.array(times) >= begin) & (np.array(times) <= end)
+        series = self._series()
+        if not within.any() or not set(keys) <= set(series):
+            return None
+        return max(abs(float(series[key][0][within].mean())) for key in keys)
 
     def findings(self, times: list[float]) -> Iterator[Finding]:
         """Yield a finding on all that creeps; times: of the readings [s]."""
