@@ -68,7 +68,7 @@ class _Trial:
         helped: list[tuple[float, Cure]] = []
         untried: list[Cure] = []
         tried: list[Cure] = []
-        before = math.inf if finding.value is None else abs(finding.value)
+        before = next((x for x in (remedy.now, finding.value) if x is not None), math.inf)
         for way in remedy.ways:
             if len(held) == remedy.most:
                 break
@@ -87,7 +87,7 @@ class _Trial:
                 if left is not None and left <= remedy.enough:
                     held.append((left, cure))
                     break
-                if left is not None and left <= HELPS * before:
+                if left is not None and left <= HELPS * abs(before):
                     helped.append((left, cure))
         named = held or sorted(helped, key=lambda entry: entry[0])[: remedy.most]
         if named:

@@ -69,6 +69,7 @@ class Remedy:
     enough: the amount that is no longer a problem.
     say: what is left, in words.
     most: the largest number of alternatives that are named.
+    now: the problem itself, measured as by `left`; by default the finding's value.
     again: makes the run that `left` reads with another model; by default the motion of the finding.
     """
 
@@ -77,6 +78,7 @@ class Remedy:
     enough: float
     say: Callable[[float], str]
     most: int = 1
+    now: float | None = None
     again: Callable[[Model], Any] | None = None
 
 

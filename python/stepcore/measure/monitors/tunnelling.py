@@ -189,6 +189,7 @@ class TunnellingMonitor:
             lambda m: float(len(m.tunnelling.passed())),
             0.0,
             lambda count: f"{count:g} that pass" if count else "none that passes",
+            now=float(len(passed)),
         )
         elements = (*movers, *contacts)
         return Finding(
@@ -209,6 +210,7 @@ class TunnellingMonitor:
             lambda m: m.tunnelling.furthest(),
             1.0,
             lambda ratio: f"{metres(ratio * worst.room)} a step",
+            now=worst.speed * self.dt / worst.room,
         )
         # A thicker geom would do, too.
         cure = f"make {geoms[1].name} thicker"
