@@ -76,11 +76,23 @@ def test_a_log_with_names_and_times_drives_a_run_and_a_measurement(capsys, carts
     assert "motors driven by log.csv, a row every 300 ms" in data["ran"]
 
 
-def test_a_measurement_takes_constant_controls_and_sines_by_name(capsys, carts):
+def test_a_measurement_takes_constant_controls_and_a_motion_by_name(capsys, carts):
     options = ["--horizon", "0.1", "--threads", "1", "--json"]
-    for ctrl, said in (("b=4", "motors hold b=4"), ("sines", "follow seeded sines")):
-        assert main(["converge", carts, "--ctrl", ctrl, *options]) == 0
-        assert said in json.loads(capsys.readouterr().out)["ran"]
+    said = {
+        ("--ctrl", "b=4"): "motors hold b=4",
+        ("--motion", "sines"): "test motion: random sines",
+        ("--motion", "move"): "a PD controller drives the joints point to point",
+        ("--motion", "hold"): "a PD controller holds the start",
+        ("--motion", "random"): "motors get new random controls within their range every",
+        ("--motion", "fall"): "motors are held at zero",
+    }
+    for given, words in said.items():
+        assert main(["converge", carts, *given, *options]) == 0
+        assert words in json.loads(capsys.readouterr().out)["ran"]
+    assert main(["converge", carts, "--ctrl", "sines"]) == 2
+    assert "--ctrl sines: write --motion sines" in capsys.readouterr().err
+    assert main(["converge", carts, "--ctrl", "b=4", "--motion", "hold"]) == 2
+    assert "--motion and --ctrl are both given" in capsys.readouterr().err
 
 
 def test_a_column_without_an_actuator_names_the_nearest(capsys, tmp_path, carts):
@@ -209,16 +221,19 @@ def test_a_run_says_what_was_run(capsys, carts, tmp_path, args, said):
 def test_sines_are_the_controls_of_a_measurement(capsys, carts, tmp_path):
     """Those that a measurement of one start with seed 0 and this period runs; 0 without a range."""
     model = sc.load(carts).compile()
-    motion = sc.Motion(horizon=0.2, starts=1)
+    motion = sc.Motion(horizon=0.2, starts=1, kind="sines")
     (rows,) = scheduled(motion, model, 0.02).ctrl
     assert rows[:, 0] == pytest.approx(0) and np.ptp(rows[:, 1]) > 1
     # An impulse each period: m Δv = Σ F Δt.
     expected = 0.02 * rows.sum(axis=0) / (2, 4)
-    options = ("--ctrl", "sines", "--control-dt", 0.02, "--horizon", 0.2)
+    options = ("--motion", "sines", "--control-dt", 0.02, "--horizon", 0.2)
     assert velocities(capsys, carts, *options) == pytest.approx(expected, abs=1e-12)
-    assert main(["run", carts, "--ctrl", "sines"]) == 0
+    assert main(["run", carts, "--motion", "sines"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "motors follow seeded sines within 0.4 of their range; a without a range held" in said
+    assert (
+        "random sines of 0.3 to 3 Hz, ±40 % of the control range, as policies look; a without"
+        in said
+    )
 
 
 def test_a_run_is_saved(capsys, carts, tmp_path):

@@ -141,6 +141,7 @@ def test_a_motion_of_a_file_is_data(tmp_path):
     np.testing.assert_array_equal(other.ctrl.rows, motion.ctrl.rows)
     trade = sc.converge(sc.loads(ARM), motion, progress=False)
     assert "motors driven by log.csv, a row every 30 ms" in trade.ran
-    assert (
-        sc.converge(sc.loads(ARM), horizon=0.06, ctrl="sines", progress=False).motion.ctrl is None
-    )
+    with pytest.raises(
+        ValueError, match=r'ctrl = \'sines\': write kind="sines" \(--motion sines\)'
+    ):
+        sc.converge(sc.loads(ARM), horizon=0.06, ctrl="sines", progress=False)

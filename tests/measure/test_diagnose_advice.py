@@ -435,9 +435,12 @@ def test_the_motion_is_told():
     assert still == "The motion: 100 ms from the pose of the scene; no motors; law solref."
     scene = servo(100.0, 1.0, "euler")
     scene.add_key("ready", qpos=[0.1], ctrl=[0.0])
-    assert "from keyframe `ready`; servos are held at zero, because nothing" in told(scene)
+    assert "from keyframe `ready`; test motion: servos move point to point over" in told(scene)
+    assert "from keyframe `ready`; servos are held at zero, because nothing" in told(
+        scene, kind="sines"
+    )
     scene.actuators[0].ctrlrange = (-1, 1)
-    assert "servos follow seeded sines within 0.4 of their range" in told(scene)
+    assert "random sines of 0.3 to 3 Hz, ±40 % of the control range" in told(scene, kind="sines")
     assert "hold 0.2" in told(scene, ctrl=[[0.2]])
     function = told(scene, control=lambda time, sim: [0.0])
     assert "servos driven by the control function `<lambda>, line " in function

@@ -20,7 +20,8 @@ from stepcore._core import SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
-from stepcore.experiment.control_table import ENDINGS, SINES, control_table, is_file
+from stepcore.experiment.control_table import ENDINGS, control_table, is_file
+from stepcore.experiment.default_motion import KINDS
 from stepcore.experiment.motion import INTERPOLATIONS
 from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.policy import Policy
@@ -74,7 +75,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "help": "a function (time, sim) -> controls, in a file or a module; or a policy (.onnx, or "
         ".pt of TorchScript) from qpos and qvel to controls",
     },
-    "ctrl": {"metavar": "VALUES", "help": f"{CTRL} (default: seeded sines)"},
+    "ctrl": {"metavar": "VALUES", "help": CTRL},
     "control_dt": {
         "type": time,
         "metavar": "S",
@@ -84,6 +85,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "interpolation": {
         "choices": INTERPOLATIONS,
         "help": "between the rows of a log with times (default: held)",
+    },
+    "kind": {
+        "flag": "--motion",
+        "choices": KINDS,
+        "help": "the motion without --ctrl and --control: move (point to point, within forces and "
+        "limits), hold (the start), sines, random or fall (default: chosen from the model)",
     },
 }
 
@@ -133,6 +140,18 @@ def add_seconds(command: argparse.ArgumentParser, default: float) -> None:
     )
 
 
+def flag_of(name: str) -> str:
+    """Return the option that sets a field of `Motion`."""
+    flag: str = OPTIONS[name].get("flag", f"--{name.replace('_', '-')}")
+    return flag
+
+
+def add_option(group: Any, name: str, **changed: Any) -> None:
+    """Add the option of a field of `Motion`; changed: replaces what argparse is told of it."""
+    option = {key: value for key, value in OPTIONS[name].items() if key != "flag"}
+    group.add_argument(flag_of(name), dest=name, **(option | changed))
+
+
 def add_motion(
     command: argparse.ArgumentParser, fields: Collection[str] = tuple(OPTIONS), **default: Any
 ) -> None:
@@ -147,7 +166,7 @@ def add_motion(
             words = option["help"]
             if default.get(name) is not None:
                 words += f" (default: {default[name]})"
-            motion.add_argument(f"--{name.replace('_', '-')}", **(option | {"help": words}))
+            add_option(motion, name, help=words)
     motion.add_argument(
         "--threads",
         type=int,
@@ -176,6 +195,9 @@ def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
     given["key"] = key_of(args, model)
     if given["ctrl"] is not None and given["control"] is not None:
         raise Usage("--ctrl and --control are both given: a motion has one of them")
+    for name in ("ctrl", "control"):
+        if given["kind"] is not None and given[name] is not None:
+            raise Usage(f"--motion and {flag_of(name)} are both given: a motion has one of them")
     if given["ctrl"] is not None:
         given["ctrl"] = controls_of(given["ctrl"], model)
     if given["control"] is not None:
@@ -185,8 +207,8 @@ def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
 
 def controls_of(text: str, model: Model) -> Any:
     """Return the controls of --ctrl as an argument of `Motion`."""
-    if text == SINES:
-        return text
+    if text in KINDS and text not in model.actuator_names:
+        raise Usage(f"--ctrl {text}: write --motion {text}")
     if is_file(text):
         if not os.path.isfile(re.sub(r"(\.mcap):.*", r"\1", text)):
             raise Usage(f"--ctrl {text}: no such file")
@@ -208,7 +230,7 @@ def _constants(text: str, model: Model) -> list[list[float]] | dict[str, float]:
     if not any("=" in part for part in parts):
         if len(parts) != model.nu or os.path.splitext(text)[1][1:].isalpha():
             limit = f"must be {every}, one for each actuator; NAME=VALUE pairs; "
-            raise Usage(f"--ctrl {text}: {limit}a .csv, .npz or .npy file; or {SINES!r}")
+            raise Usage(f"--ctrl {text}: {limit}or a .csv, .npz or .npy file")
         return [[_number(text, part) for part in parts]]
     if not any(model.actuator_names):
         raise Usage(f"--ctrl {text}: no actuator of this model has a name: give {every}")

@@ -9,14 +9,21 @@ from typing import Any
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
-from stepcore.cli.arguments import OPTIONS, add_file, add_horizon, model_of, motion_of, time
+from stepcore.cli.arguments import (
+    OPTIONS,
+    add_file,
+    add_horizon,
+    add_option,
+    model_of,
+    motion_of,
+    time,
+)
 from stepcore.cli.output import Writes, add_output, attempted, deliver
 from stepcore.cli.terminal import INTERRUPTED, Usage, put, reason, say
 from stepcore.engine.model import Model
 from stepcore.engine.replay import replay
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import RECORDED, Trajectory, whole_steps
-from stepcore.experiment.control_table import SINES
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.single_run import PUSH, PUSH_FORM, Push
 from stepcore.measure.run import HORIZON, MOST_STEPS, simulated
@@ -92,11 +99,11 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 def add_inputs(command: argparse.ArgumentParser) -> None:
     """Add the options of the inputs of a run."""
     inputs = command.add_argument_group("inputs")
-    ctrl = OPTIONS["ctrl"]["help"].partition(" (default")[0]
-    words = f'{ctrl}; or "{SINES}", the seeded sines that measurements run'
-    inputs.add_argument("--ctrl", metavar="VALUES", help=words)
-    inputs.add_argument("--interpolation", **OPTIONS["interpolation"])
-    inputs.add_argument("--control", **OPTIONS["control"])
+    for name in ("ctrl", "interpolation", "control"):
+        add_option(inputs, name)
+    kind = OPTIONS["kind"]["help"].partition(" (default")[0]
+    add_option(inputs, "kind", help=f"{kind} (default: the keyframe's controls, held)")
+    add_option(inputs, "seed", help="random seed of --motion (default: 0)")
     inputs.add_argument(
         "--control-dt", type=time, metavar="S", help="control period [s] (default: every step)"
     )

@@ -21,7 +21,7 @@ from stepcore.cli.output import add_force, attempted
 from stepcore.cli.run import add_inputs, motion_of_run, pushes_of
 from stepcore.cli.terminal import Usage, put, say
 from stepcore.engine.sim import Sim
-from stepcore.experiment.control_table import SINES, control_table
+from stepcore.experiment.control_table import control_table
 from stepcore.measure.run import simulated
 from stepcore.viewing.needs import need
 
@@ -94,8 +94,8 @@ def call(args: argparse.Namespace, name: str) -> int:
 def _live(args: Any, sim: Sim) -> None:
     if any(getattr(args, name) is not None for name in ("control", "control_dt")) or args.push:
         raise Usage("--control, --control-dt and --push drive the run that --html writes")
-    if args.ctrl == SINES:
-        raise Usage("--ctrl sines drives the run that --html writes")
+    if args.kind is not None:
+        raise Usage("--motion drives the run that --html writes")
     if args.ctrl is not None:
         table = control_table(controls_of(args.ctrl, sim.model))
         sim.ctrl = table.over(sim.model, np.array(sim.ctrl), 1, sim.settings.dt)[0]

@@ -198,7 +198,7 @@ class Setup(NamedTuple):
 def set_up(
     measurement: Callable[..., Any],
     model: Source,
-    motion: Motion | None,
+    motion: Motion | str | None,
     fields: Mapping[str, Any],
     *,
     missing: str,
@@ -212,7 +212,7 @@ def set_up(
     fields: the keyword arguments that are fields of `Motion`.
     missing: words for the error if nothing in the scene can move, such as "no motion to predict".
     """
-    motion = Motion.of(motion, fields, measurement).without_sines()
+    motion = Motion.of(motion, fields, measurement)
     compiled = find_model(model)
     workers = Workers.checked(measurement.__name__, threads, executor, progress)
     if not compiled.nv:

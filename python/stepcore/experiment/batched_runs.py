@@ -18,6 +18,7 @@ from stepcore._core import Settings
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.executors import checkpoint
 from stepcore.experiment.arguments import BatchSpeedup, Timed, Workers
+from stepcore.experiment.point_to_point import PointToPoint
 from stepcore.experiment.recorder import Positions
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Clock, Runner
@@ -33,8 +34,9 @@ GAIN = 1.75
 
 
 def can(runner: Runner) -> bool:
-    """Return whether runs can be batched, which requires that no Python function controls them."""
-    return runner.schedule.control is None
+    """Return whether runs can be batched: not if the user's own function controls them."""
+    control = runner.schedule.control
+    return control is None or isinstance(control, PointToPoint)
 
 
 def helps(runs: int, threads: int, speedup: BatchSpeedup) -> bool:
@@ -123,6 +125,8 @@ class BatchRun:
             done = 0
             if schedule.ctrl is not None:
                 batch.ctrl[:] = schedule.ctrl[list(self.starts), period]
+            elif isinstance(schedule.control, PointToPoint):
+                batch.ctrl[:] = schedule.control.controls(batch.time, batch, list(self.starts))
             for end, row in schedule.stretches(period * count, batch.settings.dt, count):
                 if row is not None:
                     batch.ctrl[:] = row

@@ -19,8 +19,6 @@ from stepcore.experiment.control_files import MCAP, mcap_rows, parquet_columns
 from stepcore.experiment.control_log import ControlLog
 from stepcore.report.units import seconds
 
-# The name of the measurements' default controls in --ctrl and `Motion.ctrl`.
-SINES = "sines"
 ENDINGS = (".csv", ".npz", ".npy", ".parquet", ".mcap")
 # The largest number of constant controls that are listed, not counted.
 NAMED = 8

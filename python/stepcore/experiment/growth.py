@@ -147,8 +147,8 @@ def perturbed(runner: Runner, size: float) -> Schedule:
             sign = coordinates.scaled(rng.choice([-1.0, 1.0], coordinates.nv), size, 1.0)
             moved = coordinates.moved(start.qpos, NEARBY * sign)
             starts.append(dataclasses.replace(start, qpos=moved))
-    ctrl = None if schedule.ctrl is None else np.concatenate([schedule.ctrl] * (1 + DIRECTIONS))
-    return dataclasses.replace(schedule, starts=tuple(starts), ctrl=ctrl)
+    each = [*range(len(schedule.starts))] * (1 + DIRECTIONS)
+    return dataclasses.replace(schedule.picked(each), starts=tuple(starts))
 
 
 def _begun(bodies: Bodies, a: Start, b: Start) -> float:

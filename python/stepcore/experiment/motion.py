@@ -6,7 +6,7 @@ import inspect
 import os
 import pickle
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, TypedDict
 
 from numpy.typing import ArrayLike
@@ -15,7 +15,8 @@ from stepcore import checks
 from stepcore.engine.control import Control
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory
-from stepcore.experiment.control_table import SINES, ControlTable, control_table
+from stepcore.experiment.control_table import ControlTable, control_table
+from stepcore.experiment.default_motion import KINDS
 from stepcore.report import units
 from stepcore.signatures import F, keyword, refuse_unknown, spell_out
 
@@ -73,6 +74,7 @@ class MotionFields(TypedDict, total=False):
     ctrl: Controls | None
     control_dt: float | str | None
     interpolation: str
+    kind: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,19 +94,23 @@ class Motion:
         ``{"hip": 1.0, "knee": [0.0, 0.5]}``. An actuator without a column keeps the keyframe's
         control. In a table with a column "time" [s], each row takes effect at its time, relative to
         the first row, at any rate: a step gets the mean of the controls over the step, whatever its
-        length. A file without column names (.csv, .npy) is read as an array. "sines" selects the
-        default controls.
+        length. A file without column names (.csv, .npy) is read as an array.
     control: a function of (time, sim) that returns the controls, in place of `ctrl`. The function
         is called once per control period, possibly from several threads, and must depend on
         nothing but its arguments. A callable object may keep state in its attributes; each run gets
-        a copy of the object. By default, without `ctrl` and `control`, every actuator follows a sum
-        of a few random sines within its range.
+        a copy of the object.
     control_dt: the control period [s], a multiple of every time step. With `control`, or rows
         without times, the default is the scene's time step, as in a loop that sets ctrl and steps.
         The period is part of the physics, so runs with different time steps have the same period.
         Rows with times follow their own times by default; with control_dt, the row in effect at the
         beginning of each period is held.
     interpolation: "held" (each row until the next) or "linear", for rows with times.
+    kind: the controls without `ctrl` and `control`. None chooses them from the model; see
+        `stepcore.experiment.default_motion` for the rules. "move": servos and motors move joints
+        point to point, within their forces and limits; "hold": they hold the start; "sines": every
+        control is a sum of random sines within its range; "random": new random controls in every
+        control period; "fall": all controls are 0. A measurement also takes the kind in place of a
+        Motion: ``trade(model, "hold")``.
 
     Raises ValueError for a value outside its limits.
 
@@ -120,6 +126,7 @@ class Motion:
     ctrl: Controls | None = None
     control_dt: float | None = None
     interpolation: str = "held"
+    kind: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("horizon", "control_dt"):
@@ -133,13 +140,22 @@ class Motion:
             checks.function("time", "sim")("motion", "control", self.control)
             if self.ctrl is not None:
                 raise ValueError("control and ctrl are both given: a motion has one of them")
-        if self.ctrl is not None and not self.follows_sines and not _is_array(self.ctrl):
+        if self.kind is not None:
+            checks.one_of(*KINDS)("motion", "kind", self.kind)
+            if self.control is not None or self.ctrl is not None:
+                given = "ctrl" if self.control is None else "control"
+                raise ValueError(f"kind and {given} are both given: a motion has one of them")
+        if isinstance(self.ctrl, str) and self.ctrl in KINDS:
+            raise ValueError(
+                f'ctrl = {self.ctrl!r}: write kind="{self.ctrl}" (--motion {self.ctrl})'
+            )
+        if self.ctrl is not None and not _is_array(self.ctrl):
             object.__setattr__(self, "ctrl", control_table(self.ctrl))
 
     @property
-    def follows_sines(self) -> bool:
-        """Whether `ctrl` selects the default controls of measurements."""
-        return isinstance(self.ctrl, str) and self.ctrl == SINES
+    def is_users(self) -> bool:
+        """Whether the controls are the user's own, and not a motion that stepcore makes."""
+        return self.ctrl is not None or self.control is not None
 
     def period(self, dt: float) -> float | None:
         """Return the control period [s], or None if this motion does not determine a period.
@@ -150,7 +166,7 @@ class Motion:
         """
         if self.control_dt is not None or self.control is not None:
             return self.control_dt or dt
-        if self.ctrl is None or self.follows_sines:
+        if self.ctrl is None:
             return None
         try:
             table = control_table(self.ctrl)
@@ -163,13 +179,13 @@ class Motion:
     @classmethod
     def of(
         cls,
-        motion: Motion | None,
+        motion: Motion | str | None,
         given: Mapping[str, Any],
         measurement: Callable[..., Any],
     ) -> Motion:
         """Return the motion of a call of a measurement, from a Motion or from its fields.
 
-        motion: the Motion, or None.
+        motion: the Motion, a kind of motion, or None.
         given: the keyword arguments that the measurement itself does not define.
         measurement: the function that was called. Its signature has the fields of Motion that the
             measurement uses (`takes_motion`).
@@ -178,6 +194,8 @@ class Motion:
         Motion and fields are both given, or if a field is set that the measurement does not use.
         """
         refuse_unknown(measurement, given)
+        if isinstance(motion, str):
+            given, motion = {"kind": motion, **given}, None
         if motion is None:
             return cls(**given)
         if not isinstance(motion, Motion):
@@ -191,10 +209,6 @@ class Motion:
             if getattr(motion, word) is not getattr(cls, word):
                 raise ValueError(f"motion: {name} does not use {word}; leave it out of the Motion")
         return motion
-
-    def without_sines(self) -> Motion:
-        """Return the motion with the controls "sines" replaced by None, which means the same."""
-        return replace(self, ctrl=None) if self.follows_sines else self
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(self.__dict__)

@@ -11,7 +11,7 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.control import Control, ControlError, control_name, controls, fresh
+from stepcore.engine.control import Control, ControlError, control_name, controls
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import checkpoint
@@ -151,7 +151,7 @@ class Runner:
         """
         schedule = self.schedule
         blocks: Iterable[tuple[int, int]] = schedule.blocks(sim.settings.dt, steps)
-        function = None if schedule.control is None else fresh(schedule.control)
+        function = schedule.function(start)
         self.place(sim, start)
         for probe in probes:
             probe.begin(sim)

@@ -16,13 +16,15 @@ from fractions import Fraction
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.control import Control, control_name
+from stepcore.engine.control import Control, control_name, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.control_log import ControlLog, changes
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Coordinates, Start
+from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.point_to_point import PointToPoint
 from stepcore.report import units
 from stepcore.report.units import seconds
 
@@ -36,8 +38,6 @@ HORIZON, STARTS = 1.0, 8
 # to the motion in one step.
 SHIFT, TURN = 1e-3, 1e-2  # [m], [rad]
 SPEED, SPIN = 0.05, 0.1  # [m/s], [rad/s]
-# The number of sines in the default controls.
-SINES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,8 @@ class Schedule:
     ctrl: the controls, (starts, periods, nu); None if `control` returns the controls. With a log,
         the means over the periods.
     control: the control function, or None.
-    undriven: the names of the actuators without a control range, whose controls are constant.
+    remarks: sentences on what the default controls could not do.
+    drive: the default controls in words; "" if the user gave controls.
     log: controls that change within periods, at times of their own; None for controls that are
         constant in each period.
     """
@@ -62,7 +63,8 @@ class Schedule:
     starts: tuple[Start, ...]
     ctrl: np.ndarray | None
     control: Control | None
-    undriven: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    drive: str = ""
     log: ControlLog | None = None
 
     @property
@@ -77,17 +79,21 @@ class Schedule:
 
     @property
     def driven(self) -> str:
-        """The control function and its sampling period, in words; "" without a function."""
-        if self.control is None:
+        """The user's control function and its sampling period, in words; "" without a function."""
+        if self.control is None or isinstance(self.control, PointToPoint):
             return ""
         return f" under {control_name(self.control)}, sampled every {seconds(self.period)}"
 
     @property
     def notes(self) -> list[str]:
-        """Sentences on actuators that are not driven."""
-        if not self.undriven:
-            return []
-        return [f"actuators without a control range are not driven: {', '.join(self.undriven)}"]
+        """Sentences on what the default controls could not do."""
+        return list(self.remarks)
+
+    def function(self, start: int) -> Control | None:
+        """Return the control function of one run from a start, or None."""
+        if isinstance(self.control, PointToPoint):
+            return self.control.of(start)
+        return None if self.control is None else fresh(self.control)
 
     def steps(self, dt: float) -> int:
         """Return the number of time steps in one control period; dt: [s]."""
@@ -131,8 +137,25 @@ class Schedule:
 
     def part(self, first: int, last: int | None = None) -> Schedule:
         """Return the schedule with the starts from `first` up to, but not including, `last`."""
-        ctrl = None if self.ctrl is None else self.ctrl[first:last]
-        return dataclasses.replace(self, starts=self.starts[first:last], ctrl=ctrl)
+        return self.picked(range(len(self.starts))[first:last])
+
+    def picked(self, indices: Sequence[int]) -> Schedule:
+        """Return the schedule with some of its starts, which may be repeated."""
+        starts, control = tuple(self.starts[k] for k in indices), self.control
+        if isinstance(control, PointToPoint):
+            control = control.picked(indices)
+        ctrl = None if self.ctrl is None else self.ctrl[list(indices)]
+        return dataclasses.replace(self, starts=starts, ctrl=ctrl, control=control)
+
+    def joined(self, other: Schedule) -> Schedule:
+        """Return the schedule with the starts of another one of the same motion after these."""
+        control, ctrl = self.control, self.ctrl
+        if isinstance(control, PointToPoint) and isinstance(other.control, PointToPoint):
+            control = PointToPoint.together([control, other.control])
+        if ctrl is not None and other.ctrl is not None:
+            ctrl = np.concatenate([ctrl, other.ctrl])
+        starts = (*self.starts, *other.starts)
+        return dataclasses.replace(self, starts=starts, ctrl=ctrl, control=control)
 
 
 def scheduled(
@@ -160,14 +183,17 @@ def scheduled(
     coordinates = Coordinates(model)
     first, held = home(model, motion.key)
     begin = [first, *(near(model, coordinates, first, rng) for _ in range(count - 1))]
-    ctrl, log, still = None, None, list[str]()
+    ctrl, control, remarks, drive = None, motion.control, tuple[str, ...](), ""
+    log = None
     if motion.ctrl is not None:
         rows, log = played(motion, model, held, periods, period)
         ctrl = np.broadcast_to(rows, (count, periods, model.nu))
     elif motion.control is None:
-        values = [smooth(model, held, periods, period, rng) for _ in begin]
-        ctrl, still = np.stack(values), undriven(model, held)
-    return Schedule(period, periods, every, tuple(begin), ctrl, motion.control, tuple(still), log)
+        made = default_motion(
+            *(model, motion.kind, first, held, begin, motion.seed, period, periods, rng)
+        )
+        ctrl, control, remarks, drive = made.ctrl, made.control, made.remarks, made.words
+    return Schedule(period, periods, every, tuple(begin), ctrl, control, remarks, drive, log)
 
 
 def played(
@@ -305,44 +331,3 @@ def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Gen
         if tried[-1][0] <= allowed:
             return start
     return min(tried, key=lambda pair: pair[0])[1]
-
-
-def smooth(
-    model: Model, held: np.ndarray, periods: int, period: float, rng: np.random.Generator
-) -> np.ndarray:
-    """Return smooth controls: a few random sines around the keyframe's control, (periods, nu).
-
-    The sines stay within the control range. The amplitude of an actuator without a range is a
-    quarter of the keyframe's control.
-
-    held: the keyframe's controls, (nu,). period: the control period [s].
-    """
-    times = period * np.arange(periods)
-    values = np.empty((periods, model.nu))
-    for k in range(model.nu):
-        hertz = rng.uniform(0.3, 3.0, SINES)
-        phase = rng.uniform(0.0, 2 * math.pi, SINES)
-        share = rng.dirichlet(np.ones(SINES))
-        wave = np.sin(2 * math.pi * np.outer(times, hertz) + phase) @ share
-        if _clamped(model, k):
-            low, high = model.actuator_ctrlrange[k]
-            centre = held[k] if held[k] else (low + high) / 2
-            values[:, k] = np.clip(centre + 0.4 * (high - low) * wave, low, high)
-        else:
-            values[:, k] = held[k] + 0.25 * abs(held[k]) * wave
-    return values
-
-
-def undriven(model: Model, held: np.ndarray) -> list[str]:
-    """Return the names of the actuators without a control range and with keyframe control 0.
-
-    `smooth` keeps the controls of these actuators at 0.
-    """
-    names = enumerate(model.called("actuator"))
-    return [name for k, name in names if not _clamped(model, k) and held[k] == 0]
-
-
-def _clamped(model: Model, actuator: int) -> bool:
-    """Return whether an actuator's control is clamped to a range."""
-    ranged = bool(np.isfinite(model.actuator_ctrlrange[actuator]).all())
-    return ranged and model.scene.features.clampctrl

@@ -159,7 +159,7 @@ class Predictability(Result):
 @in_time
 def predict(
     model: Source,
-    motion: Motion | None = None,
+    motion: Motion | str | None = None,
     *,
     threads: int | None = None,
     executor: Executor | None = None,

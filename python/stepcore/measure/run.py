@@ -19,6 +19,7 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
 from stepcore.experiment.control_table import control_table
+from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import (
     drive_in_words,
@@ -26,7 +27,7 @@ from stepcore.experiment.motion_words import (
     scene_in_words,
     start_in_words,
 )
-from stepcore.experiment.schedule import played, smooth, undriven
+from stepcore.experiment.schedule import home, played
 from stepcore.experiment.single_run import LOOKS, Pace, Push, SingleRun
 from stepcore.loading import find_model
 from stepcore.measure.monitors import Finding, Monitor, verified
@@ -175,7 +176,7 @@ class SimulationRun(Result):
 @takes_motion(without=("starts",))
 def run(
     model: Source,
-    motion: Motion | None = None,
+    motion: Motion | str | None = None,
     *,
     pushes: Iterable[Push | str | Sequence[Any]] = (),
     record: Sequence[str] = (),
@@ -187,9 +188,9 @@ def run(
     """Simulate a scene once, and list the problems that occur in the run.
 
     model: a Model, a Scene, or any argument of `stepcore.load`.
-    motion: a `Motion`, or its fields as arguments: horizon, key, control, ctrl, control_dt. By
-        default 1 s from the first keyframe, with the controls of that keyframe. ctrl="sines" uses
-        the default controls of the measurements, which `seed` determines.
+    motion: a `Motion`, or its fields as arguments: horizon, key, control, ctrl, control_dt, kind,
+        seed; or a kind of motion. By default 1 s from the first keyframe, with the controls of that
+        keyframe.
     pushes: forces on bodies, such as "torso:50,0,0@1" (50 N along x from 1 s on, for 0.1 s),
         "torso:50,0,0@1+0.3", or (body, force, start, duration).
     record: the arrays to record at every step, such as ("qpos", "energy"); see `Sim.run`.
@@ -308,22 +309,27 @@ def _driven(sim: Sim, motion: Motion, horizon: float) -> tuple[Control | None, f
     Constant controls are written to the Sim; the function is then None.
     """
     model, dt, held = sim.model, sim.settings.dt, np.array(sim.ctrl)
-    if motion.ctrl is None and motion.control is None:
-        return None, motion.control_dt, held_in_words(model, held)
     period = motion.control_dt or dt
-    if motion.follows_sines:
-        periods = int(np.ceil(horizon / period)) + 1
-        rows = smooth(model, held, periods, period, np.random.default_rng(motion.seed))
-        said = drive_in_words(model, replace(motion, ctrl=None), undriven(model, held), "")
-        return _player(rows, period, sim), motion.control_dt, said
+    if motion.kind is not None and model.nu:
+        begin, held = home(model, motion.key)
+        periods, rng = int(np.ceil(horizon / period)) + 1, np.random.default_rng(motion.seed)
+        made = default_motion(
+            *(model, motion.kind, begin, held, [begin], motion.seed, period, periods, rng)
+        )
+        if made.control is not None:
+            return replace(made.control, begin=sim.time), motion.control_dt, made.words
+        assert made.ctrl is not None
+        return _player(made.ctrl[0], period, sim), motion.control_dt, made.words
+    if not motion.is_users:
+        return None, motion.control_dt, held_in_words(model, held)
     if motion.control is not None:
-        said = drive_in_words(model, motion, (), f"every {seconds(period)}")
+        said = drive_in_words(model, motion, "", f"every {seconds(period)}")
         return motion.control, motion.control_dt, said
     changes = control_table(motion.ctrl).changes
     periods = int(np.ceil(horizon / period)) + 1 if changes else 1
     # Without a period of its own, each row of controls is that of a step.
     rows, _ = played(motion, model, held, periods, period)
-    said = drive_in_words(model, motion, (), f"every {seconds(period)}")
+    said = drive_in_words(model, motion, "", f"every {seconds(period)}")
     if changes:
         return _player(rows, period, sim), period, said
     sim.ctrl = rows[0]

@@ -60,7 +60,7 @@ CONVERGED, ALONE, CHOSEN, CONFIRMED = 0.4, 0.7, 0.8, 0.95
 @in_time
 def ablate(
     model: Source,
-    motion: Motion | None = None,
+    motion: Motion | str | None = None,
     *,
     added: float | str = 1e-3,
     threads: int | None = None,

@@ -61,8 +61,9 @@ ALWAYS = (
 )
 # Command options by fields of the motion; `run` and `plan` accept fewer.
 MOTION = {name: f"--{name.replace('_', '-')}" for name in MotionFields.__annotations__}
+MOTION["kind"] = "--motion"
 TAKEN = {
-    "run": MOTION | {"seed": ""},
+    "run": MOTION,
     "plan": dict.fromkeys(MOTION, "") | {"key": "--key"},
 }
 
@@ -130,7 +131,7 @@ class Check(Result):
         said = f"Under {label(self.settings)}."
         # The user's controls drive both runs; without them, this run holds the keyframe's controls
         # constant.
-        driven = self.motion.control is not None or self.motion.ctrl is not None
+        driven = self.motion.is_users or self.motion.kind is not None
         if self.diagnosis is not None and not driven and self.diagnosis.ran not in ("", self.ran):
             said += f"\nThe time step was judged on another motion: {self.diagnosis.ran}."
         return said
@@ -187,7 +188,7 @@ class Check(Result):
 @in_time
 def check(
     model: Source,
-    motion: Motion | None = None,
+    motion: Motion | str | None = None,
     *,
     depth: float | str | None = None,
     threads: int | None = None,
@@ -206,8 +207,9 @@ def check(
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: the `Motion` that is run; or write its fields as arguments, except `starts`, because
-        there is one start. Without controls, those of the keyframe are held constant (zero without
-        a keyframe). The horizon is 1 s by default, or 200,000 steps if that is shorter.
+        there is one start; or a kind of motion. Without one, this run holds the controls of the
+        keyframe (zero without a keyframe), and the time step is diagnosed along the motion of
+        `diagnose`. The horizon is 1 s by default, or 200,000 steps if that is shorter.
     depth: the wanted depth of resting contacts, a length such as 1e-4 or "0.1mm". For contacts
         that rest deeper, the result names the solref that gives this depth.
     threads: the number of integrators diagnosed in parallel (default: one per core).
@@ -250,7 +252,7 @@ def check(
         failure, seen = _monitored(compiled, schedule, wanted)
     with setup.workers.deadline.stage("runs of the cures that the scene alone suggests", MONITORED):
         read = proven(read, compiled)
-    driven = motion.ctrl is not None or motion.control is not None
+    driven = motion.is_users or motion.kind is not None
     if not driven and not compiled.keys:
         # A default control of 0 may be outside its range; this is not the user's error.
         seen = [finding for finding in seen if finding.kind != "clamped control"]
@@ -273,7 +275,7 @@ def check(
 def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
     """Return the motion, with the keyframe's controls held constant if the user gives none."""
     dt = model.settings.dt
-    if motion.ctrl is None and motion.control is None and model.nu:
+    if not (motion.is_users or motion.kind) and model.nu:
         held = home(model, motion.key)[1]
         motion = dataclasses.replace(motion, ctrl=held[None, :])
     steps = round(min(horizon / PERIODS / dt, LONGEST))

@@ -63,7 +63,7 @@ RUN, MEASURED = 0.7, 0.95
 @in_time
 def converge(
     model: Source,
-    motion: Motion | None = None,
+    motion: Motion | str | None = None,
     *,
     states: int = 8,
     threads: int | None = None,

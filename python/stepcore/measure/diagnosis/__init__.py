@@ -43,7 +43,7 @@ __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
 @in_time
 def diagnose(
     model: Source,
-    motion: Motion | None = None,
+    motion: Motion | str | None = None,
     *,
     dt: float | str | None = None,
     threads: int | None = None,
@@ -62,8 +62,7 @@ def diagnose(
     motion: the `Motion` along which the states lie; or write its fields as arguments, except
         `starts`, because there is one start. The horizon is 1 s by default; a motion that neither
         grows nor decays by itself counts as unstable if a step makes it grow e-fold in this time.
-        If no controls are given, the motion begins with those of the keyframe (zero without one)
-        and blends into smooth random ones.
+        If no controls are given, the motion is chosen from the model; see `Motion.kind`.
     dt: the wanted time step [s]; by default the scene's own. If it is unstable, each suggestion is
         made on a copy of the model and verified on its linearised step.
     threads: the number of integrators that are diagnosed in parallel (default: one per core).
@@ -140,9 +139,7 @@ def diagnose(
             *map(gentle_chatter, gentle),
         ],
         rate=_rate(here, limits[own], wanted),
-        ran=motion_in_words(
-            model, motion, visited.schedule, often, ", blended in over the first quarter"
-        ),
+        ran=motion_in_words(model, motion, visited.schedule, often),
         longest_period=_longest_period(here, own, wanted, motion),
         physical=max(float(rates.real.max(initial=0.0)) for rates in here.rates),
         observed=seen.outcome,

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.arrays import Floats
 from stepcore.engine.control import Control, fresh
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
@@ -25,7 +24,7 @@ from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import Schedule, home, scheduled
+from stepcore.experiment.schedule import Schedule, scheduled
 from stepcore.measure.diagnosis.control import with_feedback
 from stepcore.measure.diagnosis.isolated import closed_form_bound
 from stepcore.measure.diagnosis.limits import SHORTEST, StepStability, dt_limit, step_stability
@@ -45,8 +44,6 @@ PATTERNS, LOOKS = 32, 5_000
 # A start is pushed by this velocity [rad/s or m/s] if the motion grows by more e-folds than this in
 # the horizon.
 UNSTABLE, NUDGE = 5.0, 1e-6
-# The fraction of the motion over which random controls are blended in.
-EASING = 0.25
 
 # The limits that are exceeded, and the pairs of geoms that overlap.
 Pattern = tuple[bytes, frozenset[int]]
@@ -79,12 +76,10 @@ def visit(model: Model, motion: Motion, horizon: float) -> Visit:
 
     horizon: the length of the motion [s].
     """
-    settings, control = model.settings, motion.control
+    settings, control = model.settings, motion.control  # The user's, if any.
     controlled = motion.period(settings.dt)
     period = min(horizon, controlled or max(settings.dt, horizon * PERIOD))
     schedule = scheduled(motion, model, period, starts=1)
-    if motion.ctrl is None and control is None:
-        schedule = _eased(schedule, home(model, motion.key)[1])
     begin = _start(model, schedule)
     if control is not None:
         (begin,) = with_feedback(model, [begin], control, period, horizon)
@@ -101,17 +96,6 @@ def visit(model: Model, motion: Motion, horizon: float) -> Visit:
     here = step_stability(model, states, horizon)
     # Without a control period of its own, a control is sampled at every step.
     return Visit(here, schedule, schedule if motion.control_dt else driven, *run)
-
-
-def _eased(schedule: Schedule, ctrl: Floats) -> Schedule:
-    """Return the schedule with its controls blended in from `ctrl`.
-
-    A jump of the controls would shock a stiff servo.
-    """
-    if schedule.ctrl is None:
-        return schedule
-    share = np.minimum(1.0, np.arange(schedule.periods) / (EASING * schedule.periods))[:, None]
-    return replace(schedule, ctrl=ctrl + share * (schedule.ctrl - ctrl))
 
 
 def _nudged(schedule: Schedule, model: Model, growth: float) -> Schedule:

@@ -49,14 +49,14 @@ Cell = tuple[np.ndarray, str | None]
 # Largest number of steps of all cells: more than half an hour of the smallest scene.
 MOST_STEPS = 1e10
 # Motion fields that a map does not accept: every cell starts at the keyframe with its controls.
-WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt")
+WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt", "kind")
 
 
 @takes_motion(without=WITHOUT)
 @in_time
 def stability_map(
     model: Source | None = None,
-    motion: Motion | None = None,
+    motion: Motion | str | None = None,
     *,
     path: str | None = None,
     values: Sequence[float] | None = None,

@@ -48,7 +48,7 @@ SEARCHED, REFINED, COMPARED, COUNTED, TESTED = 0.55, 0.6, 0.65, 0.75, 0.95
 @in_time
 def trade(
     model: Source,
-    motion: Motion | None = None,
+    motion: Motion | str | None = None,
     *,
     error: float | str | None = None,
     budget: float | str | None = None,

@@ -193,11 +193,7 @@ class HardestStarts:
 
     def _schedule(self, few: Sequence[int]) -> Schedule:
         searched, further = self.cache.experiment.schedule, self.confirm.further.schedule
-        starts = [*searched.starts, *further.starts]
-        ctrl = None
-        if searched.ctrl is not None and further.ctrl is not None:
-            ctrl = np.concatenate([searched.ctrl, further.ctrl])[list(few)]
-        return dataclasses.replace(searched, starts=tuple(starts[i] for i in few), ctrl=ctrl)
+        return searched.joined(further).picked(few)
 
     def _reference(self, few: Sequence[int]) -> Reference:
         """Return the reference of these starts, at the level of the search's own reference."""

@@ -1,0 +1,139 @@
+"""Random poses near a start that keep its contacts and its distance from limits."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.experiment.coordinates import Coordinates, Start
+from stepcore.experiment.drives import MOTOR, RATE, SERVO, Drives
+
+# Two bodies in contact, and the place [m].
+Point = tuple[int, int, np.ndarray]
+# How far a joint goes: this share of its range, and at most this far [rad], [m].
+SHARE, TURN, SLIDE = 0.1, 0.5, 0.05
+# How far a base that stands on contacts goes [m], [rad].
+BASE, LEAN = 0.03, 0.1
+# The share of a joint's range, at each end, into which no target leads.
+MARGIN = 0.05
+
+
+class Poses:
+    """Poses near one start.
+
+    joints: the hinges and slides that actuators drive. reach: how far each goes, (joints,).
+    dofs, at: the dof and the coordinate of each. start: the start.
+    """
+
+    def __init__(self, model: Model, drives: Drives, start: Start) -> None:
+        self.model, self.drives, self.start = model, drives, start
+        self.coordinates = Coordinates(model)
+        moved = drives.of(SERVO, RATE, MOTOR)
+        self.joints = sorted({j for k in moved if (j := drives.joint(k)) is not None})
+        self.trees = {model.root(int(model.jnt_body[joint])) for joint in self.joints}
+        self.at, self.dofs = model.jnt_qposadr[self.joints], model.jnt_dofadr[self.joints]
+        self.reach = np.array([self._reach(joint) for joint in self.joints])
+        # Servos on tendons, sites and balls are drawn by their length.
+        self.others = [k for k in drives.of(SERVO, RATE) if drives.joint(k) is None]
+        sim = Sim(model)
+        start.put(sim)
+        sim.forward()
+        self.kept = contact_jacobian(model, self.trees, start, touching(sim))
+
+    def standing(self, stands: Start, points: Sequence[Point]) -> Poses:
+        """Return the poses that keep these contacts; stands: the state in which they are."""
+        poses = copy.copy(self)
+        poses.kept = contact_jacobian(self.model, self.trees, stands, points)
+        return poses
+
+    def _reach(self, joint: int) -> float:
+        low, high = self.model.jnt_range[joint]
+        far = TURN if self.model.jnt_type[joint] == "hinge" else SLIDE
+        return float(min(far, SHARE * (high - low)))
+
+    def span(self, actuator: int) -> float:
+        """Return how far the length of a servo goes that drives no hinge or slide."""
+        low, high = self.model.actuator_ctrlrange[actuator]
+        wide = float(high - low) * self.drives.lengths[actuator]
+        return SHARE * wide if np.isfinite(wide) else SLIDE
+
+    def _weights(self) -> np.ndarray:
+        """Return how far each dof may go, (nv,)."""
+        weights = np.zeros(self.model.nv)
+        for kind, _, v, _ in self.coordinates.joints if len(self.kept) else ():
+            if kind == "free":
+                weights[v : v + 3], weights[v + 3 : v + 6] = BASE, LEAN
+        weights[self.dofs] = self.reach
+        return weights
+
+    def drawn(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Draw a change of the pose, (nv,), and of the lengths of the other servos, (others,).
+
+        Where the start has contacts, the change keeps their places, to first order.
+        """
+        change = rng.uniform(0.5, 1.0, self.model.nv) * rng.choice([-1.0, 1.0], self.model.nv)
+        weights = self._weights()
+        change *= weights
+        if len(self.kept):
+            spread = (self.kept * weights**2).T
+            change = change - spread @ (
+                np.linalg.pinv(self.kept @ spread, 1e-6) @ self.kept @ change
+            )
+        # Away from limits: a joint near one turns round.
+        q, low, high = self._room()
+        d = change[self.dofs]
+        if not len(self.kept):
+            d = np.where((q + d < low) | (q + d > high), -d, d)
+        change[self.dofs] = np.clip(q + d, low, high) - q
+        others = rng.uniform(0.5, 1.0, len(self.others)) * rng.choice([-1.0, 1.0], len(self.others))
+        return change, others
+
+    def _room(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the coordinates of the joints, and the bounds of their targets."""
+        q = self.start.qpos[self.at]
+        low, high = self.model.jnt_range[self.joints].reshape(-1, 2).T
+        with np.errstate(invalid="ignore"):
+            short = np.where(np.isfinite(high - low), MARGIN * (high - low), 0.0)
+        return q, np.minimum(q, low + short), np.maximum(q, high - short)
+
+    def lengths(self, change: np.ndarray) -> np.ndarray:
+        """Return the change of the actuators' lengths if the joints make a change, (nu,)."""
+        joints = np.zeros(self.model.nv)
+        joints[self.dofs] = change[self.dofs]
+        after = self.lengths_at(self.coordinates.moved(self.start.qpos, joints))
+        return after - self.lengths_at(self.start.qpos)
+
+    def lengths_at(self, qpos: np.ndarray) -> np.ndarray:
+        """Return the lengths of the actuators at a pose, (nu,)."""
+        sim = Sim(self.model)
+        self.start.put(sim)
+        sim.qpos[:] = qpos
+        return np.array(sim.actuator_length)
+
+
+def touching(sim: Sim) -> list[Point]:
+    """Return the contacts of the last solve: both bodies, and the place."""
+    body, table = sim.model.geom_body, sim.contacts
+    table = table[table["dist"] < 0]
+    return [(int(body[c["geom1"]]), int(body[c["geom2"]]), np.array(c["pos"])) for c in table]
+
+
+def contact_jacobian(
+    model: Model, trees: Collection[int], state: Start, points: Sequence[Point]
+) -> np.ndarray:
+    """Return the Jacobian of the contacts of some trees at a state, (3 contacts, nv).
+
+    trees: the root bodies of the trees.
+    """
+    sim = Sim(model)
+    state.put(sim)
+    rows = [np.zeros((0, model.nv))]
+    for first, second, place in points:
+        if model.root(first) in trees or model.root(second) in trees:
+            ends = [sim.jacobian(body, place)[:3] for body in (second, first) if body]
+            rows.append(ends[0] - ends[1] if len(ends) == 2 else ends[0])
+    return np.vstack(rows)

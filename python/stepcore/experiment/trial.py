@@ -1,0 +1,166 @@
+"""A trial of a motion under the shipped settings: how it loads the actuators, and what it meets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stepcore._core import SimulationError
+from stepcore.checks import one_line
+from stepcore.engine.control import Control, controls
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.experiment.coordinates import Start, rotated
+from stepcore.experiment.drives import Drives
+from stepcore.experiment.poses import Point, touching
+
+# A force is at its bound within this relative distance.
+AT_END = 1e-9
+# A robot falls if it tilts by more than this [rad], or its centre of mass loses this share of its
+# height above the lowest of its bodies.
+TILT, SINKS = 0.35, 0.25
+
+# A pair of geoms; a joint.
+Pair = tuple[int, int]
+
+
+@dataclass
+class Trial:
+    """What happened in one run of a motion.
+
+    saturated: the share of the run in which each actuator's force was at its bound, (nu,).
+    force: the largest force of each actuator as a share of its bound, (nu,); 0 without a bound.
+    speed: the largest speed of each dof [rad/s or m/s], (nv,).
+    met: the pairs of geoms in contact at some time, and the joints at a limit.
+    ends_on: the pairs of geoms in contact at the end.
+    points: the contacts at the end: both bodies and the place [m].
+    end: the state at the end.
+    fell: when the robot fell [s], or None.
+    failure: why the run failed, or "".
+    """
+
+    saturated: np.ndarray
+    force: np.ndarray
+    speed: np.ndarray
+    met: set[Pair | int] = field(default_factory=set)
+    ends_on: set[Pair] = field(default_factory=set)
+    points: list[Point] = field(default_factory=list)
+    end: Start | None = None
+    fell: float | None = None
+    failure: str = ""
+
+
+def trial(
+    model: Model,
+    drives: Drives,
+    start: Start,
+    control: Control | Callable[[int], np.ndarray],
+    period: float,
+    horizon: float,
+    rows: bool,
+) -> Trial:
+    """Run a motion once under the model's settings.
+
+    control: a control function; or, with `rows`, the controls of each period by its index.
+    period: the control period [s]. horizon: the length of the run [s].
+    """
+    sim = unwatched(Sim(model))
+    start.put(sim)
+    steps = max(1, round(period / model.settings.dt))
+    periods = max(1, round(horizon / (steps * model.settings.dt)))
+    seen, upright = _Seen(model, drives), _Upright(sim, drives)
+    result = Trial(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
+    try:
+        for period_ in range(periods):
+            sim.ctrl[:] = control(period_) if rows else controls(control, sim)  # type: ignore[arg-type,call-arg]
+            sim.step(steps)
+            seen.look(sim)
+            if result.fell is None and upright.lost(sim):
+                result.fell = sim.time
+        sim.forward()
+        result.points, result.ends_on = touching(sim), _pairs(sim)
+        result.end = Start(np.array(sim.qpos), np.array(sim.qvel), np.array(sim.act), start.mocap)
+    except (SimulationError, ValueError) as error:
+        result.failure = one_line(error)
+    result.saturated, result.force = seen.loads()
+    result.speed, result.met = seen.speed, seen.met
+    return result
+
+
+class _Seen:
+    """Everything that is read from a Sim once a period."""
+
+    def __init__(self, model: Model, drives: Drives) -> None:
+        self.model, self.bounds = model, drives.bounds
+        self.forces: list[np.ndarray] = []
+        self.speed = np.zeros(model.nv)
+        self.met: set[Pair | int] = set()
+        kinds = np.array([kind in ("hinge", "slide") for kind in model.jnt_type], bool)
+        self.joints = np.flatnonzero(kinds & np.isfinite(model.jnt_range).any(axis=1))
+        if not model.scene.features.limit:
+            self.joints = self.joints[:0]
+        self.at = model.jnt_qposadr[self.joints]
+        self.low, self.high = model.jnt_range[self.joints].T
+
+    def look(self, sim: Sim) -> None:
+        self.forces.append(np.abs(sim.actuator_force))
+        np.maximum(self.speed, np.abs(sim.qvel), out=self.speed)
+        where = sim.qpos[self.at]
+        self.met.update(self.joints[(where < self.low) | (where > self.high)].tolist())
+        if sim.overlap > 0:
+            self.met |= _pairs(sim)
+
+    def loads(self) -> tuple[np.ndarray, np.ndarray]:
+        if not self.forces or not self.model.nu:
+            return np.zeros(self.model.nu), np.zeros(self.model.nu)
+        forces = np.array(self.forces)
+        # The shock of the first steps belongs to the start, not to the motion.
+        late = forces[len(forces) // 20 :]
+        bounded = np.isfinite(self.bounds) & (self.bounds > 0)
+        bounds = np.where(bounded, self.bounds, np.inf)
+        full = late >= bounds * (1 - AT_END)
+        return full.mean(axis=0), (late / bounds).max(axis=0, initial=0.0)
+
+
+def _pairs(sim: Sim) -> set[Pair]:
+    """Return the pairs of geoms that overlap in the last solve."""
+    table = sim.contacts
+    table = table[table["dist"] < 0]
+    return set(zip(table["geom1"].tolist(), table["geom2"].tolist(), strict=True))
+
+
+class _Upright:
+    """Tells when a robot on a free base falls over."""
+
+    def __init__(self, sim: Sim, drives: Drives) -> None:
+        model = sim.model
+        self.bodies: list[int] = []
+        if drives.moves_about:
+            joints = {j for k in drives.all if (j := drives.joint(k)) is not None}
+            self.bodies = sorted({model.root(int(model.jnt_body[j])) for j in joints})
+        sim.forward()
+        self.axes = [self._axis(sim, body) for body in self.bodies]
+        self.heights = [self._height(sim, body) for body in self.bodies]
+
+    def lost(self, sim: Sim) -> bool:
+        for body, axis, height in zip(self.bodies, self.axes, self.heights, strict=True):
+            if self._axis(sim, body) @ axis < np.cos(TILT):
+                return True
+            if self._height(sim, body) < (1 - SINKS) * height:
+                return True
+        return False
+
+    @staticmethod
+    def _axis(sim: Sim, body: int) -> np.ndarray:
+        """Return the vertical of the start in the body's frame, by what is vertical now."""
+        back = np.array(sim.xquat[body]) * (1.0, -1.0, -1.0, -1.0)
+        axis: np.ndarray = rotated(back, np.array([0.0, 0.0, 1.0]))
+        return axis
+
+    @staticmethod
+    def _height(sim: Sim, body: int) -> float:
+        model = sim.model
+        below = [b for b in range(1, len(model.body_parent)) if model.root(b) == body]
+        return float(sim.subtree_com[body, 2] - sim.xpos[below, 2].min())
