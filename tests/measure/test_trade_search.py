@@ -17,9 +17,9 @@ import stepcore as sc
 from stepcore import lesson
 from stepcore.measure.trade.methods import digits
 from stepcore.measure.trade.recommend import HardestStarts
-from stepcore.measure.trade.rows import Further
-from stepcore.measure.trade.words import failed
-from stepcore.report.units import compact
+from stepcore.measure.trade.rows import Frontier, Further, TradeRow
+from stepcore.measure.trade.words import Words, failed
+from stepcore.report.units import compact, metres
 
 BALL = """<mujoco model="ball"><option timestep="0.004"/><worldbody>
 <geom type="plane" size="5 5 .1"/><body pos="0 0 .16"><joint type="slide" axis="0 0 1"/>
@@ -167,9 +167,40 @@ def test_nothing_within_reach_is_said():
     # The reference is not known to a picometre either, and that is what the answer says.
     known = "1 pm cannot be verified: the reference is good to "
     assert result.sentences[0].startswith(known) and result.reference.high > 1e-12
-    assert result.sentences[1].startswith("The most accurate one is ")
+    # It says what can be verified instead, and the settings for that.
+    least, verified = min(map(result.error, result.rows)), result.verified
+    assert result.reference.high <= least <= 0.9 * verified < 1.1 * least
+    said = f"Recommended for an error of at most {metres(verified)}, which can be verified: "
+    assert result.sentences[1].startswith(said)
+    assert result.error(result.nearest) <= verified and result.nearest.further.starts == 2
+    assert result.to_dict()["nearest"] and result.to_dict()["recommended"] is None
     with pytest.raises(ValueError, match="the smallest in this trade"):
         result.best()
+    # The target's line is that of the error that was verified, and lies within the axes.
+    axes = result.plot().axes[0]
+    assert axes.get_ylim()[0] < verified < axes.get_ylim()[1]
+
+
+def test_settings_that_the_reference_cannot_rank_are_a_tie(ball):
+    """In the worst start all three are below the reference's error; in start 0 it can tell."""
+    rows = []
+    for k, (here, there) in enumerate(((1e-5, 1e-4), (3e-6, 4e-4), (2e-5, 2e-4))):
+        settings = ball.settings.replace(dt=1e-3 / (k + 1))
+        errors = dataclasses.replace(ball.shipped.errors, each=(here, there))
+        rows.append(TradeRow(settings, errors, cost=1.0 + k, row_updates=0, flops=1.0 + k))
+    rows[0] = dataclasses.replace(rows[0], shipped=True)
+    known = dataclasses.replace(ball.reference.known, high=1e-3, each=(1e-6, 1e-3))
+    reference = dataclasses.replace(ball.reference, known=known, exact=None)
+    frontier = Frontier.of(rows, 1e-3, 1e-2, "flops")
+    words = Words(frontier, reference, 1e-4, None, None, None, None, 1.0)
+    said = list(words.answer())
+    assert said[0].startswith("100 µm cannot be verified: the reference is good to 1 mm")
+    assert said[1].startswith("In the 1 of 2 starts whose reference is good enough, ")
+    assert "dt 1 ms keeps to it, for 1 flop" in said[1]
+    assert said[2].startswith("3 settings are as accurate as the reference can tell, the cheapest")
+    assert said[3].startswith("In the 1 of 2 starts whose reference is ten times as good, the most")
+    assert "dt 500 µs, with an error of 3 µm." in said[3]
+    assert not any("most accurate one is" in line for line in said[:3])
 
 
 def test_failures_are_rows_with_a_reason():

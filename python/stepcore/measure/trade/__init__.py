@@ -13,6 +13,7 @@ from stepcore._core import Settings
 from stepcore.deadline import OutOfTime, in_time
 from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.cost import TimedRun
+from stepcore.experiment.errors import moved
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
@@ -37,6 +38,8 @@ __all__ = ["Trade", "TradeRow", "trade"]
 
 # Default limit on the cost of the reference, in steps × (dofs + 2): some seconds on one core.
 EFFORT = 6e6
+# The largest error that replaces one which cannot be verified, as a share of the displacement.
+USEFUL = 0.5
 # Offset between the seed of the search's starts and the seed of the further starts.
 APART = 1_000_003
 # The shares of the time (`seconds`) at which the search, the finer reference, the comparison with
@@ -198,17 +201,24 @@ def trade(
     with time.stage("statistics of the motion", COUNTED):
         frontier = _with_statistics(frontier, made, reference, motion)
     chosen = None
-    if further and _recommends(frontier, target, limit):
+    # The error that settings are tested for: one that the reference can verify.
+    asked = target
+    if target is not None and reference.high > target:
+        asked = frontier.least() if frontier.least() <= USEFUL * moved(reference.runs) else target
+    if further and _recommends(frontier, asked, limit):
         unseen = dataclasses.replace(motion, seed=motion.seed + APART)
         with time.stage(f"all tests on {further} further starts", TESTED):
             new = scheduled(unseen, model, period, starts=further + 1).part(1)
             confirm, again = Confirmation(cache, new), None
-            if target is not None and not full:
-                again = HardestStarts(cache, confirm, counts, kind, target)
+            if asked is not None and not full:
+                again = HardestStarts(cache, confirm, counts, kind, asked)
             recommendation = Recommendation(frontier, confirm, maker.row, counts, again)
             try:
-                if target is not None:
-                    chosen = recommendation.within_error(target)
+                if asked is not None:
+                    chosen = recommendation.within_error(asked)
+                    if chosen is None and asked != target:
+                        # Further starts were harder than those of the search.
+                        chosen, asked = recommendation.within_least(asked)
                 elif limit is not None:
                     recommendation.within_budget(limit)
             finally:
@@ -234,6 +244,7 @@ def trade(
             *model.scene.notes,
         ],
         target=target,
+        verified=asked if asked != target else None,
         budget=limit,
         size=size,
         mujoco=mujoco_points.timed(points, timed),
@@ -243,7 +254,7 @@ def trade(
         findings=findings,
         runner=runner,
     )
-    answer = (result.recommended, result.shipped, *result.offered)
+    answer = (result.recommended or result.nearest, result.shipped, *result.offered)
     in_batch: list[BatchPoint] = []
     with time.stage("costs in a batch"):
         in_batch = batch_points(answer, frontier, maker)

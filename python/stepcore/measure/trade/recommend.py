@@ -46,6 +46,8 @@ DEARER = 1.15
 NEAR = 3
 # If no row passes on all starts: the accepted share of starts, and the number of rows tried.
 SHARE, NEARLY = 0.95, 8
+# How often an error that replaces one which cannot be verified is made larger.
+LARGER = 2
 # If perturbed runs of the search's starts separate by less than this factor, the motion is
 # predictable, and the growth on further starts is not measured.
 CALM = 30.0
@@ -261,6 +263,20 @@ class Recommendation:
             return self._nearly_always(target)
         self._count_misses(target, chosen)
         return self.rounded(chosen, target)
+
+    def within_least(self, error: float) -> tuple[TradeRow | None, float]:
+        """Test rows within the least error that any has on all starts it ran from.
+
+        Return the row that passes, or None, and the error [m]; error: the one that none met.
+        """
+        for _ in range(LARGER):
+            least = self.frontier.least()
+            if not error < least < math.inf:
+                break
+            error = least
+            if (row := self.within_error(error)) is not None:
+                return row, error
+        return None, error
 
     def _first_that_passes(self, target: float) -> TradeRow | None:
         """Return the cheapest row that stays within the limit on all further starts."""

@@ -47,13 +47,14 @@ class Trade(Result):
     horizon: the simulated time [s].
     notes: remarks on the reference, the motion and the failures.
     target, budget: the requested error [m] or the requested budget.
+    verified: if the reference cannot verify `target`, the least round error that it can [m].
     size: the size of the scene [m].
     mujoco: MuJoCo's points, if MuJoCo was requested.
     in_batch: the cost of the named settings as worlds of a batch, in both precisions; empty if
         costs are counted or a Python function gives the controls.
     screened: the number of settings that were tried.
     runs: the number of runs that the trade made.
-    chosen: the row for `target` that further starts confirmed.
+    chosen: the row for `target`, or for `verified`, that further starts confirmed.
     ran: the motion in words.
     batches: the time saved by running in batches.
     findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
@@ -71,6 +72,7 @@ class Trade(Result):
     notes: list[str] = field(default_factory=list)
     target: float | None = None
     budget: float | None = None
+    verified: float | None = None
     size: float = math.nan
     mujoco: Sequence[Point] = ()
     in_batch: Sequence[BatchPoint] = ()
@@ -149,11 +151,19 @@ class Trade(Result):
     @property
     def recommended(self) -> TradeRow | None:
         """The row for the requested error or budget; None without a request or a matching row."""
+        return self._wanted(self.target) if self.verified is None else None
+
+    @property
+    def nearest(self) -> TradeRow | None:
+        """The row for `verified`, where the reference cannot verify the requested error."""
+        return None if self.verified is None else self._wanted(self.verified)
+
+    def _wanted(self, error: float | None) -> TradeRow | None:
         if self.chosen is not None:
             return self.chosen
         try:
-            if self.target is not None:
-                return self.cheapest(self.target)
+            if error is not None:
+                return self.cheapest(error)
             return None if self.budget is None else self.most_accurate(self.budget)
         except ValueError:
             return None
@@ -166,7 +176,7 @@ class Trade(Result):
         the error on at most a tenth of the starts. Of several such rows, this is the row with the
         fewest misses.
         """
-        chosen = self.recommended
+        chosen = self.recommended or self.nearest
         if chosen is None or self.target is None:
             return None
         near = []
@@ -182,7 +192,7 @@ class Trade(Result):
     @property
     def offered(self) -> list[TradeRow]:
         """The rows compared in the answer: half the error, and the same error at a lower cost."""
-        if (chosen := self.recommended) is not None:
+        if (chosen := self.recommended or self.nearest) is not None:
             rows = [self.passed_over, self.frontier.halving(chosen)]
         elif self.shipped.errors is not None and not math.isnan(self.price(self.shipped)):
             error = self.error(self.shipped)
@@ -193,12 +203,15 @@ class Trade(Result):
 
     @property
     def kept(self) -> float:
-        """The error limit of a recommendation [m]: `target` less a margin; NaN without a target."""
-        return math.nan if self.target is None else MARGIN * self.target
+        """The error limit of a recommendation [m]: `target` less a margin; NaN without a target.
+
+        Where the reference cannot verify the target, `verified` takes its place.
+        """
+        return math.nan if self.target is None else MARGIN * (self.verified or self.target)
 
     def misses(self, row: TradeRow) -> tuple[int, int]:
         """Return on how many starts a row exceeds the requested error, and from how many it ran."""
-        return row.misses(self.target or math.inf)
+        return row.misses(self.verified or self.target or math.inf)
 
     def best(self, error: float | str | None = None) -> Settings:
         """Return the cheapest Settings whose error in every start is at most `error`.
@@ -211,7 +224,7 @@ class Trade(Result):
         """
         if error is None and self.target is None and self.budget is not None:
             return self.most_accurate(self.budget).settings
-        if self.chosen is not None and error in (None, self.target):
+        if self.chosen is not None and error in (None, self.target) and self.verified is None:
             return self.chosen.settings
         return self.cheapest(error).settings
 
@@ -222,8 +235,8 @@ class Trade(Result):
             on the starts of the search, because other rows need not have run from the further
             starts.
         """
-        if error is None and self.recommended is not None:
-            return self.frontier.halving(self.recommended)
+        if error is None and (row := self.recommended or self.nearest) is not None:
+            return self.frontier.halving(row)
         try:
             return self.frontier.cheapest(self._length(error) / 2)
         except ValueError:
@@ -269,9 +282,15 @@ class Trade(Result):
     @property
     def sentences(self) -> list[str]:
         """The recommendation, the error of the shipped settings, and the cost of less error."""
-        frontier, asked = self.frontier, (self.target, self.budget)
         words = Words(
-            frontier, self.reference, *asked, self.recommended, self.passed_over, self.horizon
+            frontier=self.frontier,
+            reference=self.reference,
+            target=self.target,
+            verified=self.verified,
+            budget=self.budget,
+            recommended=self.recommended or self.nearest,
+            passed_over=self.passed_over,
+            horizon=self.horizon,
         )
         said = list(words.answer())
         if self.mujoco:
@@ -291,7 +310,7 @@ class Trade(Result):
 
         full: whether to include all settings, and the batch cost of the recommended ones.
         """
-        chosen, frontier = self.recommended, self.frontier
+        chosen, frontier = self.recommended or self.nearest, self.frontier
         named = [row for row in (self.shipped, chosen, *self.offered) if row is not None]
         return [
             settings_table(frontier, self.reference, chosen, named, self.mujoco, full),
@@ -311,6 +330,8 @@ class Trade(Result):
             "predictable": self.predictable,
             "asked": {"error": self.target, "budget": self.budget, "by": self.by},
             "recommended": None if chosen is None else chosen.settings,
+            "verified": self.verified,
+            "nearest": None if self.nearest is None else self.nearest.settings,
             "mujoco": [point.record() for point in self.mujoco],
             "in_batch": [point.record() for point in self.in_batch],
             "screened": self.screened,
@@ -352,7 +373,7 @@ class Trade(Result):
         """
         if self.runner is None:
             raise ValueError("this trade does not hold its runs, so that they cannot be made again")
-        chosen = row or self.recommended or self.shipped
+        chosen = row or self.recommended or self.nearest or self.shipped
         start = 0 if chosen.errors is None else chosen.errors.worst
         return [
             run_again(self.runner, settings, start)
@@ -375,7 +396,7 @@ class Trade(Result):
         """
         from stepcore.viewing.live import view
 
-        chosen = row or self.recommended or self.shipped
+        chosen = row or self.recommended or self.nearest or self.shipped
         named = f"dt {seconds(chosen.settings.dt)}, {chosen.settings.integrator}"
         return view(self.seen(row), labels=["converged", named], host=host, port=port, wait=wait)
 

@@ -20,6 +20,8 @@ from stepcore.measure.trade.statistics import QUANTITIES, Statistics
 # Recommended settings must stay within this share of the requested error, because further starts
 # may be harder.
 MARGIN = 0.9
+# The number of digits of an error that replaces one that the reference cannot verify.
+DIGITS = 2
 # Cost ratios above this are within the uncertainty of timing.
 NOTABLE = 0.9
 # An error above this share of the bodies' displacement no longer falls as a power of dt.
@@ -232,6 +234,17 @@ class Frontier:
         half = self.searched(row) / 2
         good = [r for r in self.rows if self.searched(r) <= half and not math.isnan(self.price(r))]
         return self._cheapest_of(good) if good and half > 0 else None
+
+    def least(self) -> float:
+        """Return a round error above the smallest of any row, by the margin [m]; inf without one.
+
+        It is asked for in place of an error that the reference cannot verify.
+        """
+        least = min(map(self.error, self.rows), default=math.inf) / MARGIN
+        if not 0 < least < math.inf:
+            return least
+        unit = 10.0 ** (math.floor(math.log10(least)) + 1 - DIGITS)
+        return float(f"{unit * math.ceil(least / unit * (1 - 1e-9)):.{DIGITS}g}")
 
     def price(self, row: TradeRow) -> float:
         """Return the cost of a row per simulated second: µs, or operations with `by="flops"`."""

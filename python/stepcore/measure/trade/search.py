@@ -149,6 +149,8 @@ class SettingsSearch:
                     break
             while halvings and cache.reference.high * FINER > error and cache.refine():
                 halvings -= 1
+            # An error that the reference cannot verify is replaced by the least that it can.
+            error = max(error, cache.reference.high)
             some = self.meeting(error, climb)
             while not some and halvings and cache.refine():
                 halvings -= 1

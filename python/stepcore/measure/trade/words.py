@@ -42,11 +42,15 @@ MODELS = {"pyramid": "the friction pyramid", "softness": "the softness of contac
 
 @dataclass(frozen=True)
 class Words:
-    """The sentences of a trade's answer; the fields are those of `Trade`."""
+    """The sentences of a trade's answer; the fields are those of `Trade`.
+
+    recommended: the row for `target`, or else for `verified` or `budget`.
+    """
 
     frontier: Frontier
     reference: Reference
     target: float | None
+    verified: float | None
     budget: float | None
     recommended: TradeRow | None
     passed_over: TradeRow | None
@@ -62,11 +66,20 @@ class Words:
         if self.target is None and self.budget is None:
             yield from self._improvements()
 
-    def _for_error(self, error: float) -> Iterator[str]:
+    def _for_error(self, target: float) -> Iterator[str]:
         """Yield the cheapest settings within an error and the next better, or the nearest row."""
-        row = self.recommended
+        row, error = self.recommended, self.verified or target
+        if self.reference.high > target:
+            yield (
+                f"{metres(target)} cannot be verified: the reference is good to "
+                f"{metres(self.reference.high)} in the worst start. Try your own motion, or a "
+                "larger `effort` (--effort)."
+            )
+            yield from self._where_verified(target)
         if row is not None:
             what = f"Recommended for an error of at most {metres(error)}"
+            if self.verified is not None:
+                what += ", which can be verified"
             if self.frontier.error(row) > error:
                 missed, count = row.misses(error)
                 what += f" on {count - missed} of {count} starts (no setting keeps to it on all)"
@@ -74,20 +87,59 @@ class Words:
             yield from self._why_passed_over(row, error)
             yield self._halved(row)
             return
-        known = self.reference.high
-        if known > error:
-            yield (
-                f"{metres(error)} cannot be verified: the reference is good to {metres(known)} in "
-                "the worst start. Try your own motion, or a larger `effort` (--effort)."
-            )
-        else:
+        if self.reference.high <= target:
             yield f"No setting tried has an error of at most {metres(error)} in every start."
-        ran = [other for other in self.frontier.rows if other.errors is not None]
-        if ran:
-            wrong, price = self.frontier.error, self.frontier.price
-            least = min(ran, key=lambda other: (wrong(other), price(other)))
+        yield from self._most_accurate()
+
+    def _where_verified(self, target: float) -> Iterator[str]:
+        """Yield the cheapest settings within an error on those starts whose reference can tell."""
+        sure, count = self.reference.each, len(self.reference.each)
+        telling = [i for i in range(count) if sure[i] <= MARGIN * target]
+        if not telling:
+            return
+        good = [
+            row
+            for row in self.frontier.rows
+            if row.errors and max(row.errors.each[i] for i in telling) <= MARGIN * target
+        ]
+        if good:
+            least = min(good, key=self.frontier.price)
+            yield (
+                f"In the {len(telling)} of {counted(count, 'start')} whose reference is good enough"
+                f", {self._named(least)} keeps to it, for {self._priced_beside(least)}."
+            )
+
+    def _most_accurate(self) -> Iterator[str]:
+        """Yield the row with the smallest error, or the rows that the reference cannot rank."""
+        ran = [row for row in self.frontier.rows if row.errors is not None]
+        tied = [row for row in ran if self.frontier.tied(row)]
+        if len(tied) > 1:
+            yield (
+                f"{counted(len(tied), 'setting')} are as accurate as the reference can tell, the "
+                f"cheapest of them {self._named(min(tied, key=self.frontier.price))}."
+            )
+            yield from self._ranked(tied)
+        elif ran:
+            least = min(ran, key=lambda row: (self.frontier.error(row), self.frontier.price(row)))
             best = metres(self.frontier.error(least))
             yield f"The most accurate one is {self._named(least)}, with an error of {best}."
+
+    def _ranked(self, tied: Sequence[TradeRow]) -> Iterator[str]:
+        """Rank rows that tie in the worst start by the starts whose reference is finer."""
+        sure = self.reference.each
+        telling = [i for i in range(len(sure)) if sure[i] * FINER <= self.reference.high]
+
+        def there(row: TradeRow) -> float:
+            assert row.errors is not None
+            return max(max(row.errors.each[i], sure[i]) for i in telling)
+
+        if telling:
+            least = min(tied, key=lambda row: (there(row), self.frontier.price(row)))
+            yield (
+                f"In the {len(telling)} of {counted(len(sure), 'start')} whose reference is ten "
+                f"times as good, the most accurate one is {self._named(least)}, with an error of "
+                f"{metres(there(least))}."
+            )
 
     def _for_budget(self, budget: float) -> Iterator[str]:
         """Yield the most accurate settings within a budget and the next better, or the cheapest."""
@@ -106,16 +158,22 @@ class Words:
 
     def _described(self, row: TradeRow) -> str:
         """Describe recommended settings: error, cost, and the result on further starts."""
+        within = "at most " * self.frontier.tied(row)
+        return (
+            f"{self._named(row)}. The RMS position error is {within}"
+            f"{metres(self.frontier.error(row))} in the worst start, for "
+            f"{self._priced_beside(row)}.{self._confirmed(row)}"
+        )
+
+    def _priced_beside(self, row: TradeRow) -> str:
+        """Describe the cost of settings, beside that of the shipped settings."""
         price = self._priced(row)
         if row.settings == self.frontier.shipped.settings:
-            price += ", as shipped"
-        elif not math.isnan(self.frontier.price(self.frontier.shipped)):
-            ratio = self._ratio(row, self.frontier.shipped)
-            price += f", {ratio}× the cost of the shipped settings"
-        return (
-            f"{self._named(row)}. The RMS position error is {metres(self.frontier.error(row))} in "
-            f"the worst start, for {price}.{self._confirmed(row)}"
-        )
+            return f"{price}, as shipped"
+        if math.isnan(self.frontier.price(self.frontier.shipped)):
+            return price
+        ratio = self._ratio(row, self.frontier.shipped)
+        return f"{price}, {ratio}× the cost of the shipped settings"
 
     def _confirmed(self, row: TradeRow) -> str:
         """Describe the result on further starts."""
@@ -165,6 +223,9 @@ class Words:
         better, searched = self.frontier.halving(row), self.frontier.searched
         there = self.frontier.error(row) > searched(row)
         starts = f"{counted(len(self.reference.runs), 'start')} of the search"
+        if searched(row) / 2 < self.frontier.known:
+            known = metres(self.frontier.known)
+            return f"Half that error cannot be verified: the reference is good to {known}."
         if better is None:
             return f"No setting tried halves that error{f' in the {starts}' * there}."
         costs = f"costs {self._ratio(better, row)}×"
@@ -190,7 +251,7 @@ class Words:
             where = f" in the worst of {count} starts (start {e.each.index(e.high)}; {median})"
         return (
             f"{what} the RMS position error over {seconds(self.horizon)} is "
-            f"{metres(self.frontier.error(row))}{where}, for {self._priced(row)}. The largest "
+            f"{metres(self.frontier.searched(row))}{where}, for {self._priced(row)}. The largest "
             f"error of a body at any time is {metres(self.frontier.largest(row))}."
         )
 
@@ -201,10 +262,10 @@ class Words:
             ran = [other for other in self.frontier.rows if not other.failure]
             if ran:
                 least = min(ran, key=self.frontier.price)
-                named, least_error = self._named(least), metres(self.frontier.error(least))
+                named, least_error = self._named(least), metres(self.frontier.searched(least))
                 yield f"The cheapest setting that runs is {named}, with an error of {least_error}."
             return
-        error = self.frontier.error(row)
+        error = self.frontier.searched(row)
         half, same = self.frontier.halving(row) if error else None, self.frontier.cheapest(error)
         offers = [("Half that error", half)] if half is not None else []
         if half is None:
@@ -214,7 +275,7 @@ class Words:
         for what, other in offers:
             yield (
                 f"{what} or less costs {self._ratio(other, row)}×: {self._named(other)}, with an "
-                f"error of {metres(self.frontier.error(other))}."
+                f"error of {metres(self.frontier.searched(other))}."
             )
 
     def in_a_batch(self, timed: Sequence[BatchPoint]) -> Iterator[str]:

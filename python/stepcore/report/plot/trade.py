@@ -52,7 +52,7 @@ def trade(trade: Trade) -> Any:
     theirs = _mujoco(axes, trade, limit)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    target = [] if trade.target is None else [trade.target]
+    target = [error for error in (trade.target, trade.verified) if error is not None]
     low, high = _limits([*(trade.frontier.searched(row) for row in good), *theirs, *target])
     axes.set_ylim(low, high)
     axes.margins(x=0.08)
@@ -151,11 +151,11 @@ def _asked(axes: Any, trade: Trade) -> None:
     """Draw the target error or the budget as a dashed line."""
     dashed = {"color": GREY, "ls": "--", "lw": 1.0, "zorder": 1}
     if trade.target is not None:
-        axes.axhline(trade.target, **dashed)
-        kept = trade.kept
-        axes.axhspan(kept, trade.target, color="#F0F0F0", zorder=0)
+        kept, error = trade.kept, trade.verified or trade.target
+        axes.axhline(error, **dashed)
+        axes.axhspan(kept, error, color="#F0F0F0", zorder=0)
         # At the left, where the cheap settings are above the line.
-        text = f"target {metres(trade.target)}, kept to {metres(kept)}"
+        text = f"target {metres(error)}, kept to {metres(kept)}"
         style: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "va": "top"}
         axes.text(0.01, 0.97 * kept, text, fontsize=SMALL, color=GREY, **style)
     elif trade.budget is not None:
@@ -169,7 +169,7 @@ def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
     """
     shipped = label(trade.shipped.settings, sweeps=False).replace(", dt", ",\ndt")
     marked = [(trade.shipped, f"as shipped\n{shipped}")]
-    chosen, other = trade.recommended, trade.passed_over
+    chosen, other = trade.recommended or trade.nearest, trade.passed_over
     if chosen is not None and chosen is not trade.shipped:
         words = label(chosen.settings).replace(", dt", ",\ndt")
         marked.append((chosen, f"recommended\n{words}"))
