@@ -22,6 +22,7 @@ from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
 from stepcore.experiment.control_table import ENDINGS, control_table, is_file
 from stepcore.experiment.default_motion import KINDS
+from stepcore.experiment.followed import PositionTable
 from stepcore.experiment.motion import INTERPOLATIONS
 from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.policy import Policy
@@ -91,6 +92,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "choices": KINDS,
         "help": "the motion without --ctrl and --control: move (point to point, within forces and "
         "limits), hold (the start), sines, random or fall (default: chosen from the model)",
+    },
+    "follow": {
+        "metavar": "FILE",
+        "help": "recorded positions of joints, by name, that position servos follow; a file as for "
+        "--ctrl",
     },
 }
 
@@ -193,11 +199,12 @@ def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
     """Return the given options of `add_motion` as arguments of a measurement."""
     given = {name: getattr(args, name, None) for name in (*OPTIONS, "threads")}
     given["key"] = key_of(args, model)
-    if given["ctrl"] is not None and given["control"] is not None:
-        raise Usage("--ctrl and --control are both given: a motion has one of them")
-    for name in ("ctrl", "control"):
-        if given["kind"] is not None and given[name] is not None:
-            raise Usage(f"--motion and {flag_of(name)} are both given: a motion has one of them")
+    drives = [name for name in ("kind", "ctrl", "control", "follow") if given[name] is not None]
+    if len(drives) > 1:
+        first, second = map(flag_of, drives[:2])
+        raise Usage(f"{first} and {second} are both given: a motion has one of them")
+    if given["follow"] is not None:
+        given["follow"] = _table("follow", given["follow"], PositionTable.of)
     if given["ctrl"] is not None:
         given["ctrl"] = controls_of(given["ctrl"], model)
     if given["control"] is not None:
@@ -210,15 +217,20 @@ def controls_of(text: str, model: Model) -> Any:
     if text in KINDS and text not in model.actuator_names:
         raise Usage(f"--ctrl {text}: write --motion {text}")
     if is_file(text):
-        if not os.path.isfile(re.sub(r"(\.mcap):.*", r"\1", text)):
-            raise Usage(f"--ctrl {text}: no such file")
-        try:
-            return control_table(text)
-        except (ValueError, OSError, ImportError) as error:
-            raise Usage(f"--ctrl {text}: {one_line(error)}") from None
+        return _table("ctrl", text, control_table)
     if os.path.exists(text):
         raise Usage(f"--ctrl {text}: must end in {', '.join(ENDINGS)}")
     return _constants(text, model)
+
+
+def _table(option: str, text: str, read: Callable[[str], Any]) -> Any:
+    """Return the table of a file; option: "ctrl" or "follow"."""
+    if not os.path.isfile(re.sub(r"(\.mcap):.*", r"\1", text)):
+        raise Usage(f"--{option} {text}: no such file")
+    try:
+        return read(text)
+    except (ValueError, OSError, ImportError) as error:
+        raise Usage(f"--{option} {text}: {one_line(error)}") from None
 
 
 def _constants(text: str, model: Model) -> list[list[float]] | dict[str, float]:

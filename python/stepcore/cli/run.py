@@ -99,7 +99,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 def add_inputs(command: argparse.ArgumentParser) -> None:
     """Add the options of the inputs of a run."""
     inputs = command.add_argument_group("inputs")
-    for name in ("ctrl", "interpolation", "control"):
+    for name in ("ctrl", "interpolation", "follow", "control"):
         add_option(inputs, name)
     kind = OPTIONS["kind"]["help"].partition(" (default")[0]
     add_option(inputs, "kind", help=f"{kind} (default: the keyframe's controls, held)")

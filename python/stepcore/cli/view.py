@@ -92,8 +92,9 @@ def call(args: argparse.Namespace, name: str) -> int:
 
 
 def _live(args: Any, sim: Sim) -> None:
-    if any(getattr(args, name) is not None for name in ("control", "control_dt")) or args.push:
-        raise Usage("--control, --control-dt and --push drive the run that --html writes")
+    others = ("control", "control_dt", "follow")
+    if any(getattr(args, name) is not None for name in others) or args.push:
+        raise Usage("--control, --control-dt, --follow and --push drive the run that --html writes")
     if args.kind is not None:
         raise Usage("--motion drives the run that --html writes")
     if args.ctrl is not None:

@@ -34,7 +34,7 @@ def parquet_columns(path: str) -> dict[str, Any]:
     return {name: values for name, values in columns.items() if "__index_level_" not in name}
 
 
-def mcap_rows(path: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...] | None]:
+def mcap_rows(path: str, array: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...] | None]:
     """Return times [s], rows, and the names of the columns, or None for rows of arrays.
 
     The messages of one topic are read, in JSON or (with the package mcap-ros2-support) of ROS 2. A
@@ -42,6 +42,7 @@ def mcap_rows(path: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...] | None
     numbers, as sensor_msgs/JointState has (by default "position"); or a list of numbers alone.
 
     path: the file, or with topic and field: "log.mcap:/joint_states.effort".
+    array: the list that a message has alone, "ctrl" or "qpos".
 
     Raises ImportError without mcap, ValueError for other files and messages, and OSError.
     """
@@ -58,7 +59,7 @@ def mcap_rows(path: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...] | None
                 decode = _decoder(channel.message_encoding, schema)
                 if decode is None:
                     unread.add(f"{channel.topic} ({channel.message_encoding})")
-                elif row := _numbers(decode(message.data), field):
+                elif row := _numbers(decode(message.data), field, array):
                     found.setdefault(channel.topic, []).append((message.log_time, row))
     except OSError:
         raise
@@ -74,7 +75,7 @@ def mcap_rows(path: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...] | None
         raise ValueError(f"{path}: not all messages of {name} have the numbers of the first")
     times = 1e-9 * np.array([at - messages[0][0] for at, _ in messages])
     rows = np.array([list(row.values()) for _, row in messages], float)
-    if name == OWN:
+    if name == OWN and array == "ctrl":
         times, rows = times[:-1], rows[1:]
     return times, rows, None if columns[0].isdecimal() else columns
 
@@ -98,14 +99,14 @@ def _decoder(encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
     return decode
 
 
-def _numbers(message: Any, field: str | None) -> dict[str, float]:
+def _numbers(message: Any, field: str | None, array: str) -> dict[str, float]:
     """Return the numbers of a message by name; those of a list by their index."""
     names = next((names for word in NAMES if (names := _list(message, word))), None)
     if names is not None:
         values = _list(message, field or "position")
         same = len(values) == len(names)
         return dict(zip(map(str, names), values, strict=True)) if same else {}
-    values = _list(message, field or "ctrl")
+    values = _list(message, field or array)
     if values or field is not None:
         return {str(k): value for k, value in enumerate(values)}
     if not isinstance(message, dict):

@@ -25,8 +25,8 @@ NAMED = 8
 # A period that follows from a log has at least this many of the model's steps, so that steps longer
 # than the model's can be tried.
 SOME = 4
-# Names of the columns of controls of a recorded run.
-RECORDED = re.compile(r"ctrl\[(.+)\]")
+# Names of the columns of an array of a recorded run.
+RECORDED = r"{}\[(.+)\]"
 # Names of a column of times: "time", "t", "Time [s]", "t_s".
 TIME = re.compile(r"(time|t)([\s_]*[\[(]?s[\])]?)?", re.IGNORECASE)
 
@@ -88,6 +88,11 @@ class ControlTable:
         if self.columns is not None:
             values = [f"{name}={value}" for name, value in zip(self.columns, values, strict=True)]
         return separator.join(values)
+
+    @property
+    def interpolated(self) -> bool:
+        """Whether rows are interpolated whatever the motion says."""
+        return False
 
     @property
     def gap(self) -> float | None:
@@ -166,8 +171,10 @@ class ControlTable:
         return values
 
 
-def control_table(ctrl: Any) -> ControlTable:
+def control_table(ctrl: Any, array: str = "ctrl") -> ControlTable:
     """Return the table of a user's argument `ctrl`; see `Motion` for the accepted types.
+
+    array: the argument, and the array that is read from a recorded run: "ctrl" or "qpos".
 
     Raises ValueError for any other argument, and OSError for a file that cannot be read.
     """
@@ -175,16 +182,16 @@ def control_table(ctrl: Any) -> ControlTable:
         return ctrl
     if isinstance(ctrl, (str, os.PathLike)):
         path = os.fsdecode(ctrl)
-        return replace(_of_file(path), path=path)
+        return replace(_of_file(path, array), path=path)
     if isinstance(ctrl, Trajectory):
-        return _of_run(ctrl, "a recorded run")
+        return _of_run(ctrl, "a recorded run", array)
     if isinstance(ctrl, Mapping):
-        return _named("ctrl", ctrl)
+        return _named("ctrl", ctrl, array)
     if hasattr(ctrl, "columns") and hasattr(ctrl, "to_numpy"):
-        return _of_frame(ctrl)
+        return _of_frame(ctrl, array)
     names = getattr(getattr(ctrl, "dtype", None), "names", None)
     if names:
-        return _named("ctrl", {name: ctrl[name] for name in names})
+        return _named("ctrl", {name: ctrl[name] for name in names}, array)
     return ControlTable(_numbers("ctrl", ctrl))
 
 
@@ -193,44 +200,46 @@ def is_file(text: str) -> bool:
     return text.endswith(ENDINGS) or MCAP.fullmatch(text) is not None
 
 
-def _of_file(path: str) -> ControlTable:
+def _of_file(path: str, array: str) -> ControlTable:
     source = os.path.basename(path)
     if not is_file(path):
-        raise ValueError(f"ctrl = '{path}': must end in {', '.join(ENDINGS)}")
+        raise ValueError(f"{array} = '{path}': must end in {', '.join(ENDINGS)}")
     if MCAP.fullmatch(path):
-        times, rows, columns = mcap_rows(path)
+        times, rows, columns = mcap_rows(path, array)
         return ControlTable(rows, columns, times, source)
     if path.endswith(".parquet"):
-        return _named(source, parquet_columns(path))
+        return _named(source, parquet_columns(path), array)
     if path.endswith(".csv"):
         with open(path, encoding="utf-8-sig", newline="") as file:
-            return _of_text(source, file.read().splitlines())
+            return _of_text(source, file.read().splitlines(), array)
     try:
         loaded = np.load(path, allow_pickle=False)
     except (ValueError, EOFError) as error:
         raise ValueError(f"{path}: {checks.one_line(error)}") from None
     if path.endswith(".npy"):
         if loaded.dtype.names:
-            return _named(source, {name: loaded[name] for name in loaded.dtype.names})
+            return _named(source, {name: loaded[name] for name in loaded.dtype.names}, array)
         return ControlTable(_numbers(source, loaded), source=source)
     with loaded:
         arrays = {name: loaded[name] for name in loaded.files}
     if "kind" in arrays:
-        return _of_run(Trajectory.load(path), source)
-    if "ctrl" not in arrays:
-        return _named(source, arrays)
-    rows = _numbers(source, arrays["ctrl"])
+        return _of_run(Trajectory.load(path), source, array)
+    if array not in arrays:
+        return _named(source, arrays, array)
+    rows = _numbers(source, arrays[array])
     return ControlTable(rows, times=_times(source, arrays.get("time"), len(rows)), source=source)
 
 
-def _of_run(run: Trajectory, source: str) -> ControlTable:
-    """Return the controls of a recorded run, where an instant has the controls of the last step."""
-    if "ctrl" not in run.data:
-        raise ValueError(f"{source}: this run recorded no ctrl")
+def _of_run(run: Trajectory, source: str, array: str) -> ControlTable:
+    """Return an array of a recorded run; an instant has the controls of the last step."""
+    if array not in run.data:
+        raise ValueError(f"{source}: this run recorded no {array}")
+    if array != "ctrl":
+        return ControlTable(run[array], times=run.time, source=source)
     return ControlTable(run["ctrl"][1:], times=run.time[:-1], source=source)
 
 
-def _of_text(source: str, lines: list[str]) -> ControlTable:
+def _of_text(source: str, lines: list[str], array: str) -> ControlTable:
     """Parse comma-, semicolon- or tab-separated values, with or without a line of names."""
     head = next((line for line in lines if line.strip()), "")
     delimiter = max(",;\t", key=head.count)
@@ -251,10 +260,10 @@ def _of_text(source: str, lines: list[str]) -> ControlTable:
     if rows.size and rows.shape[1] != len(names):
         text = f"{len(names)} names stand above {rows.shape[1]} columns"
         raise ValueError(f"{source}: {text}")
-    return _named(source, dict(zip(names, rows.T, strict=False)), names)
+    return _named(source, dict(zip(names, rows.T, strict=False)), array, names)
 
 
-def _of_frame(frame: Any) -> ControlTable:
+def _of_frame(frame: Any, array: str) -> ControlTable:
     """Return the table of a DataFrame of pandas, polars or a similar library."""
     names = list(frame.columns)
     if not any(isinstance(name, str) for name in names):
@@ -263,21 +272,22 @@ def _of_frame(frame: Any) -> ControlTable:
     index = getattr(frame, "index", None)
     if TIME.fullmatch(str(getattr(index, "name", None) or "")):
         columns |= {"time": np.asarray(index)}
-    return _named("ctrl", columns)
+    return _named("ctrl", columns, array)
 
 
 def _named(
-    source: str, columns: Mapping[str, Any], names: Iterable[str] | None = None
+    source: str, columns: Mapping[str, Any], array: str, names: Iterable[str] | None = None
 ) -> ControlTable:
     """Return a table of named columns; a single number applies to all rows."""
     names = list(columns if names is None else names)
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise ValueError(f"{source}: several columns are named {checks.quoted(min(twice))}")
-    recorded = [name for name in names if RECORDED.fullmatch(str(name))]
+    own = re.compile(RECORDED.format(array))
+    recorded = {name: found[1] for name in names if (found := own.fullmatch(str(name)))}
     clocks = [name for name in names if TIME.fullmatch(str(name))]
     if recorded and clocks:
-        return _of_table(source, columns, clocks[0], recorded)
+        return _of_table(source, columns, clocks[0], recorded, array == "ctrl")
     drives = [str(name) for name in names if name not in clocks[:1]]
     values = [np.ravel(_numbers(f"{source}, column {name}", columns[name])) for name in names]
     count = max((len(column) for column in values), default=0)
@@ -292,17 +302,18 @@ def _named(
 
 
 def _of_table(
-    source: str, columns: Mapping[str, Any], clock: str, recorded: Sequence[str]
+    source: str, columns: Mapping[str, Any], clock: str, recorded: Mapping[str, str], later: bool
 ) -> ControlTable:
-    """Return the controls of a recorded run that `Trajectory.save` or `to_pandas` wrote.
+    """Return an array of a recorded run that `Trajectory.save` or `to_pandas` wrote.
 
-    As in `_of_run`, an instant has the controls of the last step. clock, recorded: the names of the
-    columns of times and of controls.
+    clock: the name of the column of times. recorded: the actuator or joint of each other column.
+    later: whether an instant has the values of the last step, as in `_of_run`.
     """
-    rows = np.column_stack([_numbers(f"{source}, column {n}", columns[n])[1:] for n in recorded])
-    times = _times(source, columns[clock][:-1], len(rows))
-    actuators = tuple(RECORDED.sub(r"\1", name) for name in recorded)
-    return ControlTable(rows, actuators, times, source)
+    rows = np.column_stack([_numbers(f"{source}, column {n}", columns[n]) for n in recorded])
+    times = _times(source, columns[clock], len(rows))
+    if later and times is not None:
+        rows, times = rows[1:], times[:-1]
+    return ControlTable(rows, tuple(recorded.values()), times, source)
 
 
 def _times(source: str, times: Any, count: int) -> np.ndarray | None:

@@ -17,6 +17,7 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.control_table import ControlTable, control_table
 from stepcore.experiment.default_motion import KINDS
+from stepcore.experiment.followed import PositionTable
 from stepcore.report import units
 from stepcore.signatures import F, keyword, refuse_unknown, spell_out
 
@@ -75,6 +76,7 @@ class MotionFields(TypedDict, total=False):
     control_dt: float | str | None
     interpolation: str
     kind: str | None
+    follow: Controls | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +113,10 @@ class Motion:
         control is a sum of random sines within its range; "random": new random controls in every
         control period; "fall": all controls are 0. A measurement also takes the kind in place of a
         Motion: ``trade(model, "hold")``.
+    follow: recorded positions of joints that position servos follow, in place of `ctrl`: a table in
+        which each column has the name of a hinge or slide, from the same sources, or a recorded run
+        with qpos. The motion starts at the first row. Each servo gets as its control what makes its
+        force zero in the recorded position; between rows positions are interpolated.
 
     Raises ValueError for a value outside its limits.
 
@@ -127,6 +133,7 @@ class Motion:
     control_dt: float | None = None
     interpolation: str = "held"
     kind: str | None = None
+    follow: Controls | None = None
 
     def __post_init__(self) -> None:
         for name in ("horizon", "control_dt"):
@@ -135,6 +142,11 @@ class Motion:
         if self.starts is not None:
             object.__setattr__(self, "starts", checks.count("starts", self.starts))
         object.__setattr__(self, "seed", checks.count("seed", self.seed, least=0))
+        if self.follow is not None:
+            if self.control is not None or not isinstance(self.ctrl, PositionTable | None):
+                given = "control" if self.ctrl is None else "ctrl"
+                raise ValueError(f"follow and {given} are both given: a motion has one of them")
+            object.__setattr__(self, "ctrl", PositionTable.of(self.follow))
         checks.one_of(*INTERPOLATIONS)("motion", "interpolation", self.interpolation)
         if self.control is not None:
             checks.function("time", "sim")("motion", "control", self.control)
@@ -173,7 +185,8 @@ class Motion:
         except ValueError:
             # The error is raised later, where the controls are matched to a model.
             return None
-        linear = table.times is not None and self.interpolation == "linear"
+        interpolated = table.interpolated or self.interpolation == "linear"
+        linear = table.times is not None and interpolated
         return table.period(dt) if table.changes and not linear else None
 
     @classmethod
@@ -221,6 +234,7 @@ class Motion:
             f"{field.name}={checks.shown(getattr(self, field.name), 40)}"
             for field in fields(self)
             if getattr(self, field.name) is not field.default
+            and not (field.name == "ctrl" and self.follow is not None)
         ]
         return f"Motion({', '.join(parts)})"
 

@@ -20,7 +20,7 @@ def motion_in_words(model: Model, motion: Motion, schedule: Schedule, sampled: s
     sampled: how often a control function was called, such as "every 2 ms"; by default every period
         of the schedule.
     """
-    begin = start_in_words(model, motion.key)
+    begin = begin_in_words(model, motion)
     count = len(schedule.starts)
     if count > 1:
         begin = f"{begin} and {counted(count - 1, 'start')} near it"
@@ -38,6 +38,13 @@ def without_in_words(model: Model) -> str:
     """List the parts left out of the scene's file on request: "; without flex (2)", or ""."""
     left_out = ", ".join(model.scene.without)
     return f"; without {left_out}" if left_out else ""
+
+
+def begin_in_words(model: Model, motion: Motion) -> str:
+    """Describe the first start of a motion."""
+    if motion.follow is not None:
+        return f"the first pose of {control_table(motion.ctrl).source}"
+    return start_in_words(model, motion.key)
 
 
 def start_in_words(model: Model, key: str | int | None) -> str:
@@ -82,5 +89,7 @@ def drive_in_words(model: Model, motion: Motion, drive: str, sampled: str) -> st
             return f"{what} hold {table.constants}"
         source = "the controls given" if table.source == "ctrl" else table.source
         sampled = table.paced(sampled) if motion.control_dt is None else f"a row {sampled}"
+        if motion.follow is not None:
+            return f"{what} follow the positions of {source}, {sampled}"
         return f"{what} driven by {source}, {sampled}"
     return drive

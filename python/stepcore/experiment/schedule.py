@@ -23,6 +23,7 @@ from stepcore.experiment.control_log import ControlLog, changes
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Coordinates, Start
 from stepcore.experiment.default_motion import default_motion
+from stepcore.experiment.followed import PositionTable
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.point_to_point import PointToPoint
 from stepcore.report import units
@@ -182,6 +183,7 @@ def scheduled(
     rng = np.random.default_rng(motion.seed)
     coordinates = Coordinates(model)
     first, held = home(model, motion.key)
+    first = begun(motion, model, first)
     begin = [first, *(near(model, coordinates, first, rng) for _ in range(count - 1))]
     ctrl, control, remarks, drive = None, motion.control, tuple[str, ...](), ""
     log = None
@@ -196,6 +198,13 @@ def scheduled(
     return Schedule(period, periods, every, tuple(begin), ctrl, control, remarks, drive, log)
 
 
+def begun(motion: Motion, model: Model, home: Start) -> Start:
+    """Return the first start of a motion: recorded positions begin at the first of them."""
+    if not isinstance(motion.ctrl, PositionTable):
+        return home
+    return dataclasses.replace(home, qpos=motion.ctrl.begin(model, home.qpos))
+
+
 def played(
     motion: Motion, model: Model, held: np.ndarray, periods: int, period: float
 ) -> tuple[np.ndarray, ControlLog | None]:
@@ -203,7 +212,8 @@ def played(
 
     held: the controls of actuators without a column, (nu,). period: the control period [s].
     """
-    table, linear = control_table(motion.ctrl), motion.interpolation == "linear"
+    table = control_table(motion.ctrl)
+    linear = table.interpolated or motion.interpolation == "linear"
     log = table.log(model, held, linear)
     if log is None or (motion.control_dt is not None and not linear):
         return table.over(model, held, periods, period), None

@@ -20,12 +20,13 @@ from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.default_motion import default_motion
+from stepcore.experiment.followed import PositionTable
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import (
+    begin_in_words,
     drive_in_words,
     held_in_words,
     scene_in_words,
-    start_in_words,
 )
 from stepcore.experiment.schedule import home, played
 from stepcore.experiment.single_run import LOOKS, Pace, Push, SingleRun
@@ -234,6 +235,8 @@ def simulated(
     """
     model, dt = sim.model, sim.settings.dt
     sim.reset(key=0 if motion.key is None and model.keys else motion.key)
+    if isinstance(motion.ctrl, PositionTable):
+        sim.qpos = motion.ctrl.begin(model, sim.qpos)
     if not horizon / dt < MOST_STEPS:
         limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s (2^64 steps)"
         raise ValueError(f"horizon = {horizon:g}: must be {limit}")
@@ -247,7 +250,7 @@ def simulated(
         whole_steps("control_dt", motion.control_dt, dt, least=1)
     control, period, drive = _driven(sim, motion, horizon)
     shoved = [Push.of(push) for push in pushes]
-    begin = start_in_words(model, motion.key)
+    begin = begin_in_words(model, motion)
     parts = [drive, *(f"push {push}" for push in shoved), scene_in_words(model)]
     monitor, pace = Monitor(model), Pace(min(steps, LOOKS))
     single = SingleRun(

@@ -377,8 +377,9 @@ def _options(motion: Motion) -> dict[str, str]:
         value, default = getattr(motion, name), getattr(Motion, name)
         if name == "control" and value is not None:
             options[name] = control_option(value)
-        elif name == "ctrl" and value is not None:
-            options[name] = control_table(value).option
+        elif name in ("ctrl", "follow") and value is not None:
+            if name == "follow" or motion.follow is None:
+                options[name] = control_table(motion.ctrl).option
         elif name != "starts" and value != default:
             options[name] = str(value)
     return options
