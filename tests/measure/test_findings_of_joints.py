@@ -112,6 +112,30 @@ def test_a_limit_and_what_pushes_are_elements_of_their_finding():
     ]
 
 
+# Backlash; MuJoCo's issue 995.
+
+PLAY = """<mujoco><worldbody><body pos="0 0 .5">
+<joint name="calf" axis="0 1 0" range="-154.5 -52.5" damping="1" armature=".01"/>
+<joint name="play" axis="0 1 0" range="-2.3 2.3"/>
+<geom type="capsule" fromto="0 0 0 0 0 -.213" size=".013" mass=".2"/></body></worldbody>
+<equality><joint joint1="play" solref=".1 1" solimp=".1 .99 .04 .5 3" active="{}"/></equality>
+<actuator><position joint="calf" kp="20" kv=".5"/></actuator>
+<keyframe><key qpos="-1.8 0" ctrl="-1.8"/></keyframe></mujoco>"""
+
+
+def test_an_equality_that_takes_away_the_backlash_is_told():
+    one = the(watched(sc.loads(PLAY.format("true")))[1], "backlash")
+    assert [of.kind for of in one.elements] == ["joint", "joint equality"]
+    used = float(re.search(r"([\d.]+) % of the range is used: removing", one.text)[1]) / 100
+    sim = sc.Sim(sc.loads(PLAY.format("true")))
+    sim.reset(0)
+    sim.step(500)
+    assert abs(float(sim.qpos[1])) / math.radians(2.3) == pytest.approx(used, rel=0.03)
+    # Free, it falls onto its limit, and nothing is told.
+    watch, findings = watched(sc.loads(PLAY.format("false")))
+    assert watch.play.used(1) > 1 and not [one for one in findings if one.kind == "backlash"]
+
+
 # Actuators.
 
 
@@ -236,3 +260,35 @@ def test_clamped_controls_are_told_with_the_range():
 
     one = the(watched(stop(0.001), control=ask)[1], "clamped control")
     assert one.value == pytest.approx(0.5, abs=0.02) and "3 to its ctrlrange of -1 to 1" in one.text
+
+
+WHEEL = """<mujoco><worldbody><body><joint name="j" axis="0 0 1" damping=".1"/>
+<geom size=".1" mass="100"/></body></worldbody><actuator>{}</actuator>
+<keyframe><key ctrl="{}"/></keyframe></mujoco>"""
+SERVO, MOTOR = '<position name="{}" joint="j" kp="{}" kv="5"/>', '<motor name="m" joint="j" {}/>'
+
+
+@pytest.mark.parametrize(
+    ("actuators", "ctrl", "force"),
+    [
+        (SERVO.format("a", 20) + SERVO.format("b", 20), "1 -1", 20.0),
+        (SERVO.format("a", 20) + MOTOR.format(""), "0 5", 5.0),
+    ],
+)
+def test_actuators_that_cancel_each_other_are_told(actuators, ctrl, force):
+    one = the(watched(sc.loads(WHEEL.format(actuators, ctrl)), time=3.0)[1], "opposed actuators")
+    assert one.value == pytest.approx(force, rel=0.02)
+    assert "against each other" in one.text and len(one.elements) == 2
+
+
+@pytest.mark.parametrize(
+    ("actuators", "ctrl"),
+    [
+        (SERVO.format("a", 20) + '<velocity name="v" joint="j" kv="5"/>', "1 0"),
+        (SERVO.format("a", 20) + SERVO.format("b", 40), "1 1"),
+        ('<motor joint="j" ctrlrange="0 5"/><motor joint="j" ctrlrange="0 5" gear="-1"/>', "5 5"),
+    ],
+)
+def test_actuators_that_work_together_are_not_told(actuators, ctrl):
+    findings = watched(sc.loads(WHEEL.format(actuators, ctrl)), time=3.0)[1]
+    assert not [one for one in findings if one.kind == "opposed actuators"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.coordinates import Start
+from stepcore.experiment.coordinates import Start, turned
 from stepcore.experiment.single_run import SingleRun
 from stepcore.measure.monitors import Monitor
 from stepcore.measure.monitors.actuators import on_one_dof, strength
@@ -30,6 +30,8 @@ from stepcore.scene.layout import Layout
 
 # Least excess over a limit, relative to the range; rest poses are often slightly outside.
 OUTSIDE = 0.02
+# A keyframe is written on purpose: only the rounding of its numbers may be outside.
+KEYED = 1e-3
 # The run in which an actuator pushes against a limit [s], its steps, and the control of an actuator
 # without a ctrlrange.
 PUSHED, STEPS, UNBOUNDED = 1.0, 4000, 1e6
@@ -48,7 +50,9 @@ def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Findin
         for qpos, where, keyed in states:
             yield from _outside(model, sim, qpos, where, keyed)
     for index, frame in enumerate(model.keys):
-        yield from _clamped(model, frame.ctrl, f"Keyframe `{frame.name or index}`")
+        where = f"Keyframe `{frame.name or index}`"
+        yield from _clamped(model, frame.ctrl, where)
+        yield from _asked_beyond(model, frame.ctrl, where)
     yield from _one_sided(model)
     yield from _overpowered(model, start)
     yield from _pressed(model)
@@ -79,9 +83,9 @@ def _outside(
         sim.forward()
         lengths = [(i, float(length)) for i, length in enumerate(sim.ten_length)]
     angles = [
-        (k, float(qpos[model.jnt_qposadr[k]]))
+        (k, _coordinate(qpos, int(model.jnt_qposadr[k]), kind))
         for k, kind in enumerate(model.jnt_type)
-        if kind in ("hinge", "slide")
+        if kind != "free"
     ]
     for kind, values, ranges in (
         ("joint", angles, model.jnt_range.tolist()),
@@ -92,12 +96,12 @@ def _outside(
             low, high = ranges[k]
             over = max(low - value, value - high)
             # Without a limit the range is infinite.
-            if math.isfinite(high - low) and over > OUTSIDE * (high - low):
+            if math.isfinite(high - low) and over > (KEYED if keyed else OUTSIDE) * (high - low):
                 outside.append((over / (high - low), k, value))
         if not outside:
             continue
         outside.sort(reverse=True)
-        _, k, value = outside[0]
+        share, k, value = outside[0]
         elements, (low, high) = named(model, kind, [entry[1] for entry in outside]), ranges[k]
         if kind == "joint":
             say, at, unit = (
@@ -116,7 +120,15 @@ def _outside(
         )
         cure += ", or widen the range"
         severity = "error" if keyed else "warning"
+        severity = severity if share > OUTSIDE else "remark"
         yield Finding("outside a limit", severity, problem, cure, elements, value, unit)
+
+
+def _coordinate(qpos: np.ndarray, at: int, kind: str) -> float:
+    """Return the coordinate that a joint's range limits; of a ball, the angle [rad or m]."""
+    if kind == "ball":
+        return float(np.linalg.norm(turned(qpos[None, at : at + 4])))
+    return float(qpos[at])
 
 
 def _unit(model: Model, tendon: int) -> str:
@@ -145,6 +157,38 @@ def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
         cure = "correct its ctrl, or widen the ctrlrange"
         kind = "clamped control"
         yield Finding(kind, "warning", problem, cure, actuators, float(ctrl[k]), "", PLOT)
+
+
+def _asked_beyond(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
+    """Yield servos that a keyframe asks for a position beyond the range of their joint."""
+    if not model.nu or not (model.scene.features.limit and model.scene.features.actuation):
+        return
+    beyond = []
+    for k in on_one_dof(model):
+        joint, bias = int(model.actuator_joint[k]), model.actuator_bias[k]
+        low, high = (float(bound) for bound in model.jnt_range[joint])
+        gear, control = float(model.actuator_gear[k, 0]), float(ctrl[k])
+        if bias[1] >= 0 or not gear or not math.isfinite(high - low):
+            continue
+        if model.scene.features.clampctrl:
+            control = float(np.clip(control, *model.actuator_ctrlrange[k]))
+        asked = float(model.actuator_gain[k] * control + bias[0]) / -float(bias[1]) / gear
+        over = max(low - asked, asked - high) / (high - low)
+        if over > OUTSIDE:
+            beyond.append((over, k, joint, asked, low, high))
+    if beyond:
+        beyond.sort(reverse=True)
+        _, k, joint, asked, low, high = beyond[0]
+        servos = named(model, "actuator", [entry[1] for entry in beyond])
+        say = partial(length_of, model, joint)
+        problem = (
+            f"{where} asks {listed(servos, 'servos')} for {say(asked)}, beyond the range of "
+            f"{model.element_name('joint', joint)} ({say(low)} to {say(high)}), so it presses on "
+            "the limit"
+        )
+        cure = "correct its ctrl, unless it is meant to press"
+        unit = "rad" if is_angular(model, joint) else "m"
+        yield Finding("control beyond a limit", "remark", problem, cure, servos, asked, unit)
 
 
 def _one_sided(model: Model) -> Iterator[Finding]:

@@ -27,6 +27,7 @@ from stepcore.measure.monitors.cures import proven, verified
 from stepcore.measure.monitors.finding import Finding, Next, named, ordered
 from stepcore.measure.monitors.friction_loss import FrictionLossMonitor
 from stepcore.measure.monitors.joints import JointMonitor
+from stepcore.measure.monitors.play import PlayMonitor
 from stepcore.measure.monitors.tunnelling import TunnellingMonitor
 from stepcore.report.settings import solver_words
 from stepcore.report.units import percent, speed, times
@@ -57,6 +58,7 @@ class Monitor(Probe):
         self.joints = JointMonitor(model, bodies.joints, sizes)
         self.actuators = ActuatorMonitor(model)
         self.friction_losses = FrictionLossMonitor(model, sizes)
+        self.play = PlayMonitor(model)
         self.tunnelling = TunnellingMonitor(model, sizes, bodies.moving)
         # The times of the readings [s]; their residuals [m/s]; the worst residual and its row.
         self.times: list[float] = []
@@ -87,6 +89,7 @@ class Monitor(Probe):
         rows = functools.cache(lambda: sim.rows)
         self.contacts.look(sim, rows)
         self.joints.look(sim)
+        self.play.look(sim)
         self.tunnelling.look(sim)
         self.actuators.look(sim)
         if self.friction_losses.watches:
@@ -105,6 +108,7 @@ class Monitor(Probe):
             *self.contacts.findings(depth),
             *self.friction_losses.findings(self.times[1:]),
             *self.joints.findings(),
+            *self.play.findings(),
             *self.actuators.findings(),
             *self._unsolved_rows(),
         )

@@ -24,6 +24,8 @@ HALF = 0.5
 STEADY = 0.05
 # Shares of a run above which clamping and saturation are reported.
 CLAMPED, SATURATED = 0.05, 0.5
+# Actuators of one joint cancel if they push this many times more than what is left, or needed.
+OPPOSED = 5.0
 # Least sag that is told and that will be noticed, relative to the joint's range (a hinge's, at most
 # 3 rad): 30 mrad move the hand of an arm of 0.8 m by 24 mm. And the share that a cure should leave.
 SAGS, OBVIOUS, WIDEST, LEFT = 0.01, 0.033, 3.0, 1 / 3
@@ -181,6 +183,7 @@ class ActuatorMonitor:
         if sagging:
             sagging.sort(key=lambda entry: -entry[0])
             yield self._sags([servo for _, servo in sagging])
+        yield from self._opposed()
         for clamped in self.clamped():
             if clamped.share < CLAMPED:
                 continue
@@ -197,6 +200,50 @@ class ActuatorMonitor:
         full = [s for s in self.saturated() if s.share >= SATURATED and s.actuator in servos]
         if full:
             yield self._saturated(sorted(full, key=lambda saturated: -saturated.share))
+
+    def _opposed(self) -> Iterator[Finding]:
+        """Yield actuators on one joint that cancel each other at the end of the run.
+
+        Actuators that can only pull, such as muscles, need an opponent.
+        """
+        model, count = self.model, max(FEWEST, int(REST * len(self.force)))
+        if len(self.force) < count:
+            return
+        series = np.array(self.force[-count:]) * model.actuator_gear[:, 0]
+        force = series.mean(axis=0)
+        # Against a motion, a velocity servo is a damper.
+        steady = np.ptp(series, axis=0) <= STEADY * np.abs(force)
+        low, high = model.actuator_forcerange.T
+        ctrl = model.actuator_ctrlrange
+        servos = model.actuator_bias[:, 1] < 0
+        one_way = (low >= 0) | (high <= 0) | (~servos & ((ctrl[:, 0] >= 0) | (ctrl[:, 1] <= 0)))
+        by_joint: dict[int, list[int]] = {}
+        for k in on_one_dof(model):
+            if steady[k] and not one_way[k]:
+                by_joint.setdefault(int(model.actuator_joint[k]), []).append(k)
+        for joint, indices in by_joint.items():
+            forces = force[indices]
+            most, total = float(np.abs(forces).max()), abs(float(forces.sum()))
+            weight = self._weight(joint)
+            if len(indices) < 2 or not most > OPPOSED * max(total, weight):
+                continue
+            pair = [indices[int(forces.argmax())], indices[int(forces.argmin())]]
+            actuators = named(model, "actuator", pair)
+            strong = strength(model, pair[0], most)
+            name = model.element_name("joint", joint)
+            problem = (
+                f"{actuators[0].name} and {actuators[1].name} push {name} against each other with "
+                f"{strong}; {strength(model, pair[0], total)} of that moves it"
+            )
+            cure = "give both one target, or leave one out"
+            if not servos[pair].all():
+                cure = "leave one out: a servo resists what a motor on its joint does"
+            yield Finding("opposed actuators", "warning", problem, cure, actuators, most, "", PLOT)
+
+    def _weight(self, joint: int) -> float:
+        """Return the load of a joint at the end of the run [N·m or N]."""
+        dof = int(self.model.jnt_dofadr[joint])
+        return 0.0 if self.sim is None else abs(float(self.sim.bias[dof] - self.sim.passive[dof]))
 
     def _saturated(self, full: list[AtEnd]) -> Finding:
         """Return one finding on all saturated servos, the longest saturated first."""

@@ -45,7 +45,8 @@ def verified(
         promise.
     """
     trial = _Trial(model, again, took, thread_time() + seconds)
-    return [trial.cured(finding) for finding in findings]
+    cured = (trial.cured(finding) for finding in findings)
+    return [finding for finding in cured if finding is not None]
 
 
 def proven(findings: Iterable[Finding], model: Model) -> list[Finding]:
@@ -58,8 +59,8 @@ class _Trial:
         self.model, self.again, self.took, self.end = model, again, took, end
         self.time = deadline.current() or deadline.Deadline()
 
-    def cured(self, finding: Finding) -> Finding:
-        """Return a finding with the best of its cures."""
+    def cured(self, finding: Finding) -> Finding | None:
+        """Return a finding with the best of its cures, or None if it needed one."""
         remedy = finding.remedy
         if remedy is None:
             return finding
@@ -98,6 +99,8 @@ class _Trial:
             return dataclasses.replace(
                 finding, cure=said + also, settings=cure.settings, commands=commands
             )
+        if remedy.needed:
+            return None
         if untried:
             also = f", or {finding.cure}" if finding.cure else ""
             return dataclasses.replace(finding, cure=f"try {untried[0].words}{also}")
@@ -122,7 +125,11 @@ def _commands(cure: Cure) -> tuple[Next, ...]:
     """Return the command that shows a cure; only settings can be given on a command line."""
     if cure.changes or not cure.settings:
         return ()
-    sets = [word for name, value in cure.settings.items() for word in ("--set", f"{name}={value}")]
+    values = {
+        name: f"{value:g}" if isinstance(value, float) else f"{value}"
+        for name, value in cure.settings.items()
+    }
+    sets = [word for name, value in values.items() for word in ("--set", f"{name}={value}")]
     return (Next("run", "the same with this cure", tuple(sets)),)
 
 

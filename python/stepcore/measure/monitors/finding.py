@@ -70,6 +70,7 @@ class Remedy:
     say: what is left, in words.
     most: the largest number of alternatives that are named.
     now: the problem itself, measured as by `left`; by default the finding's value.
+    needed: whether the finding stands only if a cure holds, which shows its cause.
     again: makes the run that `left` reads with another model; by default the motion of the finding.
     """
 
@@ -79,6 +80,7 @@ class Remedy:
     say: Callable[[float], str]
     most: int = 1
     now: float | None = None
+    needed: bool = False
     again: Callable[[Model], Any] | None = None
 
 
