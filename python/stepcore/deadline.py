@@ -145,7 +145,8 @@ class Deadline:
     @property
     def longer(self) -> int:
         """A longer time to propose [s]."""
-        least = 2 * max(1.0, self.spent)
+        given = 0.0 if math.isinf(self.seconds) else self.seconds
+        least = 2 * max(1.0, given, self.spent)
         return next((time for time in ROUND if time >= least), math.ceil(least))
 
     @property

@@ -197,10 +197,11 @@ def _alone(
     outcomes: list[VariantOutcome | None] = []
     with workers.deadline.stage(lambda: _not_run(outcomes, "feature"), ALONE):
         workers.each(job, points, "features", outcomes)
-    if not outcomes or outcomes[0] is None:
+    whole, cut = outcomes[0] if outcomes else None, 0
+    if whole is None:
         # The answer needs the whole model, whose runs may therefore take all the time.
-        outcomes[:1] = [job(points[0])]
-    whole, cut = outcomes[0], 0
+        whole = job(points[0])
+        outcomes[:1] = [whole]
     if few < len(baseline.runs):
         again = [i for i, one in enumerate(outcomes) if one is not None and one.worst <= tolerance]
         job = partial(outcome_of, baseline, workers=workers.inside)
