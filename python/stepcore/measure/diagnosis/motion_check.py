@@ -3,7 +3,8 @@
 The motion is run with the real step (`motion_runs`) and compared with a run at a fine step:
 
 - it explodes if it does not stay finite, or if its kinetic energy exceeds `LARGE` times the
-  largest of the fine run;
+  largest of the fine run (and of a fall for one step: bodies that a contact holds may move so);
+- a body passes through another one, and does not in the fine run;
 - it chatters if a servo's force repeatedly jumps from one end of its force range to the other
   within a step, and does not in the fine run.
 
@@ -12,6 +13,7 @@ The motion is run with the real step (`motion_runs`) and compared with a run at 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -57,16 +59,19 @@ PERIODS = 10
 class Outcome:
     """The outcome of the motion at a step.
 
-    kind: "holds", "explodes" or "chatters".
+    kind: "holds", "explodes", "passes" or "chatters".
     time: when the motion failed, or how far the run went [s].
     energy: the largest kinetic energy over that of the fine run.
-    element: the servo that chatters.
+    element: the servo that chatters, or the contact through which a body passes.
+    jumps: the largest share of the steps in which a servo's force goes from end to end, unless it
+        does in the fine run.
     """
 
     kind: str
     time: float
     energy: float
     element: Element | None = None
+    jumps: float = 0.0
 
     @property
     def holds(self) -> bool:
@@ -112,13 +117,22 @@ class Judge:
 
     @property
     def bound(self) -> float:
-        """The kinetic energy [J] above which a run explodes."""
+        """The kinetic energy [J] above which a run at short steps explodes."""
         return LARGE * max(self.fine.peak, self.floor)
+
+    def bound_at(self, dt: float) -> float:
+        """Return the kinetic energy [J] above which a run at steps of dt [s] explodes."""
+        return max(self.bound, LARGE * self.real.falling_energy(dt))
 
     @property
     def longest(self) -> float:
         """The longest step whose run has enough steps to judge [s]."""
         return self.fine.reached / FEWEST
+
+    @property
+    def rests(self) -> bool:
+        """Whether the motion moves nothing faster than slowly."""
+        return self.fine.peak <= self.floor
 
     def run(self, integrator: str, dt: float, more: float = 1.0) -> MotionRun:
         """Return the run of the motion at a step, over the time of the fine run.
@@ -126,7 +140,7 @@ class Judge:
         integrator, dt: the integrator and its step [s].
         more: a factor of the bound.
         """
-        horizon, bound = self.fine.reached, more * self.bound
+        horizon, bound = self.fine.reached, more * self.bound_at(dt)
         run = self.real.run(integrator, dt, horizon=horizon, beyond=bound)
         if run.finite and run.peak > bound and bool(run.saturated.any()):
             return self.real.run(integrator, dt, horizon=horizon, beyond=THROWN * run.peak)
@@ -147,15 +161,31 @@ class Judge:
         """
         energy = run.peak / max(self.fine.peak, self.floor)
         often = (run.jumps > CHATTER) | (run.swings > CHATTER)
-        if run.peak > self.bound:
+        bound = self.bound_at(run.dt)
+        if run.peak > bound:
             often |= run.swings > RARE
-        jumping = np.flatnonzero(often & (self.fine.swings < CHATTER / 2))
+        usual = self.fine.swings < CHATTER / 2
+        jumping, most = np.flatnonzero(often & usual), float(run.swings[usual].max(initial=0.0))
         if run.finite and len(jumping):
             servo = Element.of(self.real.model, "actuator", int(jumping[0]))
-            return Outcome("chatters", run.reached, energy, servo)
-        if not run.finite or run.peak > more * self.bound:
+            return Outcome("chatters", run.reached, energy, servo, most)
+        passage, when = self._passage(run)
+        large = run.times[run.energies > bound]
+        if passage is not None and when < float(large.min(initial=math.inf)):
+            return Outcome("passes", when, energy, passage)
+        if not run.finite or run.peak > more * bound:
             return Outcome("explodes", run.reached, energy)
-        return Outcome("holds", run.reached, energy)
+        return Outcome("holds", run.reached, energy, jumps=most)
+
+    def _passage(self, run: MotionRun) -> tuple[Element | None, float]:
+        """Return the first contact through which a body passes in a run alone, and when [s]."""
+        model, passed = self.real.model, {frozenset(pair) for pair in self.fine.passages}
+        for pair, when in run.passages.items():
+            if frozenset(pair) not in passed:
+                both = np.sort(model.pair_geoms, axis=1) == np.sort(pair)
+                index = int(np.flatnonzero(both.all(axis=1))[0])
+                return Element.of(model, "contact", index), when
+        return None, math.inf
 
     def holds(self, model: Model, integrator: str, dt: float) -> bool:
         """Return whether a model's motion neither explodes nor chatters at a step.

@@ -25,6 +25,7 @@ from stepcore.engine.control import ControlError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.coordinates import Coordinates, Start
+from stepcore.experiment.passage import Passage, Passages
 from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import SPEED, SPIN, Schedule
@@ -67,6 +68,7 @@ class MotionRun:
     swings: the same share over the whole run.
     saturated: for each actuator, whether its force ever was at an end.
     speeds: the largest |qvel| observed, shape (nv,).
+    passages: the geoms that passed through another one, with the time of the sample [s].
     calm: the state at the last sample whose energy was within the bound.
     """
 
@@ -81,6 +83,7 @@ class MotionRun:
     swings: Floats = field(repr=False)
     saturated: Any = field(repr=False)
     speeds: Floats = field(repr=False)
+    passages: dict[Passage, float] = field(repr=False)
     calm: State | None = field(repr=False)
 
 
@@ -146,6 +149,18 @@ class MotionRuns:
         """The first state of the motion."""
         return self.schedule.starts[0]
 
+    def falling_energy(self, dt: float) -> float:
+        """Return the kinetic energy [J] that gravity gives all bodies in one step of dt [s].
+
+        A step moves bodies at rest by so much before a contact can hold them.
+        """
+        scene = self.model.scene
+        if not scene.features.gravity:
+            return 0.0
+        speed = float(np.linalg.norm(scene.gravity)) * dt
+        mass = float(np.sum(self.model.body_mass[Coordinates(self.model).moving]))
+        return 0.5 * mass * speed**2
+
     def least_energy(self) -> float:
         """Return the kinetic energy [J] of a slow motion of every dof; less is no explosion."""
         sim = unwatched(Sim(self.model))
@@ -178,6 +193,7 @@ class _Watch(Probe):
 
     def begin(self, sim: Sim) -> None:
         self.speeds = np.abs(np.array(sim.qvel))
+        self.passages = Passages(sim)
         self._sample(_energy(sim))
 
     def stop(self, done: int, steps: int) -> int:
@@ -206,6 +222,7 @@ class _Watch(Probe):
         sim = self.sim
         self.times.append(self.done * sim.settings.dt)
         self.energies.append(energy)
+        self.passages.observe(sim)
         if energy > self.bound:
             raise _Ended
         self.calm = state_now(sim, "", self.times[-1])
@@ -229,6 +246,7 @@ class _Watch(Probe):
             swings=np.mean(self.seen, axis=0) if later else nothing,
             saturated=self.saturated,
             speeds=self.speeds,
+            passages=self.passages.found,
             calm=self.calm,
         )
 

@@ -120,7 +120,9 @@ def look(judge: Judge | Runaway | None, limit: Limit, shares: Shares, wanted: fl
         chatter = []
         if limit.outcome == "chatters":
             servo = max(shares, key=lambda element: shares[element])
-            chatter = [_described(judge, servo, run, limit.dt, True, run.peak > judge.bound)]
+            chatter = [
+                _described(judge, servo, run, limit.dt, True, run.peak > judge.bound_at(wanted))
+            ]
         return Observation(limit, shares, outcome, chatter)
     limit, shares, chatter = kicked(judge, limit, shares, wanted)
     lasting = judge.lasting(limit.integrator, wanted) if outcome.holds else None
@@ -132,26 +134,46 @@ def kicked(
 ) -> tuple[Limit, Shares, list[Saturation]]:
     """Return limit and shares after kicks of the servos, and the servos that then chatter.
 
+    A motion at rest says nothing of its servos, so a kick stands for the motion and moves the
+    limit, at whatever step it chatters severely. Other motions have the limit of their own, and
+    the servos that chatter at the wanted step after a kick are told.
+
     judge: the runs of the motion.
     limit, shares: the present ones of an integrator.
-    wanted: the wanted step [s], at which the servos chatter; the worst come first.
+    wanted: the wanted step [s]; the worst servos at this step come first.
     """
+    if judge.rests:
+        found = _limiting_kick(judge, limit)
+        if found is not None:
+            dt, servo = found
+            limit = replace(limit, dt=dt, state=0, outcome="chatters")
+            shares = {servo: 1.0}
     chatter = []
     for kick in _kicks(judge, limit.integrator, wanted):
         run = kick.run(wanted)
         if not kick.rests(run):
             chatter.append(kick.saturation(run))
     chatter.sort(key=lambda servo: (not servo.severe, servo.dt))
-    if chatter and chatter[0].severe:
-        limit = replace(limit, dt=chatter[0].dt, state=0, outcome="chatters")
-        shares = {chatter[0].element: 1.0}
     return limit, shares, chatter
 
 
+def _limiting_kick(judge: Judge, limit: Limit) -> tuple[float, Element] | None:
+    """Return the step [s] from which a kicked servo chatters severely, with the servo, or None."""
+    found: tuple[float, Element] | None = None
+    top = min(limit.dt, judge.longest)
+    for kick in _kicks(judge, limit.integrator, top):
+        dt = kick.severe_from(top if found is None else found[0])
+        if dt is not None:
+            found = dt, kick.servo
+    return found
+
+
 def holds_when_kicked(judge: Judge, model: Model, integrator: str, dt: float) -> bool:
-    """Return the result of `Judge.holds`, also after kicks beyond the servos' force ranges."""
+    """Return the result of `Judge.holds`; at rest also after kicks beyond the force ranges."""
     if not judge.holds(model, integrator, dt):
         return False
+    if not judge.rests:
+        return True
     changed = replace(judge, real=replace(judge.real, model=model))
     for kick in _kicks(changed, integrator, dt):
         run = kick.run(dt)
@@ -222,12 +244,25 @@ class _Kick:
         lasting = self.swinging and float(run.jumps[self.servo.index]) > CHATTER
         return not run.finite or run.peak > LARGE * begun or lasting
 
+    def severe_from(self, top: float) -> float | None:
+        """Return the step [s] from which severe chatter begins; None if not below `top` [s]."""
+        dt = self.alone
+        while dt < top:
+            dt = min(2 * dt, top)
+            run = self.run(dt)
+            if not self.rests(run) and self.severe(run):
+                return self.rests_to(dt)
+        return None
+
+    def rests_to(self, chatters: float) -> float:
+        """Return the step [s] up to which the servo comes to rest, below one where it does not."""
+        limit = first_failing(lambda dt: self.rests(self.run(dt)), self.alone, chatters)
+        # At some longer steps friction stops this kick, but may not stop another one.
+        return min(limit, self.alone) if self.swinging else limit
+
     def saturation(self, run: MotionRun) -> Saturation:
         """Return the servo's chatter in a run at the wanted step."""
-        limit = first_failing(lambda dt: self.rests(self.run(dt)), self.alone, run.dt)
-        if self.swinging:
-            # At some longer steps friction stops this kick, but may not stop another one.
-            limit = min(limit, self.alone)
+        limit = self.rests_to(run.dt)
         servo = _described(self.judge, self.servo, run, limit, False, self.severe(run))
         return replace(servo, speed=self.speed, swinging=self.swinging)
 
