@@ -5,6 +5,8 @@
 - The run is *far* from the reference: the distance exceeds `FAR` times the scene's size.
 - The energy of the run is *large*: the gain exceeds `LARGE` times the energy in motion of the
   reference, plus the energy that lifts the scene by its own size.
+- A body *passes through* another one and leaves on the other side, and does not in the reference
+  (`stepcore.experiment.passage`); `diagnose` judges this.
 - Without a reference, a motion *runs away* (`runaway`): the kinetic energy exceeds `RUNAWAY` times
   the energy that gravity can give the scene, and still grows.
 """
