@@ -1,20 +1,23 @@
 """`ablate` on scenes whose answers are known before it runs."""
 
+import dataclasses
 import functools
 import json
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small import unstable
 
 import stepcore as sc
+from stepcore import lesson
 from stepcore.cli import main
 from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, without
 from stepcore.measure.ablation.selection import confirmed, greedy
-from stepcore.measure.ablation.variants import VariantOutcome
+from stepcore.measure.ablation.variants import VariantOutcome, time_saved
 from stepcore.report.table import WIDTH
 
 # A block that slides on the floor, a pendulum that neither meets it nor its own limit, and a
@@ -384,3 +387,32 @@ def test_what_few_starts_refute_is_not_run_from_all_and_that_is_said(monkeypatch
         assert row.outcome.added == other.outcome.added[: len(row.outcome.added)]
     (note,) = [note for note in few.notes if "not run from the others" in note]
     assert note.startswith(f"{len(short)} feature") and "in the first 2 of 4 starts" in note
+
+
+def test_a_gain_is_named_only_if_timing_can_tell_it():
+    """Rounds are compared in pairs: what slows both down by half is no gain and no loss."""
+    result = sc.ablate(lesson.drop(), horizon=0.2, starts=1, progress=False)
+    runner = SimpleNamespace(schedule=SimpleNamespace(horizon=1.0))
+
+    def said(*without):
+        whole = SimpleNamespace(times=[1e-3, 1.5e-3, 1e-3, 1.1e-3], runner=runner)
+        saved = time_saved(whole, SimpleNamespace(times=list(without), runner=runner))
+        best = dataclasses.replace(result.best, time_saved=saved)
+        removed = result.removed or [result.rows[0].removal]
+        return dataclasses.replace(result, best=best, removed=removed).sentences[0], saved
+
+    # The mean is 4 % better; no interval of four such rounds excludes 0.
+    text, saved = said(0.9e-3, 1.6e-3, 0.9e-3, 1.0e-3)
+    assert text.startswith("No measurable gain in speed: the smallest model within 1 mm saves ")
+    assert saved.mean == pytest.approx(50) and not saved.seen
+    text, saved = said(0.8e-3, 1.3e-3, 0.8e-3, 0.9e-3)
+    assert text.startswith("The smallest model within 1 mm saves ") and saved.seen
+    assert text.endswith(", and 17 ± 0 % of the computing time.")
+    text, _ = said(1.2e-3, 1.7e-3, 1.2e-3, 1.3e-3)
+    assert text.startswith("No gain: ") and "takes more time (-17 ± 0 % of it saved)" in text
+
+
+def test_equal_variants_are_timed_once_and_have_one_figure():
+    result = sc.ablate(lesson.drop(), horizon=0.2, starts=1, progress=False)
+    (row,) = [row for row in result.rows if result.removed == [row.removal]]
+    assert row.cost == result.best.cost and row.time_saved == result.best.time_saved

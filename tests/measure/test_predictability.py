@@ -11,7 +11,7 @@ import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
 from stepcore.experiment.growth import Growth, _end
-from stepcore.measure.trade.statistics import difference, student
+from stepcore.experiment.intervals import difference, student
 
 QUIET = {"threads": 1, "progress": False}
 

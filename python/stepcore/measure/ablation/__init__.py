@@ -15,7 +15,7 @@ from stepcore.deadline import in_time
 from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
 from stepcore.experiment.arguments import Source, Workers, set_up
-from stepcore.experiment.cost import heaviness
+from stepcore.experiment.cost import TimedRun, heaviness
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.failure import runaway
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
@@ -30,7 +30,8 @@ from stepcore.measure.ablation.variants import (
     Baseline,
     VariantOutcome,
     outcome_of,
-    times_of,
+    time_saved,
+    timed_runs,
     usage_of,
 )
 from stepcore.report import units
@@ -149,7 +150,11 @@ def ablate(
     removed = selection.removed
     removals += [removal for removal in removed if removal not in removals]
     with time.closing():
-        times = times_of(baseline, [(), *((removal,) for removal in removals), removed])
+        runs = timed_runs(baseline, [(), *((removal,) for removal in removals), removed])
+
+    def effect(removal: Removal, outcome: VariantOutcome, run: TimedRun) -> FeatureEffect:
+        return FeatureEffect(removal, outcome, run.cost, time_saved(runs[0], run))
+
     return Ablation(
         name=setup.name,
         settings=model.settings,
@@ -157,13 +162,13 @@ def ablate(
         horizon=schedule.horizon,
         starts=starts,
         tolerance=tolerance,
-        whole=FeatureEffect(Removal("whole model", "", ()), whole, times[0]),
+        whole=FeatureEffect(Removal("whole model", "", ()), whole, runs[0].cost),
         rows=[
-            FeatureEffect(removal, selection.alone(removal), cost)
-            for removal, cost in zip(removals, times[1:-1], strict=True)
+            effect(removal, selection.alone(removal), run)
+            for removal, run in zip(removals, runs[1:-1], strict=True)
         ],
         removed=removed,
-        best=FeatureEffect(Removal("smallest model", "", ()), selection.chosen_on, times[-1]),
+        best=effect(Removal("smallest model", "", ()), selection.chosen_on, runs[-1]),
         confirmed=selection.confirmed_on,
         restored=selection.restored,
         restored_on=selection.restored_on,

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 from stepcore._core import Settings
 from stepcore.engine.features import Removal
+from stepcore.experiment.intervals import Difference
 from stepcore.experiment.motion import Motion
 from stepcore.measure.ablation.variants import VariantOutcome
 from stepcore.report.result import Result
@@ -19,23 +20,29 @@ from stepcore.scene.scene import Scene
 
 # Number of features printed in the short table.
 PRINTED = 10
-# Errors below this are rounding [m].
-MEASURABLE = 1e-12
+# Errors below this are rounding, amplified by the motion [m].
+MEASURABLE = 1e-9
 LEGEND = (
     "saved: share of the work per simulated second ({work}), negative if the variant costs more; "
-    "µs: computing time saved per simulated second; added: RMS position error added to the motion "
-    "in the worst start [m]; max: the largest error added to any body [m]; error: RMS position "
-    "error against the converged motion in the worst start [m]"
+    "µs: computing time saved per simulated second, with its 95 % interval; added: RMS position "
+    "error added to the motion in the worst start [m]; max: the largest error added to any body "
+    "[m]; error: RMS position error against the converged motion in the worst start [m]"
 )
 
 
 @dataclass(frozen=True)
 class FeatureEffect:
-    """One removed feature: the outcome, and the cost without it [µs per simulated second]."""
+    """One removed feature.
+
+    outcome: the motion without the feature.
+    cost: computing time without it [µs per simulated second].
+    time_saved: the computing time saved [µs per simulated second]; None if it was not timed.
+    """
 
     removal: Removal
     outcome: VariantOutcome
     cost: float
+    time_saved: Difference | None = None
 
 
 @dataclass(eq=False, repr=False)
@@ -204,10 +211,10 @@ class Ablation(Result):
             if row is self.best:
                 cells["without"] = "all marked *"
             cells["saved"] = "failed" if math.isnan(share) else percent(share)
-            gain = self.whole.cost - row.cost
-            cells["µs"] = "" if math.isnan(gain) else f"{gain:.0f}"
-        cells["added"] = "" if outcome.failure else compact(outcome.worst)
-        cells["max"] = "" if outcome.failure else compact(outcome.added_max)
+            gain = row.time_saved
+            cells["µs"] = "" if gain is None else f"{gain.mean:.0f} ± {gain.interval:.0f}"
+        cells["added"] = "" if outcome.failure else _rounded(outcome.worst)
+        cells["max"] = "" if outcome.failure else _rounded(outcome.added_max)
         cells["error"] = compact(max(outcome.error)) if outcome.error else ""
         return cells
 
@@ -252,18 +259,32 @@ class Ablation(Result):
                 f"No feature can be removed within {within}: removing any that costs work adds a "
                 "larger error."
             ]
-        ratio = self.whole.cost / self.best.cost if self.best.cost > 0 else math.nan
-        kind = "floating-point operations" if self.by_flops else "row updates"
-        speed = "" if math.isnan(ratio) else f"; a single world runs at {ratio:.2f}× the speed"
         sentences = [
-            f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
-            f"{kind}{speed}.",
+            self._gain(within),
             f"It leaves out {_listed(self.removed)}.",
             f"It adds {self._added()}{self._confidence()}.",
         ]
         if self.restored:
             sentences.append(f"Kept after all, for other starts: {_listed(self.restored)}.")
         return sentences
+
+    def _gain(self, within: str) -> str:
+        """Describe the work and the time that the smallest model saves."""
+        kind = "floating-point operations" if self.by_flops else "row updates"
+        saves = (
+            f"the smallest model within {within} saves {percent(self.saved(self.best))} of the "
+            f"{kind}"
+        )
+        gain = self.best.time_saved
+        if gain is None:
+            return f"T{saves[1:]}."
+        whole = gain.reference + gain.mean
+        share = f"{100 * gain.mean / whole:.0f} ± {100 * gain.interval / whole:.0f} %"
+        if gain.seen and gain.mean > 0:
+            return f"T{saves[1:]}, and {share} of the computing time."
+        if gain.seen:
+            return f"No gain: {saves}, but takes more time ({share} of it saved)."
+        return f"No measurable gain in speed: {saves}, and {share} of the computing time."
 
     def _confidence(self) -> str:
         """Describe on how many starts the smallest model keeps to the tolerance."""
@@ -281,7 +302,7 @@ class Ablation(Result):
             return f"{_error(here)} in the worst of these starts; others were not tried"
         others = counted(len(self.confirmed.added), "other start")
         before = self.restored_on.worst if self.restored_on else 0.0
-        if before > max(here, there):
+        if before > max(here, there, MEASURABLE):
             others += f" ({_error(before)} in those for which features were restored)"
         if max(here, there, before) < MEASURABLE:
             return f"no measurable error, in these starts and in {others}"
@@ -292,6 +313,11 @@ class Ablation(Result):
             f"<Ablation {self.name}: {len(self.rows)} features, {len(self.removed)} removed "
             f"within {metres(self.tolerance)}>"
         )
+
+
+def _rounded(added: float) -> str:
+    """Return an error for the table; errors that are rounding are 0."""
+    return "0" if added < MEASURABLE else compact(added)
 
 
 def _error(added: float) -> str:

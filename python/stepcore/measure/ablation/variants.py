@@ -17,6 +17,7 @@ from stepcore.experiment.arguments import Workers
 from stepcore.experiment.cost import TimedRun, costs, priced
 from stepcore.experiment.errors import errors
 from stepcore.experiment.failure import failure
+from stepcore.experiment.intervals import Difference, difference
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
@@ -158,8 +159,12 @@ def _usage_from(runner: Runner, start: int) -> MotionUsage:
     return MotionUsage(frozenset(usage.touched), frozenset(usage.limited))
 
 
-def times_of(baseline: Baseline, variants: Sequence[Sequence[Removal]]) -> list[float]:
-    """Return the computing time of variants [µs per simulated second], measured as in `costs`."""
+def timed_runs(baseline: Baseline, variants: Sequence[Sequence[Removal]]) -> list[TimedRun]:
+    """Time variants in turn, as in `costs`; return their timed runs, in each of which round k is
+    beside round k of the others.
+
+    Of equal variants one is timed. The first and the last are timed in twice as many rounds.
+    """
 
     def timed(removals: Sequence[Removal]) -> TimedRun:
         try:
@@ -168,4 +173,22 @@ def times_of(baseline: Baseline, variants: Sequence[Sequence[Removal]]) -> list[
             model, failed = baseline.model, True
         return TimedRun(Runner(model, baseline.schedule), model.settings, failed)
 
-    return costs([timed(removals) for removals in variants], Progress("", len(variants), False))
+    kinds = {frozenset(removals): timed(removals) for removals in variants}
+    made = [kinds[frozenset(removals)] for removals in variants]
+    costs(list(kinds.values()), Progress("", len(kinds), False))
+    if made[-1] is not made[0]:
+        costs([made[0], made[-1]], Progress("", 2, False))
+    return made
+
+
+def time_saved(whole: TimedRun, without: TimedRun) -> Difference | None:
+    """Return the computing time saved [µs per simulated second], with its interval, or None.
+
+    The rounds of both runs are compared in pairs, so that other load on the machine cancels.
+    """
+    pairs = np.array([*zip(whole.times, without.times, strict=False)])
+    if len(pairs) < 2:
+        return None
+    scale = 1e6 / whole.runner.schedule.horizon
+    saved: Difference = difference(scale * pairs[:, 0], scale * pairs[:, 1])
+    return saved

@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stepcore._core import Settings
 from stepcore.experiment.experiment import Experiment
+from stepcore.experiment.intervals import Difference, difference
 from stepcore.experiment.reference import Reference, ReferenceRuns
 from stepcore.experiment.runner import means
 from stepcore.experiment.schedule import Schedule
@@ -27,27 +27,6 @@ LEAST = 32
 MOST = 10
 # Fields of `Statistics` and of `Run`, with their units.
 QUANTITIES = {"height": "m", "kinetic": "J", "touching": "1"}
-# The 97.5 % quantile of the normal distribution.
-POINT = 1.959963984540054
-
-
-@dataclass(frozen=True)
-class Difference:
-    """The mean difference between a setting and the reference.
-
-    mean: setting minus reference.
-    interval: half the width of the 95 % confidence interval.
-    reference: the mean under the reference's setting.
-    """
-
-    mean: float
-    interval: float
-    reference: float
-
-    @property
-    def seen(self) -> bool:
-        """Whether the interval excludes 0: the setting changes the mean."""
-        return abs(self.mean) > self.interval
 
 
 @dataclass(frozen=True)
@@ -120,41 +99,3 @@ class AfterPrediction:
             return None
         each = [[np.mean(getattr(run, name)[self.window]) for name in QUANTITIES] for run in runs]
         return np.array(each, float)
-
-
-def difference(mine: ArrayLike, true: ArrayLike) -> Difference:
-    """Return the mean difference of pairs with its 95 % interval.
-
-    >>> shown = difference([1.0, 2.0, 3.0], [0.0, 2.0, 2.0])
-    >>> round(shown.mean, 3), round(shown.interval, 2), shown.seen
-    (0.667, 1.43, False)
-    """
-    true = np.asarray(true, float)
-    apart = np.asarray(mine, float) - true
-    count = len(apart)
-    spread = float(np.std(apart, ddof=1)) / np.sqrt(count) if count > 1 else np.inf
-    return Difference(float(apart.mean()), float(student(count - 1) * spread), float(true.mean()))
-
-
-def student(freedom: int) -> float:
-    """Return Student's t at 97.5 %: exact for 1 and 2 degrees of freedom, else to 0.3 % or better.
-
-    Source: the expansion in 1/ν of Abramowitz and Stegun 26.7.5.
-
-    >>> round(student(31), 4)
-    2.0395
-    """
-    if freedom < 1:
-        return np.inf
-    if freedom == 1:
-        return float(np.tan(np.pi * 0.475))
-    if freedom == 2:
-        return float(0.95 * np.sqrt(2 / (1 - 0.95**2)))
-    z = POINT
-    terms = (
-        (z**3 + z) / 4,
-        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
-        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
-        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
-    )
-    return z + sum(term / freedom ** (k + 1) for k, term in enumerate(terms))
