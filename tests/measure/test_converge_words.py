@@ -10,7 +10,7 @@ import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment.failure import failure
 from stepcore.experiment.run import Run
-from stepcore.measure.convergence import result as words
+from stepcore.measure.convergence.numbers import share
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +72,8 @@ def test_a_stack_that_climbs_is_diverging_and_not_under_solved():
 
 
 def test_what_one_sweep_solves_leaves_nothing(heavy):
-    assert words._share(0.0) == words._share(1e-17) == "nothing"
-    assert words._share(0.4871) == "0.4871"
+    assert share(0.0) == share(1e-17) == "nothing"
+    assert share(0.4871) == "0.4871"
     assert "0.0000" not in heavy.text(full=True)
 
 

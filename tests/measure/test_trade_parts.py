@@ -10,6 +10,7 @@ import stepcore as sc
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.errors import Errors, moved, pareto
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled, time_steps
 from stepcore.measure.trade.methods import Steps, digits
 from stepcore.measure.trade.recommend import Recommendation
@@ -184,3 +185,18 @@ def test_how_far_matter_moves_is_its_error_if_it_stood_still():
     x = 0.1 * np.cos(2 * np.pi * np.linspace(0.02, 1.0, 50))
     true = np.sqrt(np.mean((x - x[0]) ** 2))
     assert moved(found.reference.runs) == pytest.approx(true, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["sines", "random", "move"])
+def test_a_start_is_the_same_however_many_there_are(kind):
+    """Trade has 8 starts and ablate 136: their errors as shipped are of the same motions."""
+    model = sc.loads(
+        """<mujoco><worldbody><body><joint name="j" axis="0 1 0" range="-90 90"/>
+        <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/></body></worldbody><actuator>
+        <position joint="j" kp="20" kv="1" ctrlrange="-1 1"/></actuator></mujoco>"""
+    ).compile()
+    few, many = (scheduled(Motion(horizon=0.2, kind=kind), model, 0.01, starts=n) for n in (2, 5))
+    ends = [
+        Runner(model, schedule).run(model.settings, 1).quat[-1].tolist() for schedule in (few, many)
+    ]
+    assert ends[0] == ends[1]

@@ -89,13 +89,12 @@ def default_motion(
     seed: int,
     period: float,
     periods: int,
-    rng: np.random.Generator,
 ) -> DefaultMotion:
     """Return the controls of a motion without controls of its own.
 
     kind: one of `KINDS`; None chooses it. home, ctrl: the state and the controls of the keyframe.
-    starts: the starts of the runs. seed: of the poses of "move". period: the control period [s].
-    periods: their number. rng: draws the controls of the other kinds.
+    starts: the starts of the runs. period: the control period [s]. periods: their number.
+    seed: of the controls; those of a start depend on its index alone, not on how many there are.
     """
     kind = kind or kind_of(model)
     what, count = actuators_in_words(model), len(starts)
@@ -106,11 +105,12 @@ def default_motion(
         return DefaultMotion(rows, None, f"{what} are held at zero")
     if kind in ("move", "hold"):
         return _moves(model, home, ctrl, starts, seed, period, periods, still=kind == "hold")
+    draws = [np.random.default_rng([seed, k]) for k in range(count)]
     if kind == "random":
-        rows = np.stack([uniform(model, ctrl, periods, rng) for _ in starts])
+        rows = np.stack([uniform(model, ctrl, periods, rng) for rng in draws])
         words = f"{what} get new random controls within their range every {seconds(period)}"
         return DefaultMotion(rows, None, words)
-    rows = np.stack([sines(model, ctrl, periods, period, rng) for _ in starts])
+    rows = np.stack([sines(model, ctrl, periods, period, rng) for rng in draws])
     still = undriven(model, ctrl)
     remarks = (
         [f"actuators without a control range are not driven: {', '.join(still)}"] if still else []

@@ -192,7 +192,7 @@ def scheduled(
         ctrl = np.broadcast_to(rows, (count, periods, model.nu))
     elif motion.control is None:
         made = default_motion(
-            *(model, motion.kind, first, held, begin, motion.seed, period, periods, rng)
+            *(model, motion.kind, first, held, begin, motion.seed, period, periods)
         )
         ctrl, control, remarks, drive = made.ctrl, made.control, made.remarks, made.words
     return Schedule(period, periods, every, tuple(begin), ctrl, control, remarks, drive, log)

@@ -118,9 +118,10 @@ class Predictability(Result):
             ]
         ends = np.isfinite(self.growth.ends)
         lost, starts = int(ends.sum()), counted(len(ends), "start")
+        double = self.time / math.log2(GROWTH)
         said = [
-            f"The motion can be predicted for {seconds(self.time)}: nearby motions diverge from "
-            f"{lost} of {starts} within {over}."
+            f"The motion can be predicted for {seconds(self.time)}: from {lost} of {starts} nearby "
+            f"motions diverge within {over}, at the fastest doubling every {seconds(double)}."
         ]
         if self.horizon < 2 * self.time:
             said.append(

@@ -315,9 +315,9 @@ def _driven(sim: Sim, motion: Motion, horizon: float) -> tuple[Control | None, f
     period = motion.control_dt or dt
     if motion.kind is not None and model.nu:
         begin, held = home(model, motion.key)
-        periods, rng = int(np.ceil(horizon / period)) + 1, np.random.default_rng(motion.seed)
+        periods = int(np.ceil(horizon / period)) + 1
         made = default_motion(
-            *(model, motion.kind, begin, held, [begin], motion.seed, period, periods, rng)
+            *(model, motion.kind, begin, held, [begin], motion.seed, period, periods)
         )
         if made.control is not None:
             return replace(made.control, begin=sim.time), motion.control_dt, made.words

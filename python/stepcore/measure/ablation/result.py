@@ -117,6 +117,10 @@ class Ablation(Result):
         """Return the share of the whole model's work that a row saves."""
         return row.outcome.saved(self.whole.outcome)
 
+    def measurable(self, row: FeatureEffect) -> bool:
+        """Return whether the error that a row adds is more than rounding."""
+        return row.outcome.worst >= MEASURABLE
+
     @property
     def kept(self) -> float:
         """The least share of all such starts that stay within the tolerance (95 % confidence).

@@ -79,7 +79,7 @@ def converge(
     and which rows are furthest from their converged force. Over the whole motion, `converge`
     measures the error at other time steps, with converged forces, and at equal row updates split
     into many sweeps or many steps. All runs are compared with one converged reference. Errors are
-    RMS distances from the reference in the median start [m].
+    RMS distances from the reference in the worst start [m], as in `stepcore.trade`.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The model's own
         settings are judged.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -12,6 +11,7 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.reference import Reference
+from stepcore.measure.convergence.numbers import NO_RATE, length, numbers, share
 from stepcore.measure.convergence.runs import CandidateRun, Candidates, Ending
 from stepcore.measure.convergence.sweeps import ResidualHistory, RowForce, SweepTheory
 from stepcore.measure.monitors import Finding
@@ -29,8 +29,8 @@ GROWTH = 100.0
 ALIKE = 1.2
 # A body at rest moves less than this share of the distance during the whole motion.
 STILL = 0.1
-# Residuals below this share of the largest are rounding; so are convergence rates below NO_RATE.
-ROUNDING, NO_RATE = 1e-13, 1e-12
+# Residuals below this share of the largest are rounding.
+ROUNDING = 1e-13
 # Number of rows printed; number of rows named in a sentence; and the least missing share of force,
 # relative to the largest, of a named row.
 PRINTED, NAMED, LACKING = 5, 3, 0.1
@@ -200,7 +200,7 @@ class Convergence(Result):
         reference = self.reference.settings
         return (
             f"Settings: {label(self.settings)}. The reference is {reference.integrator} at dt "
-            f"{seconds(reference.dt)}, with an error of {metres(self.reference.error)}."
+            f"{seconds(reference.dt)}; its uncertainty is {metres(self.reference.high)}."
         )
 
     @property
@@ -246,17 +246,18 @@ class Convergence(Result):
 
         def record(settings: Settings) -> dict[str, Any]:
             run, slowest = self.runs[settings], self._slowest(settings.dt)
+            rate = slowest.contraction if slowest and self._sweeps_made else None
             return {
                 "dt": settings.dt,
                 "residual": run.residual,
-                "contraction": slowest.contraction if slowest else math.nan,
+                "contraction": rate,
                 "error": run.error,
                 "updates": run.updates,
                 "failure": run.failure,
             }
 
         heading = "By time step, all else as shipped: residual [m/s], RMS position error [m]"
-        return _numbers(map(record, self.candidates.dts), heading)
+        return numbers(map(record, self.candidates.dts), heading)
 
     @property
     def work(self) -> Table:
@@ -286,14 +287,22 @@ class Convergence(Result):
             }
 
         heading = "Equal row updates, steps x sweeps under pgs, and the shipped settings"
-        return _numbers((record(*each) for each in named), heading)
+        return numbers((record(*each) for each in named), heading)
+
+    @property
+    def _sweeps_made(self) -> bool:
+        """Whether the shipped solver makes sweeps; Newton makes none."""
+        return self.settings.solver != "newton"
 
     def tables(self, full: bool) -> list[Table]:
         """Return the tables of rows and time steps.
 
+        Rows that Newton has solved are printed with `full` alone.
+
         full: whether to include every row, equal work and residuals by sweeps.
         """
-        if not self.histories:
+        solved = self.verdict == "solved" and not self._sweeps_made
+        if not self.histories or (solved and not full):
             return [self.steps]
         rows, sweeps = self.table, self.sweeps
         if not full and len(rows) > PRINTED:
@@ -320,7 +329,7 @@ class Convergence(Result):
             "closed_form_value": self.theory.closed,
             "slowest_time": self.slowest.time if self.slowest else None,
             "reference": self.reference.settings,
-            "reference_error": self.reference.error,
+            "reference_error": self.reference.high,
             "size": self.size,
             "ending": self.ending,
             "findings": [finding.record() for finding in self.findings],
@@ -349,14 +358,19 @@ class Convergence(Result):
         if self.verdict == "no rows":
             return "No contact, limit or other row was ever active, so sweeps have no effect."
         solver, size = self.ending.solver, self.size
-        error = _length(self.solved.error, size)
-        apart = f"{_length(solver, size)} (RMS) from the motion with converged forces"
+        error = length(self.solved.error, size)
+        apart = f"{length(solver, size)} (RMS) from the motion with converged forces"
         if self.verdict == "under-solved":
             where = self._where_it_ends(self.ending)
-            step = f"The time step itself causes an error of {error}."
+            step = f"The time step itself causes an error of {error}{self._worst}."
             return f"Under-solved: {where} Over the motion it is {apart}. {step}"
         fine = "the solver is fine." if solver < 1e-9 * size else f"the motion is {apart}."
-        return f"Solved: {fine} The time step causes an error of {error}; reduce dt to lower it."
+        step = f"The time step causes an error of {error}{self._worst}"
+        return f"Solved: {fine} {step}; reduce dt to lower it."
+
+    @property
+    def _worst(self) -> str:
+        return f" in the worst of {counted(self.starts, 'start')}" if self.starts > 1 else ""
 
     def _where_it_ends(self, ending: Ending) -> str:
         """Describe where an under-solved motion ends."""
@@ -408,22 +422,22 @@ class Convergence(Result):
     def _convergence(self) -> str:
         """Describe how fast sweeps converge, compared with theory; Newton makes no sweeps."""
         rate = self.contraction
-        if self.settings.solver == "newton":
+        if not self._sweeps_made:
             return ""
         if rate is None:
             return "No two rows act at once, so one sweep solves them."
         if rate >= 1 - 1e-9:
             return f"Sweeps do not converge: each leaves {rate:.6g} of the error."
-        said = f"Each sweep leaves {_share(rate)} of the solver's error"
+        said = f"Each sweep leaves {share(rate)} of the solver's error"
         if rate > NO_RATE:
             said += f" ({math.log(10) / -math.log(rate):.3g} sweeps reduce it tenfold)"
         theory, parts = self.theory, []
         if theory.radius is not None:
-            parts.append(f"theory for this state gives {_share(theory.radius)}")
+            parts.append(f"theory for this state gives {share(theory.radius)}")
         elif theory.why:
             parts.append(f"no theory applies here, because {theory.why}")
         if theory.closed is not None:
-            parts.append(f"theory for rigid rows gives {_share(theory.closed)}, {theory.formula}")
+            parts.append(f"theory for rigid rows gives {share(theory.closed)}, {theory.formula}")
         return f"{'; '.join([said, *parts])}."
 
     def _equal_work(self) -> str:
@@ -444,7 +458,8 @@ class Convergence(Result):
                 "more sweeps": "more sweeps are more accurate than smaller steps",
                 "neither": "smaller steps and more sweeps are equally accurate",
             }[self.better]
-        return f"At equal work (row updates) {answer}: {', '.join(errors)}."
+        solver = "" if self.settings.solver == "pgs" else "Under pgs, a"
+        return f"{solver or 'A'}t equal work (row updates) {answer}: {', '.join(errors)}."
 
     def _four_times(self) -> str:
         """Describe the gain from four times the work."""
@@ -470,34 +485,9 @@ class Convergence(Result):
             )
         errors = (run.error for run in self.runs.values() if math.isfinite(run.error))
         least = min(errors, default=math.inf)
-        if self.reference.error * 10 > least:
+        if self.reference.high * 10 > least:
             said.append(
-                f"the reference has an error of {metres(self.reference.error)}, more than a tenth "
-                f"of the smallest error shown ({metres(least)}): errors near it are uncertain"
+                f"errors near {metres(self.reference.high)}, the uncertainty of the reference, are "
+                f"uncertain (the smallest one shown is {metres(least)})"
             )
         return said
-
-
-def _length(value: float, size: float) -> str:
-    """Return a length in words; lengths that are rounding are given as a bound."""
-    least = 1e-12 * size
-    return metres(value) if value >= least else f"less than {metres(least)}"
-
-
-def _share(value: float) -> str:
-    """Return a share with enough digits to distinguish a number near 1 from 1."""
-    if value <= NO_RATE:
-        return "nothing"
-    if value < 1e-3:
-        return f"{value:.1e}"
-    digits = 4 if value < 0.99 else 2 + math.ceil(-math.log10(max(1 - value, 1e-12)))
-    return f"{value:.{digits}f}"
-
-
-def _numbers(records: Iterable[dict[str, Any]], heading: str) -> Table:
-    """Return a table without empty columns; errors have two digits."""
-    rows = list(records)
-    columns = [n for n in rows[0] if any(r[n] not in (None, "") for r in rows)]
-    short = ("residual", "error", "overlap", "joint", "updates")
-    formats = dict.fromkeys(short, ".2e") | {"contraction": ".4f"}
-    return Table(rows, columns, formats, heading=heading)

@@ -121,8 +121,8 @@ def candidates(shipped: Settings, period: float | None, horizon: float) -> Candi
 class CandidateRun:
     """The result of one setting over all starts.
 
-    error: RMS position error over samples and bodies against the reference, in the median start
-        [m]; nan if the setting failed.
+    error: RMS position error over samples and bodies against the reference, in the worst start [m],
+        as in a trade; nan if the setting failed.
     overlap, joint: the deepest overlap and the widest gap of a connection [m].
     residual: the largest residual [m/s].
     updates: row updates per simulated second.
@@ -166,7 +166,7 @@ def run_of(
     found = experiment.errors(runs, reference)
     return CandidateRun(
         settings,
-        error=found.position,
+        error=found.high,
         overlap=found.overlap,
         joint=found.joint,
         residual=found.residual,
@@ -179,7 +179,7 @@ def ending(
 ) -> Ending:
     """Compare the ends of the motion in the start where converged forces matter most."""
     times, moving = experiment.schedule.times, experiment.runner.bodies.moving
-    over = errors(shipped, solved, scored).position
+    over = errors(shipped, solved, scored).high
     last = max(1, len(times) // 10)
     span = float(times[-1] - times[-1 - last]) if len(times) > last else math.nan
     endings: list[Ending] = []

@@ -149,11 +149,13 @@ def ablation(result: Ablation) -> Any:
     figure = new_figure(9.0, 2.0 + 0.27 * (len(rows) + 1))
     work, error = figure.subplots(1, 2, sharey=True)
     places = list(range(len(rows)))[::-1]
-    low = _floor([row.outcome.worst for row in rows], result.tolerance)
+    measured = [row.outcome.worst for row in rows if result.measurable(row)]
+    low = _floor(measured, result.tolerance)
     for place, row in zip(places, rows, strict=True):
         share, added, colour = 100 * result.saved(row), row.outcome.worst, _colour(result, row)
         bar(work, place, share, colour, f"{share:.1f}" if abs(share) < 10 else f"{share:.0f}")
-        bar(error, place, added, colour, metres(added), left=low)
+        text = metres(added) if result.measurable(row) else "none"
+        bar(error, place, added, colour, text, left=low)
     error.set_xscale("log")
     error.set_xlim(low, 40 * max(*(row.outcome.worst for row in rows), result.tolerance))
     log_ticks(error.xaxis)
@@ -164,7 +166,7 @@ def ablation(result: Ablation) -> Any:
     work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
     kind = "operations" if result.by_flops else "row updates"
     work.set_xlabel(f"work saved [% of {kind}]")
-    error.set_xlabel(f"RMS position error added [m]; dashed: {metres(result.tolerance)}")
+    error.set_xlabel("RMS position error added [m]")
     error.tick_params(axis="y", length=0)
     frame(work, f"{result.name}: without …")
     frame(error)
@@ -174,7 +176,8 @@ def ablation(result: Ablation) -> Any:
         "kept": RED,
         "the smallest model": "black",
     }
-    legend(figure, patches(colours), columns=3)
+    tolerance = line(f"tolerance {metres(result.tolerance)}", color=GREY, ls="--", lw=1)
+    legend(figure, [*patches(colours), tolerance], columns=2)
     return figure
 
 

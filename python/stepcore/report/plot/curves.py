@@ -183,21 +183,18 @@ def predictability(result: Predictability) -> Any:
         end = float(result.growth.ends[start])
         if math.isfinite(end):
             axes.plot(end, result.limit, "o", ms=5, color=colour, zorder=5)
-    axes.axhline(result.limit, color=RED, lw=1.2, ls="--", zorder=2)
+    text = f"not predictable\nabove {result.limit:g}"
+    axes.axhline(result.limit, color=RED, lw=1.2, ls="--", zorder=2, label=text)
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     axes.set_ylim(low, max(high, 3 * result.limit))
     log_ticks(axes.yaxis)
     axes.set_xlim(0, result.horizon)
-    text = f"above {result.limit:g}: not predictable"
-    place = {"transform": axes.get_yaxis_transform(), "fontsize": TEXT}
-    axes.text(0.01, result.limit * 1.15, text, **place)
     axes.set_xlabel("time [s]")
     axes.set_ylabel("growth of a perturbation")
     until = "all of it" if math.isinf(result.time) else f"{seconds(result.time)} of it"
     frame(axes, f"{result.name}: {seconds(result.horizon)}, {until} predictable")
-    if len(result.growth.factor) > 1:
-        legend(figure)
+    legend(figure)
     return figure
 
 
@@ -232,7 +229,8 @@ def _sweeps(axes: Any, result: Convergence) -> None:
     for kind, colour, width in (("cold", BLUE, 3.0), ("warm", RED, 1.4)):
         middle, worst = (np.maximum(table[name], LEAST * top) for name in (kind, f"{kind} worst"))
         axes.plot(sweeps, middle, color=colour, lw=width, marker="o", ms=3.5, label=f"{kind} start")
-        axes.fill_between(sweeps, middle, worst, color=colour, alpha=0.18, lw=0)
+        text = f"{kind}, up to the worst state"
+        axes.fill_between(sweeps, middle, worst, color=colour, alpha=0.18, lw=0, label=text)
     _theory(axes, result, sweeps, top)
     own = result.settings
     if own.solver == "pgs" and own.sweeps != "auto" and own.sweeps > 0:

@@ -28,6 +28,8 @@ MARKERS = {"newton": "o", "pgs": "s"}
 THEIRS = "*"
 # Errors above this multiple of the shipped error are drawn as failures, to limit the axis.
 FAR = 1e4
+# The least height of the band below the reference's error, as a ratio.
+NARROW = 1.5
 # Points in this fraction of the axes at the left have their text at the right.
 EDGE = 0.2
 # Points above this multiple of the front have their text above.
@@ -60,6 +62,10 @@ def trade(trade: Trade) -> Any:
     _asked(axes, trade)
     _rings(axes, trade, good)
     error = trade.reference.high
+    # Room for the text of a band that the axis would cut.
+    if low < error < NARROW * low:
+        low = error / NARROW
+        axes.set_ylim(low, high)
     if error > low:
         axes.axhspan(low, error, color="#DDDDDD", zorder=0)
         text = f"below the reference's own error, {metres(error)}"
