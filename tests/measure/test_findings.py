@@ -109,6 +109,50 @@ def test_a_ball_that_sinks_in_is_told_without_being_asked():
     assert next(again.contacts.resting()).depth == pytest.approx(0.05 * 0.01, rel=0.02)
 
 
+BOX = """<mujoco><option cone="{}"/><worldbody>
+<geom name="floor" friction="8" type="plane" size=".7 .7 .1"/><body pos="0 0 .1"><freejoint/>
+<geom name="box" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>"""
+
+
+def test_a_box_on_steep_pyramids_sinks_and_is_cured_by_round_cones():
+    """MuJoCo's issue 449; after 1 s it still swings, at half its height."""
+    one = the(watched(sc.loads(BOX.format("pyramidal")))[1], "depth at rest")
+    assert one.severity == "warning" and one.value > 0.1
+    assert "has not come to rest and stays up to" in one.text
+    left = float(re.search(r'cone="elliptic" leaves ([\d.]+) µm', one.text)[1]) * 1e-6
+    sim = sc.Sim(sc.loads(BOX.format("elliptic")))
+    sim.step(500)
+    assert sim.overlap == pytest.approx(left, rel=0.05)
+
+
+def test_a_ball_that_an_impact_presses_into_the_floor_is_told():
+    """At 4 m/s and 30 ms, a critically damped contact yields by 4 × 0.03 / e; the cure is run."""
+    scene = ball(0.05, "0.03 1", height=0.15)
+    scene.add_key("fast", qvel=(0, 0, -4, 0, 0, 0))
+    one = the(watched(scene, time=1.0)[1], "depth under load")
+    assert one.severity == "remark" and 0.025 < one.value < 0.08
+    left = float(re.search(r"leaves ([\d.]+) mm", one.text)[1]) * 1e-3
+    solref = " ".join(map(str, pair(one.text)))
+    cured = ball(0.05, solref, "0.99 0.99 0.001", height=0.15)
+    cured.add_key("fast", qvel=(0, 0, -4, 0, 0, 0))
+    sim = sc.Sim(cured)
+    sim.reset(0)
+    depths = []
+    for _ in range(50):
+        sim.step()
+        depths.append(sim.overlap)
+    assert max(depths) == pytest.approx(left, rel=0.02)
+
+
+def test_a_body_that_stands_without_friction_is_told():
+    scene = ball(0.05)
+    for geom in scene.geoms:
+        geom.condim = 1
+    one = the(watched(scene)[1], "no friction")
+    assert one.severity == "remark" and one.value == pytest.approx(G, rel=1e-3)
+    assert "so a slight push lets the body slide or topple: condim=" in one.text
+
+
 # Creep.
 
 

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Start, turned
@@ -47,8 +48,13 @@ def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Findin
     ]
     if model.scene.features.limit:
         sim = Sim(model)
+        known: set[Element] = set()
         for qpos, where, keyed in states:
-            yield from _outside(model, sim, qpos, where, keyed)
+            for finding in _outside(model, sim, qpos, where, keyed):
+                # Keyframes of one series are often outside in the same joints.
+                if not known.issuperset(finding.elements):
+                    known.update(finding.elements)
+                    yield finding
     for index, frame in enumerate(model.keys):
         where = f"Keyframe `{frame.name or index}`"
         yield from _clamped(model, frame.ctrl, where)
@@ -114,8 +120,10 @@ def _outside(
         else:
             say, at, unit = partial(_tendon, model, k), "at a length of", _unit(model, k)
             cure = "correct the pose"
+        over = max(low - value, value - high)
+        outside_ = "outside of" if share > OUTSIDE else f"{say(over)} beyond"
         problem = (
-            f"{where} has {listed(elements, f'{kind}s')} {at} {say(value)}, outside of its range "
+            f"{where} has {listed(elements, f'{kind}s')} {at} {say(value)}, {outside_} its range "
             f"of {say(low)} to {say(high)}, whose limit throws it back"
         )
         cure += ", or widen the range"

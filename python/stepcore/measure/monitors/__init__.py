@@ -21,13 +21,14 @@ from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.actuators import ActuatorMonitor
-from stepcore.measure.monitors.contacts import REST, ContactMonitor
+from stepcore.measure.monitors.contacts import ContactMonitor
 from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.cures import proven, verified
 from stepcore.measure.monitors.finding import Finding, Next, named, ordered
 from stepcore.measure.monitors.friction_loss import FrictionLossMonitor
 from stepcore.measure.monitors.joints import JointMonitor
 from stepcore.measure.monitors.play import PlayMonitor
+from stepcore.measure.monitors.readings import REST
 from stepcore.measure.monitors.tunnelling import TunnellingMonitor
 from stepcore.report.settings import solver_words
 from stepcore.report.units import percent, speed, times

@@ -12,8 +12,8 @@ import numpy as np
 from stepcore.engine.element import Element, SceneField
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.measure.monitors.contacts import FEWEST, REST
 from stepcore.measure.monitors.finding import OTHERS, PLOT, Cure, Finding, Remedy, listed, named
+from stepcore.measure.monitors.readings import FEWEST, REST
 from stepcore.report.units import FORCES, TORQUES, metres, percent, plural, quantity, radians
 
 # Relative distance from the end of the force range within which a force is at the end.
@@ -24,6 +24,8 @@ HALF = 0.5
 STEADY = 0.05
 # Shares of a run above which clamping and saturation are reported.
 CLAMPED, SATURATED = 0.05, 0.5
+# Gains within this factor are given as one.
+ALIKE = 1.1
 # Actuators of one joint cancel if they push this many times more than what is left, or needed.
 OPPOSED = 5.0
 # Least sag that is told and that will be noticed, relative to the joint's range (a hinge's, at most
@@ -304,11 +306,15 @@ class ActuatorMonitor:
         (error, length), kp = self._length(k, worst.error), -float(model.actuator_bias[k, 1])
         force = strength(model, k, abs(worst.force))
         ratios = {s.actuator: abs(s.error) / (self._notable(s.actuator) * LEFT) for s in servos}
+        if max(ratios.values()) < ALIKE * min(ratios.values()):
+            ratios = dict.fromkeys(ratios, max(ratios.values()))
         gains = [_digits(-model.actuator_bias[k, 1] * ratio) for k, ratio in ratios.items()]
         # "kp 1810 (servo `j2` 995)"
         also = [f"{of.name} {gain:g}" for of, gain in zip(actuators, gains, strict=True)][1:]
         more = f" and {len(also) - OTHERS} more in proportion" if len(also) > OTHERS else ""
         words = f"kp {gains[0]:g}" + (f" ({', '.join(also[:OTHERS])}{more})" if also else "")
+        if also and len(set(gains)) == 1:
+            words = f"kp {gains[0]:g} of each"
         remedy = Remedy(
             (
                 (

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,12 +15,11 @@ from stepcore.experiment.errors import STICKS
 from stepcore.experiment.friction import Friction
 from stepcore.experiment.sizes import UNKNOWN, Sizes
 from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy, listed, named, others
-from stepcore.measure.monitors.soft_rows import pair_solimp, stiffened
+from stepcore.measure.monitors.readings import FEWEST, REST, STEADY, Contact, Key, Look
+from stepcore.measure.monitors.separation import Separation
+from stepcore.measure.monitors.soft_rows import hardest, pair_solimp, stiffened
 from stepcore.report.units import metres, newtons, percent, speed
 
-# The last share of a run, in which rest is judged; the largest relative variation of a quantity at
-# rest; and the fewest readings from which rest or creep is judged.
-REST, STEADY, FEWEST = 0.25, 0.2, 8
 # An edge of a friction pyramid pushes if its force exceeds this share of the strongest edge's.
 EDGE = 1e-6
 # Thresholds of findings, relative to the thickness of the thinner geom: a depth at rest, an overlap
@@ -29,54 +27,17 @@ EDGE = 1e-6
 DEEP, OVERLAP, JAMMED, SLIDES = 0.1, 0.01, 0.2, 0.1
 # An initial overlap up to this many times the resting depth is the scene's resting state.
 RESTS = 3.0
+# A contact without friction carries a body from this share of its weight.
+CARRIES = 0.1
+# Two geoms visibly pass into each other from this share of the thinner one's half thickness.
+PRESSED = 0.5
 # The share of a threshold that a cure leaves.
 LEFT = 0.1
 # A depth that was asked for is reached within this factor.
 REACHED = 1.05
 
-# A pair of geoms, and the index of one of its contacts.
-Key = tuple[int, int]
 # Returns the rows of the last solve, which are read at most once a reading.
 Rows = Callable[[], np.ndarray]
-
-
-class Look(NamedTuple):
-    """One contact at one reading.
-
-    look: the index of the reading.
-    depth: the overlap [m].
-    force: the normal force [N].
-    share: friction over μ × normal force.
-    held: whether friction holds the contact.
-    past: the tangential velocity [m/s].
-    rolls: the speed at which the surfaces turn on each other: angular velocity × lever [m/s].
-    """
-
-    look: int
-    depth: float
-    force: float
-    share: float
-    held: bool
-    past: np.ndarray
-    rolls: float
-
-
-@dataclass(frozen=True)
-class Contact:
-    """The behaviour of one contact of a pair of geoms.
-
-    depth: the overlap at the start, or at rest [m].
-    force: the normal force at rest [N].
-    speed: the mean tangential speed, or the speed at which the geoms left their overlap [m/s].
-    movable: whether some joint can separate the geoms.
-    """
-
-    pair: int
-    part: int = 0
-    depth: float = 0.0
-    force: float = 0.0
-    speed: float = 0.0
-    movable: bool = True
 
 
 class ContactMonitor:
@@ -172,10 +133,29 @@ class ContactMonitor:
                 force = float(np.mean([at.force for at in late]))
                 yield Contact(pair, part, float(depth.mean()), force)
 
+    def sunk(self) -> Iterator[Contact]:
+        """Yield contacts that stay deep over the end of the run and have not come to rest."""
+        resting = {(at.pair, at.part) for at in self.resting()}
+        first = self.looks - max(FEWEST, int(REST * self.looks))
+        for key, seen in self.seen.items():
+            late = [at.depth for at in seen if at.look >= first]
+            whole = key not in resting and len(late) == self.looks - first
+            if whole and min(late) > DEEP * self.thick(key[0]):
+                yield Contact(*key, max(late), settled=False)
+
+    def deepest(self) -> list[Contact]:
+        """Return each pair where it was deepest."""
+        deepest: dict[int, Contact] = {}
+        for (pair, part), seen in self.seen.items():
+            at = max(seen, key=lambda look: look.depth)
+            if pair not in deepest or at.depth > deepest[pair].depth:
+                deepest[pair] = Contact(pair, part, at.depth, at.force, look=at.look)
+        return list(deepest.values())
+
     def depth_of(self, pairs: Collection[int]) -> float | None:
         """Return the mean depth of the deepest of some pairs over the end of the run [m].
 
-        None if none touches there.
+        None if none is pressed there.
         """
         first = self.looks - max(FEWEST, int(REST * self.looks))
         depths = [
@@ -183,7 +163,8 @@ class ContactMonitor:
             for (pair, _), seen in self.seen.items()
             if pair in pairs and (late := [at.depth for at in seen if at.look >= first])
         ]
-        return max(depths, default=None)
+        deepest = max(depths, default=0.0)
+        return deepest if deepest > 0 else None
 
     # Findings.
 
@@ -199,7 +180,10 @@ class ContactMonitor:
         resting = [rest for rest in resting if rest.pair not in jammed]
         yield from self._overlaps([at for at in starts if at.pair not in jammed], resting)
         if self.model.settings.law == "solref":
-            yield from self._depths(resting, depth)
+            deep = [*resting, *self.sunk()]
+            yield from self._depths(deep, depth)
+            known = {at.pair for at in (*starts, *deep)}
+            yield from self._impacts([at for at in self.deepest() if at.pair not in known])
         yield from self._slides()
 
     def thick(self, pair: int) -> float:
@@ -311,8 +295,9 @@ class ContactMonitor:
         pair = self.model.contact_pair(worst.pair)
         wanted = asked if asked is not None else LEFT * DEEP * thick
         solimp = pair_solimp(self.model, *pair.geoms)
+        verb = "rests" if worst.settled else "has not come to rest and stays up to"
         problem = (
-            f"{listed(contacts, 'contacts')} rests {metres(worst.depth)} deep, "
+            f"{listed(contacts, 'contacts')} {verb} {metres(worst.depth)} deep, "
             f"{percent(worst.depth / thick)} of the thinner geom's half thickness, under "
             f'solref="{pair.solref[0]:g} {pair.solref[1]:g}"'
         )
@@ -331,10 +316,40 @@ class ContactMonitor:
         finding = Finding("depth at rest", severity, problem, "", contacts, worst.depth, "m")
         yield replace(finding, commands=TEST_CONTACTS, remedy=remedy)
 
+    def _impacts(self, deepest: list[Contact]) -> Iterator[Finding]:
+        """Yield pairs that an impact or a load pressed deep into each other for a while."""
+        notable = [
+            (ratio, at)
+            for at in deepest
+            if (ratio := at.depth / (PRESSED * self.thick(at.pair))) > 1
+        ]
+        if not notable:
+            return
+        notable.sort(key=lambda entry: -entry[0])
+        worst, pairs = notable[0][1], [at.pair for _, at in notable]
+        contacts, model = self._named(pairs), self.model
+        solref = model.contact_pair(worst.pair).solref
+        problem = (
+            f"{listed(contacts, 'contacts')} is pressed {metres(worst.depth)} deep, "
+            f"{percent(worst.depth / self.thick(worst.pair))} of the thinner geom's half "
+            f'thickness, under solref="{solref[0]:g} {solref[1]:g}"'
+        )
+        dts = [model.settings.dt / part for part in (1, 2, 4)]
+        ways = (tuple(hardest(model, pairs, dt) for dt in dts),)
+        enough = PRESSED * self.thick(worst.pair)
+        remedy = Remedy(ways, lambda m: m.contacts.pressed(pairs), enough, metres)
+        finding = Finding("depth under load", "remark", problem, "", contacts, worst.depth, "m")
+        yield replace(finding, commands=TEST_CONTACTS, remedy=remedy)
+
+    def pressed(self, pairs: Collection[int]) -> float:
+        """Return how deep some pairs were pressed at most [m]."""
+        return max((at.depth for at in self.deepest() if at.pair in pairs), default=0.0)
+
     def _slides(self) -> Iterator[Finding]:
         """Yield contacts that slide because they have no friction."""
         fast = [at for at in self.slides() if at.speed > SLIDES * self.thick(at.pair)]
         if not fast:
+            yield from self._stands()
             return
         fast.sort(key=lambda slide: -slide.speed)
         contacts = self._named(slide.pair for slide in fast)
@@ -348,80 +363,48 @@ class ContactMonitor:
         cure = f"{cure} on one of the two geoms gives it friction"
         yield Finding("no friction", "remark", problem, cure, contacts, fast[0].speed, "m/s")
 
+    def _stands(self) -> Iterator[Finding]:
+        """Yield contacts that carry a free body at rest and have no friction."""
+        model = self.model
+        free = {int(body) for k, body in enumerate(model.jnt_body) if model.jnt_type[k] == "free"}
+        carrying = [
+            at
+            for at in self.resting()
+            if self.friction.of(at.pair) == 0 and self._carries(at, free)
+        ]
+        if not carrying:
+            return
+        carrying.sort(key=lambda at: -at.force)
+        contacts = self._named(at.pair for at in carrying)
+        why = "condim is 1"
+        if model.contact_pair(carrying[0].pair).condim > 1:
+            why = "its friction is 0"
+        problem = (
+            f"{listed(contacts, 'contacts')} carries {newtons(carrying[0].force)} without "
+            f"friction, because {why}, so a slight push lets the body slide or topple"
+        )
+        cure = 'condim="3" on one of the two geoms gives it friction'
+        force = carrying[0].force
+        yield Finding("no friction", "remark", problem, cure, contacts, force, "N")
+
+    def _carries(self, at: Contact, free: set[int]) -> bool:
+        """Return whether a contact carries a tenth of the weight of a free tree."""
+        model = self.model
+        gravity = (
+            float(np.linalg.norm(model.scene.gravity)) if model.scene.features.gravity else 0.0
+        )
+        roots = [
+            model.root(int(model.geom_body[geom])) for geom in model.contact_pair(at.pair).geoms
+        ]
+        weights = [
+            gravity * sum(m for body, m in enumerate(model.body_mass) if model.root(body) == root)
+            for root in roots
+            if root in free
+        ]
+        return roots[0] != roots[1] and any(at.force > CARRIES * weight > 0 for weight in weights)
+
 
 TEST_CONTACTS = (
     Next("converge", "whether the contacts are solved"),
     Next("run", "energy and overlap over time", ("--plot", "run.png")),
 )
-
-
-class Separation:
-    """A record of how fast geoms that overlap at the start separate.
-
-    The speed is that of the centres of mass of free trees: a leg that straightens moves its foot,
-    and does not throw the robot.
-    """
-
-    def __init__(self, sim: Sim, contacts: np.ndarray, movable: list[bool], time: float) -> None:
-        model = sim.model
-        owner = model.geom_body
-        self.pairs, self.movable = contacts["index"].tolist(), movable
-        self.depth, self.normal = -contacts["dist"], np.array(contacts["normal"])
-        self.bodies = [owner[contacts[name]] for name in ("geom1", "geom2")]
-        # The contact point in the frame of each body.
-        self.points = [
-            np.einsum("cji,cj->ci", sim.xmat[body], contacts["pos"] - sim.xpos[body])
-            for body in self.bodies
-        ]
-        roots = [np.array([model.root(int(body)) for body in side]) for side in self.bodies]
-        free = [int(body) for k, body in enumerate(model.jnt_body) if model.jnt_type[k] == "free"]
-        self.trees = [(root, np.isin(root, free)[:, None]) for root in roots]
-        self.time, self.rose = time, self._apart(sim)[1]
-        self.speed, self.left = np.zeros(len(contacts)), np.zeros(len(contacts), bool)
-
-    def look(self, sim: Sim) -> None:
-        """Record the speed of geoms that leave their overlap."""
-        if self.left.all():
-            return
-        with np.errstate(over="ignore", invalid="ignore"):
-            moved, rose = self._apart(sim)
-            if sim.time > self.time:
-                # Only the first time: a later one follows another impact.
-                leaves = ~self.left & (moved >= self.depth)
-                speed = (rose - self.rose) / (sim.time - self.time)
-                self.speed, self.left = np.where(leaves, speed, self.speed), self.left | leaves
-        self.time, self.rose = sim.time, rose
-
-    def _apart(self, sim: Sim) -> tuple[np.ndarray, np.ndarray]:
-        """Return the distances along the normal of the contact points, and of what carries them."""
-        place, turn, centre = sim.xpos, sim.xmat, sim.subtree_com
-        points = [
-            place[body] + np.einsum("cij,cj->ci", turn[body], point)
-            for body, point in zip(self.bodies, self.points, strict=True)
-        ]
-        carried = [
-            np.where(free, centre[root], point)
-            for point, (root, free) in zip(points, self.trees, strict=True)
-        ]
-        moved, rose = (
-            np.einsum("ci,ci->c", self.normal, second - first)
-            for first, second in (points, carried)
-        )
-        return moved, rose
-
-    def overlaps(self) -> list[Contact]:
-        """Return the overlaps with the speeds of separation, deepest first."""
-        columns = (self.pairs, self.depth.tolist(), self.speed.tolist(), self.movable)
-        overlaps = (
-            Contact(pair, depth=depth, speed=speed, movable=movable)
-            for pair, depth, speed, movable in zip(*columns, strict=True)
-        )
-        return sorted(overlaps, key=lambda overlap: -overlap.depth)
-
-
-def settled(series: np.ndarray) -> float | None:
-    """Return the mean of the end of a series; None if the series still varies there."""
-    late = series[-max(FEWEST, int(REST * len(series))) :]
-    mean = float(late.mean())
-    steady = len(late) >= FEWEST and mean > 0 and float(np.ptp(late)) < STEADY * mean
-    return mean if steady else None

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepcore.measure.monitors.contacts import FEWEST, LEFT, ContactMonitor, Look
+from stepcore.measure.monitors.contacts import LEFT, ContactMonitor
 from stepcore.measure.monitors.cures import setting_words
 from stepcore.measure.monitors.finding import Cure, Finding, Remedy, listed, named
+from stepcore.measure.monitors.readings import FEWEST, Look
 from stepcore.report.units import percent, speed
 
 # Largest relative deviation from the mean velocity; length of the window in time constants; and
@@ -124,6 +125,8 @@ def creep_findings(contacts: ContactMonitor, times: list[float]) -> Iterator[Fin
         CREEP * contacts.thick(worst.pair),
         lambda left: speed(left) if left > NONE else "none",
         most=2,
+        # A slip that harder friction does not end belongs to the motion.
+        needed=True,
     )
     problem = (
         f"{listed(elements, 'contacts')} creeps at {speed(worst.speed)} although its friction "

@@ -23,7 +23,7 @@ from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy
 # of the problem.
 HELPS = 0.5
 # The computing time of all the cures of a run [s], and the time steps of one, relative to the run.
-SECONDS, FINER = 5.0, 16.0
+SECONDS, FINER = 3.0, 16.0
 
 
 # Runs the motion of a finding with another model, and returns the monitor; None if the run fails.
@@ -90,7 +90,7 @@ class _Trial:
                     break
                 if left is not None and left <= HELPS * abs(before):
                     helped.append((left, cure))
-        named = held or sorted(helped, key=lambda entry: entry[0])[: remedy.most]
+        named = held or sorted(helped, key=lambda entry: entry[0])[:1]
         if named:
             said = ", or ".join(f"{cure.words} leaves {remedy.say(left)}" for left, cure in named)
             cure = named[0][1]
@@ -99,7 +99,7 @@ class _Trial:
             return dataclasses.replace(
                 finding, cure=said + also, settings=cure.settings, commands=commands
             )
-        if remedy.needed:
+        if remedy.needed and not untried:
             return None
         if untried:
             also = f", or {finding.cure}" if finding.cure else ""

@@ -155,6 +155,6 @@ def others(names: Sequence[str], noun: str) -> str:
         return ""
     more = len(names) - OTHERS
     if more == 1:
-        noun = noun.replace("bodies", "body").removesuffix("s")
+        noun = noun.replace("bodies", "body").replace("losses", "loss ").removesuffix("s").strip()
     rest = f" and {more} more {noun}" if more > 0 else ""
     return f" (and {', '.join(names[:OTHERS])}{rest})"

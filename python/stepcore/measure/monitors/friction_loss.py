@@ -17,10 +17,10 @@ from stepcore.engine.element import FRICTION_LOSSES, Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.sizes import Sizes
-from stepcore.measure.monitors.contacts import FEWEST
 from stepcore.measure.monitors.creep import RUBS, UNSTEADY, WINDOW
 from stepcore.measure.monitors.cures import assigned
 from stepcore.measure.monitors.finding import Cure, Finding, Remedy, listed
+from stepcore.measure.monitors.readings import FEWEST
 from stepcore.report.units import FORCES, TORQUES, percent, quantity, radians, speed
 from stepcore.scene.elements import Joint
 from stepcore.scene.layout import Layout
@@ -94,14 +94,15 @@ class FrictionLossMonitor:
     def drifts(self, times: list[float]) -> Iterator[Drift]:
         """Yield what moves steadily under less than its friction loss, at its fastest.
 
-        A joint whose own controls change is meant to move.
+        A joint whose own controls change is meant to move, and one with a servo ends at its target.
         """
         if len(times) < 2 or not self.readings:
             return
         spacing = (times[-1] - times[0]) / (len(times) - 1)
         ctrl = np.array(self.driven)
         changing = np.flatnonzero(np.ptp(ctrl, axis=0) > 0) if ctrl.size else np.array([], int)
-        moved = {int(joint) for joint in self.model.actuator_joint[changing]}
+        servos = np.flatnonzero(self.model.actuator_bias[:, 1] < 0)
+        moved = {int(joint) for joint in self.model.actuator_joint[[*changing, *servos]]}
         for key, (velocity, share) in self._series().items():
             # What a tendon's actuator moves is not told apart.
             if -1 in moved or (key[0] == "friction loss" and key[1] in moved):
@@ -168,6 +169,8 @@ class FrictionLossMonitor:
             lambda m: m.friction_losses.speed_of(keys, m.times[1:], worst.begin, worst.end),
             CREEPS * self._scale(worst.of),
             rate,
+            # A motion that harder friction does not end is no creep.
+            needed=True,
         )
         moves = elements[0].owner or "tendon"
         problem = (

@@ -13,7 +13,6 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.bodies import Joints
 from stepcore.experiment.sizes import Sizes
-from stepcore.measure.monitors.contacts import settled
 from stepcore.measure.monitors.finding import (
     OTHERS,
     PLOT,
@@ -24,6 +23,7 @@ from stepcore.measure.monitors.finding import (
     listed,
     named,
 )
+from stepcore.measure.monitors.readings import settled
 from stepcore.measure.monitors.soft_rows import stiffened
 from stepcore.report.units import FORCES, TORQUES, metres, percent, quantity, radians
 from stepcore.scene.layout import Layout

@@ -13,9 +13,9 @@ import numpy as np
 from stepcore.engine.element import SceneField
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.measure.monitors.contacts import REST
 from stepcore.measure.monitors.finding import Cure, Finding, Remedy, named
 from stepcore.measure.monitors.joints import held_at, is_angular, length_of
+from stepcore.measure.monitors.readings import REST
 from stepcore.report.units import percent
 from stepcore.scene.layout import Layout
 

@@ -19,7 +19,7 @@ from stepcore._core import Settings
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.measure.monitors.cures import assigned, finer
-from stepcore.measure.monitors.finding import Cure
+from stepcore.measure.monitors.finding import Cure, named
 from stepcore.report.units import seconds
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
@@ -158,6 +158,18 @@ def _stiffened(
         sets = {"dt": finer(settings, new[0] / 2)}
         words += f" at a dt of {seconds(sets['dt'])}"
     return Cure(words, assigned(model, elements, values), sets)
+
+
+def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
+    """Return the hardest solref that refsafe allows some pairs at a time step [s]."""
+    contacts = named(model, "contact", pairs)
+    constant = float(f"{2 * dt:.3g}")
+    words = f'solref="{constant:g} 1" with solimp="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
+    changes = assigned(model, contacts, {"solref": (constant, 1.0), "solimp": HARD})
+    words += " on these geoms and what they touch"
+    if dt == model.settings.dt:
+        return Cure(words, changes)
+    return Cure(f"{words}, at a dt of {seconds(dt)},", changes, {"dt": dt})
 
 
 def _resolved(solref: Sequence[float], settings: Settings) -> bool:

@@ -16,9 +16,9 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.sizes import Sizes
-from stepcore.measure.monitors.cures import assigned, finer
+from stepcore.measure.monitors.cures import finer
 from stepcore.measure.monitors.finding import Cure, Finding, Remedy, named, others
-from stepcore.measure.monitors.soft_rows import HARD
+from stepcore.measure.monitors.soft_rows import hardest
 from stepcore.report.units import metres, seconds, speed
 
 # Largest number of pairs that are watched, the thinnest first: 0.1 ms a reading.
@@ -182,8 +182,8 @@ class TunnellingMonitor:
         steps = self._shorter(fast)
         # A geom's contacts with all that it can touch, because another wall is next.
         ids = {entry.mover for entry in passed}
-        touching = np.flatnonzero(np.isin(model.pair_geoms, list(ids)).any(axis=1))
-        hard = tuple(self._harder(dt, touching) for dt in dict.fromkeys((self.dt, *steps)))
+        touching = np.flatnonzero(np.isin(model.pair_geoms, list(ids)).any(axis=1)).tolist()
+        hard = tuple(hardest(model, touching, dt) for dt in dict.fromkeys((self.dt, *steps)))
         remedy = Remedy(
             (self._steps(steps), hard),
             lambda m: float(len(m.tunnelling.passed())),
@@ -216,17 +216,6 @@ class TunnellingMonitor:
         cure = f"make {geoms[1].name} thicker"
         value = worst.speed
         return Finding("tunnelling", "warning", problem, cure, geoms, value, "m/s", remedy=remedy)
-
-    def _harder(self, dt: float, pairs: np.ndarray) -> Cure:
-        """Return the hardest solref that refsafe allows at a time step [s]."""
-        contacts = named(self.model, "contact", pairs)
-        constant = float(f"{2 * dt:.3g}")
-        words = f'solref="{constant:g} 1" with solimp="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
-        changes = assigned(self.model, contacts, {"solref": (constant, 1.0), "solimp": HARD})
-        words += " on these geoms and what they touch"
-        if dt == self.dt:
-            return Cure(words, changes)
-        return Cure(f"{words}, at a dt of {seconds(dt)},", changes, {"dt": dt})
 
     def _shorter(self, fast: Passage) -> list[float]:
         """Return the time steps to try [s], the longest first."""
