@@ -56,6 +56,8 @@ if TYPE_CHECKING:
     from stepcore.measure.sweep import sweep as sweep
     from stepcore.measure.trade import Trade as Trade
     from stepcore.measure.trade import trade as trade
+    from stepcore.measure.tune import Tuning as Tuning
+    from stepcore.measure.tune import tune as tune
     from stepcore.mjcf.nodes import MJCFError as MJCFError
     from stepcore.reading import load as load
     from stepcore.reading import loads as loads
@@ -116,6 +118,7 @@ _MODULES = {
     "stepcore.measure.stability": "StabilityMap stability_map",
     "stepcore.measure.sweep": "sweep",
     "stepcore.measure.trade": "Trade trade",
+    "stepcore.measure.tune": "Tuning tune",
     "stepcore.mjcf.nodes": "MJCFError",
     "stepcore.reading": "load loads",
     "stepcore.report.report": "Report",

@@ -24,6 +24,9 @@ def overlapping():
     return scene
 
 
+RESTING = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .1"><freejoint/>
+<geom name="ball" size=".1"/></body></worldbody></mujoco>"""
+
 MADE = {
     "trade": lambda: sc.trade(
         lesson.spring(),
@@ -44,6 +47,7 @@ MADE = {
     ),
     "check": lambda: sc.check(overlapping(), horizon=0.1, **FAST),
     "plan": lambda: sc.plan(lesson.drop()),
+    "tuning": lambda: sc.tune(sc.loads(RESTING), depth="0.1mm"),
     "diagnosis": lambda: sc.diagnose(lesson.spring(), progress=False),
     "postmortem": failure,
 }

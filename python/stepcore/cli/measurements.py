@@ -158,6 +158,13 @@ def _plan(
     return result
 
 
+def _tune(
+    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
+) -> Result:
+    result: Result = function(model, key=key_of(args, model), **given)
+    return result
+
+
 def _stability_map(
     function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
 ) -> Result:
@@ -355,6 +362,56 @@ Example:
         },
         full="print every row, all runs of equal work, the residual by sweeps",
         motion={},
+    ),
+    "tune": Measurement(
+        "stepcore.measure.tune",
+        """\
+Find kp and kv of position servos for a wanted bandwidth, settling time or sag; or solref and
+solimp of contacts for a wanted stiffness, depth, settling time or force noise. Every proposal is
+run before it is printed, with the value that the run shows, as MJCF attributes to paste.
+
+Example:
+  stepcore tune arm.xml --bandwidth 5
+""",
+        {
+            "bandwidth": {"type": float, "metavar": "HZ", "help": "of servos, -3 dB [Hz]"},
+            "settling": {
+                "type": time,
+                "metavar": "S",
+                "help": "time in which a step of the target (or of a contact's load) settles "
+                "within 2 %% [s]",
+            },
+            "sag": {
+                "type": float,
+                "metavar": "X",
+                "help": "of servos, distance from the target under the load of the pose [rad or m]",
+            },
+            "stiffness": {
+                "type": float,
+                "metavar": "N/M",
+                "help": "of the contacts of a geom together [N/m]",
+            },
+            "depth": {"metavar": "LENGTH", "help": 'of contacts at rest: metres, or "0.1mm"'},
+            "noise": {"type": float, "metavar": "N", "help": "of contact forces at rest, RMS [N]"},
+            "servo": {
+                "action": "append",
+                "metavar": "NAME",
+                "help": "a position servo; may be given several times (default: all)",
+            },
+            "geom": {
+                "action": "append",
+                "metavar": "NAME",
+                "help": "a geom; may be given several times (default: those at rest after 2 s)",
+            },
+            "dt": {
+                "type": time,
+                "metavar": "S",
+                "help": "time step that is wanted [s] (default: the model's)",
+            },
+        },
+        excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
+        warn=False,
+        call=_tune,
     ),
     "plan": Measurement(
         "stepcore.measure.plan",

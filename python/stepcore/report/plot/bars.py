@@ -30,10 +30,13 @@ if TYPE_CHECKING:
     from stepcore.measure.ablation.result import Ablation, FeatureEffect
     from stepcore.measure.check import Check
     from stepcore.measure.diagnosis.result import Diagnosis
+    from stepcore.measure.tune import Tuning
 
 
 # The number of elements drawn, stiffest first, and the number of letters of a name.
 ELEMENTS, ELEMENT_LETTERS = 10, 28
+# A tuned value at this multiple of the wanted one, or not known, has no bar, only a number.
+MOST_RATIO = 1.4
 # Height of a group of bars relative to the distance between groups.
 GROUP = 0.8
 
@@ -107,6 +110,23 @@ def check(check: Check) -> Any:
     axes = figure.add_subplot()
     frame(axes, check.title)
     say(axes, "the time step was not diagnosed")
+    return figure
+
+
+def tuning(result: Tuning) -> Any:
+    """Draw the measured value of each proposal as a multiple of the wanted one."""
+    names = [f"{tuned.kind} {tuned.name}" for tuned in result.found]
+    figure = new_figure(8.0, 1.6 + 0.3 * max(1, len(names)))
+    axes = figure.add_subplot()
+    places = range(len(names))[::-1]
+    for place, tuned in zip(places, result.found, strict=True):
+        ratio, colour = tuned.measured / tuned.goal.value, GREEN if tuned.reached else RED
+        bar(axes, place, ratio if ratio < MOST_RATIO else 0.0, colour, tuned.result)
+    axes.axvline(1.0, color="black", lw=1.3, zorder=4)
+    name_places(axes, names, places, ELEMENT_LETTERS)
+    axes.set_xlim(0.0, 1.5)
+    axes.set_xlabel("measured, relative to the wanted value")
+    frame(axes, result.title)
     return figure
 
 

@@ -1,0 +1,193 @@
+"""`tune`: gains of servos and softness of contacts for a wanted behaviour, verified by runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from stepcore import checks
+from stepcore._core import Settings
+from stepcore.experiment.arguments import Source
+from stepcore.experiment.motion_words import scene_in_words, start_in_words
+from stepcore.experiment.schedule import home
+from stepcore.loading import find_model
+from stepcore.measure.tune.contacts import resting_geoms, tuned_contacts
+from stepcore.measure.tune.goal import Goal, Tuned
+from stepcore.measure.tune.servos import servos_of, tuned_servos
+from stepcore.report import units
+from stepcore.report.result import Result
+from stepcore.report.settings import label
+from stepcore.report.table import Table
+
+__all__ = ["Tuning", "tune"]
+
+SERVO, CONTACT = ("bandwidth", "settling", "sag"), ("stiffness", "depth", "settling", "noise")
+GOALS = tuple(dict.fromkeys((*SERVO, *CONTACT)))
+
+
+@dataclass(eq=False, repr=False)
+class Tuning(Result):
+    """Proposed gains, or solref and solimp; `stepcore.tune` returns it.
+
+    name: the name of the scene.
+    settings: the settings under which every proposal was run.
+    found: the proposal for each servo or geom; see `Tuned`.
+    ran: the motion of the runs in words.
+    """
+
+    kind = "tuning"
+    units: ClassVar = {"wanted": "Hz, s, rad, m, N/m or N", "measured": "as wanted"}
+
+    name: str
+    settings: Settings
+    found: list[Tuned]
+    ran: str = ""
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def title(self) -> str:
+        """The scene."""
+        return f"{self.name}: tune"
+
+    @property
+    def setup(self) -> str:
+        return f"Under {label(self.settings)}."
+
+    @property
+    def mjcf(self) -> str:
+        """The attributes to paste into the MJCF file, an element a line."""
+        return "\n".join(line for tuned in self.found if tuned.reached for line in tuned.lines)
+
+    @property
+    def rows(self) -> list[Tuned]:
+        """The proposals."""
+        return self.found
+
+    @property
+    def sentences(self) -> list[str]:
+        """The proposals, each with what the run shows."""
+        return list(self._said())
+
+    def _said(self) -> Iterator[str]:
+        reached = sum(tuned.reached for tuned in self.found)
+        if self.found:
+            yield f"{reached} of {len(self.found)} reached, each run as it is printed:"
+        for tuned in self.found:
+            yield f"- {tuned.sentence}"
+            if tuned.reached:
+                yield from (f"  {line}" for line in tuned.lines)
+        if not self.found:
+            yield "There is nothing to tune: no position servo, and nothing that rests."
+
+    @property
+    def table(self) -> Table:
+        """The proposals in numbers."""
+        columns = ["kind", "name", "goal", "wanted", "measured", "expected", "reached", "mjcf"]
+        formats = {"wanted": ".4g", "measured": ".4g", "expected": ".4g"}
+        return Table((tuned.record() for tuned in self.found), columns, formats)
+
+    def tables(self, full: bool) -> list[Table]:
+        """Return the proposals without the attributes, which the sentences have."""
+        table = self.table
+        return [Table(table, table.columns[:-1], table.formats)] if self.found else []
+
+    def details(self) -> dict[str, Any]:
+        return {"mjcf": self.mjcf}
+
+
+def tune(
+    model: Source,
+    *,
+    bandwidth: float | None = None,
+    settling: float | str | None = None,
+    sag: float | None = None,
+    stiffness: float | None = None,
+    depth: float | str | None = None,
+    noise: float | None = None,
+    servo: str | Sequence[str] | None = None,
+    geom: str | Sequence[str] | None = None,
+    key: str | int | None = None,
+    dt: float | str | None = None,
+) -> Tuning:
+    """Find gains of position servos, or solref and solimp of contacts, for one wanted value.
+
+    Every proposal is made on a copy of the model and run before it is returned: the value that the
+    run shows stands beside the wanted one and that of the closed form. What cannot be reached at
+    this time step is said, with the most that can.
+
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name").
+    bandwidth: of servos, the frequency at which the response falls to 1/√2 [Hz].
+    settling: the time until a step of the target (or, of contacts, of the load) stays within 2 %
+        [s], or a text such as "200ms".
+    sag: of servos, the distance from the target under the load of the pose [rad or m].
+    stiffness: of the contacts of a geom together, normal force over depth [N/m].
+    depth: of contacts at rest, a length such as 1e-4 or "0.1mm".
+    noise: of contacts at rest, the RMS deviation of the normal force from its mean [N].
+    servo: the name of a servo, or several; by default all position servos on hinges and slides.
+    geom: the name of a geom, or several; by default those that rest on something after 2 s.
+    key: the keyframe of the pose and controls; by default the first, or the pose of the scene.
+    dt: the time step [s]; by default the model's.
+
+    Raises ValueError unless exactly one wanted value is given, and for values outside their limits.
+
+    >>> from stepcore import loads
+    >>> arm = loads('''<mujoco><worldbody><body><joint name="hip" axis="0 1 0"/>
+    ... <geom type="capsule" size=".03" fromto="0 0 0 0 0 -.5" mass="1"/></body></worldbody>
+    ... <actuator><position name="hip" joint="hip"/></actuator></mujoco>''')
+    >>> tune(arm, bandwidth=3.0).mjcf
+    '<position name="hip" kp="70.9" kv="4.97"/>'
+    """
+    given = {"bandwidth": bandwidth, "settling": settling, "sag": sag}
+    given |= {"stiffness": stiffness, "depth": depth, "noise": noise}
+    goals = [Goal(name, _value(name, value)) for name, value in given.items() if value is not None]
+    if len(goals) != 1:
+        raise ValueError(f"give one of {', '.join(GOALS)}")
+    (goal,) = goals
+    if servo is not None and geom is not None:
+        raise ValueError("servo and geom are both given: tune one kind at a time")
+    _match("servo", servo, goal, SERVO)
+    _match("geom", geom, goal, CONTACT)
+    compiled = find_model(model)
+    if dt is not None:
+        compiled = compiled.with_settings(dt=units.time("dt", dt))
+    start, ctrl = home(compiled, key)
+    servos = (
+        servos_of(compiled, start, _names(servo)) if goal.name in SERVO and geom is None else []
+    )
+    if servos and (goal.name != "settling" or geom is None):
+        found, held = tuned_servos(compiled, start, ctrl, servos, goal), "the servos hold the pose"
+    elif goal.name in CONTACT:
+        if compiled.settings.law != "solref":
+            law = compiled.settings.law
+            raise ValueError(f"{goal.name}: contacts under law {law} have no solref to tune")
+        geoms = resting_geoms(compiled, start, ctrl, _names(geom))
+        found, held = tuned_contacts(compiled, start, ctrl, geoms, goal), "2 s to come to rest"
+    else:
+        found, held = [], "nothing was run"
+    begin = start_in_words(compiled, key)
+    return Tuning(
+        compiled.scene.name or "scene",
+        compiled.settings,
+        found,
+        f"from {begin}; {held}; {scene_in_words(compiled)}",
+        list(compiled.scene.notes),
+    )
+
+
+def _value(name: str, value: Any) -> float:
+    if name == "settling":
+        return units.time(name, value)
+    if name == "depth":
+        return units.length("tune", name, value, 1.0)
+    number: float = checks.real(above=0)("tune", name, value)
+    return number
+
+
+def _names(value: str | Sequence[str] | None) -> list[str] | None:
+    return None if value is None else [value] if isinstance(value, str) else list(value)
+
+
+def _match(kind: str, given: Any, goal: Goal, goals: Sequence[str]) -> None:
+    if given is not None and goal.name not in goals:
+        raise ValueError(f"{kind} and {goal.name} do not go together: give {', '.join(goals)}")

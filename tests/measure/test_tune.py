@@ -1,0 +1,190 @@
+"""Proposals of `tune` do what they promise when they are pasted into the file and run."""
+
+import re
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore.cli import main
+
+ARM = """<mujoco model="arm"><option timestep="0.002"/><worldbody>
+<body><joint name="hip" axis="0 1 0"/>
+<geom type="capsule" size=".03" fromto="0 0 0 0 0 -.5" mass="1"/>
+<body pos="0 0 -.5"><joint name="knee" axis="0 1 0" damping="0.2"/>
+<geom type="capsule" size=".03" fromto="0 0 0 0 0 -.5" mass="1"/></body></body></worldbody>
+<actuator><position name="hip" joint="hip" forcerange="-100 100"/>
+<position name="knee" joint="knee" gear="2"/></actuator>
+<keyframe><key name="out" qpos="0.7 0.5" ctrl="0.7 1"/></keyframe></mujoco>"""
+RESTING = """<mujoco><option timestep="0.002" cone="{}"/><worldbody>
+<geom name="floor" type="plane" size="1 1 1" friction="0.7"/>
+<body pos="0 0 .1"><freejoint/><geom name="box" type="box" size=".1 .1 .1" mass="1"/></body>
+<body pos="0 1 .1"><freejoint/><geom name="ball" size=".1" mass="3"/></body>
+</worldbody></mujoco>"""
+
+
+def pasted(xml, tuning):
+    """The scene with the attributes that were printed, in place of those that the file has."""
+    for line in tuning.mjcf.splitlines():
+        tag, name, values = re.fullmatch(r'<(\w+) name="(\w+)" (.*)/>', line).groups()
+        for attribute in values.split('" '):
+            key = attribute.partition("=")[0]
+            xml = re.sub(rf'(<{tag} name="{name}"[^>]*?) {key}="[^"]*"', r"\1", xml)
+        xml = xml.replace(f'<{tag} name="{name}"', f'<{tag} name="{name}" {values}')
+    return sc.loads(xml)
+
+
+def held(scene, steps=1500):
+    sim = sc.Sim(scene)
+    sim.reset(key=0 if scene.keys else None)
+    sim.step(steps)
+    return sim
+
+
+def stepped(scene, servo, size=0.02, steps=1500):
+    """The response of a servo to a step of its target, as a share of its end, over time [s]."""
+    sim = held(scene)
+    k = sim.model.actuator_names.index(servo)
+    before = float(sim.actuator_length[k])
+    sim.ctrl[k] += size
+    run = sim.run(steps * sim.settings.dt, record=("actuator_length",))
+    path = run.actuator_length[:, k] - before
+    return run.time - run.time[0], path / path[-1]
+
+
+def test_a_pasted_bandwidth_is_the_gain_at_this_frequency():
+    """A sine of 3 Hz comes out at 1/√2 of its amplitude: another measure than the step of tune."""
+    tuning = sc.tune(sc.loads(ARM), bandwidth=3.0)
+    assert all(tuned.reached for tuned in tuning.found) and len(tuning.found) == 2
+    sim = held(pasted(ARM, tuning))
+    rest, dt = np.array(sim.ctrl), sim.settings.dt
+    start = np.array(sim.actuator_length)
+    for k, size in ((0, 0.02), (1, 0.04)):
+        sim.ctrl, path = rest, []
+        for n in range(2000):
+            sim.ctrl[k] = rest[k] + size * np.sin(2 * np.pi * 3.0 * (n + 0.5) * dt)
+            sim.step()
+            path.append(float(sim.actuator_length[k]) - start[k])
+        late = np.array(path[1000:])
+        assert np.sqrt(2) * np.std(late) / size == pytest.approx(1 / np.sqrt(2), rel=0.1)
+
+
+def test_a_pasted_settling_time_settles():
+    tuning = sc.tune(sc.loads(ARM), settling="150ms")
+    scene = pasted(ARM, tuning)
+    for servo in ("hip", "knee"):
+        time, share = stepped(scene, servo)
+        settled = time[np.flatnonzero(np.abs(share - 1) > 0.02)[-1] + 1]
+        assert settled == pytest.approx(0.15, rel=0.1)
+
+
+def test_a_pasted_sag_sags():
+    """5.6 N·m and more: 10 mrad each, though the knee's gear of 2 counts twice."""
+    fast = ARM.replace("<option", '<option integrator="implicitfast"')
+    tuning = sc.tune(sc.loads(fast), sag=0.01)
+    sim = held(pasted(fast, tuning))
+    assert np.abs(sim.qpos - [0.7, 0.5]) == pytest.approx([0.01, 0.01], rel=0.1)
+    for tuned in tuning.found:
+        assert tuned.expected == pytest.approx(tuned.measured, rel=0.05)
+
+
+def test_a_stiff_servo_gets_armature_where_the_integrator_needs_it():
+    """Without it the step has no margin; the scene with it is loaded without a warning."""
+    tuning = sc.tune(sc.loads(ARM), sag=0.001)
+    assert all(tuned.reached for tuned in tuning.found) and "armature=" in tuning.mjcf
+    sim = held(pasted(ARM, tuning), 20000)
+    assert np.abs(sim.qpos - [0.7, 0.5]) == pytest.approx([0.001, 0.001], rel=0.1)
+    assert "; implicitfast needs no armature." in tuning.found[0].sentence
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("goal", [{"stiffness": 1e5}, {"depth": "0.05mm"}, {"stiffness": 2e6}])
+def test_pasted_contacts_are_as_stiff(cone, goal):
+    xml = RESTING.format(cone)
+    tuning = sc.tune(sc.loads(xml), **goal)
+    assert [tuned.name for tuned in tuning.found] == ["box", "ball"]
+    contacts = held(pasted(xml, tuning), 2500).contacts
+    for name, weight in (("box", 9.81), ("ball", 3 * 9.81)):
+        own = contacts[contacts["name2"] == name]
+        depth = -float(own["dist"].mean())
+        assert own["force"][:, 2].sum() == pytest.approx(weight, rel=1e-3)
+        wanted = 5e-5 if "depth" in goal else weight / goal["stiffness"]
+        assert depth == pytest.approx(wanted, rel=0.05)
+    for tuned in tuning.found:
+        assert tuned.expected == pytest.approx(tuned.measured, rel=0.05)
+
+
+def test_a_pasted_contact_settles():
+    """After a push on the ball that is let go: 2 % of the way is left after 50 ms."""
+    xml = RESTING.format("pyramidal")
+    tuning = sc.tune(sc.loads(xml), settling=0.05, geom="ball")
+    sim = held(pasted(xml, tuning), 1500)
+    z = sim.qpos[9]
+    sim.xfrc_applied[2, 2] = -3.0
+    sim.step(400)
+    pressed = z - sim.qpos[9]
+    sim.xfrc_applied[2, 2] = 0.0
+    left = []
+    for _ in range(100):
+        sim.step()
+        left.append(abs(z - sim.qpos[9]) / pressed)
+    assert 0.002 * (1 + np.flatnonzero(np.array(left) > 0.02)[-1]) == pytest.approx(0.05, rel=0.15)
+
+
+def test_what_a_step_cannot_hold_is_said_with_the_most_that_it_can():
+    """0.9999 and 16 ms at 8 ms: S / (1e-4 · 0.016²) with S = 4 rows' 1/T."""
+    xml = RESTING.format("elliptic")
+    scene = sc.loads(xml)
+    tuning = sc.tune(scene, stiffness=5e9, dt="8ms", geom="ball")
+    (tuned,) = tuning.found
+    most = 3.0 / (1e-4 * 0.016**2)
+    assert not tuned.reached and tuning.mjcf == ""
+    said = re.search(r"8 ms allows ([\d.]+) MN/m at the most", tuned.sentence)
+    assert float(said[1]) == pytest.approx(most / 1e6, rel=0.01)
+    with_most = sc.tune(scene, stiffness=0.9 * most, dt="8ms", geom="ball").found[0]
+    assert with_most.reached
+
+
+def test_a_bandwidth_beyond_the_step_is_said_and_the_integrator_that_holds_it():
+    (hip, _) = sc.tune(sc.loads(ARM), bandwidth=60.0).found
+    assert not hip.reached
+    limit = float(re.search(r"2 ms under euler holds about ([\d.]+) Hz", hip.sentence)[1])
+    assert "implicitfast holds it" in hip.sentence
+    assert all(t.reached for t in sc.tune(sc.loads(ARM), bandwidth=0.8 * limit).found)
+    fast = sc.loads(ARM.replace("<option", '<option integrator="implicitfast"'))
+    assert all(t.reached for t in sc.tune(fast, bandwidth=60.0).found)
+
+
+def test_quiet_contacts_are_left_as_they_are():
+    (box, ball) = sc.tune(sc.loads(RESTING.format("pyramidal")), noise=1e-3).found
+    assert box.reached and ball.reached and not box.lines
+    assert "in the run, as it is." in box.sentence
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({}, "give one of bandwidth, settling, sag, stiffness, depth, noise"),
+        ({"sag": 0.1, "depth": 0.1}, "give one of"),
+        ({"sag": -1.0}, "sag = -1.0: must be"),
+        ({"sag": 0.1, "geom": "x"}, "geom and sag do not go together"),
+        ({"depth": 0.1, "servo": "hip"}, "servo and depth do not go together"),
+        ({"sag": 0.1, "servo": "hop"}, 'nearest: "hip"'),
+        ({"depth": 0.1, "geom": "x"}, "x"),
+    ],
+)
+def test_what_cannot_be_tuned_is_refused(fields, said):
+    with pytest.raises(ValueError, match=said):
+        sc.tune(sc.loads(ARM), **fields)
+
+
+def test_the_command_prints_what_to_paste(capsys, tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM)
+    assert main(["tune", str(file), "--sag", "0.01"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"Servo `hip`, sag of 10 mrad: [\d.]+ mrad in the run, 9.99 mrad by", said)
+    assert re.search(r'<position name="hip" kp="\d+" kv="[\d.]+"/>', said)
+    assert main(["tune", str(file), "--depth", "0.1mm"]) == 0
+    assert "nothing to tune" in " ".join(capsys.readouterr().out.split())
+    assert main(["tune", str(file)]) == 2
