@@ -79,7 +79,7 @@ def test_the_motion_is_told_in_words():
     assert words(scene, short, starts=1) == (
         "100 ms from keyframe `home`; test motion: a PD controller drives the joints point to "
         "point over 800 ms to poses up to 40.9 mm away and back (minimum jerk); top speed 0.098 "
-        "m/s (`joint 0 of body `cart``), never saturated; law solref"
+        "m/s (joint 0 of body `cart`), never saturated; law solref"
     )
     waving = Motion(horizon=0.1, kind="sines")
     assert words(scene, waving, starts=1) == (

@@ -127,7 +127,9 @@ class BatchRun:
                 batch.ctrl[:] = schedule.ctrl[list(self.starts), period]
             elif isinstance(schedule.control, PointToPoint):
                 batch.ctrl[:] = schedule.control.controls(batch.time, batch, list(self.starts))
-            for end, row in schedule.stretches(period * count, batch.settings.dt, count):
+            for end, row in schedule.stretches(
+                self.starts, period * count, batch.settings.dt, count
+            ):
                 if row is not None:
                     batch.ctrl[:] = row
                 step(end - done)

@@ -94,4 +94,5 @@ def changes(rows: np.ndarray) -> list[int]:
     >>> changes(np.array([[1.0], [1.0], [2.0]]))
     [0, 2]
     """
+    rows = rows.reshape(len(rows), -1)
     return [0, *(1 + np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1))).tolist()]

@@ -6,12 +6,19 @@ that begin and end at rest, the one with the least squared jerk (Flash and Hogan
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from stepcore.experiment.control_log import ControlLog
+
+# The longest time for which the controls of servos are held [s]: a power of two of them make a
+# control period. In 8 ms, a pose that moves at 1 rad/s would jump by 8 mrad, which a stiff servo
+# answers with its whole force.
+HELD = 1e-3
 # The duration of a move, and of the rest after it [s].
 MOVE, REST = 0.8, 0.2
 
@@ -81,12 +88,24 @@ class PointToPoint:
     def starts(self) -> range:
         return range(len(self.spans))
 
-    def rows(self, periods: int, period: float) -> np.ndarray:
-        """Return the controls of servos, (starts, periods, nu)."""
-        way, rate = profile(period * np.arange(periods))
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """Return the controls of servos at some times, (starts, times, nu)."""
+        way, rate = profile(times)
         moved = way[:, None] * self.spans[:, None] + rate[:, None] * self.rates[:, None]
         rows: np.ndarray = self.held + moved
         return rows
+
+    def log(self, periods: int, period: float, whole: bool = False) -> ControlLog:
+        """Return the controls of servos as a log of rows that are held for at most `HELD`.
+
+        Its rows have the controls of every start, one start after the other.
+
+        whole: whether the rows are held for a period.
+        """
+        parts = 1 if whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
+        times = period / parts * np.arange(periods * parts)
+        rows = self.rows(times + period / parts / 2)
+        return ControlLog(times, rows.transpose(1, 0, 2).reshape(len(times), -1))
 
     def __call__(self, time: float, sim: Any) -> np.ndarray:
         return self.controls(time, sim, self.start)

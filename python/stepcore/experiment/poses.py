@@ -50,6 +50,38 @@ class Poses:
         poses.kept = contact_jacobian(self.model, self.trees, stands, points)
         return poses
 
+    @property
+    def stance(self) -> np.ndarray:
+        """Which joints, and which other servos, move the contacts on which the machine stands."""
+        count = len(self.joints) + len(self.others)
+        stance = np.zeros(count, bool)
+        stance[: len(self.joints)] = np.abs(self.kept[:, self.dofs]).max(axis=0, initial=0.0) > 1e-9
+        return stance & self.drives.moves_about
+
+    @property
+    def at_limit(self) -> set[int]:
+        """Return the joints that start at a limit or near one."""
+        q, low, high = self._room()
+        near = (q < low) | (q > high)
+        return {joint for joint, at_end in zip(self.joints, near, strict=True) if at_end}
+
+    def between(self, pair: tuple[int, int]) -> set[int]:
+        """Return the joints that move two geoms relative to each other."""
+        first, second = (self._carried(int(self.model.geom_body[geom])) for geom in pair)
+        return first ^ second
+
+    def trees_of(self, pair: tuple[int, int]) -> frozenset[int]:
+        """Return the roots of the bodies of two geoms; 0 for the world."""
+        return frozenset(self.model.root(int(self.model.geom_body[geom])) for geom in pair)
+
+    def _carried(self, body: int) -> set[int]:
+        """Return the joints between the world and a body."""
+        joints = set[int]()
+        while body:
+            joints.update(np.flatnonzero(self.model.jnt_body == body).tolist())
+            body = int(self.model.body_parent[body])
+        return joints
+
     def _reach(self, joint: int) -> float:
         low, high = self.model.jnt_range[joint]
         far = TURN if self.model.jnt_type[joint] == "hinge" else SLIDE
@@ -85,6 +117,7 @@ class Poses:
             )
         # Away from limits: a joint near one turns round.
         q, low, high = self._room()
+        low, high = np.minimum(q, low), np.maximum(q, high)
         d = change[self.dofs]
         if not len(self.kept):
             d = np.where((q + d < low) | (q + d > high), -d, d)
@@ -93,12 +126,12 @@ class Poses:
         return change, others
 
     def _room(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the coordinates of the joints, and the bounds of their targets."""
+        """Return the coordinates of the joints, and their ranges without the margins."""
         q = self.start.qpos[self.at]
         low, high = self.model.jnt_range[self.joints].reshape(-1, 2).T
         with np.errstate(invalid="ignore"):
             short = np.where(np.isfinite(high - low), MARGIN * (high - low), 0.0)
-        return q, np.minimum(q, low + short), np.maximum(q, high - short)
+        return q, low + short, high - short
 
     def lengths(self, change: np.ndarray) -> np.ndarray:
         """Return the change of the actuators' lengths if the joints make a change, (nu,)."""

@@ -169,7 +169,7 @@ class Runner:
             for probe in probes:
                 probe.period(sim, period)
             done = 0
-            for end, row in schedule.stretches(made, sim.settings.dt, count):
+            for end, row in schedule.stretches(start, made, sim.settings.dt, count):
                 if row is not None:
                     sim.ctrl[:] = row
                 while done < end:

@@ -55,7 +55,8 @@ class Schedule:
     remarks: sentences on what the default controls could not do.
     drive: the default controls in words; "" if the user gave controls.
     log: controls that change within periods, at times of their own; None for controls that are
-        constant in each period.
+        constant in each period. Its rows have the controls of one start, nu numbers, for all
+        starts; or those of every start, one start after the other.
     """
 
     period: float
@@ -79,9 +80,19 @@ class Schedule:
         return self.period * np.arange(self.every, self.periods + 1, self.every)
 
     @property
+    def is_users(self) -> bool:
+        """Whether the controls are the user's own."""
+        return not self.drive
+
+    @property
+    def calls_user(self) -> bool:
+        """Whether a control function of the user is called."""
+        return self.control is not None and self.is_users
+
+    @property
     def driven(self) -> str:
         """The user's control function and its sampling period, in words; "" without a function."""
-        if self.control is None or isinstance(self.control, PointToPoint):
+        if self.control is None or not self.calls_user:
             return ""
         return f" under {control_name(self.control)}, sampled every {seconds(self.period)}"
 
@@ -121,20 +132,33 @@ class Schedule:
             done, period = end, period + 1
 
     def stretches(
-        self, made: int, dt: float, count: int
+        self, starts: int | Sequence[int], made: int, dt: float, count: int
     ) -> Iterator[tuple[int, np.ndarray | None]]:
         """Yield the end of each stretch of equal controls in some time steps, and these controls.
 
         The controls are None if nothing changes them within a period.
 
+        starts: the index of a start, or of several, whose controls have the shape (starts, nu).
         made: the number of time steps before these. dt: time step [s]. count: the number of steps.
         """
         if self.log is None:
             yield count, None
             return
         rows = self.log.steps(made * dt, dt, count)
+        if self._logs_each:
+            rows = rows.reshape(count, -1, self.nu)[:, starts]
         first = changes(rows)
         yield from ((end, rows[end - 1]) for end in (*first[1:], count))
+
+    @property
+    def nu(self) -> int:
+        """The number of controls in a row."""
+        return 0 if self.ctrl is None else self.ctrl.shape[2]
+
+    @property
+    def _logs_each(self) -> bool:
+        """Whether the log has the controls of every start."""
+        return self.log is not None and self.log.rows.shape[1] != self.nu
 
     def part(self, first: int, last: int | None = None) -> Schedule:
         """Return the schedule with the starts from `first` up to, but not including, `last`."""
@@ -146,17 +170,23 @@ class Schedule:
         if isinstance(control, PointToPoint):
             control = control.picked(indices)
         ctrl = None if self.ctrl is None else self.ctrl[list(indices)]
-        return dataclasses.replace(self, starts=starts, ctrl=ctrl, control=control)
+        log = self.log
+        if log is not None and self._logs_each:
+            each = log.rows.reshape(len(log.rows), -1, self.nu)[:, list(indices)]
+            log = dataclasses.replace(log, rows=each.reshape(len(each), -1))
+        return dataclasses.replace(self, starts=starts, ctrl=ctrl, control=control, log=log)
 
     def joined(self, other: Schedule) -> Schedule:
         """Return the schedule with the starts of another one of the same motion after these."""
-        control, ctrl = self.control, self.ctrl
+        control, ctrl, log = self.control, self.ctrl, self.log
         if isinstance(control, PointToPoint) and isinstance(other.control, PointToPoint):
             control = PointToPoint.together([control, other.control])
         if ctrl is not None and other.ctrl is not None:
             ctrl = np.concatenate([ctrl, other.ctrl])
+        if log is not None and other.log is not None and not self.is_users:
+            log = dataclasses.replace(log, rows=np.hstack([log.rows, other.log.rows]))
         starts = (*self.starts, *other.starts)
-        return dataclasses.replace(self, starts=starts, ctrl=ctrl, control=control)
+        return dataclasses.replace(self, starts=starts, ctrl=ctrl, control=control, log=log)
 
 
 def scheduled(
@@ -192,9 +222,11 @@ def scheduled(
         ctrl = np.broadcast_to(rows, (count, periods, model.nu))
     elif motion.control is None:
         made = default_motion(
-            *(model, motion.kind, first, held, begin, motion.seed, period, periods)
+            *(model, motion.kind, first, held, begin, motion.seed, period, periods),
+            whole=motion.control_dt is not None,
         )
-        ctrl, control, remarks, drive = made.ctrl, made.control, made.remarks, made.words
+        ctrl, control, log = made.ctrl, made.control, made.log
+        remarks, drive = made.remarks, made.words
     return Schedule(period, periods, every, tuple(begin), ctrl, control, remarks, drive, log)
 
 

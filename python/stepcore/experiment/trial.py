@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.control import Control, controls
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.coordinates import Start, rotated
 from stepcore.experiment.drives import Drives
+from stepcore.experiment.point_to_point import PointToPoint
 from stepcore.experiment.poses import Point, touching
 
+# Speeds and forces of this time [s] belong to the start: it may jump to its servos' targets, or
+# out of an overlap.
+SHOCK = 0.1
 # A force is at its bound within this relative distance.
 AT_END = 1e-9
 # A robot falls if it tilts by more than this [rad], or its centre of mass loses this share of its
@@ -38,6 +40,7 @@ class Trial:
     points: the contacts at the end: both bodies and the place [m].
     end: the state at the end.
     fell: when the robot fell [s], or None.
+    flops: floating-point operations of a second of such runs, by the step at the end.
     failure: why the run failed, or "".
     """
 
@@ -49,6 +52,7 @@ class Trial:
     points: list[Point] = field(default_factory=list)
     end: Start | None = None
     fell: float | None = None
+    flops: float = 0.0
     failure: str = ""
 
 
@@ -56,29 +60,38 @@ def trial(
     model: Model,
     drives: Drives,
     start: Start,
-    control: Control | Callable[[int], np.ndarray],
+    control: PointToPoint,
     period: float,
     horizon: float,
-    rows: bool,
+    whole: bool = False,
 ) -> Trial:
     """Run a motion once under the model's settings.
 
-    control: a control function; or, with `rows`, the controls of each period by its index.
-    period: the control period [s]. horizon: the length of the run [s].
+    period: the control period [s]. horizon: the length of the run [s]. whole: whether controls are
+        constant over each period.
     """
-    sim = unwatched(Sim(model))
+    sim, dt = unwatched(Sim(model)), model.settings.dt
     start.put(sim)
-    steps = max(1, round(period / model.settings.dt))
-    periods = max(1, round(horizon / (steps * model.settings.dt)))
+    steps = max(1, round(period / dt))
+    periods = max(1, round(horizon / (steps * dt)))
+    rows = None
+    if control.gains is None:
+        rows = control.log(periods, steps * dt, whole).steps(0.0, dt, periods * steps)
     seen, upright = _Seen(model, drives), _Upright(sim, drives)
     result = Trial(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
     try:
-        for period_ in range(periods):
-            sim.ctrl[:] = control(period_) if rows else controls(control, sim)  # type: ignore[arg-type,call-arg]
-            sim.step(steps)
+        for done in range(0, periods * steps, steps):
+            if rows is None:
+                sim.ctrl[:] = control(sim.time, sim)
+                sim.step(steps)
+            else:
+                for row in rows[done : done + steps]:
+                    sim.ctrl[:] = row
+                    sim.step()
             seen.look(sim)
             if result.fell is None and upright.lost(sim):
                 result.fell = sim.time
+        result.flops = sim.count_flops() / dt
         sim.forward()
         result.points, result.ends_on = touching(sim), _pairs(sim)
         result.end = Start(np.array(sim.qpos), np.array(sim.qvel), np.array(sim.act), start.mocap)
@@ -95,7 +108,7 @@ class _Seen:
     def __init__(self, model: Model, drives: Drives) -> None:
         self.model, self.bounds = model, drives.bounds
         self.forces: list[np.ndarray] = []
-        self.speed = np.zeros(model.nv)
+        self.speed, self.early = np.zeros(model.nv), 0
         self.met: set[Pair | int] = set()
         kinds = np.array([kind in ("hinge", "slide") for kind in model.jnt_type], bool)
         self.joints = np.flatnonzero(kinds & np.isfinite(model.jnt_range).any(axis=1))
@@ -106,7 +119,9 @@ class _Seen:
 
     def look(self, sim: Sim) -> None:
         self.forces.append(np.abs(sim.actuator_force))
-        np.maximum(self.speed, np.abs(sim.qvel), out=self.speed)
+        self.early += sim.time <= SHOCK
+        if sim.time > SHOCK:
+            np.maximum(self.speed, np.abs(sim.qvel), out=self.speed)
         where = sim.qpos[self.at]
         self.met.update(self.joints[(where < self.low) | (where > self.high)].tolist())
         if sim.overlap > 0:
@@ -116,8 +131,7 @@ class _Seen:
         if not self.forces or not self.model.nu:
             return np.zeros(self.model.nu), np.zeros(self.model.nu)
         forces = np.array(self.forces)
-        # The shock of the first steps belongs to the start, not to the motion.
-        late = forces[len(forces) // 20 :]
+        late = forces[self.early :]
         bounded = np.isfinite(self.bounds) & (self.bounds > 0)
         bounds = np.where(bounded, self.bounds, np.inf)
         full = late >= bounds * (1 - AT_END)

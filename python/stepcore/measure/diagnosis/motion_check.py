@@ -207,7 +207,7 @@ class Judge:
         horizons, or if a quarter of the step does the same. It is None with a control function,
         which may be undefined after the horizon.
         """
-        if dt > self.longest or self.real.schedule.control is not None:
+        if dt > self.longest or self.real.schedule.calls_user:
             return None
         far = self.real.run(integrator, dt, horizon=LONGER * self.fine.reached, beyond=self.bound)
         if far.finite and far.peak <= self.bound:

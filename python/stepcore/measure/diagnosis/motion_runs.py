@@ -139,7 +139,7 @@ class MotionRuns:
     @property
     def most(self) -> int:
         """The most steps of a run."""
-        if self.schedule.control is not None:
+        if self.schedule.calls_user:
             # Each step calls the user's function.
             return LEAST
         return max(LEAST, min(MOST, round(MOST * (DOFS_AT_MOST / self.model.nv) ** 2)))

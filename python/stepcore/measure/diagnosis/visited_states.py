@@ -128,6 +128,8 @@ def _start(model: Model, schedule: Schedule) -> State:
     ctrl = np.zeros(model.nu) if schedule.ctrl is None else schedule.ctrl[0, 0]
     act = np.zeros(0) if first.act is None else first.act
     sim = sim_at(model, State("the start", 0.0, first.qpos, first.qvel, ctrl, act=act))
+    if schedule.control is not None and not schedule.calls_user:
+        sim.ctrl[:] = schedule.control(0.0, sim)
     sim.forward()
     return state_of(sim, "the start", 0.0)
 
