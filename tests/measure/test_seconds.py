@@ -4,6 +4,7 @@ The clock of these tests counts how often it is asked, so that nothing depends o
 """
 
 import itertools
+import math
 import re
 import signal
 
@@ -171,3 +172,11 @@ def test_seconds_on_the_command_line(capsys, clock):
     assert "too early for any answer" in capsys.readouterr().err
     assert main([*COMMAND, "--seconds", "inf"]) == 0
     assert "Not done" not in capsys.readouterr().out
+
+
+def test_the_help_says_how_long_a_command_takes(capsys, monkeypatch):
+    for command, limit in deadline.SECONDS.items():
+        assert limit == math.inf  # in tests; see conftest
+        monkeypatch.setitem(deadline.SECONDS, command, 20.0)
+        assert main([command, "--help"]) == 0
+        assert "(default: 20)" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
