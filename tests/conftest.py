@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from stepcore import deadline
+from stepcore.report import progress
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -30,6 +31,7 @@ def import_path():
 @pytest.fixture(autouse=True)
 def without_time_limits(monkeypatch):
     """No answer of a command depends on how busy the machine is; tests/measure/test_seconds.py."""
+    monkeypatch.setattr(progress, "LINES", math.inf)
     for command in deadline.SECONDS:
         monkeypatch.setitem(deadline.SECONDS, command, math.inf)
 

@@ -71,10 +71,10 @@ class Deadline:
     def __init__(self, seconds: float | None = None, outer: Deadline | None = None) -> None:
         self.seconds = math.inf if seconds is None else seconds
         self.outer, self.begun = outer, clock()
-        self.left_out: list[str] = []
-        self._end = self.begun + self.seconds
         if outer is not None:
-            self._end = min(self._end, outer._end)
+            self.seconds = min(self.seconds, outer._end - self.begun)
+        self.left_out: list[str] = []
+        self._end: float = self.begun + self.seconds
         self._stop: threading.Event = threading.Event() if outer is None else outer._stop
         self._closing = False
 

@@ -97,6 +97,7 @@ def test_short_work_has_no_bar(monkeypatch):
 def test_a_log_gets_a_line_every_ten_seconds(monkeypatch):
     """Also while one piece of work lasts, and bar after bar; work in a pause does not count."""
     now = [100.0]
+    monkeypatch.setattr(progress, "LINES", 10.0)
     monkeypatch.setattr(progress, "clock", lambda: now[0])
     monkeypatch.setattr(progress, "monotonic", lambda: now[0])
     monkeypatch.setattr(progress, "_lines", progress._Lines())

@@ -21,6 +21,7 @@ from stepcore.engine.model import Model
 from stepcore.experiment.arguments import Setup, Source, set_up
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Start
+from stepcore.experiment.horizon import horizon_of
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.runner import Runner
@@ -209,7 +210,8 @@ def check(
     motion: the `Motion` that is run; or write its fields as arguments, except `starts`, because
         there is one start; or a kind of motion. Without one, this run holds the controls of the
         keyframe (zero without a keyframe), and the time step is diagnosed along the motion of
-        `diagnose`. The horizon is 1 s by default, or 200,000 steps if that is shorter.
+        `diagnose`. The run goes on until the motion has come to rest,
+        repeats, or has lasted 10 s; see `stepcore.experiment.horizon`. The diagnosis covers 1 s.
     depth: the wanted depth of resting contacts, a length such as 1e-4 or "0.1mm". For contacts
         that rest deeper, the result names the solref that gives this depth.
     threads: the number of integrators diagnosed in parallel (default: one per core).
@@ -243,7 +245,8 @@ def check(
     compiled, motion = setup.model, setup.motion
     dt = compiled.settings.dt
     horizon = motion.horizon or max(dt, min(HORIZON, LONGEST * dt))
-    schedule = _schedule(compiled, motion, horizon)
+    far = horizon_of(compiled, _held(compiled, motion), horizon)
+    schedule = _schedule(compiled, motion, far.length)
     start, held = home(compiled, motion.key)
     # What the scene alone says comes first: it takes no run.
     read = list(_read(compiled, start, held, _key(compiled, motion.key)))
@@ -263,21 +266,27 @@ def check(
         motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=1),
         findings=ordered([*failure, *_merged(read, seen)]),
         diagnosis=diagnosis,
-        ran=motion_in_words(compiled, motion, schedule)
-        if driven
-        else held_motion_in_words(compiled, motion.key, schedule.horizon, held),
+        ran=far.after(
+            motion_in_words(compiled, motion, schedule)
+            if driven
+            else held_motion_in_words(compiled, motion.key, schedule.horizon, held)
+        ),
         notes=[*notes, *(n for n in compiled.scene.notes if not isinstance(n, EmptyRange))],
         file=_file(model, compiled),
         options=_options(motion),
     )
 
 
-def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
+def _held(model: Model, motion: Motion) -> Motion:
     """Return the motion, with the keyframe's controls held constant if the user gives none."""
-    dt = model.settings.dt
-    if not (motion.is_users or motion.kind) and model.nu:
-        held = home(model, motion.key)[1]
-        motion = dataclasses.replace(motion, ctrl=held[None, :])
+    if motion.is_users or motion.kind or not model.nu:
+        return motion
+    return dataclasses.replace(motion, ctrl=home(model, motion.key)[1][None, :])
+
+
+def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
+    """Return the schedule of the motion that is run."""
+    motion, dt = _held(model, motion), model.settings.dt
     steps = round(min(horizon / PERIODS / dt, LONGEST))
     period = motion.period(dt) or dt * max(1, steps)
     return scheduled(motion, model, min(period, max(horizon, dt)), starts=1, horizon=horizon)

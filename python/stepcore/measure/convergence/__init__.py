@@ -16,11 +16,12 @@ from stepcore._core import Settings
 from stepcore.deadline import OutOfTime, in_time
 from stepcore.experiment.arguments import Source, Workers, set_up
 from stepcore.experiment.experiment import Experiment
+from stepcore.experiment.horizon import affordable, horizon_of
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import HORIZON, divides, scheduled
+from stepcore.experiment.schedule import divides, scheduled
 from stepcore.measure.convergence.result import Convergence
 from stepcore.measure.convergence.runs import (
     CandidateRun,
@@ -83,7 +84,8 @@ def converge(
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The model's own
         settings are judged.
-    motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s.
+    motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s, or longer
+        if it is not at rest by then; see `stepcore.experiment.horizon`.
     states: the number of states at which sweeps are measured.
     threads: the number of parallel runs (default: one per core).
     executor: any `concurrent.futures` executor, used in place of threads.
@@ -118,7 +120,10 @@ def converge(
         limit = f"must be a whole number of steps of {shipped.dt:g} s"
         raise ValueError(f"control_dt = {motion.control_dt:g}: {limit}")
     starts = motion.starts or STARTS
-    some = candidates(shipped, motion.period(shipped.dt), motion.horizon or HORIZON)
+    far = horizon_of(model, motion, cost=affordable(BUDGET, starts))
+    if far.words:
+        motion = dataclasses.replace(motion, horizon=far.length)
+    some = candidates(shipped, motion.period(shipped.dt), far.length)
     schedule = scheduled(motion, model, some.period, starts)
     experiment = Experiment(model, schedule, workers)
     runner = experiment.runner
@@ -155,7 +160,7 @@ def converge(
         ending=end,
         notes=[*model.scene.notes, *schedule.notes],
         findings=findings,
-        ran=motion_in_words(model, motion, schedule),
+        ran=far.after(motion_in_words(model, motion, schedule)),
     )
 
 

@@ -114,12 +114,16 @@ def diagnose(
     elements: dict[Element, ElementLimits] = {}
     with time.stage("the limits of all elements", ELEMENTS):
         elements = _element_limits(here)
-    limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
+    with time.closing():
+        limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
     advice: list[Advice] = []
     if limits[own].dt < wanted and limiting[own]:
         with time.stage("all changes that make the step stable"), workers.bar("advice", 1) as bar:
             advice = _advice(found, elements, limiting[own], motion)
             bar.advance()
+    with time.closing():
+        rate = _rate(here, limits[own], wanted)
+        longest = _longest_period(here, own, wanted, motion)
     confirmed = check is not None and check.confirmed
     gentle = [servo for servo in seen.saturations if not (servo.reached or servo.severe)]
     often = "" if motion.control_dt else "at every step"
@@ -138,9 +142,9 @@ def diagnose(
             *notes(visited, list(elements.values()), horizon, confirmed),
             *map(gentle_chatter, gentle),
         ],
-        rate=_rate(here, limits[own], wanted),
+        rate=rate,
         ran=motion_in_words(model, motion, visited.schedule, often),
-        longest_period=_longest_period(here, own, wanted, motion),
+        longest_period=longest,
         physical=max(float(rates.real.max(initial=0.0)) for rates in here.rates),
         observed=seen.outcome,
         saturations=seen.saturations,

@@ -129,10 +129,11 @@ def examine(
     with stage("runs of the motion under all integrators", RUN):
         each(partial(judged_limit, here, by, wanted), known, "motion", judged)
     # Without these runs the linearised step decides.
-    pairs = [
-        pair or judged_limit(here, None, wanted, limit)
-        for pair, limit in zip_longest(judged, known)
-    ]
+    with nullcontext() if time is None else time.closing():
+        pairs = [
+            pair or judged_limit(here, None, wanted, limit)
+            for pair, limit in zip_longest(judged, known)
+        ]
     limits = {limit.integrator: limit for limit, _ in pairs}
     shares = {limit.integrator: its_shares for limit, its_shares in pairs}
     seen = Observation(limits[own], shares[own])

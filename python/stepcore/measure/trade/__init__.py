@@ -15,11 +15,12 @@ from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.cost import TimedRun
 from stepcore.experiment.errors import moved
 from stepcore.experiment.experiment import Experiment
+from stepcore.experiment.horizon import affordable, horizon_of
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.other_models import ErrorSplit, clamping
 from stepcore.experiment.reference import FINER, Gap, Reference, ReferenceRuns, smallest
-from stepcore.experiment.schedule import HORIZON, scheduled, time_steps
+from stepcore.experiment.schedule import STARTS, scheduled, time_steps
 from stepcore.measure.monitors import Finding, monitored
 from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade import words
@@ -79,8 +80,9 @@ def trade(
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name", see
         `stepcore.loading`). The model's own settings are the shipped settings.
-    motion: the `Motion` that every setting runs; or write its fields as arguments. By default the
-        horizon is 1 s, or a whole number of samples near 1 s, and there are 8 starts. The default
+    motion: the `Motion` that every setting runs; or write its fields as arguments. By default
+        there are 8 starts, and the horizon is near 1 s; a motion that is not at rest then goes on
+        as far as `effort` allows; see `stepcore.experiment.horizon`. The default
         control period is the largest time step tried; with `control` or `ctrl` the default is the
         shipped time step.
     error: the largest allowed error in every start (RMS position error over bodies and time):
@@ -144,7 +146,11 @@ def trade(
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
     if mujoco:
         mujoco_points.load(source, model)
-    length = HORIZON if motion.horizon is None else motion.horizon
+    starts = motion.starts or STARTS
+    far = horizon_of(model, motion, cost=affordable(effort, starts))
+    length = far.length
+    if far.words:
+        motion = dataclasses.replace(motion, horizon=length)
     held = motion.period(shipped.dt)
     steps, period = time_steps(shipped.dt, dts, held, length)
     if not (full or model.nu or held):
@@ -233,7 +239,7 @@ def trade(
         motion=motion,
         frontier=frontier,
         reference=reference,
-        ran=motion_in_words(model, motion, schedule),
+        ran=far.after(motion_in_words(model, motion, schedule)),
         horizon=schedule.horizon,
         notes=[
             *words.about_run(schedule, rows, forces, tau, motion.horizon),
