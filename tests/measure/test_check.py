@@ -332,7 +332,7 @@ def test_a_run_that_fails_and_its_diagnosis():
     assert "spring of joint `knee`" in result.findings[0].text
     assert "explodes under euler" in str(result) and "Any one of these changes" in str(result)
     assert result.commands[0][0] == "stepcore diagnose FILE --horizon 4.0"
-    assert re.fullmatch(r"stepcore run FILE --dt \S+ --duration 4.0", result.commands[1][0])
+    assert re.fullmatch(r"stepcore run FILE --dt \S+ --horizon 4.0", result.commands[1][0])
 
 
 def test_what_the_run_shows_is_found():
