@@ -14,6 +14,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+from stepcore.cli.measurements import SECONDS
+
 ROOT = Path(__file__).parents[1]
 
 # A block whose first line is a command; what follows is what it prints.
@@ -22,6 +24,8 @@ SHOWN = re.compile(r"^```\w*\n\$ (stepcore [^\n]*)\n(.*?)^```$", re.DOTALL | re.
 CUT = "…"
 # Commands whose answer depends on times that they measure.
 TIMED = {"stepcore trade gymnasium:half_cheetah --error 10mm --mujoco"}
+# The time limit of measurements [s]: a slow machine shows the same answers as a fast one.
+PATIENCE = 600
 # The pictures of docs/ that commands draw, in about a minute. half_cheetah.png is drawn from
 # measured times, as it stands in the README; view.png is a photograph: see `photograph.py`.
 DRAWN = {
@@ -36,6 +40,8 @@ DRAWN = {
 def printed(command: str, root: Path) -> str:
     """What a command prints, in lines of 100 characters."""
     arguments = [sys.executable, "-m", *shlex.split(command)]
+    if arguments[3] in SECONDS and "--seconds" not in arguments:
+        arguments += ["--seconds", str(PATIENCE)]
     environment = os.environ | {"COLUMNS": "100", "MPLBACKEND": "Agg"}
     done = subprocess.run(
         arguments, cwd=root, env=environment, capture_output=True, text=True, check=False

@@ -212,9 +212,13 @@ def test_the_ticks_of_a_log_axis_do_not_collide(low, high):
 def test_a_diagnosis_says_how_many_of_its_elements_are_drawn(results):
     result = results("diagnosis")
     row = result.rows[0]
-    many = dataclasses.replace(result, rows=[row] * 24)
+    never = dataclasses.replace(row, limits=dict.fromkeys(row.limits, math.inf))
+    many = dataclasses.replace(result, rows=[never] * 12 + [row] * 12)
+    widths = [bar.get_width() for bar in many.plot().axes[0].patches]
+    # What limits stands first, not what is stiffest and never does.
+    assert widths[0] < max(widths)
     title = many.plot().axes[0].get_title(loc="left")
-    assert title.endswith("(10 stiffest of 24 elements)")
+    assert title.endswith("(the first 10 of 24 elements)")
     assert "elements)" not in result.plot().axes[0].get_title(loc="left")
 
 

@@ -98,7 +98,7 @@ class Assets:
                     continue
                 asset.__dict__["place"] = f"{node.file}:{node.line}"
                 self._fill(scene, node, asset)
-        self._note(scene)
+        self._record(scene)
 
     def _fill(self, scene: Contents, node: Node, asset: Mesh | HField) -> None:
         """Fill an asset; errors of its file name the line of the asset."""
@@ -219,20 +219,14 @@ class Assets:
         path = os.path.join(directory or "", within, name)
         return os.path.normpath(path if stripped else compiler.path(node, name, within))
 
-    def _note(self, scene: Contents) -> None:
-        """Add a note on which files were read, and record them in the scene's source."""
+    def _record(self, scene: Contents) -> None:
+        """Record which files were read in the scene's source."""
         files = [
             node for nodes in self.nodes.values() for node in nodes.values() if "file" in node.attrs
         ]
         if not files:
             return
         size = sum(self.sizes.values())
-        if len(self.sizes) < len(files):
-            count = f"{len(self.sizes)} of {len(files)} files of meshes and height fields are read"
-            scene.notes.append(
-                f"{files[0].file}:{files[0].line}: {count} ({size / 1e6:.3g} MB); the others only "
-                "draw"
-            )
         source = scene._source
         if source is not None:
             unread = {

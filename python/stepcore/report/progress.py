@@ -61,6 +61,8 @@ class Progress:
         """Count `count` more pieces of work as done."""
         with self._lock:
             self.done += count
+            # The work can exceed the announced total.
+            self.total = max(self.total, self.done)
             if self._call is not None:
                 self._call(self.label, self.done, self.total)
             self._draw()
@@ -81,8 +83,7 @@ class Progress:
                 return
             self._stream = sys.stderr
             self._room = window()
-        # The work can exceed the announced total.
-        total = max(self.total, self.done)
+        total = self.total
         full = self.done * BAR // total
         bar = f"[{'#' * full}{'.' * (BAR - full)}]"
         line = f"{self.label:<24} {bar} {self.done}/{total}{self._left()}"

@@ -46,10 +46,15 @@ Groups = list[tuple[str, dict[str, float]]]
 def diagnosis(result: Diagnosis) -> Any:
     """Draw a group of bars for each element alone, and a last group for all elements together.
 
+    The elements that limit the scene's integrator first are at the top.
+
     A bar with an arrow at the right edge has no limit. The vertical line is the wanted dt.
     """
     names = list(result.limits)
-    groups: Groups = [(row.name, row.limits) for row in result.rows[:ELEMENTS]]
+    own = result.settings.integrator
+    # The elements that limit first; one that never limits has no place above another that does.
+    rows = sorted(result.rows, key=lambda row: (row.limits.get(own, math.inf), _least(row.limits)))
+    groups: Groups = [(row.name, row.limits) for row in rows[:ELEMENTS]]
     groups.append(("all together", {name: limit.dt for name, limit in result.limits.items()}))
     figure = new_figure(8.0, 1.9 + 0.62 * len(groups))
     axes = figure.add_subplot()
@@ -70,7 +75,7 @@ def diagnosis(result: Diagnosis) -> Any:
     drawn = (
         ""
         if len(result.rows) <= ELEMENTS
-        else f" ({ELEMENTS} stiffest of {len(result.rows)} elements)"
+        else f" (the first {ELEMENTS} of {len(result.rows)} elements)"
     )
     frame(axes, f"{result.name}: what limits the time step{drawn}")
     axes.grid(False, axis="y")
@@ -79,6 +84,10 @@ def diagnosis(result: Diagnosis) -> Any:
     entries.append(line("no limit", marker=">", ls="none", ms=5, color=GREY))
     legend(figure, entries, columns=4)
     return figure
+
+
+def _least(limits: dict[str, float]) -> float:
+    return min(limits.values(), default=math.inf)
 
 
 def _range(wanted: float, groups: Groups) -> tuple[float, float]:
