@@ -90,6 +90,26 @@ def test_single_precision_is_chosen_only_where_it_saves_what_timing_can_tell():
         assert Frontier.of(rows[1:], 0.0, 0.0, "time").cheapest(1e-3).cost == single
 
 
+def test_of_settings_that_cost_the_same_the_far_more_accurate_one_is_chosen():
+    def chosen(by, *points):
+        rows = [
+            TradeRow(
+                sc.Settings(dt=1e-3 * (k + 1)),
+                SimpleNamespace(high=error, position_max=error),
+                cost,
+                0.0,
+                flops=cost,
+            )
+            for k, (cost, error) in enumerate(points)
+        ]
+        return Frontier.of(rows, 0.0, 0.0, by).cheapest(1e-3).cost
+
+    # Timing cannot tell 1 from 1.05; it can tell 1.3, and counted work has no uncertainty.
+    assert chosen("time", (1.0, 8e-4), (1.05, 2e-4), (1.3, 1e-5)) == 1.05
+    assert chosen("time", (1.0, 8e-4), (1.05, 7e-4)) == 1.0
+    assert chosen("flops", (1.0, 8e-4), (1.05, 2e-4)) == 1.0
+
+
 def test_a_rounder_step_is_recommended_where_it_passes_and_costs_little():
     assert recommended(0.02 / 21) == pytest.approx(1e-3)  # 952 µs: 1 ms keeps to the error
     assert recommended(0.02 / 28) == pytest.approx(0.8e-3)

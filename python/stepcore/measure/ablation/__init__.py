@@ -173,7 +173,7 @@ def ablate(
         restored=selection.restored,
         restored_on=selection.restored_on,
         smallest=without(model.scene.with_settings(model.settings), removed),
-        reference=reference.error if reference else None,
+        reference=reference.high if reference else None,
         notes=[*notes, *schedule.notes, *_screened(cut, few, starts)],
         batches=workers.speedup.sentences,
         ran=motion_in_words(model, motion, experiment.schedule),
@@ -258,10 +258,10 @@ def _baseline(experiment: Experiment, reference: Reference | None = None) -> Bas
 
 def _poor(reference: Reference, tolerance: float) -> Iterator[str]:
     """Yield a note if the reference is less accurate than the tolerance."""
-    if reference.error > tolerance:
+    if reference.high > tolerance:
         yield (
-            f"the reference has an error of {metres(reference.error)}, more than the tolerance: "
-            'column "error" is uncertain by that amount; column "added" is not affected'
+            f'column "error" is uncertain by {metres(reference.high)}, the uncertainty of the '
+            'reference, which is more than the tolerance; column "added" is not affected'
         )
 
 

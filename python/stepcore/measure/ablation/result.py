@@ -18,6 +18,8 @@ from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, metres, percent
 from stepcore.scene.scene import Scene
 
+# Kinds of features that a motion may merely not use.
+UNUSED = ("colliders", "collider", "collider group", "self-collision", "limits", "limit")
 # Number of features printed in the short table.
 PRINTED = 10
 # Errors below this are rounding, amplified by the motion [m].
@@ -58,7 +60,7 @@ class Ablation(Result):
     restored: the features that other starts needed.
     restored_on: the smallest model on the last starts that restored a feature, if any.
     smallest: the smallest model as a Scene.
-    reference: the error of the converged motion [m]; None without a converged motion.
+    reference: the error of the converged motion in the worst start [m]; None without one.
     complete: whether the search for the smallest model came to its end.
 
     >>> from stepcore import ablate, lesson
@@ -109,7 +111,7 @@ class Ablation(Result):
         """The runs that were made."""
         known = ""
         if self.reference is not None:
-            known = f"; the reference has an error of {metres(self.reference)}"
+            known = f"; the uncertainty of the reference is {metres(self.reference)}"
         features = counted(len(self.rows), "feature")
         return f"{features} under {label(self.settings)}{known}."
 
@@ -268,6 +270,11 @@ class Ablation(Result):
             f"It leaves out {_listed(self.removed)}.",
             f"It adds {self._added()}{self._confidence()}.",
         ]
+        if any(removal.kind in UNUSED for removal in self.removed):
+            sentences.append(
+                "What this motion never touches or reaches, another may: give your own motion "
+                "before you remove it."
+            )
         if self.restored:
             sentences.append(f"Kept after all, for other starts: {_listed(self.restored)}.")
         return sentences

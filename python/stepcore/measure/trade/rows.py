@@ -253,7 +253,8 @@ class Frontier:
     def cheapest(self, error: float) -> TradeRow:
         """Return the row with the lowest price whose error is at most `error` [m].
 
-        A row in single precision must save more than the uncertainty of timing.
+        A row in single precision must save more than the uncertainty of timing; a row of equal cost
+        within that uncertainty is preferred if it has at most half the error.
 
         Raises ValueError, naming the smallest error reached, if no row is accurate enough.
         """
@@ -265,6 +266,11 @@ class Frontier:
 
     def _cheapest_of(self, rows: list[TradeRow]) -> TradeRow:
         least = min(rows, key=lambda row: (self.price(row), self.error(row)))
+        if self.by == "time":
+            # Of equal cost, within the uncertainty of timing, with half the error or less.
+            half, most = self.error(least) / 2, self.price(least) / NOTABLE
+            alike = [row for row in rows if self.price(row) <= most and self.error(row) <= half]
+            least = min([least, *alike], key=self.error)
         double = least.settings.replace(precision="f64")
         twin = next((row for row in rows if row.settings == double), least)
         return twin if NOTABLE * self.price(twin) <= self.price(least) else least
