@@ -346,6 +346,14 @@ def test_what_the_run_shows_is_found():
     assert asked.severity == "remark" and "leaves 99.9 µm" in asked.text
 
 
+@pytest.mark.parametrize(("scale", "told"), [(1.0, ["units"]), (10.0, [])])
+def test_a_worm_whose_inertia_is_lost_is_told(scale, told):
+    """MuJoCo's issue 1086: segments of 0.4 mm; a worm ten times as long is fine."""
+    half = 2e-4 * scale
+    text = arm(geom=f'type="box" size="{half} {half} {half}" density="1000"')
+    assert kinds(text) == told
+
+
 def test_the_motion_is_the_users():
     """A control of 9 where 1 is allowed."""
     text = arm(rest='<actuator><motor name="m" joint="knee" ctrlrange="-1 1"/></actuator>')

@@ -21,6 +21,9 @@ from stepcore.scene.layout import Layout
 EARTH, MILLI = (1.0, 50.0), 500.0
 # Sizes of moving bodies above which millimetres are likely, and below which metres are likely [m].
 LARGE, SMALL = 10.0, 5.0
+# Inertia below which units are too large [kg·m²]: ten times MuJoCo's mjMINVAL. A worm of 2e-15
+# fails there with a rank-deficient Hessian, one of 2e-13 trains well (MuJoCo's issue 1086).
+TINY = 1e-14
 # Radians read as degrees [°]: at most one turn of 2π, and seldom less than LEAST.
 TURN, LEAST = 2 * math.pi * 1.001, 0.5
 # Degrees read as radians [rad]: more turns than a limited joint makes.
@@ -41,6 +44,7 @@ def about_bodies(model: Model, sizes: Sizes) -> Iterator[Finding]:
     """Yield findings on units, and on densities, inertias and mass ratios of moving bodies."""
     layout, moving = Layout(model.scene), Coordinates(model).moving
     yield from _lengths(model, moving, sizes)
+    yield from _tiny(model, moving)
     yield from _angles(model)
     yield from _controls(model)
     yield from _densities(model, layout, moving)
@@ -90,6 +94,29 @@ def _lengths(model: Model, moving: list[int], sizes: Sizes) -> Iterator[Finding]
         )
         cure = 'write gravity="0 0 -9.81" where lengths are in m'
         yield _units("error", problem, cure, (), gravity, "m/s²")
+
+
+def _tiny(model: Model, moving: list[int]) -> Iterator[Finding]:
+    """Yield bodies whose inertia is lost in rounding, or refused by MuJoCo."""
+    least = {
+        body: float(np.linalg.eigvalsh(np.asarray(model.body_inertia[body]))[0])
+        for body in moving
+        if model.body_mass[body] > 0
+    }
+    tiny = sorted(
+        (body for body, value in least.items() if 0 < value < TINY), key=least.__getitem__
+    )
+    if tiny:
+        bodies, value = named(model, "body", tiny), least[tiny[0]]
+        problem = (
+            f"{listed(bodies, 'bodies')} has an inertia of {value:.2g} kg·m²; MuJoCo refuses less "
+            "than 1e-15, and its solver loses rank near that"
+        )
+        cure = (
+            "write lengths in mm and masses in g, with gravity and lengths × 1e3, masses × 1e3, "
+            "and gains, stiffness, damping and torques of hinges × 1e9"
+        )
+        yield _units("warning", problem, cure, bodies, value, "kg·m²")
 
 
 def _angles(model: Model) -> Iterator[Finding]:

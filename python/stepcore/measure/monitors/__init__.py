@@ -27,6 +27,7 @@ from stepcore.measure.monitors.cures import proven, verified
 from stepcore.measure.monitors.finding import Finding, Next, named, ordered
 from stepcore.measure.monitors.friction_loss import FrictionLossMonitor
 from stepcore.measure.monitors.joints import JointMonitor
+from stepcore.measure.monitors.noise import NoiseMonitor
 from stepcore.measure.monitors.play import PlayMonitor
 from stepcore.measure.monitors.readings import REST
 from stepcore.measure.monitors.tunnelling import TunnellingMonitor
@@ -60,6 +61,7 @@ class Monitor(Probe):
         self.actuators = ActuatorMonitor(model)
         self.friction_losses = FrictionLossMonitor(model, sizes)
         self.play = PlayMonitor(model)
+        self.noise = NoiseMonitor(model, self.contacts)
         self.tunnelling = TunnellingMonitor(model, sizes, bodies.moving)
         # The times of the readings [s]; their residuals [m/s]; the worst residual and its row.
         self.times: list[float] = []
@@ -91,6 +93,7 @@ class Monitor(Probe):
         self.contacts.look(sim, rows)
         self.joints.look(sim)
         self.play.look(sim)
+        self.noise.look(sim)
         self.tunnelling.look(sim)
         self.actuators.look(sim)
         if self.friction_losses.watches:
@@ -110,6 +113,7 @@ class Monitor(Probe):
             *self.friction_losses.findings(self.times[1:]),
             *self.joints.findings(),
             *self.play.findings(),
+            *self.noise.findings(self.times[1:]),
             *self.actuators.findings(),
             *self._unsolved_rows(),
         )

@@ -182,7 +182,7 @@ class ContactMonitor:
         if self.model.settings.law == "solref":
             deep = [*resting, *self.sunk()]
             yield from self._depths(deep, depth)
-            known = {at.pair for at in (*starts, *deep)}
+            known = {at.pair for at in (*starts, *deep) if at.depth > DEEP * self.thick(at.pair)}
             yield from self._impacts([at for at in self.deepest() if at.pair not in known])
         yield from self._slides()
 
