@@ -125,3 +125,32 @@ def test_what_is_called_stable_at_a_step_is_stable_beyond_it(kp):
         assert not ("2 ms" in sentence and "µs" in sentence and "stable up to" in sentence)
     if math.isinf(d.limit("discrete")) and d.limits["discrete"].longest < MARGIN * 2e-3:
         assert "discrete" not in {a.settings.get("integrator") for a in advised(d).values()}
+
+
+# --- limits in direct form ------------------------------------------------------------------------
+
+
+def chain_on_limits(count, solref):
+    """Links that fall into the limits of their joints, whose solref comes from one default."""
+    links = f"""<mujoco><option timestep="0.008"/><default><joint axis="0 1 0" range="-20 20"
+    solreflimit="{solref}" damping="0.05"/><geom contype="0" conaffinity="0"/></default><worldbody>"""
+    for i in range(count):
+        links += f"""<body pos="{0.2 * (i > 0)} 0 0"><joint name="j{i}"/>
+        <geom type="capsule" size=".02" fromto="0 0 0 .2 0 0" mass=".3"/>"""
+    return sc.loads(links + "</body>" * count + "</worldbody></mujoco>")
+
+
+def test_limits_of_one_default_are_changed_together():
+    """Law: a solref of −9e6 −9000 is a spring of ω = 3000/s, unstable at 8 ms; one of 0.02 1 is
+    stable there. Twelve limits act one after the other, none alone."""
+    d = sc.diagnose(chain_on_limits(12, "-9e6 -9000"), **QUIET)
+    standard = advised(d)["standard form of solref"]
+    assert len(standard.values) == 12
+    (new,) = {value.after for value in standard.values}
+    assert 0.016 <= new[0] <= 0.05 and new[1] == 1.0
+    assert f"stiffness {1 / new[0] ** 2:.3g}/s² times the inertia, in place of 9e+06/s²" in (
+        standard.text
+    )
+    cured = sc.diagnose(chain_on_limits(12, f"{new[0]} 1"), **QUIET)
+    assert cured.limit() >= 0.97 * MARGIN * 8e-3
+    assert cured.limit() == pytest.approx(standard.limit, rel=0.05)

@@ -24,13 +24,16 @@ from stepcore.measure.diagnosis.changes import (
     DAMPING,
     GAINS,
     LESS,
+    STANDARD,
     Change,
     NewValue,
     changed,
     ratio,
     rounded,
+    softened_to,
     text_of,
 )
+from stepcore.measure.diagnosis.elements import solref_of
 from stepcore.measure.diagnosis.growth import bisected
 from stepcore.measure.diagnosis.isolated import ElementLimits
 from stepcore.measure.diagnosis.limits import Limit, StepStability, step_stability
@@ -39,6 +42,7 @@ from stepcore.measure.diagnosis.linear_step import step_map
 from stepcore.measure.diagnosis.motion_runs import stays_bounded
 from stepcore.measure.diagnosis.saturation import settles
 from stepcore.measure.diagnosis.shares import step_shares
+from stepcore.scene.layout import Layout
 
 # The stability margin of every change: the largest stable dt over the wanted one.
 MARGIN = 1.5
@@ -216,7 +220,9 @@ class _Search:
         group = [self.elements[element] for element in first if element in self.elements]
         if not group or not any(self._made(group, change, x)[1] for x in change.xs[:2]):
             return None
-        while (x := self._enough(group, change)) is None:
+        # The standard form with a time constant of 2 dt is stable wherever its rows act.
+        group, x = (self._alike(group), 1.0) if change.what == STANDARD else (group, None)
+        while x is None and (x := self._enough(group, change)) is None:
             following = self._next(group, change)
             if following is None or len(group) >= max(TOGETHER, len(first)):
                 return _not_enough(change, group[len(first) :])
@@ -224,6 +230,8 @@ class _Search:
         model, values = self._made(group, change, x)
         size = math.sqrt(sum(value.size**2 for value in values))
         text = _chain_text(values, x) if change is CHAIN else text_of(values)
+        if change.what == STANDARD:
+            text += softened_to(values[0])
         text = f"hardware: {text}" if change.what in HARDWARE else text
         return Cure(Advice(change.what, tuple(values), {}, True, text, size), model)
 
@@ -310,6 +318,23 @@ class _Search:
                 continue
             return bisected(partial(self._stable, group, change), x, change.before(x), FINE)
         return None
+
+    def _alike(self, group: Sequence[ElementLimits]) -> list[ElementLimits]:
+        """Return a group of rows, and all others that have the kind and the solref of its first.
+
+        Such rows have their solref from one default, and are changed there.
+        """
+        model, first = self.now.model, group[0]
+        kind, like = first.element.kind, solref_of(model, first.element)
+        every = [element for element in self.elements if element.kind == kind]
+        if kind == "limit":
+            # A limit that is never reached may be reached in the changed motion.
+            joints = Layout(model.scene).joints
+            limited = [j for j, joint in enumerate(joints) if joint.range is not None]
+            every = [Element.of(model, kind, joint) for joint in limited]
+        have = {limits.element for limits in group}
+        more = (e for e in every if e not in have and solref_of(model, e) == like)
+        return [*group, *(replace(first, element=element) for element in more)]
 
     def _next(self, group: Sequence[ElementLimits], change: Change) -> ElementLimits | None:
         """Return the element that limits dt after the group's most effective change, or None."""

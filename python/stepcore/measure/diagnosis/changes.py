@@ -163,8 +163,7 @@ CHAIN = _more("armature of the whole chain")
 ROWS = (
     _both(SOLREF),
     _both(ROW_DAMPING),
-    # At x = 1 the form changes and the stiffness does not.
-    Change(STANDARD, (1.0, *_less(STANDARD).xs)),
+    Change(STANDARD, (1.0,)),
 )
 CHANGES: dict[str, tuple[Change, ...]] = {
     "spring": (_less("stiffness"), ARMATURE, CHAIN, DAMPING),
@@ -200,8 +199,7 @@ def changed(
         if change not in CHANGES.get(element.element.kind, ()):
             continue
         if change in ROWS:
-            softest = 2 * dt if model.settings.refsafe else 0.0
-            values += _solref(model, layout, element.element, change.what, x, softest)
+            values += _solref(model, layout, element.element, change.what, x, 2 * dt)
         elif change in (ARMATURE, DAMPING, CHAIN):
             driven = _joint(layout, element)
             if driven is None:
@@ -349,8 +347,8 @@ def new_solref(what: str, old: Vec, x: float, softest: float) -> Vec | None:
     what: the name of the change.
     old: the present solref.
     x: the factor.
-    softest: the time constant [s] below which `refsafe` would silently soften a row at the step
-        that must become stable; 0 without `refsafe`.
+    softest: the time constant [s] below which a row is unstable at the step that must become
+        stable, or `refsafe` would silently soften it.
     """
     direct, up = old[0] <= 0, x > 1
     if what == SOLREF:
@@ -362,18 +360,23 @@ def new_solref(what: str, old: Vec, x: float, softest: float) -> Vec | None:
             return None
         changed = math.copysign(rounded(abs(old[1]) * x, up=up), old[1])
         return old[0], changed
-    if not direct or x > 1 or old[0] == 0:
+    if not direct or old[0] == 0:
         return None
-    # Critically damped. At x = 1 the stiffness is the same, or the damping if that is faster.
+    # Critically damped, and as stiff as the step allows.
     fastest = min(1 / math.sqrt(-old[0]), 2 / -old[1] if old[1] < 0 else math.inf)
-    constant = max(fastest / x, softest)
-    return rounded(constant, up=True), 1.0
+    return rounded(max(fastest, softest), up=True), 1.0
 
 
 def size_of(old: Vec, new: Vec) -> float:
     """Return |log| of the factor by which stiffness or damping changes, the larger of both."""
     (k, b), (stiffness, damping) = _direct(old), _direct(new)
     return max(ratio(k, stiffness), ratio(b, damping))
+
+
+def softened_to(value: NewValue) -> str:
+    """Return the stiffness of a row with a new solref, in words."""
+    old, new = (_direct((side[0], side[1]))[0] for side in (value.before, value.after))
+    return f" (stiffness {new:.3g}/s² times the inertia, in place of {old:.3g}/s²)"
 
 
 def _direct(solref: Vec) -> tuple[float, float]:
