@@ -417,7 +417,7 @@ def test_the_answer_comes_first_and_a_screen_is_enough():
     assert lines[0].startswith("A step of 5 ms ") and str(d).startswith("A step of 5 ms ")
     assert len(lines) <= 45
     assert sum("joint `joint" in line for line in lines) < 16
-    assert "Not shown: 6 softer elements" in d.text(width=100)
+    assert "Not shown: 6 other elements" in d.text(width=100)
     full = d.text(width=200, full=True)
     assert all(f"spring of joint `joint{i}` " in full for i in range(6))
     assert "Not shown" not in full and "midpoint" in full

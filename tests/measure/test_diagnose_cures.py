@@ -1,5 +1,6 @@
 """`diagnose`: every cure was run and diagnosed again before it is printed."""
 
+import collections
 import math
 
 import pytest
@@ -133,7 +134,8 @@ def test_what_is_called_stable_at_a_step_is_stable_beyond_it(kp):
 def chain_on_limits(count, solref):
     """Links that fall into the limits of their joints, whose solref comes from one default."""
     links = f"""<mujoco><option timestep="0.008"/><default><joint axis="0 1 0" range="-20 20"
-    solreflimit="{solref}" damping="0.05"/><geom contype="0" conaffinity="0"/></default><worldbody>"""
+    solreflimit="{solref}" damping="0.05"/><geom contype="0" conaffinity="0"/></default>
+    <worldbody>"""
     for i in range(count):
         links += f"""<body pos="{0.2 * (i > 0)} 0 0"><joint name="j{i}"/>
         <geom type="capsule" size=".02" fromto="0 0 0 .2 0 0" mass=".3"/>"""
@@ -154,3 +156,100 @@ def test_limits_of_one_default_are_changed_together():
     cured = sc.diagnose(chain_on_limits(12, f"{new[0]} 1"), **QUIET)
     assert cured.limit() >= 0.97 * MARGIN * 8e-3
     assert cured.limit() == pytest.approx(standard.limit, rel=0.05)
+
+
+# --- gains of a control with a delay --------------------------------------------------------------
+
+
+class Delayed:
+    """A PD to a target, so many samples late."""
+
+    def __init__(self, kp, kd, samples):
+        self.kp, self.kd, self.waiting = kp, kd, collections.deque([0.0] * samples)
+
+    def __call__(self, time, sim):
+        self.waiting.append(self.kp * (0.3 - sim.qpos[0]) - self.kd * sim.qvel[0])
+        return [self.waiting.popleft()]
+
+
+@pytest.mark.parametrize(
+    ("kp", "kd", "samples", "dt"), [(30.0, 0.3, 3, 5e-3), (300.0, 2.0, 2, 4e-3)]
+)
+def test_gains_of_a_delayed_control_leave_the_margin_when_they_are_made(kp, kd, samples, dt):
+    """Law: the delay stays as it is, so the user's own function with the gains that are printed has
+    the limit that is promised, and comes to rest at nearly 1.5 times the wanted dt."""
+    scene = sc.loads("""<mujoco><option gravity="0 0 0"/><worldbody><body>
+      <joint name="hip" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".01 .01 .01"/>
+      </body></worldbody><actuator><motor name="hip" joint="hip"/></actuator></mujoco>""")
+    d = sc.diagnose(scene, control=Delayed(kp, kd, samples), dt=dt, **QUIET)
+    assert d.limit() < dt
+    gains = [a for a in d.advice if a.met and a.what.startswith("control ")]
+    assert gains, [a.text for a in d.advice]
+    for advice in gains:
+        new = {value.field: value.after[0] for value in advice.values}
+        kp_new = new.get("gain on position", kp)
+        kd_new = new.get("gain on velocity", kd)
+        again = sc.diagnose(scene, control=Delayed(kp_new, kd_new, samples), dt=dt, **QUIET)
+        assert again.limit() >= 0.97 * MARGIN * dt, advice.text
+        assert again.limit() == pytest.approx(advice.limit, rel=0.03)
+        sim, control = sc.Sim(scene, dt=0.95 * MARGIN * dt), Delayed(kp_new, kd_new, samples)
+        for _ in range(20_000):
+            sim.ctrl = control(sim.time, sim)
+            sim.step()
+        assert abs(sim.qpos[0] - 0.3) < 1e-3, advice.text
+
+
+# --- a SCARA on servos with kv --------------------------------------------------------------------
+
+
+def scara(integrator):
+    """Two links, a slide and a wrist, on strongly damped servos of limited force."""
+    links, servos = "", ""
+    for name, mass, kp, kv in (("a", 3, 2000, 200), ("b", 2, 1500, 150), ("r", 0.1, 50, 5)):
+        links += f"""<body pos=".3 0 0"><joint name="{name}" axis="0 0 1" range="-2.5 2.5"/>
+          <geom type="capsule" fromto="0 0 0 {0.1 * mass} 0 0" size=".035" mass="{mass}"/>"""
+        servos += f"""<position name="s{name}" joint="{name}" kp="{kp}" kv="{kv}"
+          ctrlrange="-2.5 2.5" forcerange="-40 40"/>"""
+    return sc.loads(f"""<mujoco><compiler angle="radian"/><option integrator="{integrator}"/>
+      <default><geom contype="0" conaffinity="0"/></default><worldbody>{links}{"</body>" * 3}
+      </worldbody><actuator>{servos}</actuator></mujoco>""")
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "Euler"])
+def test_gains_of_servos_leave_the_margin_when_they_are_made(integrator):
+    """Law: the changed scene's own diagnosis finds the limit that was promised."""
+    scene = scara(integrator)
+    d = sc.diagnose(scene, dt=4e-3, **QUIET)
+    gains = [a for a in d.advice if a.met and a.what in ("kp", "kv", "kp and kv")]
+    assert d.limit() < 4e-3 and gains, [a.text for a in d.advice]
+    for advice in gains:
+        cured = scara(integrator)
+        for value in advice.values:
+            setattr(cured.actuators[value.element.index], value.field, value.after[0])
+        again = sc.diagnose(cured, dt=4e-3, **QUIET)
+        assert again.limit() >= 0.97 * MARGIN * 4e-3, advice.text
+        assert again.limit() == pytest.approx(advice.limit, rel=0.03), advice.text
+
+
+def test_hardware_comes_last_and_is_called_so():
+    """Law: a gain can be set; the inertia and the friction of a joint cannot."""
+    d = sc.diagnose(scara("Euler"), dt=4e-3, **QUIET)
+    texts = [advice.text for advice in d.advice if advice.met]
+    hard = [text.startswith("hardware: ") for text in texts]
+    assert any(hard) and hard == sorted(hard)
+    assert [("armature" in text or "damping" in text) for text in texts] == hard
+
+
+def test_a_gain_of_a_general_actuator_is_told_as_kp_and_kv():
+    """Law: biasprm 0 −3500 −350 is a kp of 3500 and a kv of 350."""
+    scene = sc.loads("""<mujoco><option gravity="0 0 0" timestep="0.005" integrator="Euler"/>
+      <worldbody><body><joint name="knee" axis="0 1 0"/>
+      <inertial pos="0 0 0" mass="1" diaginertia=".3 .3 .3"/></body></worldbody>
+      <actuator><general name="drive" joint="knee" biastype="affine" gainprm="3500"
+      biasprm="0 -3500 -350"/></actuator></mujoco>""")
+    d = sc.diagnose(scene, **QUIET)
+    text = d.text()
+    assert "biasprm" not in text
+    kv = advised(d)["kv"]
+    new = -kv.values[0].after[2]
+    assert f"change kv of servo `drive` from 350 to {new:.6g} N·m·s/rad" in kv.text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from typing import Unpack
 
@@ -117,10 +117,12 @@ def diagnose(
     with time.closing():
         limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
     advice: list[Advice] = []
-    if limits[own].dt < wanted and limiting[own]:
+    if limits[own].dt < wanted:
         with time.stage("all changes that make the step stable"), workers.bar("advice", 1) as bar:
-            advice = _advice(found, elements, limiting[own], motion)
+            for result in _advice(found, elements, limiting[own], motion):
+                advice.append(result)
             bar.advance()
+    advice.sort(key=lambda a: a.rank)
     with time.closing():
         rate = _rate(here, limits[own], wanted)
         longest = _longest_period(here, own, wanted, motion)
@@ -136,7 +138,7 @@ def diagnose(
         limits=limits,
         element_shares=shares,
         limiters=limiting,
-        rows=list(elements.values()),
+        rows=_first_to_limit(elements, own, limiting[own]),
         advice=advice,
         notes=[
             *notes(visited, list(elements.values()), horizon, confirmed),
@@ -158,16 +160,26 @@ def _advice(
     elements: dict[Element, ElementLimits],
     limiting: Sequence[Element],
     motion: Motion,
-) -> list[Advice]:
-    """Return the changes that make the wanted step stable, and those that fail."""
+) -> Iterator[Advice]:
+    """Yield the changes that make the wanted step stable, and those that fail."""
     here, wanted = found.here, found.wanted
+    confirmation = Confirmation(found, motion, here.horizon)
+    yield from confirmation.integrators()
     limit = found.limits[found.model.settings.integrator]
     changes = list(ways(here, limit, elements, wanted, limiting))
-    if limiting[0].kind == KIND:
+    if limiting and limiting[0].kind == KIND:
         changes += control_ways(here, limiting, list(elements), wanted, motion)
-    confirmation = Confirmation(found, motion, here.horizon)
-    advice = [*confirmation.integrators(), *confirmation.advice(changes)]
-    return sorted(advice, key=lambda a: a.rank)
+    yield from confirmation.advice(changes)
+
+
+def _first_to_limit(
+    elements: dict[Element, ElementLimits], integrator: str, limiting: Sequence[Element]
+) -> list[ElementLimits]:
+    """Return the elements' limits, those that limit dt first, then by the limit of each alone."""
+    return sorted(
+        elements.values(),
+        key=lambda row: (row.element not in limiting, row.limits[integrator], -row.stiffness),
+    )
 
 
 def _rate(here: StepStability, limit: Limit, wanted: float) -> float | None:

@@ -137,9 +137,12 @@ def ways(
     limit: the limit of the model's own integrator.
     elements: each element on its own.
     wanted: the wanted dt [s].
-    stiffest: the elements, of one kind, that limit the model's own integrator.
+    stiffest: the elements, of one kind, that limit the model's own integrator; none if no single
+        kind does.
     """
     settings = now.model.settings
+    if not stiffest:
+        return
     search = _Search(now, elements, limit.integrator, wanted, limit.state, bool(limit.outcome))
     if limit.outcome:
         search.servos = [element.index for element in stiffest if element.kind == "actuator"]

@@ -15,7 +15,7 @@ A change that leaves less than the margin is searched for again with a larger on
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from stepcore.experiment.motion import Motion
@@ -31,6 +31,8 @@ from stepcore.report.units import seconds
 RESOLVED = 0.97
 # The searches for one change, and the surplus of the margin after one that left too little.
 SEARCHES, SURPLUS = 3, 1.1
+# The most integrators that are confirmed.
+INTEGRATORS = 3
 # The most changes of the model that are confirmed, the smallest first.
 CONFIRMED = 6
 
@@ -52,30 +54,40 @@ class Confirmation:
         """The wanted step [s]."""
         return self.before.wanted
 
-    def integrators(self) -> list[Advice]:
-        """Return every other integrator whose limit is not below the wanted dt, as advice."""
-        own, advice = self.before.model.settings.integrator, []
-        for name, limit in self.before.limits.items():
-            if name == own or limit.dt < self.wanted:
+    def integrators(self) -> Iterator[Advice]:
+        """Yield other integrators whose limit is not below the wanted dt, the largest first.
+
+        The explicit integrator, which adds energy at every dt, is tried last.
+        """
+        own = self.before.model.settings.integrator
+        others = [limit for limit in self.before.limits.values() if limit.integrator != own]
+        others.sort(key=lambda limit: (limit.integrator == "explicit", -limit.dt))
+        left = INTEGRATORS
+        for limit in others:
+            if limit.dt < self.wanted or left == 0:
                 continue
+            name = limit.integrator
             met = self._leaves_margin(limit) and self._agrees(self.before, name)
+            left -= met
             text = f"use integrator {name}, {stable(limit)}" if met else f"integrator {name}"
             found = limit.dt if met else None
-            advice.append(Advice("integrator", (), {"integrator": name}, met, text, 0.0, found))
-        return advice
+            yield Advice("integrator", (), {"integrator": name}, met, text, 0.0, found)
 
-    def advice(self, ways: Iterable[Way]) -> list[Advice]:
-        """Return the least change of each way that holds, and those that fail."""
-        found = [(way, cure) for way in ways if (cure := way(MARGIN)) is not None]
-        results = [cure for _, cure in found if isinstance(cure, Advice)]
-        cures = [(way, cure) for way, cure in found if isinstance(cure, Cure)]
-        cures.sort(key=lambda pair: pair[1].advice.rank)
+    def advice(self, ways: Iterable[Way]) -> Iterator[Advice]:
+        """Yield the least change of each way that holds, the smallest first, and those that fail."""
+        cures: list[tuple[Way, Cure]] = []
+        for way in ways:
+            cure = way(MARGIN)
+            if isinstance(cure, Cure):
+                cures.append((way, cure))
+            elif cure is not None:
+                yield cure
         met: list[Advice] = []
-        for way, cure in cures:
+        for way, cure in sorted(cures, key=lambda pair: pair[1].advice.rank):
             if len(met) < CONFIRMED and not repeats(cure.advice, met):
                 result = self._confirmed(way, cure)
-                (met if result.met else results).append(result)
-        return [*met, *results]
+                met += [result] * result.met
+                yield result
 
     def _confirmed(self, way: Way, cure: Cure) -> Advice:
         """Return the advice of a cure, made large enough, or the advice that it fails."""
@@ -115,9 +127,11 @@ class Confirmation:
         if self.wanted > after.check.longest:
             return False
         seen = after.observed(integrator)
+        known = {servo.element for servo in self.before.seen.saturations if servo.severe}
+        worse = [s for s in seen.saturations if s.reached or (s.severe and s.element not in known)]
         return (
             seen.limit.dt >= self.wanted
-            and not any(servo.severe or servo.reached for servo in seen.saturations)
+            and not worse
             and seen.lasting is None
             and after.check.agrees(integrator, self.wanted, after.slowest)
         )

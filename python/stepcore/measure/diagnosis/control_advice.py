@@ -39,12 +39,9 @@ LESS, GREATER = 12, 6
 ELSEWHERE = 0.05
 # Decimals of a servo's target [rad or m].
 DECIMALS = 9
-# Whether each change scales the gain on position and that on velocity.
-WAYS = {
-    "gain on position": (True, False),
-    "gain on velocity": (False, True),
-    "gains": (True, True),
-}
+# The powers of a factor by which each change multiplies the gain on position and that on velocity.
+# Both gains together keep the damping ratio.
+WAYS = {"gain on position": (1, 0), "gain on velocity": (0, 1), "gains": (2, 1)}
 
 
 def control_ways(
@@ -139,23 +136,20 @@ class _ControlSearch:
 
     def gain(self, what: str, margin: float) -> Cure | Advice | None:
         """Return the least sufficient change of some gains."""
-        position, velocity = WAYS[what]
-        assert self.motion.control is not None
-        if (
-            self.remembers
-            and position != velocity
-            and fresh(self.motion.control) is (self.motion.control)
-        ):
+        function, powers = self.motion.control, WAYS[what]
+        assert function is not None
+        if self.remembers and fresh(function) is function:
             # A second call per sample would change the memory of a function without a copy.
-            return None
+            powers = (1, 1)
+            if what != "gains":
+                return None
         model = self.here.model
         downs = [2.0**-k for k in range(1, LESS + 1)]
         ups = [2.0**k for k in range(1, GREATER + 1)] if what != "gains" else []
         tries = sorted([*downs, *ups], key=lambda x: abs(math.log(x)))
 
         def gains(x: float, elements: Sequence[Element]) -> _Gains:
-            rows = [element.index for element in elements]
-            return _Gains(rows, x if position else 1.0, x if velocity else 1.0)
+            return _Gains([element.index for element in elements], x ** powers[0], x ** powers[1])
 
         for elements in self.groups:
 
@@ -168,29 +162,30 @@ class _ControlSearch:
                 if holds(x):
                     before = min(2 * x, 1.0) if x < 1 else max(x / 2, 1.0)
                     least = bisected(holds, x, before, FINE)
-                    function = _Regained(self.motion.control, gains(least, elements))
-                    motion = replace(self.motion, control=function)
-                    return Cure(self._gain(what, least, elements), model, motion)
+                    law = gains(least, elements)
+                    motion = replace(self.motion, control=_Regained(function, law))
+                    return Cure(self._gain(what, law, elements), model, motion)
         return failed(f"control {what}")
 
-    def _gain(self, what: str, x: float, elements: Sequence[Element]) -> Advice:
+    def _gain(self, what: str, law: _Gains, elements: Sequence[Element]) -> Advice:
         """Return the advice, with the gains on each joint's own position and velocity."""
         values = []
         for element in elements:
             servo = _servo_gains(self.here, element) or (0.0, 0.0)
-            for old, name, label, changes in zip(
+            for old, name, label, x in zip(
                 servo,
                 ("kp", "kv"),
                 ("gain on position", "gain on velocity"),
-                WAYS[what],
+                (law.position, law.velocity),
                 strict=True,
             ):
-                if changes and old > 0:
+                if x != 1 and old > 0:
                     new, unit = rounded(old * x, up=x > 1), unit_of(name, self._angular(element))
                     values.append(NewValue(element, label, (old,), (new,), unit, ratio(old, new)))
         names = " and ".join(element.name for element in elements)
-        text = text_of(values) if values else f"multiply the {what} of {names} by {x:.3g}"
-        size = abs(math.log(x)) * math.sqrt(len(elements))
+        factors = " and ".join(f"{x:.3g}" for x in (law.position, law.velocity) if x != 1)
+        text = text_of(values) if values else f"multiply the {what} of {names} by {factors}"
+        size = math.hypot(math.log(law.position), math.log(law.velocity)) * math.sqrt(len(elements))
         return Advice(f"control {what}", tuple(values), {}, True, text, size)
 
     def period(self, margin: float) -> Cure | Advice | None:

@@ -220,26 +220,26 @@ class Judge:
         """Return whether the kinetic energy at a step stays that of shorter steps.
 
         It may exceed the fine run's by `REFINED`, for `LONGER` horizons and for `PERIODS` slow
-        periods; beyond that only if a quarter of the step does so too. With a control function,
-        which may be undefined after the horizon, it is compared over the horizon.
+        periods, or else that of a quarter of the step. With a control function, which may be
+        undefined after the horizon, it is compared over the horizon.
 
         integrator, dt: the integrator and its step [s].
         slowest: the period of the slowest oscillation [s]; 0 for none.
         """
-        # What rests on something may fall for a step before it is caught.
-        model = self.real.model
-        fall = float(np.sum(model.body_mass)) * float(np.linalg.norm(model.scene.gravity) * dt) ** 2
-        floor = max(self.floor, fall)
-        span, bound = self.fine.reached, REFINED * max(self.fine.peak, floor)
+        # A contact may bounce by as much as a body falls in a step, up and down.
+        floor, span = max(self.floor, 2 * self.real.falling_energy(dt)), self.real.horizon
         if self.real.schedule.control is None:
             span = max(LONGER * span, PERIODS * slowest)
-        run = self.real.run(integrator, dt, horizon=span, beyond=max(self.bound, bound))
-        if run.finite and run.peak <= bound:
-            return True
-        if not run.finite or run.peak > max(self.bound, bound):
-            return False
+        run = self.real.run(integrator, dt, horizon=span, beyond=RUNAWAY * floor)
+        if not run.finite or run.peak <= REFINED * max(self.fine.peak, floor):
+            return run.finite
         finer = self.real.run(integrator, dt / SHORTER, horizon=run.reached)
-        return finer.finite and run.peak <= REFINED * max(finer.peak, floor)
+        if not finer.finite:
+            return False
+        within = run.times <= finer.reached * (1 + 1e-9)
+        peak = float(run.energies[within].max())
+        # The shorter steps may not last as long.
+        return peak <= REFINED * max(finer.peak, floor) and run.peak <= LARGE * max(peak, floor)
 
 
 # --- the fine run ---------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ class Diagnosis(Result):
     element_shares: by integrator, each element's share in the mode that sets the limit, or in the
         fastest motion if nothing sets a limit.
     limiters: by integrator, the elements that limit dt; several where no single element does.
-    rows: the elements, each on its own, the stiffest first.
+    rows: the elements, each on its own: those that limit dt, then the others by their own limit.
     advice: changes that make the wanted step stable.
     notes: remarks on the validity of the diagnosis.
     physical: the fastest growth of the motion itself [1/s].
@@ -272,7 +272,7 @@ class Diagnosis(Result):
 
     @property
     def table(self) -> Table:
-        """The elements on their own, the stiffest first.
+        """The elements on their own, those that limit dt first.
 
         The columns are: frequency [Hz], omega [rad/s], ratio (damping ratio), rate (the element's
         damping over the mass that it moves [1/s]), share (in the mode that limits the scene's
@@ -320,7 +320,7 @@ class Diagnosis(Result):
             return [together]
         rows = self.rows if full or len(self.rows) <= PRINTED + 1 else self.rows[:PRINTED]
         left = len(self.rows) - len(rows)
-        softer = f"{counted(left, 'softer element')}, and " if left else ""
+        softer = f"{counted(left, 'other element')}, and " if left else ""
         more = f"Not shown: {softer}the other integrators (--all; in Python text(full=True))."
         # Names are never truncated: a narrow report drops columns first.
         formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
