@@ -119,8 +119,7 @@ def diagnose(
     advice: list[Advice] = []
     if limits[own].dt < wanted:
         with time.stage("all changes that make the step stable"), workers.bar("advice", 1) as bar:
-            for result in _advice(found, elements, limiting[own], motion):
-                advice.append(result)
+            advice.extend(_advice(found, elements, limiting[own], motion))
             bar.advance()
     advice.sort(key=lambda a: a.rank)
     with time.closing():

@@ -74,7 +74,7 @@ class Confirmation:
             yield Advice("integrator", (), {"integrator": name}, met, text, 0.0, found)
 
     def advice(self, ways: Iterable[Way]) -> Iterator[Advice]:
-        """Yield the least change of each way that holds, the smallest first, and those that fail."""
+        """Yield the least change of each way that holds, the smallest first, or that it fails."""
         cures: list[tuple[Way, Cure]] = []
         for way in ways:
             cure = way(MARGIN)
