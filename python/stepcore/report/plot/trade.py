@@ -163,6 +163,7 @@ def _asked(axes: Any, trade: Trade) -> None:
         # At the left, where the cheap settings are above the line.
         text = f"target {metres(error)}, kept to {metres(kept)}"
         style: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "va": "top"}
+        style["bbox"] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
         axes.text(0.01, 0.97 * kept, text, fontsize=SMALL, color=GREY, **style)
     elif trade.budget is not None:
         axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **dashed)
