@@ -230,6 +230,7 @@ def trade(
             finally:
                 frontier = recommendation.frontier
     forces = shipped.law == "penalty" and model.npair > 0
+    softened = tau if any(row.clamped for row in frontier.rows) else None
     orders = observed_orders(frontier.rows, reference)
     findings: list[Finding] = []
     with time.stage("the findings on the shipped settings"):
@@ -242,7 +243,7 @@ def trade(
         ran=far.after(motion_in_words(model, motion, schedule)),
         horizon=schedule.horizon,
         notes=[
-            *words.about_run(schedule, rows, forces, tau, motion.horizon),
+            *words.about_run(schedule, rows, forces, softened, motion.horizon),
             *words.about_reference(reference, frontier.rows, size),
             *unjudged,
             *words.observed(reference, schedule.horizon, orders),
