@@ -95,8 +95,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
     "follow": {
         "metavar": "FILE",
-        "help": "recorded positions of joints, by name, that position servos follow; a file as for "
-        "--ctrl",
+        "help": "recorded positions of joints, by name, which servos and motors follow; a file as "
+        "for --ctrl",
     },
 }
 

@@ -1,4 +1,4 @@
-"""`PositionTable`: recorded positions of joints, which position servos follow."""
+"""`PositionTable`: recorded positions of joints, which servos and motors follow."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.control_log import ControlLog
 from stepcore.experiment.control_table import ControlTable, control_table
+from stepcore.experiment.coordinates import Start
+from stepcore.experiment.drives import MOTOR, SERVO, Drives
+from stepcore.experiment.moves import holding
+from stepcore.experiment.point_to_point import JointGains
 
 # Joints with one coordinate; other joints of a recorded run are not followed.
 SINGLE = ("hinge", "slide")
@@ -20,7 +25,8 @@ SINGLE = ("hinge", "slide")
 class PositionTable(ControlTable):
     """Positions of hinges and slides in rows; see `ControlTable`.
 
-    The controls are those with which every servo is without force in the recorded position.
+    Servos get the controls with which they are without force in the recorded position, and motors
+    are driven by a PD control toward it, with the gains of the default motion "hold".
     """
 
     @classmethod
@@ -61,16 +67,35 @@ class PositionTable(ControlTable):
                 raise ValueError(f"{self.source}: no joint is named {checks.quoted(name)}{near}")
         return poses
 
+    def control(
+        self, model: Model, start: Start, held: np.ndarray, period: float
+    ) -> Following | None:
+        """Return the control of motors on the recorded joints, or None without such motors.
+
+        start: the first pose, which the gains and the load are made for. held: the controls of the
+        keyframe, (nu,). period: the control period [s].
+        """
+        drives, poses = Drives(model), self.poses(model, start.qpos)
+        moves = np.ptp(poses, axis=0) > 0
+        if not drives.of(MOTOR) or not (moves.any() and self.times is not None):
+            return None
+        rest, gains = holding(model, start, held, period)
+        if gains is None:
+            return None
+        rows = self._complete(model, rest)
+        times = self.times - self.times[0]
+        loads = gains.load + _heavier(model, poses, gains)
+        tables = (rows, poses[:, gains.at], loads)
+        log, path, load = (ControlLog(times, table, linear=True) for table in tables)
+        return Following(log, path, load, gains, period)
+
     def _complete(self, model: Model, held: np.ndarray) -> np.ndarray:
         """Return the controls with which the servos are without force in each pose."""
+        servos = Drives(model).of(SERVO)
+        if not servos and not Drives(model).of(MOTOR):
+            what = "position servo or motor, which could follow"
+            raise ValueError(f"{self.source}: no actuator is a {what}")
         gain, bias = model.actuator_gain, model.actuator_bias
-        servos = [
-            k
-            for k, actuator in enumerate(model.scene.actuators)
-            if actuator.law.gaintype == "fixed" and gain[k] and bias[k, 1] < 0
-        ]
-        if not servos:
-            raise ValueError(f"{self.source}: no actuator is a position servo, which could follow")
         home = model.keys[0].qpos if model.keys else model.qpos0
         sim, rows = Sim(model), np.tile(held, (len(self.rows), 1))
         for row, pose in zip(rows, self.poses(model, home), strict=True):
@@ -79,3 +104,45 @@ class PositionTable(ControlTable):
             length = sim.actuator_length[servos]
             row[servos] = -(bias[servos, 0] + bias[servos, 1] * length) / gain[servos]
         return rows
+
+
+def _heavier(model: Model, poses: np.ndarray, gains: JointGains) -> np.ndarray:
+    """Return by how much the load of each motor exceeds that of the first pose, (n, motors)."""
+    sim, loads = Sim(model), []
+    for pose in poses:
+        sim.qpos = pose
+        sim.forward()
+        loads.append((np.array(sim.bias) - np.array(sim.passive))[gains.dofs])
+    # Several motors on a joint share its load.
+    shared = np.array([list(gains.dofs).count(dof) for dof in gains.dofs])
+    heavier: np.ndarray = (np.array(loads) - loads[0]) / shared
+    return heavier
+
+
+@dataclass(frozen=True, eq=False)
+class Following:
+    """A control function: servos get their recorded controls, motors a PD control on the path.
+
+    log: the controls of servos. path: the positions of the motors' joints, (n, motors).
+    load: the force that the motors need to rest at each row, (n, motors). gains: of the motors.
+    period: the control period [s]. begin: the time of the start [s].
+    """
+
+    log: ControlLog
+    path: ControlLog
+    load: ControlLog
+    gains: JointGains
+    period: float
+    begin: float = 0.0
+
+    def __call__(self, time: float, sim: Sim) -> np.ndarray:
+        now, gains = max(0.0, time - self.begin), self.gains
+        ctrl: np.ndarray = self.log.steps(now, self.period, 1)[0]
+        before, after = self.path.steps(max(0.0, now - self.period / 2), self.period, 2)
+        # The mean over a period that has its middle at the present time.
+        speed = (after - before) / self.period
+        force = self.load.steps(now, self.period, 1)[0]
+        force += gains.kp * (before - sim.qpos[gains.at])
+        force += gains.kd * (speed - sim.qvel[gains.dofs])
+        ctrl[list(gains.actuators)] = np.clip(force / gains.unit, gains.low, gains.high)
+        return ctrl

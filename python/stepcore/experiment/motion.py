@@ -113,10 +113,11 @@ class Motion:
         control is a sum of random sines within its range; "random": new random controls in every
         control period; "fall": all controls are 0. A measurement also takes the kind in place of a
         Motion: ``trade(model, "hold")``.
-    follow: recorded positions of joints that position servos follow, in place of `ctrl`: a table in
-        which each column has the name of a hinge or slide, from the same sources, or a recorded run
-        with qpos. The motion starts at the first row. Each servo gets as its control what makes its
-        force zero in the recorded position; between rows positions are interpolated.
+    follow: recorded positions of joints, followed in place of `ctrl`: a table in which each column
+        has the name of a hinge or slide, from the same sources, or a recorded run with qpos. The
+        motion starts at the first row. Each position servo gets as its control what makes its
+        force zero in the recorded position; motors are driven by a PD controller toward it.
+        Between rows positions are interpolated.
 
     Raises ValueError for a value outside its limits.
 

@@ -12,7 +12,7 @@ from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Start
 from stepcore.experiment.drives import MOTOR, RATE, SERVO, Drives
 from stepcore.experiment.joint_gains import gains_of
-from stepcore.experiment.point_to_point import MOVE, REST, PointToPoint
+from stepcore.experiment.point_to_point import MOVE, REST, JointGains, PointToPoint
 from stepcore.experiment.poses import Poses, contact_jacobian
 from stepcore.experiment.trial import Trial, trial
 
@@ -222,3 +222,14 @@ def _rank(seen: Trial) -> tuple[bool, float, float]:
     """Return how badly a trial holds the start, for comparison."""
     standing = math.inf if seen.fell is None else seen.fell
     return bool(seen.failure), -standing, float(seen.saturated.max(initial=0.0))
+
+
+def holding(
+    model: Model, home: Start, ctrl: np.ndarray, period: float
+) -> tuple[np.ndarray, JointGains | None]:
+    """Return the controls that hold a start, (nu,), and the PD control of its motors, if any.
+
+    ctrl: the controls of the keyframe. period: the control period [s].
+    """
+    control = Moves(model, home, ctrl, period, keep=True, whole=False).control
+    return control.held, control.gains

@@ -23,7 +23,7 @@ from stepcore.experiment.control_log import ControlLog, changes
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Coordinates, Start
 from stepcore.experiment.default_motion import default_motion
-from stepcore.experiment.followed import PositionTable
+from stepcore.experiment.followed import Following, PositionTable
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.point_to_point import PointToPoint
 from stepcore.report import units
@@ -87,7 +87,8 @@ class Schedule:
     @property
     def calls_user(self) -> bool:
         """Whether a control function of the user is called."""
-        return self.control is not None and self.is_users
+        own = isinstance(self.control, Following)
+        return self.control is not None and self.is_users and not own
 
     @property
     def driven(self) -> str:
@@ -217,10 +218,12 @@ def scheduled(
     begin = [first, *(near(model, coordinates, first, rng) for _ in range(count - 1))]
     ctrl, control, remarks, drive = None, motion.control, tuple[str, ...](), ""
     log = None
-    if motion.ctrl is not None:
+    if isinstance(motion.ctrl, PositionTable):
+        control = motion.ctrl.control(model, first, held, period)
+    if motion.ctrl is not None and control is None:
         rows, log = played(motion, model, held, periods, period)
         ctrl = np.broadcast_to(rows, (count, periods, model.nu))
-    elif motion.control is None:
+    elif control is None:
         made = default_motion(
             *(model, motion.kind, first, held, begin, motion.seed, period, periods),
             whole=motion.control_dt is not None,

@@ -19,6 +19,7 @@ from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
 from stepcore.experiment.control_table import control_table
+from stepcore.experiment.coordinates import Start
 from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.followed import PositionTable
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
@@ -328,6 +329,12 @@ def _driven(sim: Sim, motion: Motion, horizon: float) -> tuple[Control | None, f
     if motion.control is not None:
         said = drive_in_words(model, motion, "", f"every {seconds(period)}")
         return motion.control, motion.control_dt, said
+    if isinstance(motion.ctrl, PositionTable):
+        start = Start(np.array(sim.qpos), np.array(sim.qvel), np.array(sim.act))
+        following = motion.ctrl.control(model, start, held, period)
+        if following is not None:
+            said = drive_in_words(model, motion, "", f"every {seconds(period)}")
+            return replace(following, begin=sim.time), motion.control_dt, said
     changes = control_table(motion.ctrl).changes
     periods = int(np.ceil(horizon / period)) + 1 if changes else 1
     # Without a period of its own, each row of controls is that of a step.
