@@ -145,7 +145,7 @@ def test_info(capsys):
         (["trade", "BALL", "--ctrl", "no.npy"], "no such file"),
         (["trade", "BALL", "--ctrl", "1,0"], "this model has no actuators"),
         (["trade", "BALL", "--budget", "20"], "must be > 0, with its unit: "),
-        (["trade", "BALL", "--ctrl", "BALL"], "must end in .csv, .npy, .npz"),
+        (["trade", "BALL", "--ctrl", "BALL"], "must end in .csv, .npz, .npy, .parquet, .mcap"),
         (["trade", "BALL", "--control", "json"], "FILE.py:FUNCTION or MODULE:FUNCTION"),
         (["trade", "BALL", "--control", "no_such_module:f"], "no_such_module"),
         (["trade", "BALL", "--json", "no/such/folder/x.json"], "no such folder"),
