@@ -123,8 +123,6 @@ def test_a_parquet_file_has_columns_by_name(tmp_path, monkeypatch):
 
 
 def test_parquet_of_pandas_is_read(tmp_path):
-    pytest.importorskip("pyarrow")
-    pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame({"t": TIMES, "x": FORCES[:, 0], "y": FORCES[:, 1]})
     frame.to_parquet(tmp_path / "log.parquet")
     assert control_table(tmp_path / "log.parquet").rows == pytest.approx(FORCES)
