@@ -5,7 +5,9 @@ import sys
 import types
 
 import numpy as np
+import pandas
 import pytest
+from mcap.writer import Writer
 
 import stepcore as sc
 from stepcore.cli import main
@@ -21,9 +23,8 @@ FORCES = np.random.default_rng(0).normal(size=(8, 2))
 
 def write_mcap(path, topics):
     """topics: the messages of each topic, one per time; in JSON, or as bytes of another format."""
-    writing = pytest.importorskip("mcap.writer")
     with open(path, "wb") as file:
-        writer = writing.Writer(file)
+        writer = Writer(file)
         writer.start()
         for topic, messages in topics.items():
             plain = isinstance(messages[0], bytes)
