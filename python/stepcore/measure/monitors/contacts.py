@@ -341,9 +341,10 @@ class ContactMonitor:
         finding = Finding("depth under load", "remark", problem, "", contacts, worst.depth, "m")
         yield replace(finding, commands=TEST_CONTACTS, remedy=remedy)
 
-    def pressed(self, pairs: Collection[int]) -> float:
-        """Return how deep some pairs were pressed at most [m]."""
-        return max((at.depth for at in self.deepest() if at.pair in pairs), default=0.0)
+    def pressed(self, pairs: Collection[int]) -> float | None:
+        """Return how deep some pairs were pressed at most [m]; None if one does not touch."""
+        depths = [at.depth for at in self.deepest() if at.pair in pairs]
+        return max(depths) if len(depths) == len(pairs) else None
 
     def _slides(self) -> Iterator[Finding]:
         """Yield contacts that slide because they have no friction."""

@@ -38,6 +38,8 @@ LEFT = 0.1
 OVERPOWERS = 0.5
 # Ranges wider than this do not define how exact a limit should be [rad].
 WIDEST = 3.0
+# Forces at limits are read at every so many readings.
+FORCES_EVERY = 4
 # Elements that only resist motion cannot push a joint beyond its limit.
 RESISTS = ("damper", "friction loss")
 
@@ -82,6 +84,7 @@ class JointMonitor:
         self.model, self.joints, self.sizes = model, joints, sizes
         self.gaps: list[np.ndarray] = []
         self.beyond: list[np.ndarray] = []
+        self.extreme = np.zeros(len(joints.ranges))
         self.dofs = [int(model.jnt_dofadr[joint]) for joint in joints.limited]
         self.held_at = held_at(model)
         # For each limit: the excess, and the forces on its dof.
@@ -98,7 +101,10 @@ class JointMonitor:
             beyond = self.joints.violations(np.array(sim.qpos)[None])[0]
         self.beyond.append(beyond)
         over = np.flatnonzero(beyond > 0)
-        if len(over):
+        # Reading every force is slow: at each new extreme, and now and then.
+        further = bool((beyond > 1.1 * self.extreme).any())
+        self.extreme = np.where(beyond > 1.1 * self.extreme, beyond, self.extreme)
+        if len(over) and (further or len(self.beyond) % FORCES_EVERY == 0):
             forces = sim.element_forces()
             for k in over.tolist():
                 dof = self.dofs[k]

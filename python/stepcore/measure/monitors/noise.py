@@ -25,6 +25,9 @@ from stepcore.report.units import newtons, percent, seconds
 NOISY = 0.05
 # Readings further apart than this do not tell noise from motion [s].
 APART = 0.01
+# Surfaces that move slower than this on each other stand still [m/s]; means of a thing at rest
+# agree within this share.
+STILL, LASTS = 0.01, 0.2
 # Sensors whose noise is watched.
 SENSORS = ("force", "torque", "touch")
 # Factors of the time constant and parts of the time step that are tried.
@@ -50,28 +53,28 @@ class NoiseMonitor:
             self.data.append(np.array(sim.sensordata))
 
     def of_contacts(self) -> dict[int, tuple[float, float]]:
-        """Return noise and mean of the normal force of each pair that touches at the end [N].
-
-        A pair counts that touches in half of the last readings; it may rattle.
-        """
+        """Return noise and mean of the normal force of each pair that stands still [N]."""
         looks = self.contacts.looks
         first = looks - max(FEWEST, int(REST * looks))
         forces: dict[int, np.ndarray] = {}
-        counts: dict[int, np.ndarray] = {}
+        moves: dict[int, list[float]] = {}
         for (pair, _), seen in self.contacts.seen.items():
             for at in seen:
                 if at.look >= first >= 0:
-                    empty = np.zeros(looks - first)
-                    forces.setdefault(pair, empty.copy())[at.look - first] += at.force
-                    counts.setdefault(pair, empty)[at.look - first] += 1
-        return {pair: noise(f) for pair, f in forces.items() if np.mean(counts[pair] > 0) > 0.5}
+                    forces.setdefault(pair, np.zeros(looks - first))[at.look - first] += at.force
+                    moves.setdefault(pair, []).append(float(np.linalg.norm(at.past)) + at.rolls)
+        return {
+            pair: noise(f)
+            for pair, f in forces.items()
+            if f.all() and np.mean(moves[pair]) < STILL and _lasts(f)
+        }
 
     def of_sensors(self) -> dict[int, tuple[float, float]]:
         """Return noise and mean size of each force sensor at the end of the run."""
         late = np.array(self.data[-max(FEWEST, int(REST * len(self.data))) :])
         if len(late) < FEWEST:
             return {}
-        return {k: noise(late[:, part]) for k, part in self.sensors.items()}
+        return {k: noise(late[:, p]) for k, p in self.sensors.items() if _lasts(late[:, p])}
 
     def findings(self, times: list[float]) -> Iterator[Finding]:
         """Yield the noisiest contacts, and the noisiest sensors.
@@ -156,6 +159,14 @@ def noise(series: np.ndarray) -> tuple[float, float]:
         second = series[1:-1] - (series[:-2] + series[2:]) / 2
         rms = math.sqrt(2 / 3 * float(np.mean((second**2).sum(axis=1))))
         return rms, float(np.linalg.norm(series.mean(axis=0)))
+
+
+def _lasts(series: np.ndarray) -> bool:
+    """Return whether both halves of a series have one mean, as of a thing at rest."""
+    half = len(series) // 2
+    means = [np.atleast_1d(part.mean(axis=0)) for part in (series[:half], series[half:])]
+    apart = float(np.linalg.norm(means[1] - means[0]))
+    return apart < LASTS * float(np.linalg.norm(means[0] + means[1])) / 2
 
 
 def _loud(

@@ -233,7 +233,9 @@ def _pairs(
     """Yield mover, wall, index, half thicknesses of wall and mover, and face of each pair."""
     for index, geoms in enumerate(model.pair_geoms.tolist()):
         bodies = [int(model.geom_body[geom]) for geom in geoms]
-        if bodies[0] not in moving and bodies[1] not in moving:
+        trees = [model.root(body) for body in bodies]
+        # The joints of a tree keep its geoms on their sides.
+        if not moving.intersection(bodies) or trees[0] == trees[1]:
             continue
         for wall, mover in (geoms, geoms[::-1]):
             face, thin = _face(model.geom_type[wall], model.geom_size[wall].tolist())
