@@ -326,3 +326,10 @@ def test_a_log_at_any_rate_drives_a_run(capsys, carts, tmp_path, way):
     held = rows[:-1, 1].sum() / 40
     lines = (rows[:-1, 1] + rows[1:, 1]).sum() / 80
     assert moved[0] == pytest.approx((held if way == "held" else lines) / 2, abs=1e-9)
+
+
+def test_a_run_lasts_as_long_as_its_log(capsys, carts, tmp_path):
+    (tmp_path / "log.csv").write_text("t,a\n3,1\n4.5,2\n")
+    assert main(["run", carts, "--ctrl", str(tmp_path / "log.csv")]) == 0
+    assert "1.5 s in 150 steps" in capsys.readouterr().out
+    assert sc.run(carts, ctrl=tmp_path / "log.csv").steps == 150

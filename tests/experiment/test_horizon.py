@@ -107,3 +107,17 @@ def test_check_trade_and_converge_say_how_long_they_went_on():
     assert "not at rest after 1 s: went on to" in traded.ran
     assert traded.horizon == pytest.approx(traded.motion.horizon) and traded.horizon > 1.5
     assert "not at rest" in sc.converge(falls, starts=1, states=2, **options).ran
+
+
+@pytest.mark.parametrize(
+    ("count", "gap", "length"), [(41, 0.1, 4.0), (11, 0.02, 1.0), (3, 20.0, 10.0)]
+)
+def test_a_log_is_run_to_its_end(count, gap, length):
+    """Whatever moves: 4 s of 10 Hz; a short one as long as any motion; 40 s up to the bound."""
+    motor = "<actuator><motor name='x' joint='x'/></actuator>"
+    model = scene(body("0 0 5", '<joint name="x" type="slide"/>'), more=motor)
+    times = gap * np.arange(count)
+    found = horizon_of(model, Motion(ctrl={"time": times, "x": np.sin(times)}))
+    assert found.length == pytest.approx(length)
+    assert ("lasts" in found.words) == (length > 1)
+    assert ("of which 10 s are run" in found.words) == (length == 10)

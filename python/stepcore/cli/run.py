@@ -138,6 +138,8 @@ def _run(args: argparse.Namespace) -> int:
         raise Usage(f"--horizon {horizon:g} s: must be {limit} (2^64 steps)")
     record = _recorded(args)
     pushes, motion = pushes_of(args, model), motion_of_run(args, sim)
+    if args.horizon is None:
+        horizon = max(horizon, motion.duration)
     result = simulated(sim, model.settings, motion, horizon, pushes, record, None, True)
     if result.error is not None:
         said = [f"{one_line(result.error)}.", *(finding.text for finding in result.findings)]

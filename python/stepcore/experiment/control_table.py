@@ -95,6 +95,11 @@ class ControlTable:
         return False
 
     @property
+    def duration(self) -> float:
+        """The time from the first row to the last [s]; 0 without times."""
+        return 0.0 if self.times is None else float(self.times[-1] - self.times[0])
+
+    @property
     def gap(self) -> float | None:
         """The time between two rows [s]; None without times, or if it varies by more than 0.1 %."""
         if self.times is None or len(self.times) < 2:

@@ -9,7 +9,7 @@ pilot run under the shipped settings, from the first start, therefore goes on un
 - or the bound is reached, in simulated time or in computing.
 
 Motions that repeat or have no end by their making (`Motion.kind` "move", "sines" and "random"), and
-controls from a table, are not tried.
+rows without times, are not tried. A log with times is run to its end, within the bound.
 """
 
 from __future__ import annotations
@@ -77,9 +77,23 @@ def horizon_of(
     if motion.horizon is not None:
         return Horizon(motion.horizon)
     dt = model.settings.dt
+    if motion.duration > default:
+        return _whole(model, motion, default, cost)
     if not _is_tried(model, motion) or dt > LOOK or min(LONGEST, STEPS * dt) <= default:
         return Horizon(default)
     return _Pilot(model, motion, default, cost).horizon()
+
+
+def _whole(model: Model, motion: Motion, default: float, cost: float) -> Horizon:
+    """Return the horizon of a log: all of it, as far as the bounds allow."""
+    dt, sim = model.settings.dt, Sim(model)
+    sim.reset(key=0 if model.keys else None)
+    paid = dt * cost / max(1.0, sim.count_flops())
+    length = max(default, min(motion.duration, LONGEST, STEPS * dt, paid))
+    lasts = f"{control_table(motion.ctrl).source} lasts {seconds(motion.duration)}"
+    if length < motion.duration:
+        lasts += f", of which {seconds(length)} are run; --horizon sets more"
+    return Horizon(length, lasts)
 
 
 def affordable(effort: float, starts: int) -> float:

@@ -170,6 +170,13 @@ class Motion:
         """Whether the controls are the user's own, and not a motion that stepcore makes."""
         return self.ctrl is not None or self.control is not None
 
+    @property
+    def duration(self) -> float:
+        """How long the user's rows last [s]; 0 without rows that have times."""
+        if self.ctrl is None or _is_array(self.ctrl):
+            return 0.0
+        return control_table(self.ctrl).duration
+
     def period(self, dt: float) -> float | None:
         """Return the control period [s], or None if this motion does not determine a period.
 

@@ -191,8 +191,8 @@ def run(
 
     model: a Model, a Scene, or any argument of `stepcore.load`.
     motion: a `Motion`, or its fields as arguments: horizon, key, control, ctrl, control_dt, kind,
-        seed; or a kind of motion. By default 1 s from the first keyframe, with the controls of that
-        keyframe.
+        seed; or a kind of motion. By default 1 s (or all of a log) from the first keyframe,
+        with the controls of that keyframe.
     pushes: forces on bodies, such as "torso:50,0,0@1" (50 N along x from 1 s on, for 0.1 s),
         "torso:50,0,0@1+0.3", or (body, force, start, duration).
     record: the arrays to record at every step, such as ("qpos", "energy"); see `Sim.run`.
@@ -212,7 +212,7 @@ def run(
     """
     compiled = find_model(model)
     motion = Motion.of(motion, fields, run)
-    horizon = HORIZON if motion.horizon is None else motion.horizon
+    horizon = motion.horizon or max(HORIZON, motion.duration)
     watched = compiled.with_settings(ledger=True) if ledger else compiled
     sim = Sim(watched, threads=threads)
     return simulated(sim, compiled.settings, motion, horizon, pushes, record, progress)
