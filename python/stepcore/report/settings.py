@@ -5,6 +5,9 @@ from __future__ import annotations
 from stepcore._core import Settings
 from stepcore.report.units import counted, seconds
 
+# The number of iterations in which Newton converges, or not at all.
+CONVERGED = 10
+
 
 def label(settings: Settings, shipped: Settings | None = None, sweeps: bool = True) -> str:
     """Return integrator, solver and time step; with `shipped`, also further differences."""
@@ -12,17 +15,24 @@ def label(settings: Settings, shipped: Settings | None = None, sweeps: bool = Tr
     if settings.precision != "f64":
         parts.append(settings.precision)
     if shipped is not None:
-        parts += differences(settings, shipped)
+        parts += [words for words in differences(settings, shipped) if words not in parts[1]]
     return ", ".join([*parts, f"dt {seconds(settings.dt)}"])
 
 
 def solver_words(settings: Settings) -> str:
-    """Return the solver, and for PGS the number of sweeps."""
+    """Return the solver, and the number of PGS sweeps, or of Newton iterations if they are few."""
+    if few_iterations(settings):
+        return f"newton {counted(int(settings.sweeps), 'iteration')}"
     if settings.solver != "pgs":
         return str(settings.solver)
     if settings.sweeps == "auto":
         return "pgs, sweeps auto"
     return f"pgs {counted(int(settings.sweeps), 'sweep')}"
+
+
+def few_iterations(settings: Settings) -> bool:
+    """Return whether Newton may end before it has converged, which takes about ten iterations."""
+    return settings.solver == "newton" and settings.sweeps < CONVERGED
 
 
 def differences(settings: Settings, shipped: Settings) -> list[str]:

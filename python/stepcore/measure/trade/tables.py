@@ -11,7 +11,7 @@ from stepcore.measure.trade.batch_cost import BatchPoint
 from stepcore.measure.trade.mujoco import Point
 from stepcore.measure.trade.rows import Frontier, TradeRow
 from stepcore.measure.trade.statistics import QUANTITIES
-from stepcore.report.settings import differences, label
+from stepcore.report.settings import differences, few_iterations, label
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds
 
@@ -151,7 +151,7 @@ def _cells(frontier: Frontier, row: TradeRow, chosen: TradeRow | None) -> dict[s
         "": marks + "r" * (chosen is not None and chosen.settings == s),
         "dt": f"{s.dt * 1e3:.4g}",
         "integrator": s.integrator,
-        "solver": f"pgs {s.sweeps}" if s.solver == "pgs" else s.solver,
+        "solver": f"{s.solver} {s.sweeps}" if s.solver == "pgs" or few_iterations(s) else s.solver,
         "also": ", ".join(differences(s, frontier.shipped.settings)),
         "cost": _cost(row.cost),
         "flops": "" if math.isnan(row.flops) else compact(row.flops),

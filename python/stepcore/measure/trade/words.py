@@ -87,6 +87,9 @@ class Words:
             yield from self._why_passed_over(row, error)
             yield self._halved(row)
             return
+        if len(self.frontier.rows) == 1:
+            yield "No other settings than the shipped ones were tried."
+            return
         if self.reference.high <= target:
             yield f"No setting tried has an error of at most {metres(error)} in every start."
         yield from self._most_accurate()
