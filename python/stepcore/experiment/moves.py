@@ -144,6 +144,7 @@ class Moves:
         """
         if self.keep or self.hold.failure or self.hold.fell is not None:
             return self.still
+        hold = self.hold
         drawn = self.poses.drawn(np.random.default_rng([seed, index]))
         while self.shares.any():
             control, far = self._control(*drawn)
@@ -151,7 +152,11 @@ class Moves:
                 return Move(control, None, far) if self.found else self.still
             self.trials -= 1
             seen = self._trial(start, control, MOVE + REST)
-            causes = self.causes(seen)
+            causes = self.causes(seen, hold)
+            if causes and hold is self.hold:
+                # Some of it may be the start's own doing.
+                hold = hold.beside(self._trial(start, self.control, MOVE + REST))
+                causes = self.causes(seen, hold)
             if not causes:
                 self.found = True
                 return Move(control, seen, far)
@@ -187,9 +192,12 @@ class Moves:
         control = replace(self.control, spans=spans[None], rates=rates[None], changes=changes)
         return control, np.abs(change[poses.dofs])
 
-    def causes(self, seen: Trial) -> set[int]:
-        """Return the groups of joints that cause trouble in a trial; empty if there is none."""
-        hold, every = self.hold, set(self.groups.tolist())
+    def causes(self, seen: Trial, hold: Trial) -> set[int]:
+        """Return the groups of joints that cause trouble in a trial; empty if there is none.
+
+        hold: what happens without moves, which the moves do not cause.
+        """
+        every = set(self.groups.tolist())
         if seen.failure:
             return every
         allowed = np.maximum(FORCE, hold.force + LEFT * (1 - hold.force))
@@ -208,7 +216,8 @@ class Moves:
                 joints |= self.poses.between(met)
         places = {joint: at for at, joint in enumerate(self.poses.joints)}
         causes |= {int(self.groups[places[joint]]) for joint in joints if joint in places}
-        if self.poses.stance.any() and (seen.fell is not None or hold.ends_on - seen.ends_on):
+        falls = seen.fell is not None and hold.fell is None
+        if self.poses.stance.any() and (falls or hold.ends_on - seen.ends_on):
             causes |= {STANCE} & every or every
         return causes
 

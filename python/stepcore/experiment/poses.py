@@ -58,6 +58,17 @@ class Poses:
         stance[: len(self.joints)] = np.abs(self.kept[:, self.dofs]).max(axis=0, initial=0.0) > 1e-9
         return stance & self.drives.moves_about
 
+    def _spread(self, change: np.ndarray, weights: np.ndarray, share: float) -> np.ndarray:
+        """Return a change in which the joints that move contacts go as far as a share allows.
+
+        A random change has little in common with those that keep contacts.
+        """
+        moved = (np.abs(self.kept).max(axis=0) > 1e-9) & (weights > 0)
+        most = float((np.abs(change[moved]) / weights[moved]).max(initial=0.0))
+        if most > 1e-6:
+            change = np.where(moved, change * share / most, change)
+        return change
+
     @property
     def at_limit(self) -> set[int]:
         """Return the joints that start at a limit or near one."""
@@ -112,9 +123,8 @@ class Poses:
         change *= weights
         if len(self.kept):
             spread = (self.kept * weights**2).T
-            change = change - spread @ (
-                np.linalg.pinv(self.kept @ spread, 1e-6) @ self.kept @ change
-            )
+            back = np.linalg.pinv(self.kept @ spread, 1e-6) @ self.kept @ change
+            change = self._spread(change - spread @ back, weights, rng.uniform(0.5, 1.0))
         # Away from limits: a joint near one turns round.
         q, low, high = self._room()
         low, high = np.minimum(q, low), np.maximum(q, high)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from stepcore.experiment.poses import Point, touching
 SHOCK = 0.1
 # A force is at its bound within this relative distance.
 AT_END = 1e-9
-# A robot falls if it tilts by more than this [rad], or its centre of mass loses this share of its
-# height above the lowest of its bodies.
+# A robot falls if it tilts by more than this [rad], or its centre of mass sinks by this share of
+# its height above the lowest of its geoms.
 TILT, SINKS = 0.35, 0.25
 
 # A pair of geoms; a joint.
@@ -54,6 +54,18 @@ class Trial:
     fell: float | None = None
     flops: float = 0.0
     failure: str = ""
+
+    def beside(self, other: Trial) -> Trial:
+        """Return what happens in this or in another trial; contacts at the end are of both."""
+        fell = [time for time in (self.fell, other.fell) if time is not None]
+        return replace(
+            self,
+            saturated=np.maximum(self.saturated, other.saturated),
+            force=np.maximum(self.force, other.force),
+            met=self.met | other.met,
+            ends_on=self.ends_on & other.ends_on,
+            fell=min(fell, default=None),
+        )
 
 
 def trial(
@@ -156,25 +168,30 @@ class _Upright:
             self.bodies = sorted({model.root(int(model.jnt_body[j])) for j in joints})
         sim.forward()
         self.axes = [self._axis(sim, body) for body in self.bodies]
-        self.heights = [self._height(sim, body) for body in self.bodies]
+        self.heights = [float(sim.subtree_com[body, 2]) for body in self.bodies]
+        self.sinks = [SINKS * self._size(sim, body) for body in self.bodies]
 
     def lost(self, sim: Sim) -> bool:
-        for body, axis, height in zip(self.bodies, self.axes, self.heights, strict=True):
-            if self._axis(sim, body) @ axis < np.cos(TILT):
+        for k, body in enumerate(self.bodies):
+            if self._axis(sim, body) @ self.axes[k] < np.cos(TILT):
                 return True
-            if self._height(sim, body) < (1 - SINKS) * height:
+            if self.heights[k] - sim.subtree_com[body, 2] > self.sinks[k]:
                 return True
         return False
 
     @staticmethod
     def _axis(sim: Sim, body: int) -> np.ndarray:
-        """Return the vertical of the start in the body's frame, by what is vertical now."""
+        """Return the vertical of the world in the body's frame."""
         back = np.array(sim.xquat[body]) * (1.0, -1.0, -1.0, -1.0)
         axis: np.ndarray = rotated(back, np.array([0.0, 0.0, 1.0]))
         return axis
 
     @staticmethod
-    def _height(sim: Sim, body: int) -> float:
+    def _size(sim: Sim, body: int) -> float:
+        """Return the height of the centre of mass above the lowest geom."""
         model = sim.model
-        below = [b for b in range(1, len(model.body_parent)) if model.root(b) == body]
-        return float(sim.subtree_com[body, 2] - sim.xpos[below, 2].min())
+        geoms = [k for k, b in enumerate(model.geom_body.tolist()) if model.root(b) == body]
+        if not geoms:
+            return np.inf
+        lowest = sim.geom_xpos[geoms, 2] - model.geom_size[geoms].max(axis=1)
+        return float(sim.subtree_com[body, 2] - lowest.min())

@@ -1,0 +1,384 @@
+"""The motion without controls of one's own is one that the machine could make."""
+
+import pickle
+
+import menagerie
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore.experiment.batched_runs import batched
+from stepcore.experiment.coordinates import Start
+from stepcore.experiment.default_motion import KINDS, kind_of
+from stepcore.experiment.drives import Drives
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.motion_words import motion_in_words
+from stepcore.experiment.point_to_point import MOVE, PointToPoint, profile
+from stepcore.experiment.run import Probe
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import scheduled
+
+LINK = '<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/>'
+FLOOR = '<geom type="plane" size="2 2 .1"/>'
+
+
+def scene(bodies, actuators="", key="", gravity="0 0 -9.81", dt=0.002):
+    return sc.loads(
+        '<mujoco><compiler angle="radian"/>'
+        f'<option timestep="{dt}" gravity="{gravity}" integrator="implicitfast"/>'
+        f"<worldbody>{bodies}</worldbody><actuator>{actuators}</actuator>"
+        f"<keyframe>{key}</keyframe></mujoco>"
+    ).compile()
+
+
+def arm(servo='kp="200" kv="10"', height=1.0, limits="-2 2", joint="", **others):
+    """A link that turns about a horizontal axis, with a position servo."""
+    body = (
+        f'{FLOOR}<body pos="0 0 {height}"><joint name="hinge" axis="0 1 0" range="{limits}" '
+        f'limited="true" {joint}/>{LINK}</body>'
+    )
+    return scene(body, f'<position name="servo" joint="hinge" {servo}/>', **others)
+
+
+def torque_arm(key='<key qpos=".5 -1"/>', limit=30, **others):
+    """Two links with motors in N·m."""
+    motor = f'ctrllimited="true" ctrlrange="-{limit} {limit}"'
+    return scene(
+        f'<body pos="0 0 1"><joint name="shoulder" axis="0 1 0" range="-3 3" limited="true"/>{LINK}'
+        f'<body pos=".3 0 0"><joint name="elbow" axis="0 1 0" range="-3 3" limited="true"/>{LINK}'
+        "</body></body>",
+        f'<motor name="m1" joint="shoulder" {motor}/><motor name="m2" joint="elbow" {motor}/>',
+        key,
+        **others,
+    )
+
+
+def planned(model, period=0.008, **fields):
+    """The schedule of the motion, and the motion in words."""
+    motion = Motion(**fields)
+    schedule = scheduled(motion, model, period)
+    return schedule, motion_in_words(model, motion, schedule)
+
+
+class Watch(Probe):
+    """Records positions, forces, contacts and limits at every step."""
+
+    def __init__(self):
+        self.qpos, self.force, self.overlap = [], [], []
+
+    def stride(self, steps):
+        return 1
+
+    def step(self, sim):
+        self.qpos.append(np.array(sim.qpos))
+        self.force.append(np.array(sim.actuator_force))
+        self.overlap.append(sim.overlap)
+
+
+def watched(model, schedule, start=0):
+    runner, watch = Runner(model, schedule), Watch()
+    runner.follow(runner.sim(model.settings), start, [watch])
+    return np.array(watch.qpos), np.array(watch.force), max(watch.overlap)
+
+
+# --- the rules ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("bodies", "actuators", "kind"),
+    [
+        (f"<body><freejoint/>{LINK}</body>", "", "fall"),
+        (f'<body><joint name="j"/>{LINK}</body>', '<position joint="j"/>', "move"),
+        (f'<body><joint name="j"/>{LINK}</body>', '<velocity joint="j"/>', "move"),
+        (
+            f'<body><joint name="j"/>{LINK}</body>',
+            '<general joint="j" gainprm="5" biastype="affine" biasprm="0 -5 -1"/>',
+            "move",
+        ),
+        (
+            f'<body><joint name="j"/>{LINK}</body>',
+            '<motor joint="j" ctrllimited="true" ctrlrange="-1 1"/>',
+            "move",
+        ),
+        (
+            f'<body><freejoint/>{LINK}<body><joint name="j"/>{LINK}</body></body>',
+            '<motor joint="j" ctrllimited="true" ctrlrange="-20 20"/>',
+            "move",
+        ),
+        (
+            f'<body><freejoint/>{LINK}<body><joint name="j"/>{LINK}</body></body>',
+            '<motor joint="j" ctrllimited="true" ctrlrange="-1 1" gear="20"/>',
+            "sines",
+        ),
+        (
+            f'<body><joint name="j"/>{LINK}</body>',
+            '<muscle joint="j" lengthrange="0 1"/>',
+            "sines",
+        ),
+    ],
+)
+def test_the_model_chooses_the_kind(bodies, actuators, kind):
+    assert kind_of(scene(bodies, actuators)) == kind
+
+
+def test_a_body_without_actuators_falls_and_says_so():
+    model = scene(f'{FLOOR}<body pos="0 0 1"><freejoint/><geom size=".1"/></body>')
+    schedule, words = planned(model)
+    assert "; no motors; law" in words and schedule.ctrl.size == 0 and not schedule.notes
+
+
+def test_the_profile_begins_and_ends_at_rest_and_returns():
+    way, rate = profile(np.array([0.0, MOVE / 2, MOVE, 0.99, 1.0, 1.0 + MOVE / 2, 1.99]))
+    assert way == pytest.approx([0, 0.5, 1, 1, 1, 0.5, 0])
+    assert rate == pytest.approx([0, 1.875 / MOVE, 0, 0, 0, -1.875 / MOVE, 0])
+    times = np.linspace(0, 2, 20001)
+    assert np.gradient(profile(times)[0], times) == pytest.approx(profile(times)[1], abs=2e-3)
+
+
+# --- servos ---------------------------------------------------------------------------------------
+
+
+def test_servos_move_by_a_tenth_of_their_range_within_their_forces():
+    model = arm('kp="200" kv="10" forcelimited="true" forcerange="-20 20"')
+    schedule, words = planned(model)
+    assert "test motion: servos move point to point over 800 ms to poses up to " in words
+    assert "never saturated" in words and "top speed" in words and "(`hinge`)" in words
+    far = [np.ptp(schedule.ctrl[k]) for k in range(8)]
+    assert 0.19 < min(far) <= max(far) <= 0.4 and len(set(far)) == 8
+    for k in range(8):
+        qpos, force, _ = watched(model, schedule, k)
+        assert np.abs(force).max() < 0.6 * 20
+        # It arrives, but for the sag under its weight.
+        sag = 9.81 * 0.15 / 200
+        assert qpos[-1] == pytest.approx(schedule.ctrl[k, -1], abs=2 * sag)
+
+
+def test_a_joint_near_its_limit_moves_away_from_it():
+    model = arm(limits="-2 2", key='<key qpos="1.9" ctrl="1.9"/>', gravity="0 0 0")
+    schedule, _ = planned(model)
+    for k in range(8):
+        qpos, _, _ = watched(model, schedule, k)
+        assert qpos.max() < 2.0 and qpos[-1, 0] < 1.8
+
+
+def test_an_arm_does_not_reach_into_the_floor():
+    """Half of the poses that a tenth of the range allows are below the floor."""
+    model = arm(height=0.06, gravity="0 0 0", servo='kp="50" kv="5"')
+    schedule, words = planned(model)
+    moving = [k for k in range(8) if np.ptp(schedule.ctrl[k]) > 0]
+    assert moving and "servos move" in words
+    assert max(watched(model, schedule, k)[2] for k in range(8)) == 0.0
+
+
+def test_a_load_that_needs_most_of_the_force_leaves_half_of_the_rest():
+    """The weight needs 1.47 of 2 N·m; the motion uses at most half of what is left."""
+    weight = 9.81 * 0.15
+    model = arm('kp="200" kv="2" forcelimited="true" forcerange="-2 2"')
+    schedule, words = planned(model)
+    for k in range(8):
+        late = watched(model, schedule, k)[1][60:]
+        assert np.abs(late).max() <= (weight + 2) / 2 + 0.05
+    assert "never saturated" in words
+
+
+def test_a_servo_that_cannot_hold_its_load_is_told():
+    model = arm('kp="200" kv="2" forcelimited="true" forcerange="-1 1"')
+    assert "`servo` saturated" in planned(model)[1]
+
+
+def test_controls_do_not_jump_within_a_period():
+    """A stiff servo answers a jump of 8 ms with its force; steps longer than 1 ms get the means."""
+    model = arm('kp="2000" kv="50"')
+    schedule, _ = planned(model)
+    rows = dict(schedule.stretches(0, 200, 0.002, 4))
+    assert len(rows) == 4
+    steps = [float(row[0]) for row in rows.values()]
+    assert schedule.ctrl[0, 50, 0] == pytest.approx(np.mean(steps), abs=1e-12)
+    whole, _ = planned(model, control_dt=0.008)
+    assert whole.log is None and dict(whole.stretches(0, 200, 0.002, 4)) == {4: None}
+
+
+def test_velocity_servos_get_the_velocity_of_the_profile():
+    model = scene(
+        f'<body><joint name="j" axis="0 0 1" damping=".1"/>{LINK}</body>',
+        '<velocity name="v" joint="j" kv="50"/>',
+        gravity="0 0 0",
+    )
+    schedule, words = planned(model, starts=1)
+    qpos, _, _ = watched(model, schedule, 0)
+    there = abs(qpos[-1, 0])
+    assert 0.2 < there < 0.5 and f"up to {1e3 * there:.3g}"[:8] in words
+    assert schedule.ctrl[0, -1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_controls_of_zero_hold_the_pose_of_the_keyframe():
+    model = arm(key='<key qpos="0.7"/>', gravity="0 0 0")
+    schedule, _ = planned(model)
+    assert schedule.ctrl[:, 0, 0] == pytest.approx(0.7, abs=1e-3)
+    held, _ = planned(model, kind="hold")
+    assert not held.ctrl.any()
+
+
+# --- motors ---------------------------------------------------------------------------------------
+
+
+def test_motors_hold_the_keyframe_and_move_about_it():
+    model = torque_arm()
+    schedule, words = planned(model)
+    assert "a PD controller drives the joints point to point over 800 ms" in words
+    assert isinstance(schedule.control, PointToPoint) and schedule.ctrl is None
+    for k in range(8):
+        qpos, force, _ = watched(model, schedule, k)
+        assert np.abs(force).max() < 0.6 * 30
+        target = np.array([0.5, -1.0]) + schedule.control.changes[k]
+        assert np.abs(schedule.control.changes[k]).max() <= 0.5
+        assert qpos[-1] == pytest.approx(target, abs=0.1)
+    held, words = planned(model, kind="hold")
+    assert "a PD controller holds the start" in words
+    assert watched(model, held)[0][-1] == pytest.approx([0.5, -1.0], abs=0.02)
+
+
+def test_motors_that_are_too_weak_are_told():
+    words = planned(torque_arm(limit=2))[1]
+    assert "saturated" in words and "never" not in words
+
+
+def test_a_thing_that_nothing_holds_is_told_and_falls():
+    model = scene(
+        f'{FLOOR}<body pos="0 0 .5"><freejoint/><geom type="capsule" size=".02 .48" mass="5"/>'
+        f'<body pos="0 0 .4"><joint name="j" axis="0 1 0"/>{LINK}</body></body>',
+        '<motor joint="j" ctrllimited="true" ctrlrange="-20 20"/>',
+    )
+    schedule, words = planned(model)
+    assert "a PD controller holds the start" in words
+    (note,) = schedule.notes
+    assert note.startswith("nothing holds the pose of the start: the robot falls over within")
+
+
+def legged(actuator):
+    """A box on four legs of one joint each."""
+    legs = "".join(
+        f'<body pos="{x} {y} 0"><joint name="j{x}{y}" axis="0 1 0" range="-1 1" limited="true"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".3"/></body>'
+        for x in (-0.3, 0.3)
+        for y in (-0.2, 0.2)
+    )
+    drives = "".join(actuator.format(joint=f"j{x}{y}") for x in (-0.3, 0.3) for y in (-0.2, 0.2))
+    return scene(
+        f'{FLOOR}<body pos="0 0 .32"><freejoint/>'
+        f'<geom type="box" size=".3 .2 .05" mass="5"/>{legs}</body>',
+        drives,
+        '<key qpos="0 0 .32 1 0 0 0 0 0 0 0"/>',
+    )
+
+
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        '<position joint="{joint}" kp="200" kv="5" forcelimited="true" forcerange="-40 40"/>',
+        '<motor joint="{joint}" ctrllimited="true" ctrlrange="-40 40"/>',
+    ],
+)
+def test_a_legged_robot_stands_and_shifts(actuator):
+    model = legged(actuator)
+    schedule, words = planned(model)
+    assert "up to" in words and not schedule.notes
+    for k in range(4):
+        runner = Runner(model, schedule)
+        sim = runner.sim(model.settings)
+        runner.follow(sim, k)
+        assert sim.qpos[2] > 0.25 and abs(sim.qpos[3]) > 0.98 and len(sim.contacts) >= 4
+
+
+# --- seeds, processes, batches --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", [arm(), torque_arm()])
+def test_the_motion_follows_from_model_seed_and_period(model):
+    def drive(**fields):
+        schedule, _ = planned(model, **fields)
+        return schedule.control.changes if schedule.ctrl is None else schedule.ctrl
+
+    some = drive(starts=3)
+    np.testing.assert_array_equal(some, drive(starts=3))
+    np.testing.assert_array_equal(some, drive(starts=6)[:3])
+    assert (some != drive(starts=3, seed=1)).any()
+
+
+@pytest.mark.parametrize("model", [arm(), torque_arm()])
+def test_runs_have_the_same_bits_in_another_process_and_in_batches(model):
+    schedule, _ = planned(model, horizon=0.2)
+    runner = Runner(model, schedule)
+    alone = [runner.screen(model.settings, k) for k in range(8)]
+    other = pickle.loads(pickle.dumps(runner))
+    for k, run in enumerate(batched(runner, model.settings, range(8))):
+        np.testing.assert_array_equal(run.com, alone[k].com)
+        np.testing.assert_array_equal(other.screen(model.settings, k).com, alone[k].com)
+    for part, k in ((schedule.part(3), 3), (schedule.part(0, 2).joined(schedule.part(5)), 0)):
+        np.testing.assert_array_equal(
+            Runner(model, part).screen(model.settings, 0).com, alone[k].com
+        )
+
+
+# --- kinds of one's own ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_measurement_takes_a_kind_in_place_of_a_motion(kind):
+    model = arm()
+    by_name = sc.predict(model, kind, horizon=0.1, starts=1, progress=False)
+    by_field = sc.predict(model, kind=kind, horizon=0.1, starts=1, progress=False)
+    by_object = sc.predict(model, Motion(kind=kind, horizon=0.1, starts=1), progress=False)
+    assert by_name.motion.kind == kind
+    assert by_name.ran == by_field.ran == by_object.ran
+    assert pickle.loads(pickle.dumps(by_name.motion)).kind == kind
+
+
+def test_a_wrong_kind_and_two_drives_are_refused():
+    with pytest.raises(ValueError, match=r"kind = 'hld': must be one of .*nearest: .hold"):
+        sc.predict(arm(), "hld")
+    with pytest.raises(ValueError, match="kind and ctrl are both given"):
+        Motion(kind="hold", ctrl=[[0.0]])
+    with pytest.raises(ValueError, match="kind and control are both given"):
+        Motion(kind="move", control=lambda time, sim: [0.0])
+
+
+def test_a_run_follows_a_kind():
+    model = torque_arm()
+    run = sc.run(model, "move", horizon=1.0)
+    target = [0.5, -1.0] + planned(model, starts=1)[0].control.changes[0]
+    assert run.sim.qpos == pytest.approx(target, abs=0.1)
+    assert "a PD controller drives the joints" in run.ran
+    assert "motors are held at zero" in sc.run(model, "fall", horizon=0.1).ran
+
+
+def test_check_runs_a_kind_and_says_it_in_its_commands():
+    result = sc.check(arm(), "move", progress=False)
+    assert "servos move point to point" in result.ran
+    assert all("--motion move" in command for command, _ in result.commands[:2])
+
+
+# --- robots ---------------------------------------------------------------------------------------
+
+
+@menagerie.needed
+@pytest.mark.parametrize("name", ["PANDA", "UR5E", "SO101", "SO101_CUBE", "GO2"])
+def test_robots_move_within_their_forces(name):
+    file = getattr(menagerie, name, menagerie.FOLDER / "unitree_go2" / "scene.xml")
+    model = sc.load(file).compile()
+    schedule, words = planned(model, 4 * model.settings.dt)
+    # Panda's light wrist saturates at the speed of a start.
+    assert "point to point" in words and ("never saturated" in words or name == "PANDA")
+    assert not schedule.notes
+    for k in range(3):
+        # The first tenth of a second belongs to the start.
+        force = np.abs(watched(model, schedule, k)[1])[round(0.1 / model.settings.dt) :]
+        assert np.mean(force > 0.65 * Drives(model).bounds) < 0.05
+
+
+def test_a_state_is_put_without_its_time():
+    """Trials begin at time 0, whatever the time of the keyframe."""
+    model = arm(key='<key time="59" qpos=".1" ctrl=".1"/>', gravity="0 0 0")
+    assert isinstance(scheduled(Motion(), model, 0.008).starts[0], Start)
+    run = sc.run(model, "move", horizon=1.0)
+    assert abs(float(run.sim.qpos[0]) - 0.1) > 0.1
