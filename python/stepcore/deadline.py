@@ -46,8 +46,13 @@ CLOSING = 3.0
 # Times that a message proposes for a longer measurement [s].
 ROUND = (15, 30, 60, 120, 300, 600, 1800, 3600, 7200, 36000, 86400)
 
+# When a measurement that still runs says what it knows so far, and how often again [s].
+FIRST, AGAIN = 10.0, 20.0
+
 F = TypeVar("F", bound=Callable[..., Any])
 clock = monotonic
+# Is called with first answers of long measurements; the command line prints them.
+listener: Callable[[str], object] | None = None
 _thread = threading.local()
 
 
@@ -77,6 +82,8 @@ class Deadline:
         self._end: float = self.begun + self.seconds
         self._stop: threading.Event = threading.Event() if outer is None else outer._stop
         self._closing = False
+        self._news: tuple[str, float] | None = None
+        self._told = -math.inf
 
     @property
     def spent(self) -> float:
@@ -103,6 +110,27 @@ class Deadline:
     def stop(self) -> None:
         """End the measurement with what is known, and all measurements around it."""
         self._stop.set()
+
+    def tell(self, words: str, after: float = FIRST) -> None:
+        """Give a first answer, which is told if the measurement still runs some time later.
+
+        words: replace those of an earlier call that have not been told.
+        after: the time since the beginning from which they are told [s].
+        """
+        if self.outer is not None:
+            self.outer.tell(words, after)
+        elif listener is not None:
+            self._news = words, self.begun + after
+
+    def announce(self) -> None:
+        """Tell the first answer, if it is due."""
+        if self.outer is not None:
+            self.outer.announce()
+        elif self._news is not None and listener is not None:
+            (words, due), now = self._news, clock()
+            if now >= max(due, self._told + AGAIN):
+                self._news, self._told = None, now
+                listener(words)
 
     @contextmanager
     def opened(self) -> Iterator[Deadline]:
@@ -185,9 +213,12 @@ def current() -> Deadline | None:
 
 
 def check() -> None:
-    """Raise OutOfTime if the time of the present work is over."""
+    """Raise OutOfTime if the time of the present work is over; announce what is due."""
     deadline = current()
-    if deadline is not None and deadline.over:
+    if deadline is None:
+        return
+    deadline.announce()
+    if deadline.over:
         raise OutOfTime("the time of the measurement is over")
 
 

@@ -180,3 +180,33 @@ def test_the_help_says_how_long_a_command_takes(capsys, monkeypatch):
         monkeypatch.setitem(deadline.SECONDS, command, 20.0)
         assert main([command, "--help"]) == 0
         assert "(default: 20)" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
+
+
+def test_a_long_check_says_first_what_the_file_alone_shows(capsys, clock, tmp_path):
+    file = tmp_path / "late.xml"
+    file.write_text("""<mujoco><worldbody><body><joint name="knee" range="-90 90"/>
+      <geom size=".1"/></body></worldbody><keyframe><key name="home" qpos="2"/></keyframe>
+      </mujoco>""")
+    assert main(["check", str(file), "--horizon", "0.1", "--threads", "1"]) == 0
+    out, err = capsys.readouterr()
+    assert err.startswith("stepcore: 1 finding in the file alone:\n- ") and "knee" in err
+    assert "1 finding:" in out
+    assert main(["check", str(file), "--horizon", "0.1", "--json"]) == 0
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (
+            ("trade", "lesson:spring", "--further", "0"),
+            r"shipped settings have an error of [\d.]+ mm",
+        ),
+        (("ablate", "gymnasium:reacher"), r"\d+ of \d+ features add at most 1 mm"),
+    ],
+)
+def test_long_measurements_give_a_first_answer(capsys, clock, command, words):
+    name, file, *more = command
+    assert main([name, file, "--horizon", "0.2", "--starts", "3", "--threads", "1", *more]) == 0
+    err = capsys.readouterr().err
+    assert err.count("first answer") == 1 and re.search(words, err)

@@ -142,7 +142,7 @@ def _asked(argv: Sequence[str]) -> str | None:
 
 def _run(args: argparse.Namespace) -> int:
     from stepcore import files
-    from stepcore.cli.interrupts import ends_early_on_ctrl_c
+    from stepcore.cli.interrupts import ends_early_on_ctrl_c, tells_first_answers
     from stepcore.cli.output import check_output, deliver
     from stepcore.report.result import Result
 
@@ -150,7 +150,7 @@ def _run(args: argparse.Namespace) -> int:
         warnings.showwarning = _warned
         check_output(args)
         try:
-            with ends_early_on_ctrl_c():
+            with ends_early_on_ctrl_c(), tells_first_answers(not getattr(args, "json", None)):
                 result = args.call(args, args.command)
         finally:
             files.outputs.clear()

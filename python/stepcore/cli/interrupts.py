@@ -1,4 +1,7 @@
-"""Ctrl-C during a measurement: the first ends it with what is known, the second at once."""
+"""What a measurement says before its end: first answers, and what is known at Ctrl-C.
+
+The first Ctrl-C ends a measurement with what is known, the second at once.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,17 @@ def stop(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
     measurement.stop()
     say("interrupted; what is known follows (Ctrl-C again ends at once)")
+
+
+@contextmanager
+def tells_first_answers(wanted: bool) -> Iterator[None]:
+    """Print the first answers of long measurements to the error stream, if they are wanted."""
+    if wanted:
+        deadline.listener = say
+    try:
+        yield
+    finally:
+        deadline.listener = None
 
 
 @contextmanager

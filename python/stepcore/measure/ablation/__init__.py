@@ -136,6 +136,7 @@ def ablate(
     few = SCREENED if dear and starts > SCREENED else starts
     whole, alone, cut = _alone(baseline, removals, few, tolerance, workers)
     removals = list(alone)
+    time.tell(_so_far(whole, alone, tolerance))
     selection.known = alone
     complete = False
     with (
@@ -219,6 +220,18 @@ def _alone(
         whole = outcomes[0] or whole
     known = zip(removals, outcomes[1:], strict=True)
     return whole, {removal: one for removal, one in known if one is not None}, cut
+
+
+def _so_far(whole: VariantOutcome, alone: dict[Removal, VariantOutcome], tolerance: float) -> str:
+    """Return the first answer: what features save that are removed alone."""
+    within = {one: outcome for one, outcome in alone.items() if outcome.worst <= tolerance}
+    said = f"first answer: {len(within)} of {units.counted(len(alone), 'feature')} add at most "
+    said += f"{metres(tolerance)} when removed alone"
+    if within:
+        best = max(within, key=lambda one: within[one].saved(whole))
+        share = units.percent(within[best].saved(whole))
+        said += f"; most is saved without {best.label}: {share} of the work"
+    return f"{said}; the search for the smallest model goes on"
 
 
 def _not_run(outcomes: Sequence[VariantOutcome | None], what: str) -> str:

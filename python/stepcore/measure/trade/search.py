@@ -18,6 +18,8 @@ from stepcore.experiment.reference import FINER
 from stepcore.measure.trade.methods import Kind, Steps, families, moves
 from stepcore.measure.trade.rows import MARGIN
 from stepcore.measure.trade.run_cache import PricedError, RunCache
+from stepcore.report.settings import label
+from stepcore.report.units import metres, times
 
 # Number of starts that methods are first judged from.
 FEW = 2
@@ -138,6 +140,7 @@ class SettingsSearch:
         """
         cache, chosen = self.cache, self.chosen
         self.overview()
+        self.cache.experiment.workers.deadline.tell(self.so_far(wanted))
         self.aims = targets = self.targets(wanted, budget)
         for k, (error, climb) in enumerate(targets):
             halvings = REFINED
@@ -156,6 +159,23 @@ class SettingsSearch:
                 halvings -= 1
                 some = self.meeting(error, climb)
             chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
+
+    def so_far(self, wanted: float | None) -> str:
+        """Return the first answer, from few starts.
+
+        wanted: the requested error [m], or None.
+        """
+        cache, few = self.cache, self.few
+        shipped = cache.score(self.shipped, few).error
+        said = f"first answer, from {few} of {self.all} starts: "
+        said += f"the shipped settings have an error of {metres(shipped)}"
+        scores = [(cache.score(s, few), k, s) for k, s in enumerate(cache.screened)]
+        good = [score for score in scores if score[0].error <= (wanted or shipped)]
+        if good:
+            score, _, settings = min(good, key=lambda entry: (entry[0].price, entry[1]))
+            share = score.price / cache.score(self.shipped, few).price
+            said += f"; {label(settings)} has {metres(score.error)} at {times(share)} the work"
+        return f"{said}; the search goes on"
 
     def best(self, whole: bool) -> list[Settings]:
         """Return the settings to run from all starts, and those that failed.
