@@ -21,6 +21,9 @@ from stepcore.report.units import counted
 
 # The smallest and the largest number of rounds over all settings, and the time for fast rounds [s].
 ROUNDS, MOST, LONG = 3, 9, 4.0
+# A run timed for this long in all is not timed again [s]: the median of more times would differ by
+# less than the load of a machine makes them differ.
+ENOUGH = 0.5
 # Shorter runs are repeated, because their time alone is too inaccurate [s].
 SHORT = 1e-3
 # The operations per step and (dofs + 2) of a robot with few contacts.
@@ -76,9 +79,9 @@ def costs(runs: Sequence[TimedRun], bar: Progress) -> list[float]:
     """Measure the computing time of each run [µs per simulated second], on one thread.
 
     The time is the median over several rounds. A round makes every run once, so that other load on
-    the machine affects all runs alike. Only the steps are timed, with one call per control period.
-    Time in which the thread had no core does not count. A run that fails, or that the deadline
-    leaves out, gives NaN.
+    the machine affects all runs alike; later rounds make the short ones only. Only the steps are
+    timed, with one call per control period. Time in which the thread had no core does not count. A
+    run that fails, or that the deadline leaves out, gives NaN.
     """
     time = deadline.current() or deadline.Deadline()
     with time.stage(f"all timing of {counted(len(runs), 'setting')}"):
@@ -92,7 +95,8 @@ def costs(runs: Sequence[TimedRun], bar: Progress) -> list[float]:
 def _round(runs: Sequence[TimedRun], bar: Progress | None) -> float:
     spent = 0.0
     for run in runs:
-        spent += run.again()
+        if sum(run.times) < ENOUGH:
+            spent += run.again()
         if bar is not None:
             bar.advance()
     return spent

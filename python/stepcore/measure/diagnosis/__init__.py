@@ -12,6 +12,7 @@ import numpy as np
 from stepcore.deadline import in_time
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.linear_maps import INTEGRATORS
+from stepcore.executors import checkpoint
 from stepcore.experiment.arguments import Source, set_up
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
@@ -213,6 +214,7 @@ def _element_limits(here: StepStability) -> dict[Element, ElementLimits]:
         for element in motion.elements:
             if element == INERTIAL:
                 continue
+            checkpoint()
             limits = isolated.limits(element, softened_from(here.model, element))
             known = elements.get(element)
             if limits.acts and (known is None or limits.stiffness > known.stiffness):

@@ -23,6 +23,7 @@ from stepcore.engine.control import Control, controls, fresh
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.executors import checkpoint
 from stepcore.experiment.converged import converged_settings
 from stepcore.measure.diagnosis.elements import (
     acting_elements,
@@ -164,6 +165,7 @@ def step_map(model: Model, state: State, integrator: str, dt: float) -> Floats |
 
 def step_maps(model: Model, state: State, integrator: str, dt: float, count: int) -> Floats | None:
     """Return the product of A over `count` steps that make up dt [s]; None as in `step_map`."""
+    checkpoint()
     sim = sim_at(model, state, integrator=integrator, dt=dt / count)
     product, feedback = None, state.feedback
     function = None if feedback is None or feedback.order else fresh(feedback.function)
