@@ -135,11 +135,11 @@ COMMAND = ("predict", "lesson:stack", "--horizon", "0.2", "--threads", "1", "--s
 
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_prints_what_is_known_and_how_to_go_on(capsys, monkeypatch):
-    press(monkeypatch, {3 + 2})
+    press(monkeypatch, {3 + 4})
     status = main(COMMAND)
     out, err = capsys.readouterr()
     assert status == 130 and "The motion can be predicted" in out
-    assert re.search(r"Interrupted after .* s\. Not done: 1 of 3 starts\. `--seconds \d+`", out)
+    assert re.search(r"Interrupted after .* s\. Not done: 2 of 3 starts\. `--seconds \d+`", out)
     assert "what is known follows" in err
 
 
@@ -202,6 +202,7 @@ def test_a_long_check_says_first_what_the_file_alone_shows(capsys, clock, tmp_pa
             ("trade", "lesson:spring", "--further", "0"),
             r"shipped settings have an error of [\d.]+ mm",
         ),
+        (("predict", "lesson:spring"), "from 1 start: the motion can be predicted over all of"),
         (("ablate", "gymnasium:reacher"), r"\d+ of \d+ features add at most 1 mm"),
     ],
 )

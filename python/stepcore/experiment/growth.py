@@ -39,6 +39,7 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.sizes import scene_size
 from stepcore.report.progress import Progress
+from stepcore.report.units import counted, seconds
 
 # Size of the perturbations and of the common shift, relative to the scene's size or in radians.
 NEARBY, ASIDE = 1e-10, 1e-6
@@ -87,7 +88,8 @@ def growth(
 
     Perturbed runs that fail are ignored.
 
-    partly: whether the growth of the first starts alone is returned if the time is over.
+    partly: whether the growth of the first starts alone is returned if the time is over. The first
+        start is then measured before the others, for a first answer.
     """
     samples, schedule = runner.schedule.times, sampled(runner.schedule, runner.model.settings.dt)
     runner = Runner(runner.model, schedule)
@@ -95,23 +97,41 @@ def growth(
     count = len(runner.schedule.starts)
     # Runs of one start are adjacent, because similar worlds make a batch fast.
     order = sorted(range(len(schedule.starts)), key=lambda k: (k % count, k))
-    made: list[Run] = []
-    try:
-        screened(Runner(runner.model, schedule), settings, order, workers, bar, made=made)
-    except OutOfTime:
-        if not partly or len(made) <= DIRECTIONS:
-            raise
-    measured = len(made) // (1 + DIRECTIONS)
-    runs = dict(zip(order, made, strict=False))
-    factor = np.ones((measured, len(schedule.times)))
-    for k in range(count, len(schedule.starts)):
-        start = k % count
-        if start < measured and not (runs[k].failure or runs[start].failure):
-            far = separation(runs[start], runs[k]).max(axis=1, initial=0.0)
-            near = _begun(runner.bodies, schedule.starts[start], schedule.starts[k])
-            factor[start] = np.maximum(factor[start], far / near)
-    ends = [_end(schedule.times, growing) for growing in factor]
-    return Growth(schedule.times, factor, np.array(ends), samples, settings)
+    runs: dict[int, Run] = {}
+
+    def grown() -> Growth:
+        measured = len(runs) // (1 + DIRECTIONS)
+        factor = np.ones((measured, len(schedule.times)))
+        for k in range(count, len(schedule.starts)):
+            start = k % count
+            if start < measured and not (runs[k].failure or runs[start].failure):
+                far = separation(runs[start], runs[k]).max(axis=1, initial=0.0)
+                near = _begun(runner.bodies, schedule.starts[start], schedule.starts[k])
+                factor[start] = np.maximum(factor[start], far / near)
+        ends = [_end(schedule.times, growing) for growing in factor]
+        return Growth(schedule.times, factor, np.array(ends), samples, settings)
+
+    each, first = Runner(runner.model, schedule), 1 + DIRECTIONS if partly else 0
+    for some in (order[:first], order[first:]):
+        made: list[Run] = []
+        try:
+            screened(each, settings, some, workers, bar, made=made)
+        except OutOfTime:
+            if not partly or len(runs) + len(made) <= DIRECTIONS:
+                raise
+        finally:
+            runs.update(zip(some, made, strict=False))
+        if partly:
+            workers.deadline.tell(_first_answer(grown(), schedule.horizon))
+    return grown()
+
+
+def _first_answer(grown: Growth, horizon: float) -> str:
+    """Return the predictable time from the starts so far, in words."""
+    time = grown.overall
+    how = f"for {seconds(time)}" if np.isfinite(time) else f"over all of {seconds(horizon)}"
+    starts = counted(len(grown.ends), "start")
+    return f"first answer, from {starts}: the motion can be predicted {how}; others are run now"
 
 
 def sampled(schedule: Schedule, dt: float) -> Schedule:

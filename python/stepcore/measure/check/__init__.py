@@ -44,6 +44,7 @@ __all__ = ["Check", "check"]
 
 # The share of the time (`seconds`) at which the run as shipped ends.
 MONITORED = 0.5
+AS_SHIPPED = "the run as shipped"
 # What the scene alone says is told if the check still runs after this time [s].
 SOON = 0.8
 # Default number of control periods of the run.
@@ -156,7 +157,8 @@ class Check(Result):
             yield from (f"- {finding.severity}: {finding.text}" for finding in self.findings)
         else:
             explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
-            yield f"No problems found{' other than the time step' if explodes else ''}."
+            so_far = " so far" if AS_SHIPPED in self.not_done else ""
+            yield f"No problems found{' other than the time step' if explodes else so_far}."
         if self.diagnosis is not None:
             said = self.diagnosis.sentences
             if math.isinf(self.diagnosis.limit()) or self.diagnosis.rate is None:
@@ -254,7 +256,7 @@ def check(
     far = horizon_of(compiled, _held(compiled, motion), horizon)
     schedule = _schedule(compiled, motion, far.length)
     failure, seen = list[Finding](), list[Finding]()
-    with setup.workers.deadline.stage("the run as shipped", MONITORED):
+    with setup.workers.deadline.stage(AS_SHIPPED, MONITORED):
         failure, seen = _monitored(compiled, schedule, wanted)
     with setup.workers.deadline.stage("runs of the cures that the scene alone suggests", MONITORED):
         read = proven(read, compiled)
