@@ -19,7 +19,7 @@ from stepcore.measure.diagnosis.limits import Limit, StepStability, step_stabili
 from stepcore.measure.diagnosis.linear_step import sim_at, state_of
 from stepcore.measure.diagnosis.motion_check import Judge, Outcome
 from stepcore.measure.diagnosis.servo_range import crossing_dt
-from stepcore.measure.diagnosis.shares import Shares, limiting_shares
+from stepcore.measure.diagnosis.shares import Shares, limiters, limiting_shares
 
 # Relative resolution of a limit that the motion decides.
 FINE = 0.02
@@ -75,7 +75,7 @@ def judged_limit(
     if outcome.element is not None:
         return replace(limit, dt=dt, state=0, outcome=outcome.kind), {outcome.element: 1.0}
     moved = replace(limit, dt=dt, state=0, outcome=outcome.kind)
-    return moved, _shares_of_run(here, judge, limit.integrator, beyond) or shares
+    return moved, _shares_of_run(here, judge, limit.integrator, beyond)
 
 
 def first_failing(holds: Callable[[float], bool], low: float, high: float) -> float:
@@ -203,7 +203,7 @@ def _spinning(here: StepStability, limit: Limit) -> Shares:
 
 
 def _shares_of_run(here: StepStability, judge: Judge, integrator: str, dt: float) -> Shares:
-    """Return the elements' shares in the growth of a run that explodes, at the onset of growth."""
+    """Return equal shares for the elements that limit dt at the onset of growth of a run, or {}."""
     calm = judge.run(integrator, dt).calm
     if calm is None:
         return {}
@@ -216,4 +216,6 @@ def _shares_of_run(here: StepStability, judge: Judge, integrator: str, dt: float
         return {}
     if there.growth(integrator, dt, 0).stable:
         return {}
-    return limiting_shares(there, Limit(integrator, dt, 0))
+    at = Limit(integrator, dt, 0)
+    elements = limiters(there, at, limiting_shares(there, at))
+    return dict.fromkeys(elements, 1 / max(len(elements), 1))

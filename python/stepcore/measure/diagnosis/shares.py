@@ -213,10 +213,12 @@ MOST_RISE, RISE_FINE = 4.0, 0.05
 # An element limits dt alone if softening it raises the limit by the first factor. If not, a group
 # of equal elements does, whose gains differ by no more than the second factor.
 ALONE, ALIKE = 1.4, 1.25
+# The least rise of the limit by which softening moves it at all; the search resolves half of this.
+MOVES = 1.1
 
 
 def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[Element, ...]:
-    """Return the elements that limit dt: several if no single one does, () if none has a share."""
+    """Return the elements that limit dt: several if no single one does, () if none moves it."""
     by_share = sorted(shares, key=lambda element: -shares[element])
     partaking = [element for element in by_share if shares[element] >= PARTAKES][:MOST]
     if not partaking:
@@ -253,7 +255,15 @@ def _effective(
         return (best,)
     group = sorted(e for e in by_share if shares[e] > HELD and _equal(rise.motion, e, best))
     together = len(group) > 1 and rise.without(group) > ALIKE * rises[best]
-    return tuple(group) if together else (best,)
+    if together:
+        return tuple(group)
+    if rises[best] >= MOVES:
+        return (best,)
+    # No single element moves the limit: the fewest with the largest shares that do so together.
+    for count in range(2, len(partaking) + 1):
+        if rise.without(partaking[:count]) >= MOVES:
+            return tuple(partaking[:count])
+    return ()
 
 
 class _Rise:
