@@ -18,6 +18,7 @@ from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import HORIZON
 from stepcore.measure.diagnosis.advice import Advice, ways
+from stepcore.measure.diagnosis.circulation import circulation
 from stepcore.measure.diagnosis.confirmation import Confirmation
 from stepcore.measure.diagnosis.control import KIND
 from stepcore.measure.diagnosis.control_advice import control_ways, longest_period
@@ -152,6 +153,8 @@ def diagnose(
         saturations=seen.saturations,
         lasting=seen.lasting,
         runaway=seen.runaway,
+        circulation=circulation(here),
+        gained=seen.gained,
     )
 
 

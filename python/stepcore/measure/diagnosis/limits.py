@@ -259,8 +259,10 @@ class Limit:
         `shortest` is unstable.
     state: the index of the state that decides, -1 if none does.
     longest, shortest: the range of the steps tried [s].
-    outcome: what the motion itself does beyond dt, "explodes" or "chatters", if a run of the real
-        step moved the limit; else "".
+    outcome: what the motion itself does beyond dt, "explodes", "passes" (a body through another
+        one) or "chatters", if a run of the real step moved the limit; "turns" if a spinning body
+        makes more than half a turn in a longer step; else "".
+    speed: the angular speed of the spinning body that limits dt [rad/s]; None for other limits.
     """
 
     integrator: str
@@ -269,6 +271,7 @@ class Limit:
     longest: float = LONGEST
     shortest: float = SHORTEST
     outcome: str = ""
+    speed: float | None = None
 
 
 def dt_limit(

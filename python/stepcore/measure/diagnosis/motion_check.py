@@ -134,6 +134,17 @@ class Judge:
         """Whether the motion moves nothing faster than slowly."""
         return self.fine.peak <= self.floor
 
+    def gained(self, run: MotionRun) -> float:
+        """Return the energy that a run gains and the fine run does not, over the fine peak.
+
+        The result is 0 for a motion that actuators drive: their work is no error.
+        """
+        model = self.real.model
+        if model.nu and model.scene.features.actuation:
+            return 0.0
+        gained = run.gained - max(self.fine.gained, 0.0)
+        return max(gained, 0.0) / max(self.fine.peak, self.floor)
+
     def run(self, integrator: str, dt: float, more: float = 1.0) -> MotionRun:
         """Return the run of the motion at a step, over the time of the fine run.
 

@@ -13,10 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepcore.engine.element import INERTIAL
+from stepcore.engine.element import INERTIAL, Element
+from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.growth import bisected
 from stepcore.measure.diagnosis.limits import Limit, StepStability, step_stability
-from stepcore.measure.diagnosis.linear_step import sim_at, state_of
+from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
 from stepcore.measure.diagnosis.motion_check import Judge, Outcome
 from stepcore.measure.diagnosis.servo_range import crossing_dt
 from stepcore.measure.diagnosis.shares import Shares, limiters, limiting_shares
@@ -45,11 +46,51 @@ def judged_limit(
 ) -> tuple[Limit, Shares]:
     """Return the limit of an integrator, corrected by the motion, and the elements' shares in it.
 
+    A body that spins freely and limits dt does so from half a turn in a step at the latest: beyond,
+    its orientation at the steps no longer shows which way it turns.
+
     here: the linearised step at the states.
     judge: the runs of the motion; None for no correction.
     wanted: the wanted dt [s].
     limit: the limit of the linearised step.
     """
+    limit, shares = _judged(here, judge, wanted, limit)
+    spinning = _spin(shares)
+    if not math.isfinite(limit.dt) or spinning is None:
+        return limit, shares
+    decides = [here.states[limit.state]] if limit.state >= 0 and not limit.outcome else here.states
+    speed = max(_speed(here.model, state, spinning.index) for state in decides)
+    limit = replace(limit, speed=speed)
+    half = math.pi / max(speed, 1e-300)
+    if half < limit.dt and _spins_freely(here.model, spinning.index):
+        limit = replace(limit, dt=half, outcome="turns")
+    return limit, shares
+
+
+def _spin(shares: Shares) -> Element | None:
+    """Return the spin with the largest share, if spins and inertial forces lead the shares."""
+    by_share = sorted(shares, key=lambda element: -shares[element])
+    while by_share and by_share[0] == INERTIAL:
+        by_share = by_share[1:]
+    first = by_share[0] if by_share else INERTIAL
+    return first if first.kind == "spin" and shares[first] > 0 else None
+
+
+def _speed(model: Model, state: State, body: int) -> float:
+    """Return the angular speed of a body at a state [rad/s]."""
+    return float(np.linalg.norm(sim_at(model, state).cvel[body, :3]))
+
+
+def _spins_freely(model: Model, body: int) -> bool:
+    """Return whether a body hangs on a free or a ball joint."""
+    joints = np.flatnonzero(model.jnt_body == body).tolist()
+    return any(model.jnt_type[joint] in ("free", "ball") for joint in joints)
+
+
+def _judged(
+    here: StepStability, judge: Judge | None, wanted: float, limit: Limit
+) -> tuple[Limit, Shares]:
+    """Return the limit and the shares of `judged_limit`, from the step and the motion alone."""
     shares = limiting_shares(here, limit)
     if math.isfinite(limit.dt) and not any(shares.values()):
         shares = _spinning(here, limit) or shares

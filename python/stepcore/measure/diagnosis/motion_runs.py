@@ -61,6 +61,7 @@ class MotionRun:
     reached: the time that the run reached [s].
     finite: whether the run stayed finite.
     peak: the largest kinetic energy [J].
+    gained: the largest rise of the total energy above its start, at the samples [J].
     times: the times of the samples [s].
     energies: the kinetic energies of the samples [J].
     jumps: for each actuator, the share of the steps in the later half of the run in which its force
@@ -77,6 +78,7 @@ class MotionRun:
     reached: float
     finite: bool
     peak: float
+    gained: float
     times: Floats = field(repr=False)
     energies: Floats = field(repr=False)
     jumps: Floats = field(repr=False)
@@ -183,6 +185,7 @@ class _Watch(Probe):
         self.saturated = np.zeros(sim.model.nu, bool)
         self.times: list[float] = []
         self.energies: list[float] = []
+        self.totals: list[float] = []
         self.seen: list[Any] = []
         self.calm: State | None = None
         # The largest energy in this sample, and the ends at which the forces were one step before.
@@ -222,6 +225,7 @@ class _Watch(Probe):
         sim = self.sim
         self.times.append(self.done * sim.settings.dt)
         self.energies.append(energy)
+        self.totals.append(float(sim.energy.total))
         self.passages.observe(sim)
         if energy > self.bound:
             raise _Ended
@@ -240,6 +244,7 @@ class _Watch(Probe):
             reached=self.done * settings.dt,
             finite=finite,
             peak=max(self.energies),
+            gained=max(self.totals) - self.totals[0],
             times=np.array(self.times),
             energies=np.array(self.energies),
             jumps=np.mean(later, axis=0) if later else nothing,

@@ -14,6 +14,7 @@ from stepcore.engine.element import INERTIAL, Element, Elements
 from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis import words
 from stepcore.measure.diagnosis.advice import MARGIN, Advice
+from stepcore.measure.diagnosis.circulation import Circulation
 from stepcore.measure.diagnosis.isolated import ElementLimits
 from stepcore.measure.diagnosis.limits import Limit
 from stepcore.measure.diagnosis.linear_step import State
@@ -21,13 +22,15 @@ from stepcore.measure.diagnosis.motion_check import Outcome, Runaway
 from stepcore.measure.diagnosis.saturation import Saturation
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, seconds, times
+from stepcore.report.units import counted, percent, seconds, times
 
 DT = "largest stable dt [s]"
 # Number of elements printed by default.
 PRINTED = 6
 # From this stability margin on, accuracy and not stability limits dt.
 AMPLE = 10.0
+# From this share of its energy on, what the integrator adds to a motion is told.
+GAINED = 0.01
 # Growth by less than e to this power over the horizon is called slow, not an explosion.
 SLOW = 10.0
 
@@ -57,6 +60,10 @@ class Diagnosis(Result):
         None if there is none within ten horizons.
     runaway: how the motion blows up at every step tried; None if it does not.
     ran: a description of the motion that was run.
+    circulation: servos whose forces derive from no energy and make the motion grow; None if there
+        are none.
+    gained: the energy that the integrator adds at the wanted dt to a motion that nothing drives,
+        over its largest kinetic energy.
     longest_period: the longest stable control period at the wanted step [s], inf beyond the
         horizon; None without a control function and a control_dt.
     """
@@ -90,6 +97,8 @@ class Diagnosis(Result):
     runaway: Runaway | None = None
     ran: str = ""
     longest_period: float | None = None
+    circulation: Circulation | None = None
+    gained: float = 0.0
 
     @property
     def horizon(self) -> float:
@@ -177,7 +186,12 @@ class Diagnosis(Result):
         limit = self.limits[self.settings.integrator]
         if self.runaway is not None:
             yield words.blown_up(self.runaway)
-        yield self._answer(limit)
+        if self.circulation is not None:
+            yield words.circulatory(self.circulation)
+        answer = self._answer(limit)
+        if self.circulation is not None:
+            answer = f"In the motion that grows so, {answer[0].lower()}{answer[1:]}"
+        yield answer
         yield from (words.chatter(s) for s in self.saturations if s.reached or s.severe)
         if self.lasting is not None:
             yield words.late_growth(self.horizon, self.wanted, self.lasting)
@@ -198,6 +212,9 @@ class Diagnosis(Result):
         own, step = limit.integrator, f"A step of {seconds(self.wanted)}"
         elements, limiting = self._stiffest(own), self.limiting(own)
         traits = words.traits_of(limiting, len(elements) > 1) if limiting else ""
+        spins = any(element.kind == "spin" for element in elements)
+        if limit.speed is None or spins:
+            traits = words.state_of_limit(limit) or traits
         if math.isinf(limit.dt):
             judged = (
                 "until then" if self.runaway else f"judged over {seconds(self.horizon)} of motion"
@@ -215,6 +232,8 @@ class Diagnosis(Result):
             return f"{step} {self._failure(limit, limiting)} under {own}: {cause}."
         until = "until then" if self.runaway else f"over {seconds(self.horizon)}"
         margin = limit.dt / self.wanted
+        if self.gained >= GAINED:
+            until += f", in which the integrator adds {percent(self.gained)} to its energy"
         stable = f"{step} is stable under {own} {until}, with a stability margin of {times(margin)}"
         if margin < AMPLE:
             return f"{stable}: {cause}."
@@ -225,6 +244,8 @@ class Diagnosis(Result):
 
     def _failure(self, limit: Limit, limiting: ElementLimits | None) -> str:
         """Return the verb phrase for the failure beyond the limit."""
+        if limit.outcome in ("passes", "turns"):
+            return words.BEYOND[limit.outcome]
         if limit.outcome == "explodes" and self.observed is not None:
             return f"explodes after {seconds(self.observed.time)}"
         kind = limiting.element.kind if limiting else ""
@@ -294,10 +315,11 @@ class Diagnosis(Result):
             "element": row.name,
             "kind": row.element.kind,
             "index": row.element.index,
-            "frequency": row.omega / (2 * math.pi),
-            "omega": row.omega,
+            # Beyond these rates the state was blowing up, and its frequencies mean nothing.
+            "frequency": row.omega / (2 * math.pi) if row.omega < words.PRINTED[1] else None,
+            "omega": row.omega if row.omega < words.PRINTED[1] else None,
             "ratio": None if math.isnan(row.ratio) else row.ratio,
-            "rate": row.rate,
+            "rate": row.rate if row.rate < words.PRINTED[1] else None,
             "share": shares.get(row.element, 0.0),
             "softened": row.softened if math.isfinite(row.softened) else None,
             "state": self.states[row.state].label,
@@ -381,7 +403,7 @@ class Diagnosis(Result):
         ]
         plain = (
             *("wanted", "advice", "physical", "ran", "rate", "horizon", "observed", "saturations"),
-            *("lasting", "runaway", "longest_period"),
+            *("lasting", "runaway", "longest_period", "circulation", "gained"),
         )
         return {"limits": limits, "states": states} | {name: getattr(self, name) for name in plain}
 

@@ -90,6 +90,8 @@ class Observation:
     saturations: servos that chatter.
     lasting: see `Judge.lasting`.
     runaway: how the motion blows up at every step; None if it does not.
+    gained: the energy that the integrator adds to a motion that nothing drives, over the largest
+        kinetic energy of a fine run.
     """
 
     limit: Limit
@@ -98,6 +100,7 @@ class Observation:
     saturations: list[Saturation] = field(default_factory=list)
     lasting: float | None = None
     runaway: Runaway | None = None
+    gained: float = 0.0
 
 
 def look(judge: Judge | Runaway | None, limit: Limit, shares: Shares, wanted: float) -> Observation:
@@ -126,7 +129,7 @@ def look(judge: Judge | Runaway | None, limit: Limit, shares: Shares, wanted: fl
         return Observation(limit, shares, outcome, chatter)
     limit, shares, chatter = kicked(judge, limit, shares, wanted)
     lasting = judge.lasting(limit.integrator, wanted) if outcome.holds else None
-    return Observation(limit, shares, outcome, chatter, lasting)
+    return Observation(limit, shares, outcome, chatter, lasting, gained=judge.gained(run))
 
 
 def kicked(

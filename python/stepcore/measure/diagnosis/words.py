@@ -6,8 +6,9 @@ import math
 from collections.abc import Iterator, Sequence
 
 from stepcore.engine.element import INERTIAL, Element, Elements, listed
+from stepcore.measure.diagnosis.circulation import Circulation
 from stepcore.measure.diagnosis.isolated import ElementLimits
-from stepcore.measure.diagnosis.limits import SHORTEST
+from stepcore.measure.diagnosis.limits import SHORTEST, Limit
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
 from stepcore.measure.diagnosis.motion_check import Runaway
 from stepcore.measure.diagnosis.saturation import Saturation
@@ -76,6 +77,42 @@ def traits_of(limits: ElementLimits, several: bool) -> str:
     elif low < limits.rate < high:
         traits.append(f"damping rate {limits.rate:.4g}/s")
     return f" ({', '.join(traits)})" if len(traits) > several else ""
+
+
+# The failure beyond a limit, as a verb phrase.
+BEYOND = {
+    "passes": "lets a body pass through another one",
+    "turns": "lets a body make more than half a turn in a step",
+}
+
+
+def state_of_limit(limit: Limit) -> str:
+    """Return the state in which an element limits dt, where it does not limit it as usual; or "".
+
+    The frequency of an element on its own has nothing to do with these limits.
+    """
+    if limit.outcome == "passes":
+        return ", where a longer step lets one body pass through the other,"
+    if limit.outcome == "chatters":
+        return ", while saturated,"
+    if limit.speed is not None:
+        half = ", half a turn a step" if limit.outcome == "turns" else ""
+        return f" (at {limit.speed:.3g} rad/s{half})"
+    return ""
+
+
+def circulatory(circulation: Circulation) -> str:
+    """Return the sentence on servos whose forces derive from no energy."""
+    servos, one = Elements(circulation.elements).name, len(circulation.elements) == 1
+    on = f" on the joint {circulation.joint.removeprefix('joint ')}" if circulation.joint else ""
+    doubling = seconds(math.log(2) / circulation.growth)
+    rest = "does not grow" if circulation.without <= 0 else "hardly grows"
+    return (
+        f"{servos[0].upper()}{servos[1:]}{on} {'is' if one else 'are'} no gradient of an energy: "
+        f"turning, {'it feeds' if one else 'they feed'} the motion (circulatory forces, flutter), "
+        f"which doubles every {doubling} at any dt; without that part it {rest}. No dt and no "
+        "integrator cures that. An orientation servo for the whole rotation has an energy."
+    )
 
 
 def period_in_words(longest: float, asked: float, dt: float) -> str:
