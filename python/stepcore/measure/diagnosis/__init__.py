@@ -24,6 +24,7 @@ from stepcore.measure.diagnosis.control import KIND
 from stepcore.measure.diagnosis.control_advice import control_ways, longest_period
 from stepcore.measure.diagnosis.elements import softened_from
 from stepcore.measure.diagnosis.examination import Examination, examine
+from stepcore.measure.diagnosis.held import held
 from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.limits import Limit, StepStability
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
@@ -144,6 +145,7 @@ def diagnose(
         notes=[
             *notes(visited, list(elements.values()), horizon, confirmed),
             *map(gentle_chatter, gentle),
+            *held(here, list(elements.values()), limits[own]),
         ],
         rate=rate,
         ran=motion_in_words(model, motion, visited.schedule, often),
