@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.engine.element import Element
+from stepcore.engine.element import Element, ElementSlopes
 from stepcore.experiment.passage import Passages
-from stepcore.measure.diagnosis import motion_limit, shares
+from stepcore.measure.diagnosis import held_elements, motion_limit, shares
 from stepcore.measure.diagnosis.circulation import circulatory
+from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.motion_check import Outcome
 
 # Steps beyond a limit are run on purpose.
@@ -260,3 +261,21 @@ def test_an_element_is_named_only_if_it_moves_the_limit(monkeypatch):
         for needed in ([b], [a, b], [])
     ]
     assert named == [(b,), (a, b), ()]
+
+
+def test_what_holds_an_element_is_found_by_leaving_out_the_others():
+    """Law: ω h < 2 for the spring alone; a strong damper, treated implicitly, holds it."""
+    spring, damper, weak = (
+        Element(kind, 0, -1, name, kind)
+        for kind, name in (("spring", "s"), ("damper", "d"), ("actuator", "a"))
+    )
+    stiffness, damping = np.array([[1e6]]), np.array([[1e4]])
+    parts = {
+        spring: ElementSlopes.of(stiffness, 0 * stiffness),
+        damper: ElementSlopes.of(0 * stiffness, damping),
+        weak: ElementSlopes.of(stiffness / 1e6, 0 * stiffness),
+    }
+    rates = np.array([[0.0, 1.0], [-1e6 - 1.0, -1e4]])
+    motion = LinearMotion(np.eye(1), rates, parts, {"euler": frozenset({damper})})
+    assert held_elements._holder(motion, spring, "euler", 3e-3, 1.0) == damper
+    assert held_elements._holder(motion.scaled([damper], 1e-3), spring, "euler", 3e-3, 1.0) is None

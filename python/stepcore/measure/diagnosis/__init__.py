@@ -24,7 +24,7 @@ from stepcore.measure.diagnosis.control import KIND
 from stepcore.measure.diagnosis.control_advice import control_ways, longest_period
 from stepcore.measure.diagnosis.elements import softened_from
 from stepcore.measure.diagnosis.examination import Examination, examine
-from stepcore.measure.diagnosis.held import held
+from stepcore.measure.diagnosis.held_elements import held
 from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.limits import Limit, StepStability
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
