@@ -179,7 +179,7 @@ def ablation(result: Ablation) -> Any:
     work, error = figure.subplots(1, 2, sharey=True)
     places = list(range(len(rows)))[::-1]
     measured = [row.outcome.worst for row in rows if result.measurable(row)]
-    low = _floor(measured, result.tolerance)
+    low = _floor([*measured, result.tolerance], result.tolerance)
     for place, row in zip(places, rows, strict=True):
         share, added, colour = 100 * result.saved(row), row.outcome.worst, _colour(result, row)
         bar(work, place, share, colour, f"{share:.1f}" if abs(share) < 10 else f"{share:.0f}")

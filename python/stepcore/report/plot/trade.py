@@ -160,11 +160,6 @@ def _asked(axes: Any, trade: Trade) -> None:
         kept, error = trade.kept, trade.verified or trade.target
         axes.axhline(error, **dashed)
         axes.axhspan(kept, error, color="#F0F0F0", zorder=0)
-        # At the left, where the cheap settings are above the line.
-        text = f"target {metres(error)}, kept to {metres(kept)}"
-        style: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "va": "top"}
-        style["bbox"] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
-        axes.text(0.01, 0.97 * kept, text, fontsize=SMALL, color=GREY, **style)
     elif trade.budget is not None:
         axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **dashed)
 
@@ -238,6 +233,10 @@ def _legend(figure: Any, trade: Trade, good: list[TradeRow], failed: bool) -> No
     if any(row.settings.precision == "f32" for row in good):
         entries.append(line("single precision", marker="o", mec=GREY, ms=6, **hollow))
     entries.append(line("best for its cost", color="black", lw=1.3))
+    if trade.target is not None:
+        error = trade.verified or trade.target
+        text = f"target {metres(error)},\nkept to {metres(trade.kept)}"
+        entries.append(line(text, color=GREY, ls="--", lw=1.0))
     if trade.passed_over is not None:
         ring: dict[str, Any] = {"ls": "none", "ms": 12, "mfc": "none", "mec": GREY, "mew": 1.6}
         entries.append(line(_why_not(trade, trade.passed_over), marker="o", **ring))
