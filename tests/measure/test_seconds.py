@@ -135,7 +135,7 @@ COMMAND = ("predict", "lesson:stack", "--horizon", "0.2", "--threads", "1", "--s
 
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_prints_what_is_known_and_how_to_go_on(capsys, monkeypatch):
-    press(monkeypatch, {3 + 4})
+    press(monkeypatch, {1 + 4})
     status = main(COMMAND)
     out, err = capsys.readouterr()
     assert status == 130 and "The motion can be predicted" in out

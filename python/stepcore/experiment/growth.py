@@ -60,6 +60,7 @@ class Growth:
     ends: when the factor of each start first exceeds 1e3 [s], (starts,); inf if never.
     samples: the times of the samples at which errors are measured [s].
     settings: the settings of the perturbed runs.
+    failure: the reason why a run from a start itself failed; None if none did.
     """
 
     times: np.ndarray
@@ -67,6 +68,7 @@ class Growth:
     ends: np.ndarray
     samples: np.ndarray
     settings: Settings
+    failure: str | None = None
 
     @property
     def overall(self) -> float:
@@ -109,7 +111,9 @@ def growth(
                 near = _begun(runner.bodies, schedule.starts[start], schedule.starts[k])
                 factor[start] = np.maximum(factor[start], far / near)
         ends = [_end(schedule.times, growing) for growing in factor]
-        return Growth(schedule.times, factor, np.array(ends), samples, settings)
+        own = (runs[k] for k in range(count) if k in runs)
+        failure = next((run.failure for run in own if run.failure), None)
+        return Growth(schedule.times, factor, np.array(ends), samples, settings, failure)
 
     each, first = Runner(runner.model, schedule), 1 + DIRECTIONS if partly else 0
     for some in (order[:first], order[first:]):

@@ -251,10 +251,10 @@ class ReferenceRuns:
         solves = 1.0 if integrator == "rk4" else 0.25
         return steps * (self.runner.model.nv + 2) * solves * self.weight
 
-    def level(self, integrator: str, dt: float, bar: Progress) -> Level:
-        """Run from all starts at one time step, until one run fails."""
-        job = partial(self.runner.run, self.settings(integrator, dt))
-        runs = self.workers.until(lambda run: run.failure, job, self.runner.starts, bar)
+    def level(self, integrator: str, dt: float, bar: Progress, starts: int | None = None) -> Level:
+        """Run from the first `starts` (all by default) at one time step, until one run fails."""
+        job, some = partial(self.runner.run, self.settings(integrator, dt)), self.runner.starts
+        runs = self.workers.until(lambda run: run.failure, job, some[:starts], bar)
         self.spent += self.cost(integrator, dt) * len(runs) / self.starts
         return Level(dt, integrator, runs)
 
@@ -336,7 +336,7 @@ class ReferenceRuns:
         return chosen
 
     def growth(self, bar: Progress) -> tuple[Level, Growth]:
-        """Measure the growth of perturbations; return the unperturbed runs and the growth.
+        """Measure the growth of perturbations; return the run from the first start and the growth.
 
         If the time is over, the growth is that of the first starts.
 
@@ -344,11 +344,15 @@ class ReferenceRuns:
         """
         for dt in (self.shipped.dt / shorter for shorter in SHORTER):
             for integrator in ("rk4", self.second):
-                base = self.level(integrator, dt, bar)
-                if not base.failed:
+                base = self.level(integrator, dt, bar, starts=1)
+                failure = base.failed
+                if not failure:
                     self._refuse_runaway([base])
-                    return base, self._growth(integrator, dt, bar, partly=True)
-        raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
+                    grown = self._growth(integrator, dt, bar, partly=True)
+                    failure = grown.failure
+                if not failure:
+                    return base, grown
+        raise ValueError(f"the scene fails at dt = {dt:g} s: {failure}")
 
     def can_refine(self, reference: Reference) -> bool:
         """Return whether a further halving is affordable and can still improve the reference."""

@@ -209,7 +209,7 @@ def predict(
     runner.check_repeatable()
     # Sleeping bodies would hide the growth of perturbations.
     runs = ReferenceRuns(runner, model.settings.replace(sleep=False), min(steps), 0.0, workers)
-    with workers.bar("runs", (2 + DIRECTIONS) * runs.starts) as bar:
+    with workers.bar("runs", 1 + (1 + DIRECTIONS) * runs.starts) as bar:
         level, growth = runs.growth(bar)
     lost = runs.starts - len(growth.ends)
     if lost:
