@@ -2,6 +2,8 @@
 
 import re
 
+import menagerie
+import numpy as np
 import pytest
 from test_findings import G, the, watched
 
@@ -68,3 +70,27 @@ def test_a_joint_that_a_servo_moves_does_not_creep():
     scene = sc.loads(ARM.format("").replace("</mujoco>", servo))
     _, findings = watched(scene, control=lambda time, sim: [0.2 * time])
     assert not [one for one in findings if one.kind == "creep"]
+
+
+@menagerie.needed
+def test_the_creep_of_a_quadruped_that_a_cure_leaves_is_how_far_its_feet_drift():
+    """Under a PD controller it sways; the drift of the feet is measured without contacts."""
+    scene = sc.load(menagerie.FOLDER / "unitree_go2" / "scene.xml")
+    model = scene.compile()
+    home = np.array(model.keys[0].qpos[7:])
+
+    def stand(time, sim):
+        return 100 * (home - sim.qpos[7:]) - 3 * sim.qvel[6:]
+
+    result = sc.run(scene, control=stand, horizon=2.0, progress=False)
+    one = next(f for f in result.findings if f.kind == "creep")
+    impratio, left = re.search(r'impratio="(\d+)" leaves ([\d.]+) µm/s', one.text).groups()
+    sim = sc.Sim(model.with_settings(cone="elliptic", impratio=float(impratio)))
+    sim.reset(0)
+    foot, places = model.index("geom", "RR"), []
+    for _ in range(1000):
+        sim.ctrl = stand(0, sim)
+        sim.step()
+        places.append(np.array(sim.geom_xpos[foot][:2]))
+    drift = float(np.linalg.norm(places[-1] - places[499]))
+    assert drift == pytest.approx(float(left) * 1e-6, rel=0.3) and drift < one.value / 20

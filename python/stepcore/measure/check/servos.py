@@ -82,7 +82,8 @@ def _too_weak(model: Model, qpos: np.ndarray, where: str, seen: set[int]) -> Ite
             continue
         need, (low, high) = load / gear, _forces(model, k)
         end = low if need < 0 else high
-        if abs(need) > BEYOND_RANGE * abs(end):
+        lacks = (need - end) * gear
+        if abs(need) > BEYOND_RANGE * abs(end) and not _sprung(model, joint, qpos, lacks):
             servo = bool(model.actuator_bias[k, 1] < 0)
             weak[servo].append((abs(need / end) if end else math.inf, k, need, end))
     for servo, some in weak.items():
@@ -102,6 +103,18 @@ def _too_weak(model: Model, qpos: np.ndarray, where: str, seen: set[int]) -> Ite
         kind = "servo too weak" if servo else "motor too weak"
         severity = "error" if servo else "remark"
         yield Finding(kind, severity, problem, cure, actuators, need, "", PLOT if servo else ())
+
+
+def _sprung(model: Model, joint: int, qpos: np.ndarray, lacks: float) -> bool:
+    """Return whether the spring of a joint gives a force within the joint's range.
+
+    lacks: the force that the joint lacks [N·m or N]; at the start its spring may not be loaded yet.
+    """
+    stiffness = Layout(model.scene).joints[joint].stiffness
+    low, high = (float(bound) for bound in model.jnt_range[joint])
+    if not model.scene.features.spring or stiffness <= 0:
+        return False
+    return low <= float(qpos[model.jnt_qposadr[joint]]) - lacks / stiffness <= high
 
 
 def _forces(model: Model, k: int) -> tuple[float, float]:

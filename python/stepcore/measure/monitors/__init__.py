@@ -109,7 +109,7 @@ class Monitor(Probe):
         every = (
             *self.tunnelling.findings(),
             *creep_findings(self.contacts, self.times[1:]),
-            *self.contacts.findings(depth),
+            *self.contacts.findings(depth, {at.pair for at in self.tunnelling.passed()}),
             *self.friction_losses.findings(self.times[1:]),
             *self.joints.findings(),
             *self.play.findings(),

@@ -168,10 +168,10 @@ class ContactMonitor:
 
     # Findings.
 
-    def findings(self, depth: float | None) -> Iterator[Finding]:
+    def findings(self, depth: float | None, passed: Collection[int] = ()) -> Iterator[Finding]:
         """Yield all findings on contacts.
 
-        depth: see `Monitor.findings`.
+        depth: see `Monitor.findings`. passed: pairs that passed through each other.
         """
         resting, starts = list(self.resting()), self.starts
         jammed = self._jammed(starts, resting)
@@ -183,6 +183,7 @@ class ContactMonitor:
             deep = [*resting, *self.sunk()]
             yield from self._depths(deep, depth)
             known = {at.pair for at in (*starts, *deep) if at.depth > DEEP * self.thick(at.pair)}
+            known |= self._with_geoms_of(passed)
             yield from self._impacts([at for at in self.deepest() if at.pair not in known])
         yield from self._slides()
 
@@ -197,6 +198,12 @@ class ContactMonitor:
             reach = min(self.sizes.reach[geom] for geom in self.model.contact_pair(pair).geoms)
             lever = self.levers[pair] = reach if math.isfinite(reach) else UNKNOWN
         return lever
+
+    def _with_geoms_of(self, passed: Collection[int]) -> set[int]:
+        """Return the pairs seen that share a geom with a pair."""
+        geoms = {geom for pair in passed for geom in self.model.contact_pair(pair).geoms}
+        seen = {pair for pair, _ in self.seen} if geoms else set()
+        return {pair for pair in seen if geoms.intersection(self.model.contact_pair(pair).geoms)}
 
     def _named(self, pairs: Iterable[int]) -> tuple[Element, ...]:
         return named(self.model, "contact", pairs)

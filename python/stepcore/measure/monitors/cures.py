@@ -104,8 +104,9 @@ class _Trial:
         if untried:
             also = f", or {finding.cure}" if finding.cure else ""
             return dataclasses.replace(finding, cure=f"try {untried[0].words}{also}")
-        failed = "; ".join(cure.words for cure in tried)
-        failed = f"tried without success: {failed}" if failed else ""
+        # Of each way the first; the stronger ones have been tried, too.
+        first = [way[0].words for way in remedy.ways if way and way[0] in tried]
+        failed = f"tried without success, and more of it: {'; '.join(first)}" if first else ""
         return dataclasses.replace(finding, cure=finding.cure or failed)
 
     def _affordable(self, cure: Cure) -> bool:

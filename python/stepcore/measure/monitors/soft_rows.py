@@ -169,7 +169,7 @@ def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
     words += " on these geoms and what they touch"
     if dt == model.settings.dt:
         return Cure(words, changes)
-    return Cure(f"{words}, at a dt of {seconds(dt)},", changes, {"dt": dt})
+    return Cure(f"{words} at a dt of {seconds(dt)}", changes, {"dt": dt})
 
 
 def _resolved(solref: Sequence[float], settings: Settings) -> bool:
