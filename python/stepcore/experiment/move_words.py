@@ -40,7 +40,20 @@ class MoveWords:
         else:
             said = f"{what} move point to point over {seconds(MOVE)} to poses {far} away and back"
         jerk = " (minimum jerk)" if far else ""
-        return f"test motion: {said}{jerk}; {', '.join(self._loads())}"
+        return "; ".join([f"test motion: {said}{jerk}", ", ".join(self._loads()), *self._failed()])
+
+    def _failed(self) -> Iterator[str]:
+        """Yield why the machine, or some starts, do not move."""
+        hold = self.made.hold
+        if hold.failure:
+            yield f"it only holds the start, and that fails: {hold.failure}"
+        elif hold.fell is not None:
+            yield f"nothing holds this pose: the robot falls over within {seconds(hold.fell)}"
+        elif not self.made.keep and (still := sum(not move.moves for move in self.moves)):
+            yield (
+                f"{still} of {counted(len(self.moves), 'start')} only hold their pose, because "
+                "even small moves meet contacts, limits or the bounds of forces"
+            )
 
     def _far(self) -> str:
         """Return how far joints go: "up to 0.35 rad and 5 mm", or "" if none moves."""
@@ -74,15 +87,7 @@ class MoveWords:
             yield f"{self.names[most]} saturated {percent(float(full[most]))} of the time"
 
     def remarks(self) -> Iterator[str]:
-        """Yield what could not be reached."""
-        hold = self.made.hold
-        if hold.failure:
-            yield f"the motion holds the start, because holding it fails: {hold.failure}"
-        elif hold.fell is not None:
-            yield (
-                f"nothing holds the pose of the start: the robot falls over within "
-                f"{seconds(hold.fell)}, although its joints hold theirs"
-            )
+        """Yield what does not move, and what was not tried."""
         others = self.made.drives.of(OTHER)
         if others:
             names = ", ".join(self.names[k] for k in others[:NAMED])
@@ -91,17 +96,9 @@ class MoveWords:
                 "actuators that are no servos, and no motors of a joint, keep their controls: "
                 f"{names}{more}"
             )
-        if hold.failure or hold.fell is not None or self.made.keep:
-            return
         tried = len(self.trials)
         if tried < len(self.moves):
             yield f"the test motion was tried from {tried} of {counted(len(self.moves), 'start')}"
-        still = sum(not move.moves for move in self.moves)
-        if still:
-            yield (
-                f"{still} of {counted(len(self.moves), 'start')} only hold their pose: even small "
-                "moves meet contacts, limits or the bounds of forces"
-            )
 
 
 def _name(model: Model, kind: str, index: int) -> str:
