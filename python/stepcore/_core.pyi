@@ -139,7 +139,8 @@ class Settings:
         """Maximum number of sweeps, or Newton iterations, in a solve.
 
         "auto" iterates until the residual is within the tolerance, which must be > 0, or at
-        rounding, at most 10 000 times.
+        rounding, at most 10 000 times; under "rigid", "lesson" and "relaxed" a proximal method then
+        goes on with what is left.
         """
 
     @property

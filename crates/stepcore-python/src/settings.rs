@@ -182,7 +182,8 @@ settings! {
     /// Acceleration of projected Gauss-Seidel: "none" or "momentum".
     acceleration: Acceleration,
     /// Maximum number of sweeps, or Newton iterations, in a solve. "auto" iterates until the
-    /// residual is within the tolerance, which must be > 0, or at rounding, at most 10 000 times.
+    /// residual is within the tolerance, which must be > 0, or at rounding, at most 10 000 times;
+    /// under "rigid", "lesson" and "relaxed" a proximal method then goes on with what is left.
     sweeps: Sweeps,
     /// Residual at which a solve stops [m/s], >= 0; 0 always takes all sweeps.
     tolerance: f64,

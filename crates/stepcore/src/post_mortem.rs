@@ -49,6 +49,18 @@ pub struct Held {
     pub mocap_quat: Vec<f64>,
 }
 
+/// Rows to blame because they were not solved.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Missed {
+    pub element: Named,
+    /// Energy that they added at most, where the fault is one of energy [J].
+    pub added: Option<f64>,
+    /// The most by which they missed their law [m/s].
+    pub residual: f64,
+    /// Under sweeps 'auto' the same steps gain almost nothing.
+    pub auto: bool,
+}
+
 /// What a failed run tells about itself: one world, in `f64`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PostMortem {
@@ -68,6 +80,8 @@ pub struct PostMortem {
     pub since: Option<u64>,
     /// Kinetic and stored energy grow by exp(growth) a step.
     pub growth: Option<f64>,
+    /// Rows that answer for the failure, and no dt.
+    pub unsolved: Option<Missed>,
     pub stable: Stable,
     /// Time step [s], and the name of the integrator.
     pub dt: f64,
@@ -110,6 +124,21 @@ impl fmt::Display for PostMortem {
                 " The energy of motion and springs grows by a factor of {factor} per step \
                  (rate {rate} 1/s)."
             )?;
+        }
+        if let Some(missed) = &self.unsolved {
+            let whose = match &self.element {
+                Some(element) if *element == missed.element => "Its rows".into(),
+                _ => format!("The rows of {}{}", missed.element.article(), missed.element),
+            };
+            let residual = short(missed.residual);
+            write!(f, " {whose} are not solved: they miss their law by {residual} m/s")?;
+            if let Some(added) = missed.added {
+                write!(f, " and added {} J", short(added))?;
+            }
+            f.write_str(".")?;
+            if missed.auto {
+                f.write_str(" With sweeps='auto' these steps gain almost nothing.")?;
+            }
         }
         self.stable.fmt_under(self.integrator, f)
     }

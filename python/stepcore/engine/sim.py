@@ -253,7 +253,7 @@ class Sim(World):
         Raises ValueError for a duration or period that is not a whole number of steps, a control
         of the wrong shape, or a name that cannot be recorded; and the same errors as `step`. Warns
         (`UnsolvedWarning`) if, during half of the run, the residual exceeds the speed that gravity
-        adds in one step.
+        adds in one step; with ``sweeps="auto"``, if it ever does.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop(), dt=0.01)

@@ -2,7 +2,8 @@
 
 Impacts cause large residuals in single steps of healthy runs. A run is not healthy if the residual
 exceeds the speed that gravity adds in one step during half of the run: the rows then violate their
-constraints, so that a stack sinks, a wheel slips or a chain comes apart.
+constraints, so that a stack sinks, a wheel slips or a chain comes apart. With ``sweeps="auto"`` one
+such sample is enough: every step was to be solved.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ STAYS, FEWEST = 0.5, 16
 # The approximate number of samples of a run. A batch samples after FIRST, 2 FIRST, 4 FIRST, … steps
 # and warns of a world with this number of consecutive large residuals.
 LOOKS, FIRST, IN_A_ROW = 64, 64, 3
+# The most sweeps of ``sweeps="auto"``.
+MOST_SWEEPS = 10_000
 
 
 class UnsolvedWarning(UserWarning):
@@ -34,14 +37,14 @@ class Residuals:
     def __init__(self, sim: Any) -> None:
         self.large = _large(sim)
         self.seen: list[float] = []
-        self.row = ""
+        self.row, self.worst = "", 0.0
 
     def look(self, sim: Any) -> None:
         """Sample the residual of a Sim's last solve, and the row with the largest residual."""
         residual = float(sim.residual)
         self.seen.append(residual)
-        if residual > self.large:
-            self.row = _worst(sim.rows)
+        if residual > max(self.large, self.worst):
+            self.row, self.worst = _worst(sim.rows), residual
 
     @property
     def typical(self) -> float:
@@ -50,7 +53,8 @@ class Residuals:
 
     def sentence(self, settings: Settings) -> str:
         """Return a sentence on unsolved rows and a remedy; "" if there are none."""
-        return unsolved(settings, self.row, self.typical) if self.typical > self.large else ""
+        residual = self.worst if settings.sweeps == "auto" else self.typical
+        return unsolved(settings, self.row, residual) if residual > self.large else ""
 
 
 class BatchResiduals:
@@ -84,13 +88,14 @@ def unsolved(settings: Settings, row: str, residual: float) -> str:
     # Imported here because only the warning needs the units.
     from stepcore.report.units import speed
 
-    count, newton = settings.sweeps, settings.solver == "newton"
+    newton, auto = settings.solver == "newton", settings.sweeps == "auto"
+    count = MOST_SWEEPS if auto else settings.sweeps
     noun = ("iteration" if newton else "sweep") + ("" if count == 1 else "s")
     with_ = f"{count} {noun} of {settings.solver}"
-    cures = [] if settings.sweeps == "auto" else ['sweeps="auto"']
+    cures = [] if auto else ['sweeps="auto"']
     if settings.law == "solref":
         cures += ['acceleration="momentum"'] if newton else ['solver="newton"']
-    cure = f"; {' or '.join(cures)} solves them" if cures else "; a smaller dt may solve them"
+    cure = f"; {' or '.join(cures)} solves them" if cures else ", the most that auto makes"
     return f"rows stay unsolved: {row} misses its law by {speed(residual)} with {with_}{cure}"
 
 

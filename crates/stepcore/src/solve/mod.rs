@@ -21,6 +21,7 @@ mod momentum;
 mod newton;
 mod noslip;
 mod pgs;
+mod proximal;
 mod relative;
 mod residual;
 pub(crate) mod rows;

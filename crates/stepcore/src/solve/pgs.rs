@@ -27,9 +27,11 @@ pub struct Pgs<R: Real> {
     islands: Islands,
     sweeps: Sweeps<R>,
     momentum: Momentum<R>,
+    /// Islands that used up their sweeps, and in which lanes.
+    pub(super) open: Vec<(usize, R::Mask)>,
 }
 
-room!(Pgs<R>: ; islands, sweeps, momentum);
+room!(Pgs<R>: open; islands, sweeps, momentum);
 
 impl<R: Real> Default for Pgs<R> {
     fn default() -> Self {
@@ -39,7 +41,22 @@ impl<R: Real> Default for Pgs<R> {
 
 impl<R: Real> Pgs<R> {
     pub fn new() -> Self {
-        Self { islands: Islands::default(), sweeps: Sweeps::new(), momentum: Momentum::new() }
+        Self {
+            islands: Islands::default(),
+            sweeps: Sweeps::new(),
+            momentum: Momentum::new(),
+            open: Vec::new(),
+        }
+    }
+
+    /// The blocks of an island of the rows that were solved last.
+    pub(super) fn blocks_of(&self, island: usize) -> &[usize] {
+        self.islands.of(island)
+    }
+
+    /// √(A/m) of these rows.
+    pub(super) fn weight(&self) -> &[R] {
+        &self.sweeps.weight
     }
 
     /// The last island's contacts stood side by side.
@@ -61,7 +78,8 @@ impl<R: Real> Pgs<R> {
         rows: &mut Rows<R>,
         limits: Limits,
     ) -> Report<R> {
-        let Self { islands, sweeps, momentum } = self;
+        let Self { islands, sweeps, momentum, open } = self;
+        open.clear();
         islands.sort(&rows.blocks);
         sweeps.prepare(dof_lists, inv_d, rows, limits.tolerance > 0.0);
         let mut report: Report<R> = Report::new();
@@ -123,13 +141,16 @@ impl<R: Real> Pgs<R> {
             }
             report.sweeps.raise(&done);
             report.open = report.open.or(live);
+            if live.any() {
+                open.push((island, live));
+            }
         }
         report
     }
 }
 
 /// The tolerance, but no less than rounding lets any row reach.
-fn reachable<R: Real>(
+pub(super) fn reachable<R: Real>(
     dof_lists: &[usize],
     rows: &Rows<R>,
     weight: &[R],

@@ -3,12 +3,13 @@
 use super::limits::{Limits, Report};
 use super::newton::Newton;
 use super::pgs::Pgs;
+use super::proximal::Proximal;
 use super::rows::Rows;
 use crate::elements::Element;
 use crate::error::Result;
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::room::{room, Room};
-use crate::settings::{Settings, Solver};
+use crate::settings::{Settings, Solver, Sweeps};
 
 /// The motion without rows, in factored coordinates.
 #[derive(Clone, Copy)]
@@ -42,13 +43,14 @@ pub(crate) trait Solve<R: Real>: Room + Send + Sync {
 pub(crate) struct Solvers<R: Real> {
     pgs: Pgs<R>,
     newton: Newton<R>,
+    proximal: Proximal<R>,
 }
 
-room!(Solvers<R>: ; pgs, newton);
+room!(Solvers<R>: ; pgs, newton, proximal);
 
 impl<R: Real> Solvers<R> {
     pub fn new() -> Self {
-        Self { pgs: Pgs::new(), newton: Newton::new() }
+        Self { pgs: Pgs::new(), newton: Newton::new(), proximal: Proximal::new() }
     }
 }
 
@@ -69,7 +71,35 @@ impl<R: Real> Solve<R> for Solvers<R> {
         if settings.solver == Solver::Newton {
             return self.newton.solve(free, rows, limits);
         }
+        if settings.sweeps == Sweeps::Auto && settings.law.on_guess() {
+            return Ok(self.solve_for_sure(limits, free, rows));
+        }
         Ok(sweep(&mut self.pgs, limits, free, rows))
+    }
+}
+
+impl<R: Real> Solvers<R> {
+    /// By sweeps, and what these leave open by `proximal.rs`. Whoever asks for a number of sweeps
+    /// has that many, and under `solref` Newton's method is there to be asked for.
+    pub(super) fn solve_for_sure(
+        &mut self,
+        limits: Limits,
+        free: Unconstrained<R>,
+        rows: &mut Rows<R>,
+    ) -> Report<R> {
+        let mut report = sweep(&mut self.pgs, limits, free, rows);
+        if report.open.none() || report.interrupted {
+            return report;
+        }
+        let Self { pgs, newton, proximal } = self;
+        let mut left = R::Mask::of(false);
+        for (island, live) in &pgs.open {
+            let island = (pgs.blocks_of(*island), pgs.weight());
+            let by = (&mut *newton, limits);
+            left = left.or(proximal.solve(by, free, rows, island, *live, &mut report));
+        }
+        report.open = left;
+        report
     }
 }
 
@@ -81,6 +111,7 @@ fn sweep<R: Real>(
     rows: &mut Rows<R>,
 ) -> Report<R> {
     let Unconstrained { dof_lists, inv_d, .. } = free;
+    pgs.open.clear();
     // One row on its own, and one update all that is asked or all that it takes.
     if limits.sweeps == 1 || limits.exact {
         if let Some(report) = rows.solve_single(free, limits.exact) {

@@ -7,6 +7,7 @@ mod lanes;
 mod nearly_unmoved;
 mod newton;
 mod packed;
+mod proximal;
 mod wide;
 mod wide_cones;
 

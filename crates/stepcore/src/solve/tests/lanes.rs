@@ -2,6 +2,7 @@
 
 use super::few::intervals;
 use super::newton::mixed;
+use super::proximal::stack;
 use super::wide_cones::wide_contacts;
 use super::{contacts, pack, Problem, Random, INF};
 use crate::model::Span;
@@ -10,12 +11,13 @@ use crate::solve::limits::{Limits, Report};
 use crate::solve::newton::Newton;
 use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Rows, Set};
-use crate::solve::solver::Unconstrained;
+use crate::solve::solver::{Solvers, Unconstrained};
 
-/// Who solves: PGS with these limits, or Newton.
+/// Who solves: PGS with these limits, the same and for sure, or Newton.
 #[derive(Clone, Copy)]
 enum By {
     Pgs(Limits),
+    Auto(Limits),
     Newton(Limits),
 }
 
@@ -23,6 +25,11 @@ fn solve<R: Real>(by: By, lists: &[usize], inv_d: &[f64], rows: &mut Rows<R>) ->
     let inv_d: Vec<R> = inv_d.iter().map(|x| R::of(*x)).collect();
     match by {
         By::Pgs(limits) => Pgs::new().solve(lists, &inv_d, rows, limits),
+        By::Auto(limits) => {
+            let guess = rows.u.clone();
+            let free = Unconstrained { dof_lists: lists, inv_d: &inv_d, guess: &guess };
+            Solvers::new().solve_for_sure(limits, free, rows)
+        }
         By::Newton(limits) => {
             let guess = rows.u.clone();
             let free = Unconstrained { dof_lists: lists, inv_d: &inv_d, guess: &guess };
@@ -124,6 +131,28 @@ fn under_pgs() {
             compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
             compare(&base, by, &mut random, |b, lane| b == lane);
         }
+    }
+}
+
+/// What three sweeps leave of contacts under masses of 1 to 10⁶.
+#[test]
+fn beyond_sweeps() {
+    let mut random = Random::new(44);
+    let limits =
+        Limits { sweeps: 3, tolerance: 1e-10, momentum: false, exact: true, rounding: true };
+    for set in [Set::Interval, Set::CoulombRound, Set::CoulombBox] {
+        for masses in [[1e-3, 1e3], [1.0, 0.5]] {
+            let base = stack(set, &masses, 0.3, 2);
+            compare(&base, By::Auto(limits), &mut random, |_, _| true);
+            compare(&base, By::Auto(limits), &mut random, |b, lane| (b + lane) % 4 != 1);
+        }
+        let wide = wide_contacts(
+            if set == Set::Interval { Set::Convex } else { set },
+            2,
+            0.0,
+            &mut random,
+        );
+        compare(&wide, By::Auto(limits), &mut random, |b, lane| b == 0 || lane % 2 == 0);
     }
 }
 

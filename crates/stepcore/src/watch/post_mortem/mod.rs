@@ -5,25 +5,30 @@ mod budget;
 mod injected;
 mod linear;
 mod segment;
+mod unsolved;
 
 use blame::strongest;
 use budget::Budget;
 use injected::{feeding, growth, saturated, shares};
 use segment::{Halved, Segment};
+use unsolved::missed_most;
 
 use super::ledger::Ledger;
 use super::past::Past;
 use super::tape::{taped, StepGains};
 use crate::elements::{Element, Kind};
 use crate::error::{Divergence, Error, Fault, Result};
-use crate::post_mortem::{Held, PostMortem, Stable, Start};
+use crate::post_mortem::{Held, Missed, PostMortem, Stable, Start};
 use crate::real::Real;
-use crate::settings::{Integrator, Law};
+use crate::settings::{Integrator, Law, Sweeps};
 use crate::sim::Sim;
 use crate::state::{Inputs, State, Warm};
 
 /// Without a ledger, trees up to this many dofs are looked into.
 const SMALL: usize = 12;
+
+/// Rows that are not solved answer for a gain of which they may have added this share.
+const UNSOLVED: f64 = 0.5;
 
 /// The share of steps in which a servo at the bounds of its force is what inertia has to answer.
 const OUT_OF_HAND: f64 = 0.25;
@@ -63,13 +68,18 @@ pub(super) fn look_into<R: Real>(
     // The whole of it, or the newest part of it if that would take too long.
     let stretches = [Segment::since_well, Segment::since_last].iter();
     let stretches = stretches.filter_map(|since| since(ledger, lane, sim.state.steps));
-    let less =
-        stretches.filter_map(|stretch| stretch.smaller_steps_gain_less(sim, lane, &budget)).next();
-    if less != Some(true) {
-        if let Some(account) = ledger.account(lane) {
-            account.allow(gained, 0.0);
+    let stretches: Vec<_> = stretches.collect();
+    let unsolved = stretches.first().and_then(|stretch| stretch.unsolved(sim, lane, &budget));
+    let unsolved = unsolved.filter(|unsolved| unsolved.total >= UNSOLVED * gained);
+    if unsolved.is_none() {
+        let mut stretches = stretches.iter();
+        let less = stretches.find_map(|part| part.smaller_steps_gain_less(sim, lane, &budget));
+        if less != Some(true) {
+            if let Some(account) = ledger.account(lane) {
+                account.allow(gained, 0.0);
+            }
+            return Ok(());
         }
-        return Ok(());
     }
     let fault = Fault::Energy { has: ledger.moving(lane), allowed: scale };
     let divergence = Divergence {
@@ -81,14 +91,34 @@ pub(super) fn look_into<R: Real>(
         post: None,
     };
     let run = Run { sim, past, ledger: Some(ledger), worlds };
-    Err(Error::Diverged(Box::new(run.explain(divergence))))
+    let mut divergence = run.explain(divergence);
+    if let (Some(post), Some(unsolved)) = (&mut divergence.post, unsolved) {
+        let auto = stretches.first().filter(|_| sim.settings.sweeps != Sweeps::Auto);
+        let auto = auto.is_some_and(|stretch| stretch.auto_gains_less(sim, lane, gained, &budget));
+        post.unsolved = Some(Missed {
+            element: sim.model.named(unsolved.element),
+            added: Some(unsolved.added),
+            residual: unsolved.residual,
+            auto,
+        });
+    }
+    Err(Error::Diverged(Box::new(divergence)))
 }
 
 impl<R: Real> Run<'_, R> {
     /// Adds what can be found out about a failure of the lane `divergence.world`.
     pub fn explain(&self, divergence: Divergence) -> Divergence {
         let gained = matches!(divergence.fault, Fault::Energy { .. });
-        let post = self.post_mortem(divergence.world, gained);
+        let mut post = self.post_mortem(divergence.world, gained);
+        if divergence.fault == Fault::Midpoint {
+            if let Some((element, residual)) = missed_most(self.sim, divergence.world) {
+                // What its iteration was given were no solutions.
+                let element = self.sim.model.named(element);
+                post.element = Some(element.clone());
+                post.shares.clear();
+                post.unsolved = Some(Missed { element, added: None, residual, auto: false });
+            }
+        }
         Divergence { post: Some(post), ..divergence }
     }
 
@@ -136,6 +166,7 @@ impl<R: Real> Run<'_, R> {
             saturated: saturated.is_some(),
             since: exact.then(|| segment.state.steps + from as u64),
             growth: growth(window, exact),
+            unsolved: None,
             stable,
             dt: sim.clock.seconds,
             integrator: sim.settings.integrator.name(),

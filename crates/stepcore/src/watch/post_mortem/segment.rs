@@ -2,13 +2,15 @@
 
 use super::budget::Budget;
 use crate::real::Real;
-use crate::settings::Settings;
+use crate::settings::{Settings, Sweeps};
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
 use crate::watch::ledger::{Care, Ledger, Milestone};
 
 /// A gain beside `scale` below which all is well.
 const WELL: f64 = 0.1;
+/// A trial that gains this share of what was gained gains little.
+const LITTLE: f64 = 0.05;
 /// The most halvings of dt that are tried.
 const HALVINGS: u32 = 8;
 /// The halvings in steps of which a gain is looked for at the most: a spring a million times too stiff
@@ -155,7 +157,18 @@ impl<R: Real> Segment<R> {
     /// What the whole stretch gains with steps of `dt`, and, the last inputs held, as long
     /// again `more` times.
     fn gain(&self, of: &Sim<R>, dt: f64, lane: usize, more: u32, budget: &Budget) -> Trial {
-        let settings = Settings { dt, ..of.settings.clone() };
+        self.gain_under(Settings { dt, ..of.settings.clone() }, of, lane, more, budget)
+    }
+
+    fn gain_under(
+        &self,
+        settings: Settings,
+        of: &Sim<R>,
+        lane: usize,
+        more: u32,
+        budget: &Budget,
+    ) -> Trial {
+        let dt = settings.dt;
         let Ok(mut sim) = Sim::new(of.model.clone(), settings) else { return Trial::Untried };
         let mut ledger = Ledger::new(&of.model, Care::Full);
         sim.state = self.state.clone();
@@ -189,6 +202,16 @@ impl<R: Real> Segment<R> {
             Some([gained, scale]) => Trial::Gained { gained, scale },
             None => Trial::Diverged,
         }
+    }
+
+    /// With sweeps 'auto' the stretch gains almost nothing of what it gained.
+    pub fn auto_gains_less(&self, of: &Sim<R>, lane: usize, gained: f64, budget: &Budget) -> bool {
+        let mut settings = Settings { sweeps: Sweeps::Auto, ..of.settings.clone() };
+        if settings.tolerance == 0.0 {
+            settings.tolerance = Settings::default().tolerance;
+        }
+        let trial = self.gain_under(settings, of, lane, 0, budget);
+        matches!(trial, Trial::Gained { gained: left, .. } if left <= LITTLE * gained)
     }
 
     /// The largest of dt/2, dt/4, … with which the stretch gains nothing to speak of, nor as
@@ -258,7 +281,7 @@ impl Trial {
     /// Nothing is gained to speak of, and little beside what is gained `now`.
     fn gains_little(self, now: Self) -> bool {
         let most = match now {
-            Self::Gained { gained, .. } => 0.05 * gained,
+            Self::Gained { gained, .. } => LITTLE * gained,
             Self::Diverged | Self::Untried => f64::INFINITY,
         };
         matches!(self, Self::Gained { gained, scale } if gained <= (0.25 * scale).min(most))
