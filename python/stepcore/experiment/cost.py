@@ -28,6 +28,8 @@ ENOUGH = 0.5
 SHORT = 1e-3
 # The operations per step and (dofs + 2) of a robot with few contacts.
 USUAL = 1500.0
+# How often the clock is read to learn what a reading takes.
+READINGS = 9
 # Whether the system has a fine clock of the computing time of a thread.
 OWN_CLOCK = get_clock_info("thread_time").resolution < 1e-5
 
@@ -103,26 +105,33 @@ def _round(runs: Sequence[TimedRun], bar: Progress | None) -> float:
 
 
 class Stopwatch:
-    """A clock for the steps of a run, which counts only time in which this thread computed."""
+    """A clock for the steps of a run, which counts only time in which this thread computed.
+
+    Each call is timed by the thread's own clock. A share of the wall time would be wrong on a busy
+    machine, where most of the time without a core can fall between the calls.
+
+    spent: the computing time of the steps [s].
+    """
 
     def __init__(self) -> None:
         self.spent = 0.0
-        self._first, self._own = perf_counter(), thread_time()
+        self._now = thread_time if OWN_CLOCK else perf_counter
+        # What reading the clock adds to the time of a call.
+        self._reading = float(np.median([-self._now() + self._now() for _ in range(READINGS)]))
 
     def timing(self, step: Callable[[int], None]) -> Callable[[int], None]:
         """Return the step function with timing."""
 
         def timed(count: int) -> None:
-            begin = perf_counter()
+            begin = self._now()
             step(count)
-            self.spent += perf_counter() - begin
+            self.spent += max(0.0, self._now() - begin - self._reading)
 
         return timed
 
     def total(self) -> float:
         """Return the computing time of the steps [s]."""
-        whole, own = perf_counter() - self._first, thread_time() - self._own
-        return self.spent * min(1.0, own / whole) if OWN_CLOCK and whole > 0 else self.spent
+        return self.spent
 
 
 class Work(NamedTuple):
