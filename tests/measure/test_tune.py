@@ -165,8 +165,8 @@ def test_quiet_contacts_are_left_as_they_are():
 def test_a_geom_that_bears_nothing_is_said_to(goal):
     """It flies, or a slide carries it while it touches a wall without a force."""
     flies = "<body pos='0 0 5'><freejoint/><geom name='a' size='.1'/></body>"
-    slides = """<geom type='plane' size='1 1 1'/><body pos='0 0 .1'><joint type='slide' axis='1 0 0'/>
-    <geom name='a' size='.1'/></body>"""
+    slides = """<geom type='plane' size='1 1 1'/><body pos='0 0 .1'>
+    <joint type='slide' axis='1 0 0'/><geom name='a' size='.1'/></body>"""
     for body in (flies, slides):
         scene = sc.loads(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
         (tuned,) = sc.tune(scene, geom="a", **goal).found
