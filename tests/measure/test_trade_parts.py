@@ -91,7 +91,7 @@ def test_single_precision_is_chosen_only_where_it_saves_what_timing_can_tell():
 
 
 def test_of_settings_that_cost_the_same_the_far_more_accurate_one_is_chosen():
-    def chosen(by, *points):
+    def chosen(by, *points, shipped=None):
         rows = [
             TradeRow(
                 sc.Settings(dt=1e-3 * (k + 1)),
@@ -99,6 +99,7 @@ def test_of_settings_that_cost_the_same_the_far_more_accurate_one_is_chosen():
                 cost,
                 0.0,
                 flops=cost,
+                shipped=k == shipped,
             )
             for k, (cost, error) in enumerate(points)
         ]
@@ -108,6 +109,11 @@ def test_of_settings_that_cost_the_same_the_far_more_accurate_one_is_chosen():
     assert chosen("time", (1.0, 8e-4), (1.05, 2e-4), (1.3, 1e-5)) == 1.05
     assert chosen("time", (1.0, 8e-4), (1.05, 7e-4)) == 1.0
     assert chosen("flops", (1.0, 8e-4), (1.05, 2e-4)) == 1.0
+    # The shipped settings stay where nothing gains measurably; not where something does.
+    assert chosen("time", (1.0, 8e-4), (1.08, 8e-4), shipped=1) == 1.08
+    assert chosen("time", (1.0, 8e-4), (1.2, 8e-4), shipped=1) == 1.0
+    assert chosen("time", (1.0, 3e-4), (1.08, 8e-4), shipped=1) == 1.0
+    assert chosen("flops", (1.0, 8e-4), (1.08, 8e-4), shipped=1) == 1.0
 
 
 def test_a_rounder_step_is_recommended_where_it_passes_and_costs_little():

@@ -253,8 +253,9 @@ class Frontier:
     def cheapest(self, error: float) -> TradeRow:
         """Return the row with the lowest price whose error is at most `error` [m].
 
-        A row in single precision must save more than the uncertainty of timing; a row of equal cost
-        within that uncertainty is preferred if it has at most half the error.
+        A row in single precision must save more than the uncertainty of timing. Of rows of equal
+        cost within that uncertainty, one with at most half the error is preferred, or the shipped
+        settings if they have at most twice the error.
 
         Raises ValueError, naming the smallest error reached, if no row is accurate enough.
         """
@@ -271,6 +272,11 @@ class Frontier:
             half, most = self.error(least) / 2, self.price(least) / NOTABLE
             alike = [row for row in rows if self.price(row) <= most and self.error(row) <= half]
             least = min([least, *alike], key=self.error)
+            # Nothing is changed for a gain that timing cannot tell.
+            for row in rows:
+                same = NOTABLE * self.price(row) <= self.price(least)
+                if row.shipped and same and self.error(row) <= 2 * self.error(least):
+                    return row
         double = least.settings.replace(precision="f64")
         twin = next((row for row in rows if row.settings == double), least)
         return twin if NOTABLE * self.price(twin) <= self.price(least) else least
