@@ -344,7 +344,7 @@ class ContactMonitor:
         dts = [model.settings.dt / part for part in (1, 2, 4)]
         ways = (tuple(hardest(model, pairs, dt) for dt in dts),)
         enough = PRESSED * self.thick(worst.pair)
-        remedy = Remedy(ways, lambda m: m.contacts.pressed(pairs), enough, metres)
+        remedy = Remedy(ways, lambda m: m.contacts.pressed(pairs), enough, metres, needed=True)
         finding = Finding("depth under load", "remark", problem, "", contacts, worst.depth, "m")
         yield replace(finding, commands=TEST_CONTACTS, remedy=remedy)
 

@@ -99,7 +99,7 @@ class _Trial:
             return dataclasses.replace(
                 finding, cure=said + also, settings=cure.settings, commands=commands
             )
-        if remedy.needed and not untried:
+        if remedy.needed and (tried or finding.severity == "remark"):
             return None
         if untried:
             also = f", or {finding.cure}" if finding.cure else ""
