@@ -12,8 +12,8 @@ from stepcore.experiment.moves import Move, Moves
 from stepcore.experiment.point_to_point import MOVE
 from stepcore.report.units import counted, metres, percent, radians, seconds
 
-# A speed that is rounding [rad/s, m/s].
-SLOW = 1e-6
+# A smaller speed is that of settling, and is not told [rad/s, m/s].
+SLOW = 1e-3
 # The most names in a list.
 NAMED = 4
 
