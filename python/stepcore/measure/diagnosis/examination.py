@@ -83,6 +83,11 @@ def _one_by_one(
     done[:] = [job(item) for item in items]
 
 
+def _without(done: Sequence[Any], integrators: Sequence[str]) -> list[str]:
+    """Return the integrators whose result is missing."""
+    return [name for name, one in zip_longest(integrators, done) if one is None]
+
+
 def examine(
     model: Model,
     visited: Visit,
@@ -104,7 +109,7 @@ def examine(
     Raises OutOfTime if the limit of the first integrator is not known in time.
     """
 
-    def stage(words: str, share: float) -> AbstractContextManager[None]:
+    def stage(words: str | Callable[[], str], share: float) -> AbstractContextManager[None]:
         return nullcontext() if time is None else time.stage(words, share)
 
     settings, own = model.settings, model.settings.integrator
@@ -113,7 +118,7 @@ def examine(
     shortest = min(SHORTEST, wanted / 2, settings.dt / 2)
     limit_of = partial(dt_limit, here, longest=longest, shortest=shortest)
     linear: list[Limit | None] = []
-    with stage("the limits under all integrators", LINEAR):
+    with stage(lambda: f"the limits under {', '.join(_without(linear, integrators))}", LINEAR):
         each(limit_of, integrators, "limits", linear)
     if not linear or linear[0] is None:
         # The answer needs this limit, which may therefore take all the time.
