@@ -111,6 +111,7 @@ def _judged(
         servos, qpos = range(here.model.nu), judge.real.start.qpos
         alone = min(crossing_dt(here.model, qpos, servo) for servo in servos)
         dt = first_failing(search.calm, max(alone, judge.fine.dt), beyond)
+        dt = search.below(dt, search.calm)
         failed = [dt for dt, outcome in search.outcomes.items() if not outcome.holds]
         outcome = search.outcomes[min(failed)]
     if outcome.element is not None:
@@ -208,16 +209,20 @@ class _Search:
         good = bad / NEXT
         while good > self.judge.fine.dt and not self.holds(good):
             bad, good = good, good / NEXT
-        return self._below(bisected(self.holds, max(good, self.judge.fine.dt), bad, FINE))
+        limit = bisected(self.holds, max(good, self.judge.fine.dt), bad, FINE)
+        return self.below(limit, self.holds)
 
-    def _below(self, limit: float) -> float:
-        """Return the limit [s], lowered if some shorter steps fail."""
+    def below(self, limit: float, holds: Callable[[float], bool]) -> float:
+        """Return the limit [s], lowered if some shorter steps fail.
+
+        holds: whether a step passes.
+        """
         for part in SHORTER_PARTS:
-            if not self.holds(part * limit):
+            if not holds(part * limit):
                 low = part * limit / NEXT
-                while low > self.judge.fine.dt and not self.holds(low):
+                while low > self.judge.fine.dt and not holds(low):
                     low /= NEXT
-                return self._below(bisected(self.holds, low, part * limit, FINE))
+                return self.below(bisected(holds, low, part * limit, FINE), holds)
         return limit
 
 

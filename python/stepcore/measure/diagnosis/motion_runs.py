@@ -152,16 +152,25 @@ class MotionRuns:
         return self.schedule.starts[0]
 
     def falling_energy(self, dt: float) -> float:
-        """Return the kinetic energy [J] that gravity gives all bodies in one step of dt [s].
+        """Return the kinetic energy [J] that gravity gives falling bodies in one step of dt [s].
 
-        A step moves bodies at rest by so much before a contact can hold them.
+        A step moves bodies at rest by so much before a contact can hold them. A tree whose base is
+        fixed and whose joints are driven does not fall.
         """
-        scene = self.model.scene
+        model, scene = self.model, self.model.scene
         if not scene.features.gravity:
             return 0.0
+        bodies = model.jnt_body.tolist()
+        free = {
+            model.root(body)
+            for body, kind in zip(bodies, model.jnt_type, strict=True)
+            if kind == "free"
+        }
+        joints = [joint for joint in model.actuator_joint.tolist() if joint >= 0]
+        held = {model.root(bodies[joint]) for joint in joints} - free
+        falling = [b for b in Coordinates(model).moving if model.root(int(b)) not in held]
         speed = float(np.linalg.norm(scene.gravity)) * dt
-        mass = float(np.sum(self.model.body_mass[Coordinates(self.model).moving]))
-        return 0.5 * mass * speed**2
+        return 0.5 * float(np.sum(model.body_mass[falling])) * speed**2
 
     def least_energy(self) -> float:
         """Return the kinetic energy [J] of a slow motion of every dof; less is no explosion."""
