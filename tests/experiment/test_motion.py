@@ -128,6 +128,15 @@ def test_times_are_texts_with_units_too():
     trade = sc.trade("lesson:spring", dts=["5ms", 0.01], starts=1, by="flops", **quick)
     assert {row.settings.dt for row in trade.rows} == {0.005, 0.01}
     assert "20 ms" in str(sc.diagnose("lesson:spring", dt="20ms", **quick))
+    drawn = {
+        "path": "joint/spring/stiffness",
+        "values": [10],
+        "integrators": ["euler"],
+        "horizon": "500ms",
+        "progress": False,
+    }
+    two = sc.stability_map("lesson:spring", dts=["10ms", 0.1], **drawn)
+    assert list(two.dts) == [0.01, 0.1]
 
 
 def test_a_motion_shows_what_was_set():

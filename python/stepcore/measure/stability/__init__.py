@@ -34,6 +34,7 @@ from stepcore.measure.stability.result import (
     Tolerance,
 )
 from stepcore.measure.stability.runs import FINER, MapMotion, TrueMotion, closed_form, converged
+from stepcore.report import units
 from stepcore.report.progress import Choice
 from stepcore.report.units import seconds
 from stepcore.scene.value_paths import find
@@ -60,7 +61,7 @@ def stability_map(
     *,
     path: str | None = None,
     values: Sequence[float] | None = None,
-    dts: Sequence[float] | None = None,
+    dts: Sequence[float | str] | None = None,
     integrators: str | Sequence[str] | None = None,
     deviation: float | str = "10%",
     size: float | None = None,
@@ -148,7 +149,9 @@ def stability_map(
     if values is not None:
         case.values = _ascending("values", values)
     if dts is not None:
-        case.dts, case.horizon = _ascending("dts", dts), None
+        given = enumerate(checks.several("dts", dts))
+        steps = [units.time(f"dts[{k}]", dt) for k, dt in given]
+        case.dts, case.horizon = _ascending("dts", steps), None
     horizon = setup.motion.horizon or case.horizon or max(1.0, STEPS * max(case.dts))
     _check_steps(case, horizon)
     panels = _Panels(case, MapMotion(horizon, case.key), tolerance, setup.workers)
