@@ -18,6 +18,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
+from stepcore._core import SimulationError
 from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis.advice import MARGIN, Advice, Cure, Way, failed, repeats
 from stepcore.measure.diagnosis.examination import Examination, examine
@@ -116,7 +117,7 @@ class Confirmation:
         try:
             visited = visit(cure.model, motion, self.horizon)
             after = examine(cure.model, visited, self.horizon, self.wanted, (own,))
-        except (ValueError, ArithmeticError):
+        except (SimulationError, ValueError, ArithmeticError):
             return Limit(own, 0.0, -1), False
         return after.limits[own], self._agrees(after, own)
 
