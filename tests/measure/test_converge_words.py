@@ -16,7 +16,9 @@ from stepcore.measure.convergence.numbers import share
 @pytest.fixture(scope="module")
 def heavy():
     settings = {"law": "rigid", "solver": "pgs", "sweeps": 3}
-    return sc.converge(lesson.tower((1.0, 100.0)).with_settings(settings), progress=False)
+    return sc.converge(
+        lesson.tower((1.0, 100.0)).with_settings(settings), horizon=1.0, progress=False
+    )
 
 
 def failing(result, fails):
