@@ -186,6 +186,13 @@ def test_a_servo_that_cannot_hold_its_load_is_told():
     assert "`servo` saturated" in planned(model)[1]
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
+def test_a_servo_that_explodes_at_once_is_told():
+    """Under explicit Euler a step multiplies the error by more than ten."""
+    scene_ = arm('kp="2e6" kv="0"').scene.with_settings(integrator="explicit", dt=0.01)
+    assert "it only holds the start, and that fails: " in planned(scene_.compile(), 0.04)[1]
+
+
 def test_controls_do_not_jump_within_a_period():
     """A stiff servo answers a jump of 8 ms with its force; steps longer than 1 ms get the means."""
     model = arm('kp="2000" kv="50"')

@@ -143,7 +143,7 @@ class _Seen:
         if not self.forces or not self.model.nu:
             return np.zeros(self.model.nu), np.zeros(self.model.nu)
         forces = np.array(self.forces)
-        late = forces[self.early :]
+        late = forces[self.early :] if self.early < len(forces) else forces
         bounded = np.isfinite(self.bounds) & (self.bounds > 0)
         bounds = np.where(bounded, self.bounds, np.inf)
         full = late >= bounds * (1 - AT_END)
