@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from time import thread_time
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -276,7 +275,6 @@ def simulated(
         repeated.run(round(steps * dt / other.settings.dt))
         return watching
 
-    clock = thread_time()
     try:
         single.run(steps)
         sim.balance()
@@ -286,7 +284,6 @@ def simulated(
         if not interruptible:
             raise
         interrupted, steps = True, round((sim.time - begun) / dt)
-    took = thread_time() - clock
     found = monitor.findings(failed=error is not None) if steps else []
     plain = model.with_settings(settings.replace(ledger=False))
     timed = steps and error is None
@@ -298,7 +295,7 @@ def simulated(
         settings=settings,
         steps=steps,
         sim=sim,
-        findings=verified(found, plain, again, took),
+        findings=verified(found, plain, again, steps),
         us_per_step=1e6 * cost or None,
         notes=notes,
         trajectory=single.trajectory,

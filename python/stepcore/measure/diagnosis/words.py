@@ -41,7 +41,7 @@ def limits_dt(elements: Sequence[Element], dt: float, traits: str = "") -> str:
     traits: a text in brackets after the elements' names.
     """
     if not elements:
-        return f"dt is limited to {seconds(dt)} by no single element"
+        return f"the motion as a whole, no single element, limits dt to {seconds(dt)}"
     return f"{named(elements)}{traits} {_verb(elements, 'limit')} dt to {seconds(dt)}"
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from time import thread_time
 from typing import Any
 
 import numpy as np
@@ -161,9 +160,8 @@ def monitored(
         monitor, failure = seen(type(runner)(model, runner.schedule), model.settings)
         return None if failure else monitor
 
-    begun = thread_time()
     monitor, failure = seen(runner, settings)
-    took = thread_time() - begun
     findings = monitor.findings(depth, failed=failure is not None)
     model = runner.model.with_settings(settings.replace(ledger=False))
-    return verified(findings, model, again, took), failure
+    steps = round(runner.schedule.horizon / settings.dt)
+    return verified(findings, model, again, steps), failure

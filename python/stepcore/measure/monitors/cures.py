@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping
-from time import thread_time
 from typing import Any
 
 from stepcore import deadline
@@ -22,41 +21,40 @@ from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy
 # A cure that leaves more than a finding's threshold is still named if it leaves at most this share
 # of the problem.
 HELPS = 0.5
-# The computing time of all the cures of a run [s], and the time steps of one, relative to the run.
-SECONDS, FINER = 3.0, 16.0
+# The runs of all cures: their number, where a run with half the time step counts as two, and their
+# cost in steps × (dofs + 2). A Go2 takes 0.3 s for 500 steps with the monitor, so 7 s in all.
+RUNS, EFFORT = 24.0, 3e5
+# The largest number of time steps of a cure's run, relative to the run.
+FINER = 16.0
 
 
 # Runs the motion of a finding with another model, and returns the monitor; None if the run fails.
 Again = Callable[[Model], Any]
 
 
-def verified(
-    findings: Iterable[Finding],
-    model: Model,
-    again: Again,
-    took: float,
-    seconds: float = SECONDS,
-) -> list[Finding]:
+def verified(findings: Iterable[Finding], model: Model, again: Again, steps: int) -> list[Finding]:
     """Return findings with the cures that were seen to hold, and with what they leave.
 
+    Cures whose runs would cost more than `RUNS` and `EFFORT` are named without a promise.
+
     model: the model of the run. again: runs the same motion with another model.
-    took: the computing time of the run [s].
-    seconds: the computing time for all cures [s]; those that do not fit are named without a
-        promise.
+    steps: the number of time steps of the run.
     """
-    trial = _Trial(model, again, took, thread_time() + seconds)
+    trial = _Trial(model, again, steps)
     cured = (trial.cured(finding) for finding in findings)
     return [finding for finding in cured if finding is not None]
 
 
 def proven(findings: Iterable[Finding], model: Model) -> list[Finding]:
     """Return findings about a scene that was not run; their cures are run in their own motion."""
-    return verified(findings, model, lambda other: None, 0.0)
+    return verified(findings, model, lambda other: None, 0)
 
 
 class _Trial:
-    def __init__(self, model: Model, again: Again, took: float, end: float) -> None:
-        self.model, self.again, self.took, self.end = model, again, took, end
+    def __init__(self, model: Model, again: Again, steps: int) -> None:
+        self.model, self.again = model, again
+        self.runs, self.effort = RUNS, EFFORT
+        self.cost = float(steps * (model.nv + 2))
         self.time = deadline.current() or deadline.Deadline()
 
     def cured(self, finding: Finding) -> Finding | None:
@@ -110,8 +108,13 @@ class _Trial:
         return dataclasses.replace(finding, cure=finding.cure or failed)
 
     def _affordable(self, cure: Cure) -> bool:
+        """Whether the run of a cure is within what is left for runs, which it then takes."""
         finer = self.model.settings.dt / cure.settings.get("dt", self.model.settings.dt)
-        return finer <= FINER and thread_time() + self.took * max(1.0, finer) < self.end
+        runs = max(1.0, finer)
+        if finer > FINER or runs > self.runs or runs * self.cost > self.effort:
+            return False
+        self.runs, self.effort = self.runs - runs, self.effort - runs * self.cost
+        return True
 
     def _left(self, remedy: Remedy, cure: Cure) -> float | None:
         """Return what a cure leaves; None if its run fails, or makes an error of its own."""
