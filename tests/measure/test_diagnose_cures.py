@@ -89,7 +89,7 @@ def test_an_integrator_that_feeds_energy_in_is_no_cure():
     model = sc.loads(HINGE_AND_BALL).compile()
     d = sc.diagnose(model, horizon=40.0, **QUIET)
     cures = [advice.settings["integrator"] for advice in d.advice if advice.met]
-    assert "midpoint" in cures and "explicit" not in cures
+    assert {"midpoint", "rk4"} <= set(cures) and "explicit" not in cures
     for name in cures:
         sim = sc.Sim(model, integrator=name)
         sim.forward()

@@ -34,6 +34,8 @@ from stepcore.measure.diagnosis.linear_step import State, sim_at, state_now, sta
 PERIOD = 1 / 200
 # The step of the run over the least step that limits the start.
 SAFE = 0.25
+# A run that diverges is made again with these parts of its step.
+FINER = (4, 16)
 # The most states, and the most steps and samples of the run.
 STATES, STEPS, SAMPLES = 8, 20_000, 200
 # The most dofs at all states combined, with at least two states.
@@ -91,6 +93,11 @@ def visit(model: Model, motion: Motion, horizon: float) -> Visit:
         # The controls are sampled often enough to keep the run stable.
         driven = _sampled_often(schedule, safe)
     states, run = _along(model, driven, safe)
+    for part in FINER if control is None else ():
+        if not run[-1]:
+            break
+        # A run that diverged visits states that the motion does not have.
+        states, run = _along(model, driven, safe / part)
     if control is not None:
         states = with_feedback(model, states, control, period, horizon, motion.control_dt)
     here = step_stability(model, states, horizon)
