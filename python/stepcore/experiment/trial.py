@@ -89,7 +89,7 @@ def trial(
     rows = None
     if control.gains is None:
         rows = control.log(periods, steps * dt, whole).steps(0.0, dt, periods * steps)
-    seen, upright = _Seen(model, drives), _Upright(sim, drives)
+    seen, upright = _Seen(model, drives), Upright(sim, drives)
     result = Trial(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
     try:
         for done in range(0, periods * steps, steps):
@@ -101,7 +101,7 @@ def trial(
                     sim.ctrl[:] = row
                     sim.step()
             seen.look(sim)
-            if result.fell is None and upright.lost(sim):
+            if result.fell is None and upright.lost(sim) is not None:
                 result.fell = sim.time
         result.flops = sim.count_flops() / dt
         sim.forward()
@@ -157,7 +157,7 @@ def _pairs(sim: Sim) -> set[Pair]:
     return set(zip(table["geom1"].tolist(), table["geom2"].tolist(), strict=True))
 
 
-class _Upright:
+class Upright:
     """Tells when a robot on a free base falls over."""
 
     def __init__(self, sim: Sim, drives: Drives) -> None:
@@ -171,13 +171,13 @@ class _Upright:
         self.heights = [float(sim.subtree_com[body, 2]) for body in self.bodies]
         self.sinks = [SINKS * self._size(sim, body) for body in self.bodies]
 
-    def lost(self, sim: Sim) -> bool:
+    def lost(self, sim: Sim) -> int | None:
+        """Return the base of a robot that has fallen, or None."""
         for k, body in enumerate(self.bodies):
-            if self._axis(sim, body) @ self.axes[k] < np.cos(TILT):
-                return True
-            if self.heights[k] - sim.subtree_com[body, 2] > self.sinks[k]:
-                return True
-        return False
+            tilted = self._axis(sim, body) @ self.axes[k] < np.cos(TILT)
+            if tilted or self.heights[k] - sim.subtree_com[body, 2] > self.sinks[k]:
+                return body
+        return None
 
     @staticmethod
     def _axis(sim: Sim, body: int) -> np.ndarray:

@@ -23,6 +23,7 @@ from stepcore.measure.monitors.actuators import ActuatorMonitor
 from stepcore.measure.monitors.contacts import ContactMonitor
 from stepcore.measure.monitors.creep import creep_findings
 from stepcore.measure.monitors.cures import proven, verified
+from stepcore.measure.monitors.falls import FallMonitor
 from stepcore.measure.monitors.finding import Finding, Next, named, ordered
 from stepcore.measure.monitors.friction_loss import FrictionLossMonitor
 from stepcore.measure.monitors.joints import JointMonitor
@@ -61,6 +62,7 @@ class Monitor(Probe):
         self.friction_losses = FrictionLossMonitor(model, sizes)
         self.play = PlayMonitor(model)
         self.noise = NoiseMonitor(model, self.contacts)
+        self.falls = FallMonitor(model)
         self.tunnelling = TunnellingMonitor(model, sizes, bodies.moving)
         # The times of the readings [s]; their residuals [m/s]; the worst residual and its row.
         self.times: list[float] = []
@@ -78,6 +80,7 @@ class Monitor(Probe):
     def begin(self, sim: Any) -> None:
         self.times.append(sim.time)
         self.contacts.begin(sim)
+        self.falls.begin(sim)
         self.tunnelling.begin(sim)
 
     def step(self, sim: Any) -> None:
@@ -94,6 +97,7 @@ class Monitor(Probe):
         self.play.look(sim)
         self.noise.look(sim)
         self.tunnelling.look(sim)
+        self.falls.look(sim)
         self.actuators.look(sim)
         if self.friction_losses.watches:
             self.friction_losses.look(sim, rows())
@@ -106,6 +110,7 @@ class Monitor(Probe):
         failed: whether the run failed.
         """
         every = (
+            *self.falls.findings(),
             *self.tunnelling.findings(),
             *creep_findings(self.contacts, self.times[1:]),
             *self.contacts.findings(depth, {at.pair for at in self.tunnelling.passed()}),
