@@ -12,11 +12,14 @@ MEASUREMENTS = [
     *("trade", "ablate", "converge", "diagnose", "predict", "check"),
     *("run", "stability_map"),
 ]
-STARTS = ("horizon", "starts", "seed", "key", "control", "ctrl", "control_dt")
+STARTS = (
+    *("horizon", "starts", "seed", "key", "control", "ctrl", "control_dt"),
+    *("interpolation", "kind", "follow"),
+)
 # The map runs one start, without controls; the others of these start at the keyframe alone.
 LEFT_OUT = {
     **{name: {"starts"} for name in ("check", "diagnose", "run")},
-    "stability_map": {"starts", "seed", "control", "ctrl", "control_dt"},
+    "stability_map": set(STARTS) - {"horizon", "key"},
 }
 TWELVE = [*MEASUREMENTS, "sweep", "plan", "Sim", "Batch", "Model"]
 STEPPED = (sc.Sim, sc.Batch, sc.Model, sc.Model.with_settings, sc.Scene.with_settings)

@@ -260,7 +260,7 @@ fn corners<R: Real>(
         let mut impulse = normal.impulse;
         for i in 1..=ways {
             let sign = sign::<R>(corner, i);
-            impulse = impulse * (half + half * sign * own[i].impulse * bound);
+            impulse *= half + half * sign * own[i].impulse * bound;
             for (sum, y) in convex.y[y..].iter_mut().zip(&rows.y[own[i].y..]) {
                 *sum += block.mu * sign * *y;
             }

@@ -50,7 +50,7 @@ Cell = tuple[np.ndarray, str | None]
 # Largest number of steps of all cells: more than half an hour of the smallest scene.
 MOST_STEPS = 1e10
 # Motion fields that a map does not accept: every cell starts at the keyframe with its controls.
-WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt", "kind")
+WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt", "interpolation", "kind", "follow")
 
 
 @takes_motion(without=WITHOUT)
