@@ -44,7 +44,7 @@ class Case:
     name: str
     make: Callable[[], sc.Scene]
     error: float
-    horizon: float | None = None
+    horizon: float = 1.0
 
 
 def chain(links: int = 8, stiff: float = 0.0) -> sc.Scene:
@@ -191,9 +191,9 @@ class Judge:
     def __init__(self, case: Case, count: int, seed: int, finest: float) -> None:
         model = case.make().compile()
         self.shipped = model.settings
-        _, self.period = time_steps(self.shipped.dt, None, None, case.horizon or 1.0)
+        _, self.period = time_steps(self.shipped.dt, None, None, case.horizon)
         if not model.nu:
-            self.period = longest(self.period, case.horizon or 1.0)
+            self.period = longest(self.period, case.horizon)
         motion = Motion(horizon=case.horizon, seed=seed)
         # The first start, the keyframe, is one that the trade has seen.
         schedule = scheduled(motion, model, self.period, starts=count + 1).part(1)

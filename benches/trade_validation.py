@@ -32,8 +32,8 @@ MOST = 0.9
 def validate(case: trade_cases.Case, brute: bool = True) -> dict[str, object]:
     """One scene: how the recommendation does, and what brute force finds."""
     scene = case.make()
-    options = {} if case.horizon is None else {"horizon": case.horizon}
-    result = sc.trade(scene, error=case.error, by="flops", threads=1, progress=False, **options)
+    options = {"error": case.error, "horizon": case.horizon, "by": "flops", "progress": False}
+    result = sc.trade(scene, threads=1, **options)
     row = result.recommended
     found: dict[str, object] = {
         "scene": case.name,

@@ -38,8 +38,8 @@ def check(name):
     Both are held to the error on 24 starts.
     """
     case = next(case for case in CASES if case.name == name)
-    options = {} if case.horizon is None else {"horizon": case.horizon}
-    result = sc.trade(case.make(), error=case.error, by="flops", progress=False, **options)
+    options = {"error": case.error, "horizon": case.horizon, "by": "flops", "progress": False}
+    result = sc.trade(case.make(), **options)
     row = result.recommended
     assert row is not None and row.further.held == row.further.starts == 32
     finest = min(result.reference.settings.dt, row.settings.dt / 8)
@@ -109,7 +109,7 @@ def test_the_next_better_is_better_than_what_was_found():
     scene.add_geom(ball, "sphere", 0.1, mass=1.0)
     scene.add_key(qpos=[0.3])
     options = {"error": 1e-3, "by": "flops", "starts": 2, "further": 0, "progress": False}
-    result = sc.trade(scene, **options)
+    result = sc.trade(scene, horizon=1.0, **options)
     best, better = result.recommended, result.next_better()
     assert best.settings.integrator == "rk4" and result.error(best) < 2e-4
     # Fourth order: twice the work, a sixteenth of the error.
