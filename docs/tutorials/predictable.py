@@ -1,7 +1,7 @@
 # %% [markdown]
 # # When simulation stops being predictable
 #
-# **A double pendulum that falls from a raised pose can be predicted for 3.2 s;
+# **A double pendulum that falls from a raised pose can be predicted for 3.6 s;
 # after that no time step and no integrator gives its position.** Two runs that
 # start a nanometre apart are far from each other before 20 s are over. Averages can
 # still be compared. `predict` measures how long positions can be predicted.
@@ -34,12 +34,13 @@ scene = sc.loads(PENDULUM)
 # %% [markdown]
 # ## For how long?
 #
-# The motion runs again from states moved by 1e-9 of the scene's size. It counts as
-# lost when this distance has grown more than 1000 times.
+# The motion runs again from states moved by 1.0e-10 of the scene's size. It counts
+# as lost when this distance has grown more than 1000 times.
 
 # %%
 result = sc.predict(scene, horizon=20.0, starts=1, progress=False)
 print(result.sentences[0])
+print(result.setup)
 print(f"predictable for {result.time:.1f} s")
 
 # %%
