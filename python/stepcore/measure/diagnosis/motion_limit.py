@@ -32,7 +32,7 @@ STEADY = 0.05
 # It grows with dt, with a scatter of 0.05 between neighbouring steps: Panda under sines 0.11 at
 # 2 ms, 0.2 at 2.9 ms, 0.3 at 3.8 ms (not at 4.6 ms), 0.5 at 7.5 ms; UR5e 0.2 at 2.7 ms, and 0.3
 # from 3 to 4.9 ms.
-BEGINS = 0.2
+BEGINS, SCATTER = 0.2, 0.05
 # The factor between successive steps in a search for failures, the number of steps at this factor
 # (shorter ones are halved), and the fewest steps.
 NEXT, DENSE, FEWEST_STEPS = 1.25, 10, 4
@@ -111,7 +111,7 @@ def _judged(
         servos, qpos = range(here.model.nu), judge.real.start.qpos
         alone = min(crossing_dt(here.model, qpos, servo) for servo in servos)
         dt = first_failing(search.calm, max(alone, judge.fine.dt), beyond)
-        dt = search.below(dt, search.calm)
+        dt = search.below(dt, search.nearly_calm)
         failed = [dt for dt, outcome in search.outcomes.items() if not outcome.holds]
         outcome = search.outcomes[min(failed)]
     if outcome.element is not None:
@@ -159,6 +159,10 @@ class _Search:
     def calm(self, dt: float) -> bool:
         """Return whether the motion holds at a step, and no servo begins to chatter there."""
         return self.holds(dt) and self.outcomes[dt].jumps <= BEGINS
+
+    def nearly_calm(self, dt: float) -> bool:
+        """Return whether the motion is calm at a step, or chatters no more than by scatter."""
+        return self.holds(dt) and self.outcomes[dt].jumps <= BEGINS + SCATTER
 
     def limit(self, linear: float, wanted: float, decisive: bool) -> float:
         """Return the limit [s], which is the linear one if the motion agrees.

@@ -206,7 +206,9 @@ def _cluster(matrix: Floats, values: Any, value: complex) -> tuple[complex, Any]
 # The least share of an element that is softened alone, the most of these elements, and the least
 # share of an element that is named in a group.
 PARTAKES, MOST, HELD = 0.02, 12, 1e-6
-# The remaining fraction of the stiffness and damping of a softened element.
+# The remaining fraction of the stiffness and damping of a softened element. A limit in proportion
+# to damping over stiffness does not move so (explicit integrators with little damping, controls
+# with a delay): there the element is left out.
 SOFTENED = 0.1
 # The largest rise of the limit that is tested, as a factor, and its relative resolution.
 MOST_RISE, RISE_FINE = 4.0, 0.05
@@ -237,10 +239,18 @@ def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[Element
         # Over several held steps, shares alone separate a control from the other elements.
         return first
     by_share = [element for element in by_share if element in motion.elements]
-    rise = _Rise(motion, limit.integrator, dt, here.horizon)
     try:
-        # The composed step may not show the growth of the real one.
-        return first if rise.stable((), dt) else _effective(rise, partaking, by_share, shares)
+        # Where softening moves nothing, leaving an element out may.
+        for part in (SOFTENED, 0.0):
+            rise = _Rise(motion, limit.integrator, dt, here.horizon, part)
+            if rise.stable((), dt):
+                # The composed step does not show the growth of the real one.
+                return first
+            found = _effective(rise, partaking, by_share, shares)
+            found = found or _first_of_modes(rise, partaking[0])
+            if found:
+                return found
+        return ()
     except np.linalg.LinAlgError:
         return first
 
@@ -266,6 +276,30 @@ def _effective(
     return ()
 
 
+def _first_of_modes(rise: _Rise, first: Element) -> tuple[Element, ...]:
+    """Return the first element of a group that moves the limit, if several modes set it.
+
+    Each element leads the mode that limits dt once those before it are softened. The element that
+    is named is the first without which the others do not move the limit: what has a share, and
+    changes nothing, is passed over.
+
+    first: the element with the largest share in the limiting mode.
+    """
+    group = [first]
+    while rise.without(group) < MOVES:
+        shares = {e: share for e, share in rise.shares(group).items() if e not in group}
+        following = max(shares, key=lambda element: shares[element], default=None)
+        if following is None or shares[following] < PARTAKES or len(group) == MOST:
+            return ()
+        group.append(following)
+    for element in group:
+        others = [other for other in group if other != element]
+        if rise.without(others) < MOVES:
+            return (element,)
+        group = others
+    return ()
+
+
 class _Rise:
     """The rise of the limit of a motion's step when elements are softened.
 
@@ -273,10 +307,14 @@ class _Rise:
     integrator: the integrator.
     dt: a step just beyond the limit [s].
     horizon: see `growth` [s].
+    part: the remaining fraction of the stiffness and damping of a softened element.
     """
 
-    def __init__(self, motion: LinearMotion, integrator: str, dt: float, horizon: float) -> None:
+    def __init__(
+        self, motion: LinearMotion, integrator: str, dt: float, horizon: float, part: float
+    ) -> None:
         self.motion, self.integrator, self.dt, self.horizon = motion, integrator, dt, horizon
+        self.part = part
 
     def stable(self, elements: Sequence[Element], dt: float) -> bool:
         """Return whether a step of dt [s] is stable with some elements softened."""
@@ -289,9 +327,19 @@ class _Rise:
             return MOST_RISE
         return bisected(lambda rise: stable(rise * self.dt), 1.0, MOST_RISE, RISE_FINE)
 
+    def shares(self, elements: Sequence[Element]) -> Shares:
+        """Return the shares in what grows a little further beyond dt with some softened."""
+        motion, dt = self.motion.scaled(elements, self.part), MOVES * self.dt
+        with np.errstate(all="ignore"):
+            made = motion.step(self.integrator, dt)
+            if not np.abs(made).max() < FARTHEST:
+                return {}
+            growth = step_growth(made, dt, eigenvalues(motion.rates), self.horizon)
+        return step_shares(motion, self.integrator, dt, made, growth.value)
+
     def _softened(self, elements: Sequence[Element]) -> Callable[[float], bool]:
         """Return the stability test of a step with some elements softened."""
-        motion = self.motion.scaled(elements, SOFTENED)
+        motion = self.motion.scaled(elements, self.part)
         with np.errstate(all="ignore"):
             rates = eigenvalues(motion.rates)
 
