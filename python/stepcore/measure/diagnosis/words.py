@@ -136,10 +136,13 @@ def blown_up(runaway: Runaway) -> str:
     coarse, fine = (seconds(dt) for dt in runaway.dts)
     before, after = (seconds(time) for time in runaway.times)
     if not runaway.alike:
-        return (
-            f"The motion blows up at every step tried: after {before} at {coarse}, after {after} "
-            f"at {fine}. These do not agree: the cause may be the step or the motion."
-        )
+        how = f": after {before} at {coarse}, after {after} at {fine}. These do not agree"
+        if min(runaway.dts) < SHORTEST:
+            # Nobody asks for such steps, or for times as short.
+            longest = seconds(max(*runaway.times, SHORTEST))
+            how = f", within {longest} but at different times"
+        cause = "the cause may be the step or the motion"
+        return f"The motion blows up at every step tried{how}: {cause}."
     grows = ""
     if runaway.element:
         grows = f": {runaway.element.name} {_verb([runaway.element], 'make')} it grow"
