@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,8 +21,8 @@ from stepcore.experiment.poses import Point, touching
 SHOCK = 0.1
 # A force is at its bound within this relative distance.
 AT_END = 1e-9
-# A robot falls if it tilts by more than this [rad], or its centre of mass sinks by this share of
-# its height above the lowest of its geoms.
+# A robot falls if it tilts by more than this [rad], or the height of its centre of mass above the
+# lowest of its geoms shrinks by this share. What sinks into the floor as a whole has not fallen.
 TILT, SINKS = 0.35, 0.25
 
 # A pair of geoms; a joint.
@@ -168,14 +169,15 @@ class Upright:
             self.bodies = sorted({model.root(int(model.jnt_body[j])) for j in joints})
         sim.forward()
         self.axes = [self._axis(sim, body) for body in self.bodies]
-        self.heights = [float(sim.subtree_com[body, 2]) for body in self.bodies]
-        self.sinks = [SINKS * self._size(sim, body) for body in self.bodies]
+        roots = [model.root(body) for body in model.geom_body.tolist()]
+        self.geoms = [[k for k, root in enumerate(roots) if root == b] for b in self.bodies]
+        self.heights = [self._height(sim, k) for k in range(len(self.bodies))]
 
     def lost(self, sim: Sim) -> int | None:
         """Return the base of a robot that has fallen, or None."""
         for k, body in enumerate(self.bodies):
             tilted = self._axis(sim, body) @ self.axes[k] < np.cos(TILT)
-            if tilted or self.heights[k] - sim.subtree_com[body, 2] > self.sinks[k]:
+            if tilted or self._height(sim, k) < (1 - SINKS) * self.heights[k]:
                 return body
         return None
 
@@ -186,12 +188,10 @@ class Upright:
         axis: np.ndarray = rotated(back, np.array([0.0, 0.0, 1.0]))
         return axis
 
-    @staticmethod
-    def _size(sim: Sim, body: int) -> float:
-        """Return the height of the centre of mass above the lowest geom."""
-        model = sim.model
-        geoms = [k for k, b in enumerate(model.geom_body.tolist()) if model.root(b) == body]
+    def _height(self, sim: Sim, k: int) -> float:
+        """Return the height of the centre of mass above the lowest geom of a robot."""
+        geoms = self.geoms[k]
         if not geoms:
-            return np.inf
-        lowest = sim.geom_xpos[geoms, 2] - model.geom_size[geoms].max(axis=1)
-        return float(sim.subtree_com[body, 2] - lowest.min())
+            return math.inf
+        lowest = sim.geom_xpos[geoms, 2] - sim.model.geom_size[geoms].max(axis=1)
+        return float(sim.subtree_com[self.bodies[k], 2] - lowest.min())

@@ -38,6 +38,8 @@ from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 TINY_STEP = 1e-7
 # Residual of the rows at which a solve ends [m/s].
 TOLERANCE = 1e-14
+# The largest way in a step that a double resolves, as an angle [rad].
+RESOLVED = 1 / float(np.finfo(float).eps)
 # Laws whose rows act on velocities: the rows have the stiffness 1/dt² in every scene.
 VELOCITY_LAWS = ("lesson", "relaxed", "rigid")
 
@@ -125,11 +127,22 @@ def state_after(
         sim.forward()
     except SimulationError:
         return None
+    if not _resolved(sim):
+        return None
     steps = "a step" if count == 1 else f"{count} steps"
     label = f"{state.label} and {steps} of {dt:.3g} s"
     after = state_of(sim, label, state.time + count * dt)
     after = dataclasses.replace(after, feedback=state.feedback)
     return after, met | set(after.rows)
+
+
+def _resolved(sim: Sim) -> bool:
+    """Return whether a double still resolves the way of a step, as an angle.
+
+    Beyond 1/ε radians in a step nothing is left of an angle. A worm that had exploded to 2e27 rad/s
+    took more than a minute to linearise.
+    """
+    return float(np.abs(sim.qvel).max(initial=0.0)) * sim.settings.dt < RESOLVED
 
 
 def _stepped(sim: Sim, state: State, count: int) -> None:
@@ -167,6 +180,8 @@ def step_maps(model: Model, state: State, integrator: str, dt: float, count: int
     """Return the product of A over `count` steps that make up dt [s]; None as in `step_map`."""
     checkpoint()
     sim = sim_at(model, state, integrator=integrator, dt=dt / count)
+    if not _resolved(sim):
+        return None
     product, feedback = None, state.feedback
     function = None if feedback is None or feedback.order else fresh(feedback.function)
     try:
