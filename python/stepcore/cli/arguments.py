@@ -242,7 +242,7 @@ def _constants(text: str, model: Model) -> list[list[float]] | dict[str, float]:
     if not any("=" in part for part in parts):
         if len(parts) != model.nu or os.path.splitext(text)[1][1:].isalpha():
             limit = f"must be {every}, one for each actuator; NAME=VALUE pairs; "
-            raise Usage(f"--ctrl {text}: {limit}or a .csv, .npz or .npy file")
+            raise Usage(f"--ctrl {text}: {limit}or a file that ends in {', '.join(ENDINGS)}")
         return [[_number(text, part) for part in parts]]
     if not any(model.actuator_names):
         raise Usage(f"--ctrl {text}: no actuator of this model has a name: give {every}")
