@@ -10,7 +10,7 @@ from pathlib import Path
 from commands import printed
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-RUN = "stepcore run gymnasium:half_cheetah --duration 2 --ctrl sines"
+RUN = "stepcore run gymnasium:half_cheetah --duration 2 --motion sines"
 # What a reader did before, once the page played: halted the run at this share of it.
 HALTED = """<script>
 setTimeout(() => {
