@@ -51,7 +51,7 @@ def player(
     starts, blocks = ctrl.shape[:2]
     play = _compiled()
     if play is None:
-        return lambda: _play_from_python(model, data, states, ctrl, hold)
+        return python_player(model, data, states, ctrl, hold, hold)
 
     def go(kept=(model, data, states, ctrl)) -> None:
         size = states.shape[1]
@@ -73,12 +73,26 @@ def timers(on: bool) -> None:
     _callback().value = default if on else None
 
 
-def _play_from_python(model, data, states, ctrl, hold) -> None:
-    for state, blocks in zip(states, ctrl, strict=True):
-        mujoco.mj_setState(model, data, state, STATE)
-        for u in blocks:
-            data.ctrl[:] = u
-            mujoco.mj_step(model, data, nstep=hold)
+def python_player(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    states: np.ndarray,
+    ctrl: np.ndarray,
+    hold: int,
+    chunk: int = 1,
+) -> Callable[[], None]:
+    """The same from Python: `ctrl[:] = …; mj_step(nstep=chunk)`."""
+    own, step, calls = data.ctrl, mujoco.mj_step, hold // chunk
+
+    def go() -> None:
+        for state, blocks in zip(states, ctrl, strict=True):
+            mujoco.mj_setState(model, data, state, STATE)
+            for u in blocks:
+                for _ in range(calls):
+                    own[:] = u
+                    step(model, data, chunk)
+
+    return go
 
 
 def _at(array: np.ndarray) -> ctypes.c_void_p:

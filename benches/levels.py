@@ -119,7 +119,7 @@ def compare(case, levels: dict[str, Level], options, report: record.Report) -> N
             for lanes in LANES:
                 settings = {"solver": "newton", "integrator": integrator}
                 settings |= {"lanes": lanes, "precision": precision}
-                given = (case, settings, motion.qpos, motion.qvel, ctrl)
+                given = (case, settings, motion.starts["qpos"], motion.starts["qvel"], ctrl)
                 made[name, lanes] = (level, level.ask(given))
         times, ends = {key: [] for key in made}, {}
         try:

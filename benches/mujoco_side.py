@@ -18,6 +18,8 @@ SOLVERS = {
     "newton": mujoco.mjtSolver.mjSOL_NEWTON,
     "cg": mujoco.mjtSolver.mjSOL_CG,
 }
+# What a start consists of, by the name that both engines give it.
+STARTED = ("qpos", "qvel", "ctrl", "act", "mocap_pos", "mocap_quat")
 # MuJoCo would write its warnings to a file in the working directory.
 mujoco.set_mju_user_warning(lambda text: None)
 
@@ -26,16 +28,13 @@ mujoco.set_mju_user_warning(lambda text: None)
 class Motion:
     """What both sides repeat: from each start, blocks of `hold` steps with constant control.
 
-    states: MuJoCo's, shape (starts, size). qpos, qvel: the same starts, and with `before` those
-    one step earlier, whose control is `ctrl_before`. ctrl: shape (starts, blocks, nu).
+    states: MuJoCo's, shape (starts, size). starts, before: `STARTED` at these and one step earlier,
+    each of shape (starts, …). ctrl: shape (starts, blocks, nu).
     """
 
     states: np.ndarray
-    qpos: np.ndarray
-    qvel: np.ndarray
-    qpos_before: np.ndarray
-    qvel_before: np.ndarray
-    ctrl_before: np.ndarray
+    starts: dict[str, np.ndarray]
+    before: dict[str, np.ndarray]
     ctrl: np.ndarray
     hold: int
 
@@ -56,11 +55,18 @@ def configure(model: mujoco.MjModel, integrator: str, solver: str) -> None:
 
 
 def record(
-    model: mujoco.MjModel, starts: int, blocks: int, hold: int, settle: int = 0, seed: int = 7
+    model: mujoco.MjModel,
+    starts: int,
+    blocks: int,
+    hold: int,
+    settle: int = 0,
+    seed: int = 7,
+    noise: float | None = None,
 ) -> Motion:
     """A run with seeded controls from the first keyframe or a seeded pose, cut into starts.
 
-    settle: steps before the first start, so that a body that falls has landed.
+    settle: steps before the first start, so that a body that falls has landed. noise: the controls
+    are the keyframe's, give or take this share of their range; by default they fill the range.
     """
     rng = np.random.default_rng(seed)
     data = mujoco.MjData(model)
@@ -72,28 +78,36 @@ def record(
     limited = model.actuator_ctrllimited.astype(bool)
     low = np.where(limited, model.actuator_ctrlrange[:, 0], -1.0)
     high = np.where(limited, model.actuator_ctrlrange[:, 1], 1.0)
+    if noise is not None:
+        low, high = data.ctrl - noise * (high - low), data.ctrl + noise * (high - low)
     for _ in range(-(-settle // hold)):
         data.ctrl[:] = rng.uniform(low, high)
         mujoco.mj_step(model, data, nstep=hold)
-    kept: dict[str, list[np.ndarray]] = {name: [] for name in ("states", "qpos", "qvel")}
-    kept |= {name: [] for name in ("qpos_before", "qvel_before", "ctrl_before")}
+    states, at_start, before = [], [], []
     ctrl = rng.uniform(low, high, (starts, blocks, model.nu))
-    before = (data.qpos.copy(), data.qvel.copy(), data.ctrl.copy())
+    earlier = _start(data)
     for own in ctrl:
-        state = np.empty(mujoco.mj_stateSize(model, c_loop.STATE))
-        mujoco.mj_getState(model, data, state, c_loop.STATE)
-        now = (state, data.qpos.copy(), data.qvel.copy(), *before)
-        for name, value in zip(kept, now, strict=True):
-            kept[name].append(value)
+        states.append(np.empty(mujoco.mj_stateSize(model, c_loop.STATE)))
+        mujoco.mj_getState(model, data, states[-1], c_loop.STATE)
+        at_start.append(_start(data))
+        before.append(earlier)
         for u in own:
             data.ctrl[:] = u
             mujoco.mj_step(model, data, nstep=hold - 1)
-            before = (data.qpos.copy(), data.qvel.copy(), data.ctrl.copy())
+            earlier = _start(data)
             mujoco.mj_step(model, data)
     if data.warning.number.any():
         warned = [mujoco.mjtWarning(k).name for k in np.flatnonzero(data.warning.number)]
         raise ValueError(f"no motion to compare: MuJoCo warned of {', '.join(warned)}")
-    return Motion(**{name: np.array(value) for name, value in kept.items()}, ctrl=ctrl, hold=hold)
+    return Motion(np.array(states), _stacked(at_start), _stacked(before), ctrl, hold)
+
+
+def _start(data: mujoco.MjData) -> dict[str, np.ndarray]:
+    return {name: getattr(data, name).copy() for name in STARTED}
+
+
+def _stacked(starts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.array([start[name] for start in starts]) for name in STARTED}
 
 
 def walk(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion):

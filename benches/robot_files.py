@@ -31,8 +31,12 @@ def wheels() -> list[Robot]:
 
 
 def folder_of(collection: str, folder: Path) -> list[Robot]:
-    """All models below a folder, by name; includes that are no models of their own are left out."""
+    """All models below a folder, by name; includes that are no models of their own are left out.
+
+    A link stands for the file that it names, whose meshes lie beside that.
+    """
     files = sorted(path for path in folder.rglob("*.xml") if "common" not in path.parts)
     return [
-        Robot(collection, str(path.relative_to(folder).with_suffix("")), path) for path in files
+        Robot(collection, str(path.relative_to(folder).with_suffix("")), path.resolve())
+        for path in files
     ]

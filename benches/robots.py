@@ -1,19 +1,18 @@
-"""Public robots: which load, how far they are from MuJoCo, how fast; the table of docs/robots.md.
+"""Public robots: which load, how far they are from MuJoCo, how fast; the tables of docs/robots.md.
 
-    python benches/robots.py [--folder DIR] [--only TEXT] [--states 100] [--no-times] [--write]
+    python benches/robots.py [--folder DIR …] [--only TEXT] [--states 100] [--no-times] [--write]
 
-Every model of gymnasium's and dm-control's wheels, and every MJCF file below --folder. At each of
-100 states (random falls: contacts, limits and pushes are active; half of them with forces applied)
-both engines place, detect and solve from scratch, MuJoCo at its most accurate, and everything that
-they compute is compared, relative to the largest entry. Where the two find other contacts, or as
-many at other places, what follows from them is not compared: the state counts as one whose contacts
-differ, and an independent oracle says of each such pair of geoms who is right (`verdict.py`). Nor
-is it where a contact is at its margin to rounding. Then one step of each integrator that both have,
-unless that happened.
+Every model of gymnasium's and dm-control's wheels, and every MJCF file below each folder. At each
+of 100 states (random falls: contacts, limits and pushes are active; half of them with forces
+applied) both engines place, detect and solve from scratch, MuJoCo at its most accurate, and
+everything that they compute is compared, relative to the largest entry. Where the two find other
+contacts, or as many at other places, what follows from them is not compared: the state counts as
+one whose contacts differ, and an independent oracle says of each such pair of geoms who is right
+(`verdict.py`). Nor is it where a contact is at its margin to rounding. Then one step of each
+integrator that both have, unless that happened.
 
-Times: MuJoCo in a C loop with its timers off, stepcore by `sim.step(n)`, both from the same starts,
-in turn. "equal": Newton, to the residual that MuJoCo reaches. "shipped": what the file asks for, on
-either side.
+Times: `robot_times.py`, the slowest first. `--states 0` measures these alone, and with `--write`
+they go into docs/robots.md, the slowest also into README.md, and everything into results.
 """
 
 from __future__ import annotations
@@ -24,18 +23,19 @@ import warnings
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+import c_loop
 import mujoco
-import numpy as np
 import peers
 import record
 import robot_files
+import robot_times
 import verdict
-from robot_times import Times, times
 
 import stepcore as sc
 
-DOCS = Path(__file__).parent.parent / "docs" / "robots.md"
-MARKS = ("<!-- robots -->", "<!-- end of robots -->")
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs" / "robots.md"
+SAMPLE = 0.02  # of times [s]
 # Which columns of the table hold which quantities.
 GROUPS = {
     "placed": ("xpos", "xquat", "geom_xpos", "geom_xmat", "site_xpos", "mass"),
@@ -59,7 +59,6 @@ class Row:
     # By kinds of geoms: who is right where their contacts differ.
     verdicts: dict[str, verdict.Verdicts] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)
-    times: Times | None = None
 
     @property
     def loaded(self) -> bool:
@@ -104,7 +103,7 @@ def compare_forward(row: Row, model: sc.Model, theirs: mujoco.MjModel, states: l
         peers.note_forward(one, index, sim, theirs, data, state)
         grazes = verdict.grazes(data)
         grazed |= grazes
-        differs = note_pairs(judge, None if grazes else row)
+        differs = judge.differ(None if grazes else row.verdicts)
         row.other_contacts += differs and not grazes
         differs |= grazes
         if not differs:
@@ -117,22 +116,6 @@ def compare_forward(row: Row, model: sc.Model, theirs: mujoco.MjModel, states: l
     row.errors = {name: value for name, (value, _) in (every.seen | same.seen).items()}
     # What touches so in one state may do it within a step from any other.
     return [] if grazed else alike
-
-
-def note_pairs(judge: verdict.Judge, row: Row | None = None) -> bool:
-    """Whether any pair of geoms has other contacts; with a row, who is right about it."""
-    ours = verdict.listed(judge.sim, judge.geoms)
-    peer = verdict.listed_by_mujoco(judge.data)
-    differs = False
-    for pair in sorted(ours.keys() | peer.keys()):
-        own, other = ours.get(pair), peer.get(pair)
-        if not verdict.elsewhere(own, other, judge.size(pair)):
-            continue
-        differs = True
-        if row is not None:
-            kinds = "–".join(judge.kind(geom) for geom in pair)
-            row.verdicts.setdefault(kinds, verdict.Verdicts()).add(*judge.pair(pair, own, other))
-    return differs
 
 
 def compare_steps(
@@ -148,7 +131,7 @@ def compare_steps(
     for index, state in enumerate(states):
         one = peers.Worst()
         peers.note_step(one, index, sim, theirs, data, state)
-        if not note_pairs(judge):
+        if not judge.differ():
             worst.note(f"step {integrator}", max(v for v, _ in one.seen.values()), index)
     row.errors |= {name: value for name, (value, _) in worst.seen.items()}
     theirs.opt.integrator = kept
@@ -160,23 +143,21 @@ def cells(row: Row) -> list[str]:
     if row.refused:
         reason = row.refused if len(row.refused) < 160 else row.refused[:157] + "…"
         both = " (MuJoCo refuses it too)" if row.peer_refused else ""
-        return [name, "no" + both, "", "", "", "", "", "", reason]
+        return [name, "no" + both, "", "", "", "", "", reason]
     if not row.states:
-        return [name, "yes", str(row.nv), "", "", "", "", "", row.peer_refused or "nothing moves"]
+        return [name, "yes", str(row.nv), "", "", "", "", row.peer_refused or "nothing moves"]
     contacts = "" if not row.other_contacts else f"{row.other_contacts} of {row.states}"
     who = "; ".join(f"{kinds}: {found}" for kinds, found in sorted(row.verdicts.items()))
     steps = tuple(name for name in row.errors if name.startswith("step"))
     groups = (*GROUPS.values(), ("sensordata",), steps)
     columns = [f"{row.worst(names):.0e}" if names else "" for names in groups]
     placed, forces, solved, _, stepped = columns
-    own = [name, "yes", str(row.nv), f"{placed}, {forces}", solved, stepped, contacts, who]
-    return [*own, row.times.cell() if row.times else ""]
+    return [name, "yes", str(row.nv), f"{placed}, {forces}", solved, stepped, contacts, who]
 
 
 HEAD = (
     *("model", "loads", "dofs", "placed, forces", "solved", "one step"),
     *("other contacts", "pairs that differ: who is right"),
-    "µs a step: ours, MuJoCo's (equal; shipped)",
 )
 
 
@@ -196,43 +177,70 @@ def table(rows: list[Row]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--folder", type=Path, help="a folder of MJCF files, beside the wheels")
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="folders of MJCF files, beside the wheels",
+    )
     parser.add_argument("--only", default="", help="only models with this text in their name")
-    parser.add_argument("--states", type=int, default=100)
+    parser.add_argument("--states", type=int, default=100, help="0: only times")
     parser.add_argument("--no-times", action="store_true")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/robots.md")
+    parser.add_argument("--pairs", type=int, default=9, help="timed pairs")
+    parser.add_argument("--write", action="store_true", help="put the tables into the docs")
     chosen = parser.parse_args()
     robots = robot_files.wheels()
-    if chosen.folder:
-        robots += robot_files.folder_of(chosen.folder.name, chosen.folder)
+    for folder in chosen.folder:
+        robots += robot_files.folder_of(folder.name, folder)
+    robots = [r for r in robots if chosen.only in f"{r.collection}/{r.name}"]
+    warnings.simplefilter("ignore")
+    if chosen.states:
+        compare(robots, chosen.states, chosen.write)
+    if not chosen.no_times:
+        time(robots, chosen.pairs, chosen.write)
+
+
+def compare(robots: list[robot_files.Robot], states: int, write: bool) -> None:
+    """Every robot at random states; into the docs and results, if asked for."""
     rows = []
     for robot in robots:
-        if chosen.only not in f"{robot.collection}/{robot.name}":
-            continue
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            row = examine(robot, chosen.states)
-            if row.states and not chosen.no_times:
-                row.times = times(robot.path)
-        print(" | ".join((row.collection, *cells(row))), flush=True)
-        rows.append(row)
-    text = table(rows)
-    ratios = [r.times.equal for r in rows if r.times and r.times.equal]
-    if ratios:
-        print(f"equal settings: median {np.median(ratios):.2f}, least {min(ratios):.2f}")
-    if chosen.write:
-        write(text, rows)
+        rows.append(examine(robot, states))
+        print(" | ".join((robot.collection, *cells(rows[-1]))), flush=True)
+    if write:
+        put(DOCS, "robots", table(rows))
+        data = {"machine": record.machine(), "versions": record.versions()}
+        data["rows"] = [asdict(row) for row in rows]
+        text = json.dumps(data, indent=1, default=float)
+        (record.RESULTS / "robots.json").write_text(text + "\n")
 
 
-def write(text: str, rows: list[Row]) -> None:
-    """The table into the docs page, and all figures into results."""
-    page = DOCS.read_text()
-    before, rest = page.split(MARKS[0])
-    after = rest.split(MARKS[1])[1]
-    machine = record.machine()
-    DOCS.write_text(f"{before}{MARKS[0]}\n{text}{MARKS[1]}{after}")
-    data = {"machine": machine, "versions": record.versions(), "rows": [asdict(r) for r in rows]}
-    (record.RESULTS / "robots.json").write_text(json.dumps(data, indent=1, default=float) + "\n")
+def time(robots: list[robot_files.Robot], pairs: int, write: bool) -> None:
+    """The times of every robot that moves; into README, the docs and results, if asked for."""
+    rows, skipped = [], {}
+    c_loop.timers(False)
+    for robot in robots:
+        name = f"{robot.collection}/{robot.name}"
+        try:
+            rows.append(robot_times.measure(robot, pairs, SAMPLE))
+            print(" | ".join(rows[-1].cells()), flush=True)
+        except (ValueError, sc.SimulationError) as error:
+            skipped[name] = str(error).splitlines()[0]
+            print(f"{name}: {skipped[name]}", flush=True)
+    if not rows:
+        return
+    options = argparse.Namespace(pairs=pairs, sample=SAMPLE, save=write)
+    text = robot_times.report(rows, skipped, options)
+    if write:
+        put(DOCS, "times", text)
+        put(ROOT / "README.md", "slowest robots", robot_times.slowest(rows))
+
+
+def put(page: Path, mark: str, text: str) -> None:
+    """The text between the marks of a page."""
+    start, end = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
+    before, rest = page.read_text(encoding="utf-8").split(start)
+    page.write_text(f"{before}{start}{text}{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def compare(case, options, report: record.Report) -> None:
 
         def ours(batch=batch) -> sc.batch.Rollout:
             batch.reset()
-            batch.qpos[:], batch.qvel[:] = motion.qpos, motion.qvel
+            batch.qpos[:], batch.qvel[:] = motion.starts["qpos"], motion.starts["qvel"]
             return batch.rollout(ctrl)
 
         def theirs(pool=pool, data=data) -> None:

@@ -90,7 +90,7 @@ def run(name: str) -> None:
     batch = sc.Batch(case.stepcore(), WORLDS, threads=1, lanes=True, **settings)
     end = time.monotonic() + SECONDS
     while time.monotonic() < end:
-        levels.run(batch, motion.qpos, motion.qvel, ctrl)
+        levels.run(batch, motion.starts["qpos"], motion.starts["qvel"], ctrl)
 
 
 if __name__ == "__main__":

@@ -18,25 +18,33 @@ def snapshots(sim, motion: Motion) -> list:
     kept = []
     for i in range(len(motion.states)):
         sim.reset()
-        sim.qpos[:], sim.qvel[:] = motion.qpos_before[i], motion.qvel_before[i]
-        sim.ctrl[:] = motion.ctrl_before[i]
+        _set(sim, motion.before, i)
         sim.step(1)
-        sim.qpos[:], sim.qvel[:] = motion.qpos[i], motion.qvel[i]
+        _set(sim, motion.starts, i)
         kept.append(sim.state())
     return kept
 
 
-def player(sim, motion: Motion) -> Callable[[], None]:
-    """A call that plays the motion: one call of `step` for each block of constant control."""
+def _set(sim, starts: dict[str, np.ndarray], index: int) -> None:
+    for name, values in starts.items():
+        getattr(sim, name)[:] = values[index]
+
+
+def player(sim, motion: Motion, chunk: int = 0) -> Callable[[], None]:
+    """A call that plays the motion: `ctrl[:] = …; step(chunk)`, by default a block of constant
+    control at once."""
     starts = list(zip(snapshots(sim, motion), motion.ctrl, strict=True))
-    restore, step, ctrl, hold = sim.restore, sim.step, sim.ctrl, motion.hold
+    restore, step, ctrl = sim.restore, sim.step, sim.ctrl
+    chunk = chunk or motion.hold
+    calls = motion.hold // chunk
 
     def go() -> None:
         for state, blocks in starts:
             restore(state)
             for u in blocks:
-                ctrl[:] = u
-                step(hold)
+                for _ in range(calls):
+                    ctrl[:] = u
+                    step(chunk)
 
     return go
 

@@ -122,6 +122,20 @@ class Judge:
         """The radius of the smaller geom's bounding sphere [m]; a plane has none."""
         return min(float(r) for r in self.model.geom_rbound[list(pair)] if r > 0)
 
+    def differ(self, verdicts: dict[str, Verdicts] | None = None) -> bool:
+        """Whether any pair of geoms has other contacts; into `verdicts`, if given, who is right."""
+        ours, theirs = listed(self.sim, self.geoms), listed_by_mujoco(self.data)
+        differs = False
+        for pair in sorted(ours.keys() | theirs.keys()):
+            one, two = ours.get(pair), theirs.get(pair)
+            if not elsewhere(one, two, self.size(pair)):
+                continue
+            differs = True
+            if verdicts is not None:
+                kinds = "–".join(self.kind(geom) for geom in pair)
+                verdicts.setdefault(kinds, Verdicts()).add(*self.pair(pair, one, two))
+        return differs
+
     def pair(
         self, pair: tuple[int, int], one: Claims | None, two: Claims | None
     ) -> tuple[str, float, float]:

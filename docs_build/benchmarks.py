@@ -10,7 +10,7 @@ from typing import Any
 BENCHES = {
     "vs_mujoco": "Small scenes and gymnasium's models against MuJoCo",
     "heaps": "Heaps against MuJoCo, at equal error",
-    "robots_times": "Public robots against MuJoCo",
+    "robots": "Public robots against MuJoCo",
     "vs_rapier": "A ball and piles of spheres against Rapier",
     "vs_numpy": "The lesson's scenes against numpy",
     "heap_scale": "What a heap costs as it grows",
@@ -36,7 +36,7 @@ def page(benches: Path) -> str:
     Raises ValueError for a result whose bench has no place on the page.
     """
     latest = last_results(benches / "results")
-    if unknown := latest.keys() - BENCHES.keys() - {"robots"}:
+    if unknown := latest.keys() - BENCHES.keys():
         raise ValueError(f"results without a place on the page: {sorted(unknown)}")
     parts = [INTRODUCTION]
     for bench, title in BENCHES.items():
@@ -53,8 +53,6 @@ def last_results(folder: Path) -> dict[str, Path]:
 def _section(bench: str, text: Path) -> str:
     """The ratios as a table, where there are such, and the whole output as it was printed."""
     output = text.read_text(encoding="utf-8").rstrip("\n")
-    if bench == "robots_times":
-        return _robots(output)
     kept = f"""??? note "The whole output of `{bench}.py`, {_date(text)}"\n\n"""
     kept += "\n".join(f"    {line}" for line in f"```text\n{output}\n```".split("\n"))
     data = json.loads(text.with_suffix(".json").read_text(encoding="utf-8"))
@@ -97,15 +95,6 @@ def _ratio(ratio: float | None) -> str:
     if ratio is None:
         return ""
     return f"{ratio:.2f}" if ratio >= 1 else f"**{ratio:.2f}**"
-
-
-def _robots(output: str) -> str:
-    """The kept table of robots: the columns of names, size and times, and the line below it."""
-    command, head, *lines, summary = output.split("\n")
-    wanted = ("collection", "model", "dofs", head.split(" | ")[-1])
-    places = [head.split(" | ").index(name) for name in wanted]
-    rows = [[line.split(" | ")[place] for place in places] for line in lines]
-    return f"`{command}`: {summary}.\n\n" + _table(list(wanted), rows)
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:

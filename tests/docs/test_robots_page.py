@@ -5,6 +5,7 @@ import warnings
 import menagerie
 import pytest
 import robot_files
+import robot_times
 import robots
 
 STATES = 6
@@ -54,3 +55,29 @@ def test_a_robot_is_as_near_mujoco_as_its_row_says(robot):
         # Of few states there may be none from which steps can be compared.
         for value, limit in zip(figures(own), figures(page) if own else [], strict=True):
             assert value <= SLACK * limit + ROUNDING
+
+
+def ratios(page, mark, columns) -> list[tuple[str, ...]]:
+    """The names and two columns of ratios of a table between marks."""
+    text = page.read_text(encoding="utf-8").split(f"<!-- {mark} -->")[1]
+    lines = text.split(f"<!-- end of {mark} -->")[0].splitlines()
+    rows = [line.strip("| ").split(" | ") for line in lines if "/" in line and line[0] == "|"]
+    return [(row[0], *(row[k].strip("*") for k in columns)) for row in rows]
+
+
+def test_the_slowest_robot_leads_both_tables():
+    every = ratios(robots.DOCS, "times", (5, 7))
+    assert [float(row[1]) for row in every] == sorted(float(row[1]) for row in every)
+    readme = ratios(robots.ROOT / "README.md", "slowest robots", (2, 3))
+    touching = [row for row in every if row in readme]
+    assert readme and readme == touching and readme[0] == every[0]
+
+
+def test_a_robot_is_timed_from_the_same_states_of_the_same_physics():
+    """Law: at equal contacts the accelerations agree; both columns time the same steps."""
+    hopper = next(robot for robot in robot_files.wheels() if robot.name == "hopper")
+    found = robot_times.measure(hopper, pairs=1, sample=1e-3)
+    assert found.touches and max(found.apart) < 1e-9 and not found.others
+    assert found.ours.contacts == pytest.approx(found.theirs.contacts, abs=0.1)
+    lines = robot_times.slowest([found]).splitlines()
+    assert lines[2].startswith("| gymnasium/hopper |") and lines[3].startswith("| median of 1 |")

@@ -17,7 +17,6 @@ import mujoco
 import numpy as np
 import peers
 import pytest
-import robots
 import verdict
 import violent
 from random_drives import DrivesMaker
@@ -116,7 +115,7 @@ def examined(kind: str, seed: int, folder: Path) -> tuple[str, str]:
 def cause_of(sim: sc.Sim, theirs: mujoco.MjModel, data: mujoco.MjData) -> str:
     """By what is there: other contacts, meshes, contacts of bent shapes."""
     judge = verdict.Judge(sim, theirs, data, peers.kept_geoms(sim, theirs))
-    if robots.note_pairs(judge):
+    if judge.differ():
         return "other contacts"
     if theirs.nmesh:
         return "vertices in single precision"
@@ -142,9 +141,9 @@ def over(worst: peers.Worst, cause: str, meshes: int) -> dict[str, float]:
 
 def judged(sim: sc.Sim, theirs: mujoco.MjModel, data: mujoco.MjData) -> list[str]:
     """Pairs about which MuJoCo is right."""
-    row = robots.Row("", "")
-    robots.note_pairs(verdict.Judge(sim, theirs, data, peers.kept_geoms(sim, theirs)), row)
-    counts = {kinds: found.counts for kinds, found in row.verdicts.items()}
+    verdicts: dict[str, verdict.Verdicts] = {}
+    verdict.Judge(sim, theirs, data, peers.kept_geoms(sim, theirs)).differ(verdicts)
+    counts = {kinds: found.counts for kinds, found in verdicts.items()}
     return [
         f"{kinds}: {who}"
         for kinds, found in counts.items()
