@@ -18,7 +18,10 @@ __all__ = [
     "Settings",
     "Sim",
     "SimulationError",
+    "amplification",
     "compile",
+    "integrators",
+    "linear_step",
 ]
 
 # The vector instructions that this module was compiled for.
@@ -35,6 +38,27 @@ _Acceleration = Literal["none", "momentum"]
 _Precision = Literal["f32", "f64"]
 _Law = Literal["solref", "lesson", "relaxed", "rigid", "penalty"]
 _Cone = Literal["pyramidal", "elliptic"]
+
+def integrators() -> dict[str, dict[str, Any]]:
+    """Return what each integrator does, by name: "stages", where in a step it evaluates forces
+    ("start", "middle", "four"); "damping" ("joints", "all", None), "turning" (bias forces: of
+    "free bodies", "trees", None) and "stiffness" (bool), which it takes at the end of the step."""
+
+def amplification(integrator: str, z: NDArray[np.complex128]) -> NDArray[np.complex128] | None:
+    """See `engine.linear_maps.amplification`."""
+
+def linear_step(
+    integrator: str,
+    dt: float,
+    x: _Floats,
+    rates: _Floats,
+    mass: _Floats,
+    damping: _Floats,
+    stiffness: _Floats,
+    after: _Floats | None = None,
+    push: _Floats | None = None,
+) -> _Floats | None:
+    """See `engine.linear_maps.stepped`; None where a matrix is singular."""
 
 class EnergyWarning(UserWarning):
     """Without the setting `ledger`: a Sim has far more energy than its scene can have gained.

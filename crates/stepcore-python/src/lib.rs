@@ -13,6 +13,7 @@ mod element;
 mod errors;
 mod extract;
 mod gil;
+mod integrators;
 mod memory;
 mod model;
 mod nearest;
@@ -46,6 +47,8 @@ mod _core {
     use super::batch::Batch;
     #[pymodule_export]
     use super::errors::{EnergyWarning, SimulationError};
+    #[pymodule_export]
+    use super::integrators::{amplification, integrators, linear_step};
     #[pymodule_export]
     use super::model::{compile, Model};
     #[pymodule_export]

@@ -1,50 +1,10 @@
 //! `Settings`: how a scene is computed, and the overrides that change what is modelled.
 
 use crate::error::{Error, Result};
+pub use crate::integrator::Integrator;
+use crate::integrator::{Inside, Stages};
+use crate::named::named;
 
-/// An enum of settings values with one name each, as the user writes it.
-macro_rules! named {
-    ($(#[$doc:meta])* $name:ident, $field:literal { $($(#[$vdoc:meta])* $variant:ident = $text:literal),+ $(,)? }) => {
-        $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub enum $name { $($(#[$vdoc])* $variant),+ }
-        impl $name {
-            /// Every name, in the order of the documentation.
-            pub const NAMES: &'static [&'static str] = &[$($text),+];
-            pub fn name(self) -> &'static str {
-                match self { $(Self::$variant => $text),+ }
-            }
-            pub fn parse(text: &str) -> Result<Self> {
-                match text {
-                    $($text => Ok(Self::$variant),)+
-                    _ => Err(Error::value($field, format!("'{text}'"), format!("one of {}", Self::NAMES.join(", ")))),
-                }
-            }
-        }
-    };
-}
-
-named!(
-    /// How velocities and positions advance. Formulas: the files of `commit/`.
-    Integrator, "integrator" {
-        /// Positions move by the old velocity.
-        Explicit = "explicit",
-        /// Positions move by the new velocity.
-        SemiImplicit = "semi-implicit",
-        /// MuJoCo's Euler: semi-implicit, joint damping implicit.
-        Euler = "euler",
-        /// MuJoCo's implicitfast: velocity derivatives implicit, symmetrised.
-        ImplicitFast = "implicitfast",
-        /// MuJoCo's implicit: Coriolis and centrifugal forces too, unsymmetric.
-        Implicit = "implicit",
-        /// Rows solved in the metric M + dt·D + dt²·K, in which stiffness and damping are implicit.
-        Discrete = "discrete",
-        /// Implicit midpoint, solved to rounding.
-        Midpoint = "midpoint",
-        /// Classical Runge-Kutta of fourth order.
-        Rk4 = "rk4",
-    }
-);
 named!(
     /// How the rows are solved.
     Solver, "solver" {
@@ -250,18 +210,22 @@ impl Default for Settings {
 const MOST_CONTACTS: usize = 1_000_000;
 
 impl Settings {
-    /// Equalities act within the step: `midpoint` and `rk4` hold them at their stages, where
-    /// the law makes them as hard as can be or a force. A softness is that of the step's end.
-    pub fn connects_inside(&self) -> bool {
-        let hard = match self.law {
-            Law::Lesson => self.softness == 0.0,
-            law => law.on_guess(),
-        };
-        match self.integrator {
-            Integrator::Midpoint => hard || self.law == Law::SolRef,
-            Integrator::Rk4 => hard,
-            _ => false,
+    /// What of the rows acts at the stages of a step: what the law makes as hard as can be, or a force.
+    /// A softness is that of the step's end.
+    pub(crate) fn inside(&self) -> Inside {
+        let scheme = self.integrator.scheme();
+        match self.law {
+            _ if scheme.stages == Stages::Start => Inside::Nothing,
+            Law::SolRef => scheme.inside,
+            Law::Penalty => Inside::All,
+            Law::Lesson if self.softness != 0.0 => Inside::Nothing,
+            Law::Lesson | Law::Relaxed | Law::Rigid => Inside::Equalities,
         }
+    }
+
+    /// Equalities act within the step.
+    pub fn connects_inside(&self) -> bool {
+        self.inside() == Inside::Equalities
     }
 
     /// A step hands something of its rows to the next.
@@ -325,7 +289,7 @@ impl Settings {
             "finite and >= 0 m/s",
         )?;
         number("sleep_time", self.sleep_time, self.sleep_time >= 0.0, "finite and >= 0 s")?;
-        if self.sleep && matches!(self.integrator, Integrator::Midpoint | Integrator::Rk4) {
+        if self.sleep && self.integrator.scheme().stages != Stages::Start {
             return Err(Error::value(
                 "integrator",
                 format!("'{}' with sleep", self.integrator.name()),

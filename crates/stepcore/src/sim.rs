@@ -148,7 +148,7 @@ impl<R: Real> Sim<R> {
             velocity: vec![R::zero(); model.nv],
             qacc: vec![R::zero(); model.nv],
             effort: Effort::default(),
-            next: Next::new(&model, settings.integrator),
+            next: Next::new(&model, settings.integrator.scheme()),
             solver,
             sleeper: if settings.sleep { Sleeper::new(&model) } else { Sleeper::off() },
             clock: Clock::new(settings.dt),

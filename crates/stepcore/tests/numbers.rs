@@ -14,16 +14,6 @@ use stepcore::sim::Sim;
 
 use scenes::{put, start};
 
-const INTEGRATORS: [Integrator; 8] = [
-    Integrator::Explicit,
-    Integrator::SemiImplicit,
-    Integrator::Euler,
-    Integrator::ImplicitFast,
-    Integrator::Implicit,
-    Integrator::Discrete,
-    Integrator::Midpoint,
-    Integrator::Rk4,
-];
 const LAWS: [Law; 5] = [Law::SolRef, Law::Lesson, Law::Relaxed, Law::Rigid, Law::Penalty];
 
 /// Steps both and compares; `mark` gives a number more than its value.
@@ -55,7 +45,7 @@ fn check<R: Real>(mark: impl Fn(&mut R, usize)) {
     let scenes = [(scenes::tower(3), 12), (scenes::runner(), 12), (scenes::heap(), 6)];
     for (scene, steps) in &scenes {
         for law in LAWS {
-            for integrator in INTEGRATORS {
+            for integrator in Integrator::ALL.iter().copied() {
                 for (cone, tolerance) in [(Cone::Pyramidal, 0.0), (Cone::Elliptic, 1e-6)] {
                     let (solver, sweeps, softness) = (Solver::Pgs, 12.into(), 0.1);
                     let settings = Settings {

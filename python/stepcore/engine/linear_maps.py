@@ -1,125 +1,81 @@
-"""The linear map of one step of each integrator: x⁺ = A x for a linear motion x' = J x.
+"""What each integrator does, and the linear map of one step of it: x⁺ = A x for a motion x' = J x.
 
 x = [dq, dv], shape (2n,) or a block of such columns; J is (2n, 2n) [1/s]. For a system of masses,
-springs and dampers, M dv' = −K dq − D dv, J is [[0, 1], [−M⁻¹K, −M⁻¹D]]. With h = dt:
-
-    explicit                q⁺ = q + h J_q x, v⁺ = v + h J_v x: A = 1 + h J
-    rk4                     A = 1 + z + z²/2 + z³/6 + z⁴/24, z = h J
-    midpoint                A = (1 − z/2)⁻¹ (1 + z/2)
-    semi-implicit           v⁺ = v + h J_v x, then q⁺ = q + h (J_qq q + J_qv v⁺)
-    euler, implicitfast,
-    implicit                the same with v⁺ = v + h (M + h D̂)⁻¹ M J_v x, D̂ the implicit damping
-    discrete                the same with v⁺ = v + h (M + h D̂ + h² K̂)⁻¹ (M J_v x − h K̂ v), K̂ the
-                            implicit stiffness
-
-The first three are functions of h J, so that the eigenvalues of A are the same functions of those
-of J (`amplification`). Source: the integrators' definitions in docs/method.md; Hairer and Wanner,
-Solving Ordinary Differential Equations II, chapter IV.
+springs and dampers, M dv' = −K dq − D dv, J is [[0, 1], [−M⁻¹K, −M⁻¹D]]. The formulas of the maps
+are the engine's: crates/stepcore/src/integrator/linear_map.rs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from stepcore import _core
 from stepcore.engine.arrays import Floats
 
-INTEGRATORS = (
-    *("explicit", "semi-implicit", "euler", "implicitfast"),
-    *("implicit", "discrete", "midpoint", "rk4"),
-)
+INTEGRATORS = _core.integrators()
 # Integrators that treat (some) damping implicitly, and integrators that treat stiffness implicitly.
-DAMPING_IMPLICIT = ("euler", "implicitfast", "implicit", "discrete")
-STIFFNESS_IMPLICIT = ("discrete",)
-
-# A matrix times a block of columns: both of shape (2n, any number).
-Product = Callable[[Any], Any]
+DAMPING_IMPLICIT = tuple(name for name, scheme in INTEGRATORS.items() if scheme["damping"])
+STIFFNESS_IMPLICIT = tuple(name for name, scheme in INTEGRATORS.items() if scheme["stiffness"])
+# Integrators that evaluate forces within the step.
+STAGED = tuple(name for name, scheme in INTEGRATORS.items() if scheme["stages"] != "start")
 
 
 def implicit_kinds(integrator: str, eulerdamp: bool) -> tuple[str, ...]:
     """Return the kinds of elements whose damping an integrator treats implicitly.
 
-    eulerdamp: whether `euler` treats damping implicitly (MJCF's flag).
+    eulerdamp: whether damping of joints alone is treated so (MJCF's flag).
     """
-    if integrator == "euler":
+    damping = INTEGRATORS[integrator]["damping"]
+    if damping == "joints":
         return ("damper",) if eulerdamp else ()
-    if integrator not in DAMPING_IMPLICIT:
-        return ()
-    return ("damper", "tendon damper", "fluid", "actuator")
+    return ("damper", "tendon damper", "fluid", "actuator") if damping else ()
 
 
 def amplification(integrator: str, z: Any) -> Any:
-    """Return the factor by which one step multiplies a mode of rate s, with z = dt·s.
+    """Return the factors by which one step multiplies modes of rate s, with z = dt·s.
 
-    z is a number or an array. The result is None for integrators whose step is not a function of
-    dt·J.
+    z is a number or an array of one dimension. The result is None for integrators whose step is not
+    a function of dt·J.
     """
-    if integrator == "explicit":
-        return 1 + z
-    if integrator == "midpoint":
-        return (1 + z / 2) / (1 - z / 2)
-    if integrator == "rk4":
-        with np.errstate(all="ignore"):
-            return 1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))
-    return None
+    return _core.amplification(integrator, np.atleast_1d(np.asarray(z, complex)))
 
 
 def stepped(
     integrator: str,
     dt: float,
-    rates: Product,
+    rates: Floats,
     x: Any,
     mass: Floats,
     implicit: Floats,
-    after: Product | None = None,
-    stiff: Floats | None = None,
+    stiff: Floats,
+    after: Floats | None = None,
+    push: Floats | None = None,
 ) -> Any:
     """Compute A x of one step of dt [s]; the result has the shape of x.
 
-    rates: J times a block. mass: M, shape (n, n). implicit: D̂ of the integrators in
-    `DAMPING_IMPLICIT`, shape (n, n), ignored by the others. after: the accelerations of a block,
-    shape (n, …), that `midpoint` adds to the velocities explicitly after its implicit step (rows of
-    the law `solref`); half of the added velocity moves the positions. These accelerations are part
-    of `rates` too. stiff: K̂ of the integrators in `STIFFNESS_IMPLICIT`, shape (n, n); None means
-    zero.
+    rates: J. mass: M, shape (n, n). implicit: D̂ of the integrators in `DAMPING_IMPLICIT`, shape
+    (n, n), and stiff: K̂ of those in `STIFFNESS_IMPLICIT`; ignored by the others. after: the part of
+    J, shape (n, 2n), whose accelerations `midpoint` adds to the velocities explicitly after its
+    implicit step (rows of the law `solref`); half of the added velocity moves the positions.
+    push: accelerations beside those of J that last through the step, shape (n, …).
+
+    Raises LinAlgError for a singular matrix.
     """
-    n = len(mass)
-    if integrator == "explicit":
-        return x + dt * rates(x)
-    if integrator == "rk4":
-        y = x
-        for order in (4, 3, 2, 1):
-            y = x + dt / order * rates(y)
-        return y
-    if integrator == "midpoint":
-        return _midpoint(dt, rates, x, n, after)
-    change = rates(x)
-    inertia = mass + dt * implicit if integrator in DAMPING_IMPLICIT else mass
-    force = mass @ change[n:]
-    if stiff is not None and integrator in STIFFNESS_IMPLICIT:
-        inertia = inertia + dt * dt * stiff
-        force = force - dt * stiff @ x[n : 2 * n]
-    new = x[n:] + dt * np.linalg.solve(inertia, force)
-    # J_qq q + J_qv v⁺.
-    moving = rates(np.concatenate([x[:n], new]))[:n]
-    return np.concatenate([x[:n] + dt * moving, new])
+    complex_ = np.iscomplexobj(x)
 
+    def columns(block: Any) -> Floats:
+        block = np.reshape(block, (len(block), -1))
+        return np.concatenate([block.real, block.imag], axis=1) if complex_ else block
 
-def _midpoint(dt: float, rates: Product, x: Any, n: int, after: Product | None) -> Any:
-    whole = np.eye(2 * n)
-    if after is None:
-        return np.linalg.solve(whole - dt / 2 * rates(whole), x + dt / 2 * rates(x))
-
-    def smooth(y: Any) -> Any:
-        change = rates(y)
-        change[n:] -= after(y)
-        return change
-
-    made = np.linalg.solve(whole - dt / 2 * smooth(whole), x + dt / 2 * smooth(x))
-    kick = dt * after(x)
-    return made + np.concatenate([dt / 2 * kick, kick])
+    late = None if push is None else columns(push)
+    made = _core.linear_step(integrator, dt, columns(x), rates, mass, implicit, stiff, after, late)
+    if made is None:
+        raise np.linalg.LinAlgError("Singular matrix")
+    if complex_:
+        made = made[:, : made.shape[1] // 2] + 1j * made[:, made.shape[1] // 2 :]
+    return made.reshape(np.shape(x))
 
 
 def step_matrix(
@@ -139,7 +95,4 @@ def step_matrix(
     n = len(mass)
     pull = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
     flow = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), pull])
-    whole = np.eye(2 * n)
-    return np.asarray(
-        stepped(integrator, dt, lambda y: flow @ y, whole, mass, implicit, stiff=stiffness)
-    )
+    return np.asarray(stepped(integrator, dt, flow, np.eye(2 * n), mass, implicit, stiffness))

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from stepcore._core import Settings
+from stepcore.engine.linear_maps import DAMPING_IMPLICIT, STAGED
 from stepcore.engine.model import Model
 from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.converged import reference_settings
@@ -36,10 +37,6 @@ VELOCITY_LEVEL = ("beta", "softness", "restitution", "slop")
 SOFT = ("impratio", "noslip_iterations", "stiction")
 SLEEPING = ("sleep_tolerance", "sleep_time")
 PENALTY = ("penalty_stiffness", "penalty_damping_ratio")
-# Integrators that only the law solref supports.
-SMOOTH = ("euler", "implicitfast", "implicit", "discrete")
-# Integrators that solve rows within the step, which sleep does not support.
-STAGED = ("midpoint", "rk4")
 # Divisors of the solref time constants, in successive steps towards a rigid scene.
 STIFFER = (4.0, 16.0)
 # Laws whose limit is soft, and the change that makes contacts harder, in words.
@@ -194,7 +191,7 @@ class ErrorSplit:
         An integrator that the other model does not support is replaced.
         """
         runs, name = self.runs, like.integrator
-        if settings.law != "solref" and name in SMOOTH:
+        if settings.law != "solref" and name in DAMPING_IMPLICIT:
             name = "semi-implicit"
         if settings.sleep and name in STAGED:
             name = runs.second

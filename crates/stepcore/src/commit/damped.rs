@@ -13,13 +13,13 @@
 //! B[lin, ang] = −m R ([w×c]× + [w]×[c]×)      B[ang, ang] = [w]× I − [I w]×
 //! ```
 
-use crate::elements::force::{Late, Moment};
+use crate::elements::force::Moment;
 use crate::elements::forces::damping;
+use crate::integrator::{Late, Scheme, Stages};
 use crate::model::Model;
 use crate::place::{Metric, Placed};
 use crate::real::Real;
 use crate::room::room;
-use crate::settings::Integrator;
 use crate::spatial::{rotate, rotate_back, M3, V3};
 
 /// Factors of M + dt·D, and the impulse of the step.
@@ -47,13 +47,13 @@ pub struct Damped<R: Real> {
 room!(Damped<R>: places, impulse, change, slopes, damped, damped_fast, late, gyroscopic, blocks, gyroscopic_alone; metric);
 
 impl<R: Real> Damped<R> {
-    pub fn new(model: &Model, integrator: Integrator) -> Self {
+    pub fn new(model: &Model, scheme: &Scheme) -> Self {
         let (damped, by_any) = (model.damped(), model.damped_by_any());
         let spins: Vec<bool> = model.trees.iter().map(|tree| model.gyroscopic(tree)).collect();
         let coupled = model.coupled();
         // `midpoint` takes every stiffness whole: see `model/coupling.rs`.
-        let metric = match integrator {
-            Integrator::Midpoint => Metric::coupled(model),
+        let metric = match scheme.stages {
+            Stages::Middle => Metric::coupled(model),
             _ => Metric::new(model),
         };
         let has = |test: &dyn Fn(usize) -> bool| {

@@ -6,8 +6,9 @@
 //! last to the first, A = U L without fill-in, as LᵀDL of a symmetric matrix.
 
 use super::damped::Solved;
-use crate::elements::force::{Late, Moment};
+use crate::elements::force::Moment;
 use crate::elements::forces::damping;
+use crate::integrator::Late;
 use crate::model::Model;
 use crate::place::bias_slopes::BiasSlopes;
 use crate::real::Real;

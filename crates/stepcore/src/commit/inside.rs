@@ -1,34 +1,18 @@
 //! What acts at the stages of `midpoint` and `rk4`, and what after them.
 
 use crate::error::Result;
+use crate::integrator::Inside;
 use crate::observer::Observer;
 use crate::real::Real;
-use crate::settings::{Integrator, Law};
 use crate::sim::{At, Sim};
 use crate::solve::{Choice, Part};
 
-/// Of the rows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Inside {
-    /// The motion of the stages is smooth.
-    Nothing,
-    /// Equalities hold at every stage, as accelerations, so that the order of the integrator
-    /// is that of the motion on them.
-    Equalities,
-    /// Every row, and the springs of law `penalty`.
-    All,
-}
-
 impl<R: Real> Sim<R> {
+    /// What acts at the stages of this model's steps.
     fn inside(&self) -> Inside {
-        let settings = &self.settings;
-        let soft = settings.integrator == Integrator::Rk4 && settings.law == Law::SolRef;
-        if soft || settings.law == Law::Penalty {
-            Inside::All
-        } else if settings.connects_inside() && !self.next.held.is_empty() {
-            Inside::Equalities
-        } else {
-            Inside::Nothing
+        match self.settings.inside() {
+            Inside::Equalities if self.next.held.is_empty() => Inside::Nothing,
+            inside => inside,
         }
     }
 

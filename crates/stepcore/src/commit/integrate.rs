@@ -5,18 +5,18 @@ use super::{advance, Next};
 use crate::elements::activation;
 use crate::elements::force::Moment;
 use crate::error::Result;
+use crate::integrator::{Late, Stages};
 use crate::observer::Observer;
 use crate::real::Real;
-use crate::settings::Integrator;
 use crate::sim::{At, Sim};
 
 impl<R: Real> Sim<R> {
     /// One step of the integrator, into `next`.
     pub(crate) fn integrate<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
-        match self.settings.integrator {
-            Integrator::Rk4 => self.after_stages(Self::rk4, observer),
-            Integrator::Midpoint => self.after_stages(Self::midpoint, observer),
-            _ => self.in_one_stage(observer),
+        match self.settings.integrator.scheme().stages {
+            Stages::Start => self.in_one_stage(observer),
+            Stages::Middle => self.after_stages(Self::midpoint, observer),
+            Stages::Four => self.after_stages(Self::rk4, observer),
         }
     }
 
@@ -32,18 +32,11 @@ impl<R: Real> Sim<R> {
     /// From u⁺ to the next state, for integrators of one stage.
     fn commit(&mut self) {
         self.next.qvel.copy_from_slice(&self.velocity);
-        match self.settings.integrator {
-            Integrator::Euler if !self.model.features.eulerdamp => {}
-            Integrator::Euler
-            | Integrator::ImplicitFast
-            | Integrator::Implicit
-            | Integrator::Discrete => self.damp(),
-            _ => {}
+        let scheme = self.settings.integrator.scheme();
+        if let Some(late) = scheme.late(self.model.features.eulerdamp) {
+            self.damp(late, scheme.stiffness);
         }
-        let moving = match self.settings.integrator {
-            Integrator::Explicit => &self.state.qvel,
-            _ => &self.next.qvel,
-        };
+        let moving = if scheme.moves_first { &self.state.qvel } else { &self.next.qvel };
         advance(&self.model, &self.state.qpos, moving, self.clock.dt, &mut self.next.qpos);
         let (rates, seconds) = (self.placed.act_rates(), self.clock.seconds);
         activation::advance(&self.model, &self.state.act, rates, seconds, &mut self.next.act);
@@ -53,7 +46,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// What is implicit beside the rows: see `damped.rs`, `implicit.rs`.
-    fn damp(&mut self) {
+    fn damp(&mut self, late: Late, in_metric: bool) {
         let now = Moment {
             model: &self.model,
             frames: self.placed.frames(),
@@ -65,10 +58,10 @@ impl<R: Real> Sim<R> {
         let (placed, u) = (&self.placed, &self.rows.u);
         let solved = Solved { now, placed, u, dt: self.clock.dt };
         let Next { damped, implicit, qvel, .. } = &mut self.next;
-        match (self.settings.integrator, implicit) {
-            (Integrator::Implicit, Some(implicit)) => implicit.damp(&solved, qvel),
-            (Integrator::Discrete, _) => damped.spin_all(&solved, qvel),
-            (integrator, _) => damped.damp(&solved, integrator != Integrator::Euler, qvel),
+        match implicit {
+            Some(implicit) => implicit.damp(&solved, qvel),
+            None if in_metric => damped.spin_all(&solved, qvel),
+            None => damped.damp(&solved, late == Late::All, qvel),
         }
     }
 }

@@ -3,12 +3,12 @@
 //! matrix M + dt/2·D + dt²/4·K holds the joint springs, dampers and servos, so that a
 //! linear spring converges at once however stiff it is.
 
-use super::inside::Inside;
 use super::{advance, Next};
 use crate::elements::activation::{self, Activations};
 use crate::elements::force::{Group, Moment};
 use crate::elements::forces::slopes;
 use crate::error::{Fault, Result};
+use crate::integrator::Inside;
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::{Mask, Real};

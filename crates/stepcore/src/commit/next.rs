@@ -2,10 +2,10 @@
 
 use super::damped::Damped;
 use super::implicit::Implicit;
+use crate::integrator::{Scheme, Stages, Turning};
 use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
-use crate::settings::Integrator;
 use crate::sleep::Sleep;
 use crate::state::Warm;
 
@@ -73,7 +73,7 @@ pub(super) struct Sums<R: Real> {
 room!(Sums<R>: rate, turned, moved, gained, act_rate, act_first, act_fading;);
 
 impl<R: Real> Next<R> {
-    pub fn new(model: &Model, integrator: Integrator) -> Self {
+    pub fn new(model: &Model, scheme: &Scheme) -> Self {
         let zeros = |n| vec![R::zero(); n];
         let (nq, nv) = (model.nq, model.nv);
         Self {
@@ -94,9 +94,9 @@ impl<R: Real> Next<R> {
             stage: 0,
             trial: Trial { qpos: zeros(nq), qvel: zeros(nv), act: zeros(model.na) },
             ahead: 0.5,
-            middle: integrator == Integrator::Midpoint,
-            damped: Damped::new(model, integrator),
-            implicit: (integrator == Integrator::Implicit).then(|| Implicit::new(model)),
+            middle: scheme.stages == Stages::Middle,
+            damped: Damped::new(model, scheme),
+            implicit: (scheme.turning == Some(Turning::Trees)).then(|| Implicit::new(model)),
             sums: Sums {
                 rate: zeros(nv),
                 turned: zeros(nv),

@@ -2,10 +2,10 @@
 //! (1998), with the closed form of the inverse differential of the exponential,
 //! dexp⁻¹(u) ω = ω + ½ u×ω + g u×(u×ω), g = (1 − (θ/2) cot(θ/2))/θ², θ = |u|.
 
-use super::inside::Inside;
 use super::{advance, Next};
 use crate::elements::activation;
 use crate::error::Result;
+use crate::integrator::Inside;
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::Real;

@@ -37,15 +37,6 @@ pub(crate) enum Group {
     Weight,
 }
 
-/// Whose damping an integrator takes at the end of the step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Late {
-    /// That of joints themselves: `euler`.
-    Joints,
-    /// That of every element: `implicitfast`, `implicit`.
-    All,
-}
-
 /// One kind of force.
 pub(crate) trait Forces {
     const KIND: Kind;

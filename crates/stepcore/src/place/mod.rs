@@ -24,10 +24,11 @@ pub use factor::Metric;
 pub(crate) use wrap::{wrap, Obstacle};
 
 use crate::elements::activation::Activations;
+use crate::integrator::Turning;
 use crate::model::{Body, Model, Tree};
 use crate::real::{Real, Stage};
 use crate::room::room;
-use crate::settings::{Integrator, Settings};
+use crate::settings::Settings;
 use crate::spatial::{rotate, splat, Force, Inertia, Motion, Pose, Quat, M3, V3};
 use crate::state::Inputs;
 use in_plane::InPlane;
@@ -137,9 +138,9 @@ impl<R: Real> Placed<R> {
 
     /// For steps of these settings.
     pub fn for_steps(model: &Model, settings: &Settings) -> Self {
-        let effective = settings.integrator == Integrator::Discrete;
-        let in_space = settings.integrator == Integrator::Implicit;
-        Self::with(model, effective.then(|| R::of(settings.dt)), in_space)
+        let scheme = settings.integrator.scheme();
+        let in_space = scheme.turning == Some(Turning::Trees);
+        Self::with(model, scheme.stiffness.then(|| R::of(settings.dt)), in_space)
     }
 
     /// effective: the step in whose metric rows are solved, if not in M [s].

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
+use crate::integrator::Stages;
 use crate::model::Model;
 use crate::real::traced::{Arg, Node, Recorder, Traced};
 use crate::real::Real;
 use crate::scene::JointType;
-use crate::settings::{Acceleration, Integrator, Settings, Solver};
+use crate::settings::{Acceleration, Settings, Solver};
 use crate::sim::Sim;
 use crate::solve::Sweeper;
 use num_traits::Zero;
@@ -94,7 +95,7 @@ fn plain(model: &Model, settings: &Settings) -> bool {
         && model.linkages.is_empty()
         && model.equalities.is_empty()
         && model.mocaps.is_empty();
-    let one_stage = !matches!(settings.integrator, Integrator::Rk4 | Integrator::Midpoint);
+    let one_stage = settings.integrator.scheme().stages == Stages::Start;
     let sweeps = settings.acceleration == Acceleration::None && settings.noslip_iterations == 0;
     let looks = settings.sleep || settings.ledger;
     small && alone && one_stage && sweeps && !looks && model.joints.iter().all(kinds)

@@ -10,14 +10,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::elements::actuator::saturated;
-use crate::elements::force::{Group, Late};
+use crate::elements::force::Group;
 use crate::elements::forces::{damping_by_element, each, holding, stored};
 use crate::elements::{penalty, Element, Kind};
 use crate::error::Result;
 use crate::model::{Model, Span};
 use crate::observer::Observer;
 use crate::real::{Mask, Real};
-use crate::settings::{Integrator, Law};
+use crate::settings::Law;
 use crate::sim::{At, Sim};
 
 /// Generalised impulses by element, while a step is written down.
@@ -121,17 +121,14 @@ impl<R: Real> Sim<R> {
     /// the levels were taken.
     fn late_slopes(&self, lane: usize) -> Vec<LateSlope> {
         let (now, mut list) = (self.moment(At::State), Vec::new());
-        let late = match self.settings.integrator {
-            Integrator::Euler if self.model.features.eulerdamp => Late::Joints,
-            Integrator::ImplicitFast | Integrator::Implicit => Late::All,
-            Integrator::Discrete => {
-                holding(&now, &mut |element, i, j, slopes| {
-                    list.push((element, [i, j], slopes.map(|slope| slope.lane(lane))));
-                });
-                return list;
-            }
-            _ => return list,
-        };
+        let scheme = self.settings.integrator.scheme();
+        if scheme.stiffness {
+            holding(&now, &mut |element, i, j, slopes| {
+                list.push((element, [i, j], slopes.map(|slope| slope.lane(lane))));
+            });
+            return list;
+        }
+        let Some(late) = scheme.late(self.model.features.eulerdamp) else { return list };
         damping_by_element(&now, late, |element, i, j, damping| {
             if self.model.entry(i, j).is_some() {
                 list.push((element, [i, j], [0.0, damping.lane(lane)]));

@@ -251,19 +251,10 @@ def held_step(
     """
     n = len(mass)
     x, z = block[: 2 * n], block[2 * n :]
-    push = np.zeros_like(x)
-    push[n:] = np.linalg.solve(mass, inputs @ feedback.controls(x, z))
+    push = np.linalg.solve(mass, inputs @ feedback.controls(x, z))
     remembered = feedback.remembered(x, z)
     for _ in range(hold):
-        if integrator == "midpoint":
-            within, late = np.eye(2 * n) - dt / 2 * rates, None
-            if after is not None:
-                within[n:] += dt / 2 * after
-                late = after.dot
-            x = stepped(integrator, dt, lambda y: rates @ y, x, mass, implicit, late)
-            x = x + np.linalg.solve(within, dt * push)
-        else:
-            x = stepped(integrator, dt, lambda y: rates @ y + push, x, mass, implicit, stiff=stiff)
+        x = stepped(integrator, dt, rates, x, mass, implicit, stiff, after, push)
     return np.concatenate([x, remembered])
 
 

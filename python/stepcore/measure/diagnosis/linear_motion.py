@@ -19,6 +19,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.element import INERTIAL, ROWS, Element, ElementSlopes
 from stepcore.engine.linear_maps import (
     DAMPING_IMPLICIT,
+    INTEGRATORS,
     STIFFNESS_IMPLICIT,
     implicit_kinds,
     stepped,
@@ -87,19 +88,15 @@ class LinearMotion:
             stiff = sum((self.elements[element].stiffness for element in self.held), none)
         else:
             implicit = implicit * self.pattern
-        after = self._accelerations(self.after)
-        rows = (lambda y: after @ y) if self.after else None
+        after = self._accelerations(self.after) if self.after else None
         if self.feedback is None or self.inputs is None:
             block = np.eye(2 * n) if of is None else of
-            rates = self.rates
-            return stepped(
-                integrator, dt, lambda y: rates @ y, block, self.mass, implicit, rows, stiff
-            )
+            return stepped(integrator, dt, self.rates, block, self.mass, implicit, stiff, after)
         free = self.rates.copy()
         free[n:] -= self._accelerations(e for e in self.elements if e.kind == KIND)
         block = np.eye(2 * n + self.feedback.order) if of is None else of
         return held_step(
-            *(integrator, dt, hold, block, free, after if self.after else None),
+            *(integrator, dt, hold, block, free, after),
             *(self.mass, implicit, stiff, self.feedback, self.inputs),
         )
 
@@ -185,14 +182,12 @@ def _implicit(model: Model, elements: dict[Element, Any]) -> dict[str, frozenset
     lone = {id(joint.body) for joint in layout.joints if joint.type == "free"}
     lone -= {id(body.parent) for body in layout.bodies[1:]}
     spins = {e for e in elements if e.kind == "spin" and id(layout.bodies[e.index]) in lone}
+    # Centrifugal and Coriolis forces are part of the remainder.
+    trees = {e for e in elements if e.kind == "spin"} | {INERTIAL}
+    turning = {None: frozenset[Element](), "free bodies": spins, "trees": trees}
     implicit = {}
     for integrator in DAMPING_IMPLICIT:
         kinds = implicit_kinds(integrator, model.scene.features.eulerdamp)
-        implicit[integrator] = frozenset(e for e in elements if e.kind in kinds)
-    # Centrifugal and Coriolis forces are part of the remainder.
-    turning = {e for e in elements if e.kind == "spin"} | {INERTIAL}
-    return implicit | {
-        "implicitfast": implicit["implicitfast"] | spins,
-        "implicit": implicit["implicit"] | turning,
-        "discrete": implicit["discrete"] | spins,
-    }
+        damped = frozenset(e for e in elements if e.kind in kinds)
+        implicit[integrator] = damped | turning[INTEGRATORS[integrator]["turning"]]
+    return implicit

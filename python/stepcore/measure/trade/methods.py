@@ -15,14 +15,12 @@ from typing import Any
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.engine.linear_maps import STAGED, STIFFNESS_IMPLICIT
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.other_models import STAGED
 
 SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
 COULOMB_LAW = ("explicit", "semi-implicit", "midpoint", "rk4")
-# Also tried if springs, tendons or servos are stiff.
-STIFF = ("discrete",)
 # Numbers of sweeps: of a full grid, for each law; and of a search. Then the numbers of Newton
 # iterations of a search.
 SWEEPS_SMOOTH, SWEEPS_COULOMB = (5, 20, 100), (1, 5, 20)
@@ -134,7 +132,9 @@ class Kind:
     def integrators(self) -> list[str]:
         """The integrators to try, including the shipped one."""
         names = SMOOTH_LAW if self.smooth else COULOMB_LAW
-        every = dict.fromkeys([*names, *(STIFF if self.stiff else ()), self.shipped.integrator])
+        every = dict.fromkeys(
+            [*names, *(STIFFNESS_IMPLICIT if self.stiff else ()), self.shipped.integrator]
+        )
         return [name for name in every if not (self.shipped.sleep and name in STAGED)]
 
     @property

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from stepcore._core import Settings
+from stepcore.engine.linear_maps import STAGED
 from stepcore.experiment.reference import FINER
 from stepcore.measure.trade.methods import Kind, Steps, families, moves
 from stepcore.measure.trade.rows import MARGIN
@@ -92,7 +93,7 @@ class Bracket:
             key=lambda n: abs(math.log(self.known[n].error / error)),
         )
         if len(near) < 2:
-            return 2.0 if self.base.integrator in ("rk4", "midpoint") else 1.0
+            return 2.0 if self.base.integrator in STAGED else 1.0
         a, b = sorted(near[:2])
         slope = math.log(self.known[a].error / self.known[b].error) / math.log(b / a)
         return min(4.0, max(0.5, slope))

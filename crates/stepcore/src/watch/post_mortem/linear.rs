@@ -10,11 +10,12 @@ use nalgebra::linalg::{Schur, SymmetricEigen};
 use nalgebra::DMatrix;
 
 use super::budget::Budget;
-use crate::elements::force::{Group, Late};
+use crate::elements::force::Group;
 use crate::elements::forces::{damping, slopes};
+use crate::integrator::linear_map::Linear;
+use crate::integrator::{Integrator, Map};
 use crate::model::{Model, Union};
 use crate::real::Real;
-use crate::settings::Integrator;
 use crate::sim::{At, Sim};
 
 /// Squarings of a map: 2¹⁸ steps.
@@ -33,31 +34,30 @@ struct Oscillator {
     mass: DMatrix<f64>,
     stiffness: DMatrix<f64>,
     damping: DMatrix<f64>,
-    /// What `euler` and `implicitfast` take of the damping at the end of the step.
-    joints: DMatrix<f64>,
-    fast: DMatrix<f64>,
+    /// What the integrator takes of the damping at the end of the step.
+    late: DMatrix<f64>,
 }
 
 /// Entries of the slopes of all elements: two dofs, and a stiffness or a damping.
 type Entries = Vec<(usize, usize, f64)>;
 
-/// Of all elements; `joints`: the damping that `euler` takes.
+/// Of all elements; `late`: the damping that the integrator takes at the end of the step.
 #[derive(Default)]
 struct Slopes {
     stiffness: Entries,
     damping: Entries,
-    joints: Entries,
+    late: Entries,
 }
 
 impl<R: Real> Sim<R> {
     /// How many times the energy at hand a healthy run of these springs may show; 1 where
     /// the springs themselves diverge, or do not swing.
     pub(super) fn swing(&mut self, lane: usize, dt: f64, budget: &Budget) -> f64 {
-        let integrator = self.damped_by(self.settings.integrator);
-        if integrator == Integrator::Explicit {
+        let integrator = self.settings.integrator;
+        if integrator.scheme().map == Map::Taylor(1) {
             return 1.0;
         }
-        let all = self.oscillators(lane);
+        let all = self.oscillators(lane, integrator);
         let known = all.iter().filter_map(|one| one.growth(integrator, dt, budget));
         let swings = known.map(|[radius, most]| {
             if radius > GROWS {
@@ -78,9 +78,9 @@ impl<R: Real> Sim<R> {
         integrator: Integrator,
         budget: &Budget,
     ) -> Option<f64> {
-        let (dt, integrator) = (self.clock.seconds, self.damped_by(integrator));
-        let limits = self.oscillators(lane).into_iter().filter_map(|one| {
-            if integrator == Integrator::Explicit {
+        let dt = self.clock.seconds;
+        let limits = self.oscillators(lane, integrator).into_iter().filter_map(|one| {
+            if integrator.scheme().map == Map::Taylor(1) {
                 return one.explicit_limit(budget).filter(|limit| *limit <= dt);
             }
             one.limit(integrator, dt, budget)
@@ -88,18 +88,10 @@ impl<R: Real> Sim<R> {
         limits.reduce(f64::min)
     }
 
-    /// Without MJCF's eulerdamp, Euler is semi-implicit.
-    fn damped_by(&self, integrator: Integrator) -> Integrator {
-        match integrator {
-            Integrator::Euler if !self.model.features.eulerdamp => Integrator::SemiImplicit,
-            other => other,
-        }
-    }
-
     /// Every tree with a spring or a damper, at the present state.
-    fn oscillators(&mut self, lane: usize) -> Vec<Oscillator> {
+    fn oscillators(&mut self, lane: usize, integrator: Integrator) -> Vec<Oscillator> {
         self.refresh();
-        let slopes = Slopes::of(self, lane);
+        let slopes = Slopes::of(self, lane, integrator);
         let groups = slopes.groups(&self.model).into_iter();
         groups
             .filter(|dofs| dofs.len() <= MOST_DOFS)
@@ -110,8 +102,8 @@ impl<R: Real> Sim<R> {
 
 impl Slopes {
     /// Those of all elements at the present state.
-    fn of<R: Real>(sim: &Sim<R>, lane: usize) -> Self {
-        let now = sim.moment(At::State);
+    fn of<R: Real>(sim: &Sim<R>, lane: usize, integrator: Integrator) -> Self {
+        let (model, now) = (&sim.model, sim.moment(At::State));
         let mut all = Self::default();
         let note = |list: &mut Entries, i: usize, j: usize, slope: R| {
             let slope = slope.lane(lane);
@@ -125,7 +117,16 @@ impl Slopes {
                 note(&mut all.damping, i, j, damping);
             });
         }
-        damping(&now, Late::Joints, |i, j, damping| note(&mut all.joints, i, j, damping));
+        let scheme = integrator.scheme();
+        match scheme.late(model.features.eulerdamp) {
+            _ if scheme.stiffness => all.late.clone_from(&all.damping),
+            Some(late) => damping(&now, late, |i, j, damping| {
+                if model.entry(i, j).is_some() {
+                    note(&mut all.late, i, j, damping);
+                }
+            }),
+            None => {}
+        }
         all
     }
 
@@ -160,22 +161,20 @@ impl Slopes {
                 }
             }
         }
-        let matrix = |entries: &Entries, keeps: &dyn Fn(usize, usize) -> bool| {
+        let matrix = |entries: &Entries| {
             let mut matrix = zeros();
-            for (i, j, slope) in entries.iter().filter(|(i, j, _)| keeps(*i, *j)) {
+            for (i, j, slope) in entries {
                 if let (Some(i), Some(j)) = (place(*i), place(*j)) {
                     matrix[(i, j)] += slope;
                 }
             }
             matrix
         };
-        let every = |_: usize, _: usize| true;
         Oscillator {
             mass,
-            stiffness: matrix(&self.stiffness, &every),
-            damping: matrix(&self.damping, &every),
-            joints: matrix(&self.joints, &every),
-            fast: matrix(&self.damping, &|i, j| model.entry(i, j).is_some()),
+            stiffness: matrix(&self.stiffness),
+            damping: matrix(&self.damping),
+            late: matrix(&self.late),
         }
     }
 }
@@ -245,57 +244,24 @@ impl Oscillator {
 
     fn step_map(&self, integrator: Integrator, dt: f64) -> Option<DMatrix<f64>> {
         let n = self.mass.nrows();
-        let one = DMatrix::identity(n, n);
         let root = root(&self.stiffness)?;
-        let lower = self.mass.clone().cholesky()?.l();
-        let inverse = lower.clone().try_inverse()?;
+        let inverse = self.mass.clone().cholesky()?.l().try_inverse()?;
         // ẏ = S w, ẇ = −Sᵀ y − C w with y = √K x, w = Lᵀ v.
         let s = &root * inverse.transpose();
         let in_w = |damping: &DMatrix<f64>| &inverse * damping * inverse.transpose();
-        let c = in_w(&self.damping);
-        let join = |yy: &DMatrix<f64>, yw: DMatrix<f64>, wy: DMatrix<f64>, ww: DMatrix<f64>| {
-            let mut map = DMatrix::zeros(2 * n, 2 * n);
-            map.view_mut((0, 0), (n, n)).copy_from(yy);
-            map.view_mut((0, n), (n, n)).copy_from(&yw);
-            map.view_mut((n, 0), (n, n)).copy_from(&wy);
-            map.view_mut((n, n), (n, n)).copy_from(&ww);
-            map
+        let mut rates = DMatrix::zeros(2 * n, 2 * n);
+        rates.view_mut((0, n), (n, n)).copy_from(&s);
+        rates.view_mut((n, 0), (n, n)).copy_from(&-s.transpose());
+        rates.view_mut((n, n), (n, n)).copy_from(&-in_w(&self.damping));
+        let motion = Linear {
+            rates: &rates,
+            mass: &DMatrix::identity(n, n),
+            damping: &in_w(&self.late),
+            stiffness: &(s.transpose() * &s),
+            after: None,
+            push: None,
         };
-        let late = match integrator {
-            Integrator::Euler => in_w(&self.joints),
-            Integrator::ImplicitFast | Integrator::Implicit => in_w(&self.fast),
-            Integrator::Discrete => &c + s.transpose() * &s * dt,
-            _ => DMatrix::zeros(n, n),
-        };
-        Some(match integrator {
-            Integrator::Midpoint | Integrator::Rk4 => {
-                let zero = DMatrix::zeros(n, n);
-                let rate = join(&zero, s.clone(), -s.transpose(), -c) * dt;
-                let whole = DMatrix::identity(2 * n, 2 * n);
-                if integrator == Integrator::Midpoint {
-                    let left = (&whole - &rate * 0.5).try_inverse()?;
-                    return Some(left * (&whole + &rate * 0.5));
-                }
-                let square = &rate * &rate;
-                let cube = &square * &rate;
-                let fourth = &square * &square;
-                whole + rate + square / 2.0 + cube / 6.0 + fourth / 24.0
-            }
-            _ => {
-                // w⁺ = w + dt H (−Sᵀ y − C'' w), H = (1 + dt C')⁻¹, C' what is implicit of C; under
-                // `discrete` C' = C'' = C + dt SᵀS.
-                let h = (&one + &late * dt).try_inverse()?;
-                let wy = -(&h * s.transpose()) * dt;
-                let c = if integrator == Integrator::Discrete { &late } else { &c };
-                let ww = &one - &h * c * dt;
-                if integrator == Integrator::Explicit {
-                    return Some(join(&one, &s * dt, wy, ww));
-                }
-                let yy = &one + &s * &wy * dt;
-                let yw = &s * &ww * dt;
-                join(&yy, yw, wy, ww)
-            }
-        })
+        motion.step(integrator, dt, &DMatrix::identity(2 * n, 2 * n))
     }
 }
 
