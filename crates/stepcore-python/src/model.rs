@@ -7,7 +7,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use stepcore::arrays::Array;
-use stepcore::elements::{joint_forces, Kind};
+use stepcore::elements::{joint_forces, ways, Kind};
 use stepcore::model::Model as Engine;
 use stepcore::program::Program;
 use stepcore::scene::{JointType, Scene, Target};
@@ -359,7 +359,7 @@ impl Model {
             "friction",
             pairs.clone().map(|p| m.material(p).friction[0]).collect::<Vec<_>>(),
         )?;
-        plan.set_item("ways", pairs.clone().map(|p| m.ways(p)).collect::<Vec<_>>())?;
+        plan.set_item("ways", pairs.clone().map(|p| ways(m, p)).collect::<Vec<_>>())?;
         plan.set_item("still", pairs.clone().map(|p| p.still).collect::<Vec<_>>())?;
         plan.set_item("apart", pairs.map(|p| p.apart).collect::<Vec<_>>())?;
         let guards = m.guards.iter().map(|g| (g.joint, g.low, g.high));

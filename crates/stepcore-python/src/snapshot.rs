@@ -3,8 +3,8 @@
 use stepcore::arrays::{Array, Given};
 use stepcore::model::NONE;
 use stepcore::real::{Mask, Real};
-use stepcore::sleep::Sleep;
-use stepcore::state::{Warm, WARM_ROWS};
+use stepcore::warm::Sleep;
+use stepcore::warm::{Warm, WARM_ROWS};
 
 use crate::world::Memo;
 

@@ -12,8 +12,9 @@ use stepcore::scene::Sensor;
 use stepcore::sensors::Reading;
 use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
-use stepcore::sleep::Sleep;
-use stepcore::state::{State, Warm};
+use stepcore::state::State;
+use stepcore::warm::Sleep;
+use stepcore::warm::Warm;
 use stepcore::watch::{
     Counter, Coupling, ElementSlopes, LastSolve, Linearizer, RayFilter, StepGains, Watched,
 };

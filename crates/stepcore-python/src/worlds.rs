@@ -11,7 +11,7 @@ use stepcore::model::Model;
 use stepcore::program::Program;
 use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
-use stepcore::state::{Warm, WARM_ROWS};
+use stepcore::warm::{Warm, WARM_ROWS};
 
 use crate::auto::Auto;
 use crate::snapshot::impulse;

@@ -21,7 +21,7 @@
 //!
 //! What pushes, stores, takes or constrains stands in `elements/`, one file each: a spring, an
 //! actuator, a limit, a contact. Stages, implicit integrators and watchers iterate over its two
-//! lists, and repeat none of its formulas; `transmission.rs` says how lengths follow the dofs.
+//! lists, and repeat none of its formulas; `model/transmission.rs` says how lengths follow the dofs.
 //!
 //! Beside the loop: `model/` compiles a scene, `watch/` reads energy, momentum and
 //! residuals and names what made a run fail, `batch.rs` steps many worlds over threads,
@@ -77,5 +77,5 @@ pub mod solve;
 pub mod spatial;
 pub mod state;
 mod step;
-pub mod transmission;
+pub mod warm;
 pub mod watch;

@@ -3,8 +3,8 @@
 use std::fmt;
 
 use crate::elements::Named;
-use crate::sleep::Sleep;
-use crate::state::Warm;
+use crate::warm::Sleep;
+use crate::warm::Warm;
 
 /// Which dt would have been stable.
 #[derive(Clone, Copy, Debug, PartialEq)]

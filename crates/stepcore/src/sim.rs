@@ -5,7 +5,7 @@
 use crate::room::{room, Room};
 use std::sync::{Arc, Mutex};
 
-use crate::arrays::Array;
+use crate::arrays::array::Array;
 use crate::clock::Clock;
 use crate::commit::Next;
 use crate::detect::Detected;
@@ -19,7 +19,7 @@ use crate::pool::Pool;
 use crate::program::Listed;
 use crate::real::{Mask, Real};
 use crate::settings::{Law, Settings, Solver};
-use crate::sleep::{last_impulses, Sleeper};
+use crate::sleep::Sleeper;
 use crate::solve::{Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
 
@@ -185,7 +185,7 @@ impl<R: Real> Sim<R> {
     /// equalities that the stages held (`inside`).
     pub(crate) fn warm_start(&mut self, inside: bool) {
         if self.settings.warm_start {
-            let last = last_impulses(&self.state, &self.next);
+            let last = self.next.last_impulses(&self.state);
             let lists = self.detected.dof_lists(&self.model);
             self.rows.warm_start(lists, &self.placed.metric.inv_d, last, inside);
         }

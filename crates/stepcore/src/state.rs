@@ -1,52 +1,11 @@
 //! What a step changes, and what the user puts in from outside.
 
-use crate::arrays::Array;
-use crate::clock::Clock;
-use crate::elements::activation::Activations;
-use crate::elements::SLIPS;
+use crate::arrays::array::Array;
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::room::room;
-use crate::sleep::Sleep;
 use crate::spatial::{Quat, V3};
-
-/// The most rows of a block, which `elements/constraints.rs` sees to: after their impulses stands the
-/// slip of friction that holds (`elements/anchor.rs`).
-pub const SLIP: usize = 10;
-/// What is kept of a source from step to step.
-pub const WARM_ROWS: usize = SLIP + SLIPS;
-
-/// The impulses of one contact, limit or other source, kept for the next step's start.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Warm<R: Real> {
-    /// Which source (see `Block::slot`); ascending in the list.
-    pub slot: u64,
-    /// Which of its kin (see `Block::feature`); −1 in lanes that have none.
-    pub feature: R,
-    /// By row of its block [N·s or N·m·s], zero beyond; from `SLIP` on slip [m] and turn [rad].
-    pub impulse: [R; WARM_ROWS],
-}
-
-impl<R: Real> Warm<R> {
-    /// The same in every lane.
-    pub fn of(plain: &Warm<f64>) -> Self {
-        Self { slot: plain.slot, feature: R::of(plain.feature), impulse: plain.impulse.map(R::of) }
-    }
-
-    /// One lane's part.
-    pub fn in_lane(&self, lane: usize) -> Warm<f64> {
-        Warm {
-            slot: self.slot,
-            feature: self.feature.lane(lane),
-            impulse: self.impulse.map(|x| x.lane(lane)),
-        }
-    }
-
-    /// An impulse of zero is as good as none.
-    pub fn acts(&self) -> bool {
-        self.impulse.iter().any(|x| !x.is_zero())
-    }
-}
+use crate::warm::{Sleep, Warm};
 
 /// A complete snapshot: restored, a run continues bit for bit.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,12 +46,6 @@ impl<R: Real> State<R> {
     /// It has more than numbers: impulses to start from, or who sleeps.
     pub(crate) fn carries(&self) -> bool {
         !(self.warm.is_empty() && self.sleep.slow.is_empty())
-    }
-
-    /// Its activations, in steps of `clock`.
-    pub(crate) fn activations(&self, clock: Clock<R>) -> Activations<'_, R> {
-        let Self { act, ctrl_history: history, .. } = self;
-        Activations { act, history, seconds: clock.seconds, ahead: 0.0, middle: false }
     }
 
     /// What of it the user holds, in the order of `arrays::Array`.

@@ -12,7 +12,6 @@ use crate::observer::Observer;
 use crate::real::{Mask, Real, Stage};
 use crate::shapes::searched;
 use crate::sim::{At, Sim};
-use crate::sleep::last_impulses;
 use crate::solve::{Choice, Part, Situation};
 
 impl<R: Real> Sim<R> {
@@ -137,7 +136,7 @@ impl<R: Real> Sim<R> {
             qvel,
             inputs: &self.inputs,
             part,
-            warm: last_impulses(&self.state, &self.next),
+            warm: self.next.last_impulses(&self.state),
             asleep: &self.detected.asleep,
             first_stage: self.next.stage == 0,
         };

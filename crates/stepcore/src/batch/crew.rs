@@ -13,7 +13,7 @@ use crate::pool::{lock, Pool};
 use crate::program::Blocks;
 use crate::real::Real;
 use crate::settings::Settings;
-use crate::sleep::Sleep;
+use crate::warm::Sleep;
 use crate::watch::Watched;
 
 /// Work of a call below which waking threads costs more than they save [ns].

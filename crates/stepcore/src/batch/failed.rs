@@ -108,7 +108,7 @@ mod tests {
     use crate::model::Model;
     use crate::real::Lanes;
     use crate::scene::{Body, Geom, Joint, JointType, Scene};
-    use crate::state::{Warm, WARM_ROWS};
+    use crate::warm::{Warm, WARM_ROWS};
 
     /// A copy that kept what touched in its own world would start from other impulses, go astray and
     /// fail by itself.

@@ -7,8 +7,8 @@ use crate::model::Model;
 use crate::program::{Holds, Place};
 use crate::real::Real;
 use crate::room::room;
-use crate::sleep::Sleep;
 use crate::state::{Inputs, State};
+use crate::warm::Sleep;
 use crate::watch::{Care, Ledger, Watched};
 use std::sync::Arc;
 

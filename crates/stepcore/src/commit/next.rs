@@ -6,8 +6,9 @@ use crate::integrator::{Scheme, Stages, Turning};
 use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
-use crate::sleep::Sleep;
-use crate::state::Warm;
+use crate::state::State;
+use crate::warm::Sleep;
+use crate::warm::Warm;
 
 /// The state that a step proposes, and the working space of the integrators.
 pub struct Next<R: Real> {
@@ -73,6 +74,17 @@ pub(super) struct Sums<R: Real> {
 room!(Sums<R>: rate, turned, moved, gained, act_rate, act_first, act_fading;);
 
 impl<R: Real> Next<R> {
+    /// The impulses from which rows start.
+    pub(crate) fn last_impulses<'a>(&'a self, state: &'a State<R>) -> &'a [Warm<R>] {
+        if self.stage > 0 {
+            &self.warm
+        } else if self.woken.is_empty() {
+            &state.warm
+        } else {
+            &self.woken
+        }
+    }
+
     pub fn new(model: &Model, scheme: &Scheme) -> Self {
         let zeros = |n| vec![R::zero(); n];
         let (nq, nv) = (model.nq, model.nv);

@@ -4,7 +4,7 @@
 //! separation (Gottschalk, Lin and Manocha 1996 try the products of edges too, for the few pairs
 //! that these show to be apart).
 
-use crate::model::{Geom, Model, Pair};
+use crate::model::{Geom, Model, Pair, Spheres};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::scene::GeomType;
@@ -15,6 +15,19 @@ use crate::spatial::{Pose, V3};
 /// that no rounding of the exact test finds a contact.
 const SURE: f64 = 1e-6;
 const UNITS: f64 = 64.0;
+
+impl Spheres {
+    /// In every lane the two are apart. inside: no joint is where `apart` does not hold.
+    #[inline(always)]
+    pub fn far<R: Real>(&self, placed: &Placed<R>, inside: bool) -> bool {
+        if self.apart && inside {
+            return true;
+        }
+        let [one, two] = self.geoms.map(|geom| &placed.geom[geom as usize].pos);
+        let between = two - one;
+        between.dot(&between).gt(R::of(self.square)).all()
+    }
+}
 
 /// No lane can have a contact: the pair is apart by `more` [m] where the law looks at the guess, and
 /// else by more than the distance at which contacts are listed.

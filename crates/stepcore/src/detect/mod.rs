@@ -8,7 +8,6 @@
 
 mod apart;
 mod broad;
-pub(crate) mod frame;
 mod kept;
 mod near;
 pub(crate) mod path;
@@ -17,10 +16,10 @@ mod swept;
 mod tests;
 mod touches;
 
-pub use frame::tangents;
+pub use crate::shapes::frame::tangents;
 pub use touches::PosedTouches;
 
-use frame::hint;
+use crate::shapes::frame::hint;
 
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
@@ -31,7 +30,6 @@ use crate::real::{Mask, Real};
 use crate::room::{can_be_had, room};
 use crate::settings::Settings;
 use crate::shapes::{self, Touch};
-use crate::sleep::is_mocap;
 use crate::spatial::{Pose, V3};
 use apart::far;
 use kept::Kept;
@@ -197,7 +195,7 @@ fn rests(model: &Model, asleep: &[bool], geom: usize) -> bool {
     let body = model.geoms[geom].body;
     let tree = model.bodies[body].tree;
     if tree == NONE {
-        return asleep.is_empty() || !is_mocap(model, body);
+        return asleep.is_empty() || !model.is_mocap(body);
     }
     asleep.get(tree).is_some_and(|asleep| *asleep)
 }

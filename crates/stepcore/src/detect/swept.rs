@@ -11,11 +11,10 @@
 //! Nothing is assumed of what rows do to the guess: a row that would exist only because of what
 //! another row does is none that the row maker makes either.
 
-use crate::model::{Geom, Model, Pair, NONE};
+use crate::model::{Geom, Model, Pair, NEAR, NONE};
 use crate::place::Placed;
 use crate::real::Real;
 use crate::room::room;
-use crate::solve::law::NEAR;
 use crate::spatial::Motion;
 
 /// Of a geom's size, and of its way: what rounding, in single precision too, cannot bridge.

@@ -9,14 +9,23 @@
 //! to the length at its start (`midpoint`: in its middle), be it out of bounds.
 
 use super::{controller, delay, muscle};
+use crate::clock::Clock;
+use crate::model::transmission::Pulls;
 use crate::model::{Model, Span};
-use crate::place::Pulls;
 use crate::real::{elementary, Real};
 use crate::scene::{self, Dynamics};
-use crate::state::Inputs;
+use crate::state::{Inputs, State};
 
 /// The shortest time constant that counts [s]: MuJoCo's `mjMINVAL`.
 const SHORTEST: f64 = 1e-15;
+
+impl<R: Real> State<R> {
+    /// Its activations, in steps of `clock`.
+    pub(crate) fn activations(&self, clock: Clock<R>) -> Activations<'_, R> {
+        let Self { act, ctrl_history: history, .. } = self;
+        Activations { act, history, seconds: clock.seconds, ahead: 0.0, middle: false }
+    }
+}
 
 /// What actuators remember: activations and past controls, and the step that they are advanced by.
 #[derive(Clone, Copy)]

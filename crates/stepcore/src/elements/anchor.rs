@@ -23,25 +23,9 @@ use crate::real::{Mask, Real};
 use crate::scene::{GeomType, Softness};
 use crate::settings::Settings;
 use crate::solve::law::SolRef;
-use crate::solve::{Block, Rows, Set, Situation};
+use crate::solve::{Anchor, Block, Rows, Set, Situation};
 use crate::spatial::V3;
-use crate::state::SLIP;
-
-/// What is kept of a contact's slip: as vectors, by which and about which geom 2 moved [m, rad].
-pub const SLIPS: usize = 6;
-
-/// The slip of a contact in this step.
-#[derive(Clone, Debug)]
-pub(crate) struct Anchor<R: Real> {
-    /// Which block's.
-    pub block: usize,
-    slide: V3<R>,
-    turn: V3<R>,
-    /// By way, in the measure of its row.
-    along: [R; MOST_WAYS],
-    /// dt K d: a row's t per slip.
-    pull: R,
-}
+use crate::warm::{SLIP, SLIPS};
 
 /// dt K d of the friction rows of a contact whose normal has the overlap `r`.
 fn pull<R: Real>(own: Option<[f64; 2]>, soft: &Softness, r: R, settings: &Settings) -> R {

@@ -11,7 +11,7 @@ use crate::detect::Contact;
 use crate::model::Model;
 use crate::real::Real;
 use crate::solve::{Part, Rows, Situation, CONE};
-use crate::state::SLIP;
+use crate::warm::SLIP;
 
 macro_rules! constraints {
     ($($kind:ident),+ $(,)?) => {

@@ -15,9 +15,7 @@ use crate::detect::Contact;
 use crate::model::{Model, Pair, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
-use crate::solve::law::{
-    least_softness, target_at, weightless_softness, Near, OnGuess, SolRef, NEAR,
-};
+use crate::solve::law::{least_softness, target_at, weightless_softness, Near, OnGuess, SolRef};
 use crate::solve::{Guessed, Rows, Set, Situation};
 use crate::spatial::{Motion, V3};
 

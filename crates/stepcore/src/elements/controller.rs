@@ -24,8 +24,8 @@
 //! what the bristles do but σ₁.
 
 use super::activation::{nearest, Activations};
+use crate::model::transmission::Pulls;
 use crate::model::Model;
-use crate::place::Pulls;
 use crate::real::{Mask, Real};
 use crate::scene::{self, Controller, Input, Motor};
 use crate::state::Inputs;

@@ -3,12 +3,12 @@
 //! J̇ v leaves out.
 
 use super::equality::Held;
+use crate::model::transmission::Pulls;
+use crate::model::transmission::Transmission;
 use crate::model::{Coupling, Model};
-use crate::place::Pulls;
 use crate::real::Real;
 use crate::settings::Law;
 use crate::solve::{Rows, Situation};
-use crate::transmission::Transmission;
 
 /// A polynomial with its first two derivatives.
 struct Poly<R: Real> {

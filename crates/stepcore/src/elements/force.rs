@@ -2,8 +2,8 @@
 
 use super::activation::Activations;
 use super::{Element, Kind};
+use crate::model::transmission::Pulls;
 use crate::model::Model;
-use crate::place::Frames;
 use crate::real::Real;
 use crate::spatial::Force;
 use crate::state::Inputs;
@@ -16,6 +16,28 @@ pub(crate) struct Moment<'a, R: Real> {
     pub qvel: &'a [R],
     pub act: Activations<'a, R>,
     pub inputs: &'a Inputs<R>,
+}
+
+/// The part of `Placed` that is there before forces are added up, and that they read.
+#[derive(Clone, Copy)]
+pub(crate) struct Frames<'a, R: Real> {
+    pub xpos: &'a [V3<R>],
+    pub xmat: &'a [M3<R>],
+    pub origin: &'a [V3<R>],
+    pub motion: &'a [Motion<R>],
+    /// `Placed::actuator`.
+    pub tension: &'a [R],
+    /// `Placed::shares`.
+    pub shares: &'a [R],
+    pub pulls: Pulls<'a, R>,
+}
+
+impl<R: Real> Frames<'_, R> {
+    /// Centre of mass of a body in the world [m].
+    #[inline(always)]
+    pub fn centre(&self, model: &Model, body: usize) -> V3<R> {
+        self.xpos[body] + rotate(&self.xmat[body], &splat(&model.bodies[body].ipos))
+    }
 }
 
 /// Where forces are added up.

@@ -15,7 +15,6 @@ use super::tendon_spring::{TendonDamper, TendonSpring};
 use super::{Element, Kind};
 use crate::integrator::Late;
 use crate::model::{Model, NONE};
-use crate::place::Placed;
 use crate::real::Real;
 use crate::state::Inputs;
 
@@ -175,53 +174,6 @@ forces!(
     Gravity,
     Held,
 );
-
-/// The force of all elements of one kind on the dofs at many states [N or N·m], for kinds that
-/// depend on their own joint alone: springs, dampers and actuators. None for others.
-/// ctrl, act, qpos and qvel one state after the other.
-pub fn joint_forces(
-    model: &Model,
-    kind: Kind,
-    ctrl: &[f64],
-    act: &[f64],
-    qpos: &[f64],
-    qvel: &[f64],
-) -> Option<Vec<f64>> {
-    if !matches!(kind, Kind::Spring | Kind::Damper | Kind::Actuator) {
-        return None;
-    }
-    let (mut inputs, mut placed) = (Inputs::<f64>::new(model), Placed::new(model));
-    let nu = model.actuators.len();
-    let mut all = Vec::with_capacity(qvel.len());
-    if model.nv == 0 {
-        return Some(all);
-    }
-    for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
-        inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
-        let act = &act[n * model.na..(n + 1) * model.na];
-        let act = Activations { act, history: &[], seconds: 0.0, ahead: 0.0, middle: false };
-        if kind == Kind::Actuator {
-            let bounded = model.compensates && !model.clamps.is_empty();
-            if bounded || !(model.tendons.is_empty() && model.linkages.is_empty()) {
-                placed.positions(model, qpos);
-            }
-            placed.tensions(model, qpos, qvel, act, &inputs);
-        }
-        let frames = placed.frames();
-        let now = Moment { model, frames, qpos, qvel, act, inputs: &inputs };
-        let start = all.len();
-        all.resize(start + model.nv, 0.0);
-        let mut add = |dof: usize, force: f64| all[start + dof] += force;
-        for index in 0..model.count(kind) {
-            match kind {
-                Kind::Spring => Spring::force(&now, index, &mut add),
-                Kind::Damper => Damper::force(&now, index, &mut add),
-                _ => Actuator::force(&now, index, &mut add),
-            }
-        }
-    }
-    Some(all)
-}
 
 impl Model {
     /// Its work is put in from outside: a motor's, or an applied force's.

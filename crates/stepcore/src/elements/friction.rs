@@ -8,7 +8,7 @@
 //! impulses [N·s] as well. Then the solvers know one cone only, |λ_t| ≤ μ λ_n, and MuJoCo's
 //! regulariser R_j = R₁ μ₁²/μ_j² is one number for all.
 
-use crate::model::Material;
+use crate::model::{Material, Model, Pair};
 use crate::settings::Law;
 
 /// MuJoCo's `mjMINMU`: under `solref` no coefficient of friction is smaller.
@@ -54,6 +54,14 @@ pub(crate) struct Ways {
     /// MuJoCo's μ₁, which its regularisers go by, and its share of μ.
     pub slide: f64,
     pub share: f64,
+}
+
+/// In how many ways the friction of a pair's contacts has rows: under `solref`, and under the
+/// other laws; and how many of its ways nothing can move in.
+pub fn ways(model: &Model, pair: &Pair) -> (usize, usize, usize) {
+    let material = model.material(pair);
+    let (soft, plain) = (Ways::soft(pair.still, material), Ways::plain(pair.still, material));
+    (soft.list().len(), plain.list().len(), soft.still)
 }
 
 impl Ways {

@@ -2,12 +2,12 @@
 
 use super::constraint::{Constraint, Makings};
 use super::{Element, Kind};
+use crate::model::transmission::{Reach, Transmission};
 use crate::model::{Model, Span};
 use crate::real::{Mask, Real};
 use crate::scene::{JointType, Softness};
-use crate::solve::law::{least_softness, Near, OnGuess, SolRef, NEAR};
+use crate::solve::law::{least_softness, Near, OnGuess, SolRef};
 use crate::solve::{Guessed, Rows, Set, Situation};
-use crate::transmission::{Reach, Transmission};
 use std::slice;
 
 pub(super) struct Limit;

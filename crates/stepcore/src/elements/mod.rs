@@ -26,6 +26,7 @@ pub(crate) mod friction;
 mod friction_loss;
 mod gravcomp;
 mod gravity;
+mod joint_forces;
 mod limit;
 mod muscle;
 mod name;
@@ -42,8 +43,8 @@ pub(crate) mod tendon_spring;
 mod text;
 pub(crate) mod weld;
 
-pub(crate) use anchor::{Anchor, SLIPS};
-pub use forces::joint_forces;
+pub use friction::ways;
+pub use joint_forces::joint_forces;
 pub use name::Words;
 pub(crate) use text::text;
 pub use text::{Mention, Named, Text};

@@ -2,10 +2,10 @@
 
 use super::force::{Forces, Group, Moment};
 use super::{damper, spring, Kind};
+use crate::model::transmission::Transmission;
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::scene::NONE;
-use crate::transmission::Transmission;
 
 pub(super) struct TendonSpring;
 pub(super) struct TendonDamper;

@@ -2,8 +2,8 @@
 
 use super::slots::Slots;
 use super::{
-    apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages, meetings,
-    memory, meshes, pairs, plane, pose, tendons, ties, tree, Model, NONE,
+    apart, at_qpos0, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages,
+    meetings, memory, meshes, pairs, plane, pose, tendons, ties, tree, Model, NONE,
 };
 use crate::error::Result;
 use crate::scene::Scene;
@@ -30,6 +30,7 @@ impl Model {
         let (aligned, axes) = inertia::weigh(scene, &assets, &mut model)?;
         let poses = pose::at_qpos0(&model.bodies);
         tendons::fill(scene, &mut model);
+        at_qpos0::measure_tendons(&mut model);
         linkages::fill(scene, &mut model);
         linkages::reflect(&mut model);
         invweight::fill(scene, &mut model, &poses, &aligned)?;

@@ -40,18 +40,6 @@ impl Lists {
     }
 }
 
-/// Every list as its tree closes it.
-pub(super) fn plain(model: &mut Model) {
-    for k in 0..model.nv {
-        let body = &model.bodies[model.dofs[k].body];
-        let after = body.dofs.start + body.dofs.len - 1 - k;
-        model.dofs[k].closed = Span { start: body.chain.start, len: body.chain.len - after };
-    }
-    for body in &mut model.bodies {
-        body.closed = body.chain;
-    }
-}
-
 /// Closes every list of dofs that rows use.
 pub(super) fn fill(model: &mut Model) {
     let mut touched: Vec<BTreeSet<usize>> = (0..model.nv).map(|_| BTreeSet::new()).collect();

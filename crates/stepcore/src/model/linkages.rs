@@ -1,10 +1,9 @@
 //! What actuators pull along, compiled: their transmissions, and the linkages whose length no joint and
 //! no tendon is: that of a site, and of a slider-crank.
 
+use super::transmission::Transmission;
 use super::{Model, Span};
-use crate::place::Placed;
 use crate::scene::{self, Dynamics, JointType, Scene, Target};
-use crate::transmission::Transmission;
 
 /// The length of an actuator that is neither a joint's nor a tendon's.
 #[derive(Clone, Debug)]
@@ -188,21 +187,6 @@ impl Model {
         let tendons = self.tendons.iter().map(|t| t.arms.len).sum::<usize>();
         let linkages = self.linkages.iter().map(|l| l.arms.len).sum::<usize>();
         (self.tendons.len() + self.linkages.len(), tendons + linkages)
-    }
-
-    /// The arms of each actuator at qpos0, by dof.
-    pub(super) fn arms_at_qpos0(&self) -> Vec<Vec<f64>> {
-        if self.actuators.is_empty() {
-            return vec![];
-        }
-        let mut placed = Placed::<f64>::new(self);
-        placed.positions(self, &self.qpos0);
-        let arms = |along: &Transmission| {
-            let mut row = vec![0.0; self.nv];
-            along.arms(self, &self.qpos0, placed.pulls(), |dof, arm: f64| row[dof] += arm);
-            row
-        };
-        self.along.iter().map(arms).collect()
     }
 
     /// By tree: a linkage ends on a body of it.

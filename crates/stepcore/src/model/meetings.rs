@@ -7,8 +7,6 @@
 //! a step computes is the same, to the bit, with and without them.
 
 use super::{Model, Pair, Span};
-use crate::place::Placed;
-use crate::real::{Mask, Real};
 
 /// By how much more the spheres of bodies are apart, of their size: more than rounding in single
 /// precision, so that no pair is passed over that the spheres of its geoms would not.
@@ -30,19 +28,6 @@ pub struct Meeting {
     pub spheres: Spheres,
     /// Into `Model::pairs`.
     pub pairs: Span,
-}
-
-impl Spheres {
-    /// In every lane the two are apart. inside: no joint is where `apart` does not hold.
-    #[inline(always)]
-    pub fn far<R: Real>(&self, placed: &Placed<R>, inside: bool) -> bool {
-        if self.apart && inside {
-            return true;
-        }
-        let [one, two] = self.geoms.map(|geom| &placed.geom[geom as usize].pos);
-        let between = two - one;
-        between.dot(&between).gt(R::of(self.square)).all()
-    }
 }
 
 /// Sets `Model::spheres` and `Model::meetings`.

@@ -4,6 +4,7 @@
 //! Fields that a `Scene` has too mean here what they mean there.
 
 mod apart;
+mod at_qpos0;
 mod auto_spring;
 mod build;
 mod check;
@@ -34,6 +35,7 @@ mod tendons;
 #[cfg(test)]
 mod tests;
 mod ties;
+pub mod transmission;
 mod tree;
 mod union;
 
@@ -49,9 +51,9 @@ pub(crate) use pose::rotation;
 pub use tally::Tally;
 pub use tendons::{Course, Mover, Point, Round, Stretch, Tendon};
 pub use ties::{Coupling, Ends, Equality, Tie};
+use transmission::Transmission;
 pub(crate) use union::Union;
 
-use crate::elements::friction::Ways;
 use crate::real::Real;
 use crate::scene::{
     Actuator, Coefficients, Features, GeomType, JointType, Key, Sensor, SleepPolicy, Softness,
@@ -61,7 +63,6 @@ use crate::shapes::hull::Hull;
 use crate::shapes::ray::Surface;
 use crate::shapes::{Shape, ShapeTest};
 use crate::spatial::Pose;
-use crate::transmission::Transmission;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -365,6 +366,10 @@ pub struct Model {
     slots: slots::Slots,
 }
 
+/// Nearer than this share of the size of what meets, a row stays: whether the guess of bodies
+/// at rest on each other overlaps is rounding.
+pub const NEAR: f64 = 1.0 / 1024.0;
+
 impl Model {
     /// What a pair's contacts are made of.
     #[inline(always)]
@@ -372,13 +377,10 @@ impl Model {
         &self.materials[pair.material]
     }
 
-    /// In how many ways the friction of a pair's contacts has rows: under `solref`, and under the
-    /// other laws; and how many of its ways nothing can move in.
-    pub fn ways(&self, pair: &Pair) -> (usize, usize, usize) {
-        let material = self.material(pair);
-        let soft = Ways::soft(pair.still, material);
-        let plain = Ways::plain(pair.still, material);
-        (soft.list().len(), plain.list().len(), soft.still)
+    /// A body that stands where its user puts it: it is awake.
+    pub(crate) fn is_mocap(&self, body: usize) -> bool {
+        let body = &self.bodies[body];
+        body.tree == NONE && body.carried
     }
 
     /// One free joint and nothing jointed on it, the mass a ball's about the joint's own

@@ -16,8 +16,8 @@
 
 use super::pose::{rotation, Pose};
 use super::{Geom, Model};
-use crate::detect::frame::{hint, spare, tangents, usual};
 use crate::scene::{GeomType, JointType};
+use crate::shapes::frame::{hint, spare, tangents, usual};
 use crate::shapes::ShapeTest;
 use nalgebra::Vector3;
 

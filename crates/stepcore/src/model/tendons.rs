@@ -1,7 +1,6 @@
 //! Tendons compiled: their stretches, the dofs that move them, and what they are at qpos0.
 
 use super::{Model, Span};
-use crate::place::Placed;
 use crate::scene::{self, Coefficients, GeomType, Scene, Softness, Stop, Target, AUTOMATIC};
 use nalgebra::Vector3;
 
@@ -101,15 +100,8 @@ impl Tendon {
     }
 }
 
-/// Compiles the tendons, all but their inverse weights.
+/// Compiles the tendons, all but what they are at qpos0 and their inverse weights.
 pub fn fill(scene: &Scene, model: &mut Model) {
-    lay_out(scene, model);
-    if !model.tendons.is_empty() {
-        measure(model);
-    }
-}
-
-fn lay_out(scene: &Scene, model: &mut Model) {
     for source in &scene.tendons {
         let dofs = dofs(model, source);
         let start = model.tendons.last().map_or(0, |last| last.arms.start + last.arms.len);
@@ -233,21 +225,6 @@ fn movers(model: &Model, ends: [Point; 2], round: Option<Round>, dofs: &[usize])
         (moves.contains(&true) && !all).then_some(Mover { dof, at, moves })
     };
     dofs.iter().enumerate().filter_map(mover).collect()
-}
-
-/// What tendons are at qpos0, and where their springs are at rest.
-fn measure(model: &mut Model) {
-    let mut placed = Placed::<f64>::new(model);
-    placed.positions(model, &model.qpos_spring);
-    let rest = placed.tendon_length.clone();
-    placed.positions(model, &model.qpos0);
-    for (index, tendon) in model.tendons.iter_mut().enumerate() {
-        tendon.length0 = placed.tendon_length[index];
-        if tendon.springlength == AUTOMATIC {
-            tendon.springlength = [rest[index]; 2];
-        }
-        tendon.arms0 = tendon.arms.of(&placed.tendon_arms).to_vec();
-    }
 }
 
 impl Model {

@@ -1,12 +1,12 @@
 //! Equalities, compiled: what each ties, with everything its rows share.
 
 use super::pose::{unit_quat, Pose};
+use super::transmission::Transmission;
 use super::tree::Unions;
 use super::{Model, Span};
 use crate::elements::Kind;
 use crate::scene::{self, EqualityType, Scene, Softness};
 use crate::spatial::Quat;
-use crate::transmission::Transmission;
 use nalgebra::Vector3;
 
 /// An equality, with what its rows share.

@@ -5,7 +5,7 @@ use super::fluid::Fluid;
 use super::meshes::Asset;
 use super::pose::{rotation, unit_quat};
 use super::slots::Slots;
-use super::{coupling, Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
+use super::{Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
 use crate::scene::{self, GeomType, JointType, Scene};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashMap;
@@ -83,7 +83,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     for i in 0..model.nv {
         row(&mut model, i);
     }
-    coupling::plain(&mut model);
+    close_lists(&mut model);
     let all = |count: usize, has: &dyn Fn(usize) -> bool| (0..count).filter(|i| has(*i)).collect();
     model.limited = all(model.joints.len(), &|i| model.joints[i].range.is_some());
     model.rubbing = all(model.nv, &|i| model.dofs[i].frictionloss > 0.0);
@@ -320,5 +320,17 @@ impl Unions {
             lists.extend(union);
             span
         })
+    }
+}
+
+/// Every list as its tree closes it.
+fn close_lists(model: &mut Model) {
+    for k in 0..model.nv {
+        let body = &model.bodies[model.dofs[k].body];
+        let after = body.dofs.start + body.dofs.len - 1 - k;
+        model.dofs[k].closed = Span { start: body.chain.start, len: body.chain.len - after };
+    }
+    for body in &mut model.bodies {
+        body.closed = body.chain;
     }
 }

@@ -1,12 +1,14 @@
 //! The smooth forces on the dofs: everything in `elements/` that pushes without rows.
 
-use super::{Frames, Placed, Pulls};
+use super::Placed;
 use crate::elements::activation::{rates, Activations};
 use crate::elements::actuator::{
     bound, bound_motors, clamp_joints, clamp_tendons, finish_motors, free_tendons, tensions,
 };
+use crate::elements::force::Frames;
 use crate::elements::force::{Group, Moment, Sum};
 use crate::elements::forces::push;
+use crate::model::transmission::Pulls;
 use crate::model::Model;
 use crate::real::Real;
 use crate::state::Inputs;

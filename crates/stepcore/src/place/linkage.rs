@@ -16,12 +16,12 @@ use crate::detect::Contact;
 use crate::elements::activation::Activations;
 use crate::elements::actuator::{ask_of_joints, let_through};
 use crate::elements::force::Moment;
+use crate::model::transmission::Transmission;
 use crate::model::{Linkage, Model};
 use crate::real::{Mask, Real};
 use crate::scene::Target;
 use crate::spatial::{rotate, rotate_back, splat, Force, Quat, M3, V3};
 use crate::state::Inputs;
-use crate::transmission::Transmission;
 
 /// What an end of a linkage is pulled by: a force and a moment at a point.
 struct Grip<R: Real> {

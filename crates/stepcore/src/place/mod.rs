@@ -24,7 +24,9 @@ pub use factor::Metric;
 pub(crate) use wrap::{wrap, Obstacle};
 
 use crate::elements::activation::Activations;
+use crate::elements::force::Frames;
 use crate::integrator::Turning;
+use crate::model::transmission::Pulls;
 use crate::model::{Body, Model, Tree};
 use crate::real::{Real, Stage};
 use crate::room::room;
@@ -95,35 +97,6 @@ pub struct Placed<R: Real> {
     /// u = L v of the present velocity, and of the guess.
     pub u: Vec<R>,
     pub guess: Vec<R>,
-}
-
-/// The part of `Placed` that is there before forces are added up, and that they read.
-#[derive(Clone, Copy)]
-pub(crate) struct Frames<'a, R: Real> {
-    pub xpos: &'a [V3<R>],
-    pub xmat: &'a [M3<R>],
-    pub origin: &'a [V3<R>],
-    pub motion: &'a [Motion<R>],
-    /// `Placed::actuator`.
-    pub tension: &'a [R],
-    /// `Placed::shares`.
-    pub shares: &'a [R],
-    pub pulls: Pulls<'a, R>,
-}
-
-impl<R: Real> Frames<'_, R> {
-    /// Centre of mass of a body in the world [m].
-    #[inline(always)]
-    pub fn centre(&self, model: &Model, body: usize) -> V3<R> {
-        self.xpos[body] + rotate(&self.xmat[body], &splat(&model.bodies[body].ipos))
-    }
-}
-
-/// Lengths that were placed: by tendon, and their arms (see `Tendon::arms`).
-#[derive(Clone, Copy)]
-pub struct Pulls<'a, R: Real> {
-    pub length: &'a [R],
-    pub arms: &'a [R],
 }
 
 room!(Placed<R>: mocap, xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, in_plane, mass,

@@ -2,10 +2,10 @@
 
 use super::{index, Reading};
 use crate::elements::Kind;
+use crate::model::transmission::Transmission;
 use crate::real::{Mask, Real};
 use crate::scene::{Sensor, SensorType, Target};
 use crate::solve::Row;
-use crate::transmission::Transmission;
 
 impl<R: Real> Reading<'_, R> {
     pub(super) fn of_joint(&mut self, sensor: &Sensor, out: &mut Vec<f64>) {

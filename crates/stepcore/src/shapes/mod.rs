@@ -17,6 +17,7 @@ pub(crate) mod cylinder;
 mod epa;
 mod facets;
 mod field_list;
+pub mod frame;
 mod gjk;
 mod grid;
 pub mod height_field;

@@ -19,71 +19,16 @@ use crate::commit::Next;
 use crate::error::Result;
 use crate::model::{Model, Tie, Tree, NONE};
 use crate::real::{Mask, Real};
-use crate::room::room;
 use crate::scene::SleepPolicy;
 use crate::sim::{At, Effort, Sim};
-use crate::state::{State, Warm};
+use crate::state::State;
+use crate::warm::{Sleep, Warm};
 use std::sync::Arc;
 
-/// Who sleeps; a part of the state. Empty lists: nobody ever was slow.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Sleep<R: Real> {
-    /// By tree: for how many steps it has been slow.
-    pub slow: Vec<u64>,
-    /// By tree: the lowest tree of the island with which it sleeps; `NONE` awake.
-    pub island: Vec<usize>,
-    /// By entry of qpos, where a tree sleeps: its position.
-    pub qpos: Vec<R>,
-    /// The impulses of each island's last step awake; ascending slots within one.
-    pub kept: Vec<(usize, Warm<R>)>,
-}
-
-room!(Sleep<R>: slow, island, qpos, kept;);
-
-impl<R: Real> Default for Sleep<R> {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl<R: Real> Sleep<R> {
-    /// Nobody sleeps.
-    pub fn new() -> Self {
-        Self { slow: vec![], island: vec![], qpos: vec![], kept: vec![] }
-    }
-
-    /// Someone sleeps.
-    pub fn any(&self) -> bool {
-        self.island.iter().any(|island| *island != NONE)
-    }
-
-    /// Whether a tree sleeps.
-    pub fn has(&self, tree: usize) -> bool {
-        self.island.get(tree).is_some_and(|island| *island != NONE)
-    }
-
     /// By body: whether it sleeps.
     pub fn bodies(&self, model: &Model) -> Vec<bool> {
         model.bodies.iter().map(|body| self.has(body.tree)).collect()
-    }
-
-    pub(crate) fn copy_to(&self, to: &mut Self) {
-        to.slow.clone_from(&self.slow);
-        to.island.clone_from(&self.island);
-        to.qpos.clone_from(&self.qpos);
-        to.kept.clone_from(&self.kept);
-    }
-
-    /// In other numbers; those of lane 0, as nobody sleeps in lanes.
-    pub fn cast<Q: Real>(&self) -> Sleep<Q> {
-        let number = |x: R| Q::of(x.lane(0));
-        let warm = |w: &Warm<R>| Warm::of(&w.in_lane(0));
-        Sleep {
-            slow: self.slow.clone(),
-            island: self.island.clone(),
-            qpos: self.qpos.iter().map(|x| number(*x)).collect(),
-            kept: self.kept.iter().map(|(island, w)| (*island, warm(w))).collect(),
-        }
     }
 
     fn fill(&mut self, model: &Model) {
@@ -115,17 +60,6 @@ impl<R: Real> State<R> {
         self.warm.extend(self.sleep.kept.drain(..).map(|(_, warm)| warm));
         self.warm.sort_by_key(|warm| warm.slot);
         self.sleep = Sleep::new();
-    }
-}
-
-/// The impulses from which rows start.
-pub(crate) fn last_impulses<'a, R: Real>(state: &'a State<R>, next: &'a Next<R>) -> &'a [Warm<R>] {
-    if next.stage > 0 {
-        &next.warm
-    } else if next.woken.is_empty() {
-        &state.warm
-    } else {
-        &next.woken
     }
 }
 
@@ -197,7 +131,7 @@ impl<R: Real> Sim<R> {
             }
             let carried = match &equality.tie {
                 Tie::Connect(ends) | Tie::Weld { ends, .. } => {
-                    ends.bodies.iter().any(|body| is_mocap(model, *body))
+                    ends.bodies.iter().any(|body| model.is_mocap(*body))
                 }
                 Tie::Lengths(_) => false,
             };
@@ -364,10 +298,4 @@ fn pushed<R: Real>(model: &Model, inputs: &crate::state::Inputs<R>, tree: usize)
     let acts = |forces: &[R]| forces.iter().any(|force| !force.is_zero());
     let xfrc = 6 * bodies.start..6 * bodies.end;
     inputs.applied() && (acts(&inputs.qfrc_applied()[dofs]) || acts(&inputs.xfrc_applied()[xfrc]))
-}
-
-/// A body that stands where its user puts it: it is awake.
-pub(crate) fn is_mocap(model: &Model, body: usize) -> bool {
-    let body = &model.bodies[body];
-    body.tree == NONE && body.carried
 }

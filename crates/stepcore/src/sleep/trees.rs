@@ -1,10 +1,10 @@
 //! What does not change of who may sleep: MuJoCo's policy of each tree, and its lengths of dofs.
 
-use super::Sleep;
 use crate::model::{rotation, Model, Union, NONE};
 use crate::real::Real;
 use crate::room::{listed, Room};
 use crate::scene::{JointType, SleepPolicy, Target};
+use crate::warm::Sleep;
 use std::sync::Arc;
 
 /// MuJoCo's least length of a body [m].

@@ -162,10 +162,6 @@ fn impedance_at<R: Real>(soft: &Softness, d0: f64, dw: f64, r: R) -> R {
     R::of(d0) + y * R::of(dw - d0)
 }
 
-/// Nearer than this share of the size of what meets, a row stays: whether the guess of bodies
-/// at rest on each other overlaps is rounding.
-pub const NEAR: f64 = 1.0 / 1024.0;
-
 /// How near a row of an inequality is, under the laws on velocities.
 pub struct Near<R: Real> {
     /// The distance that it holds.

@@ -36,14 +36,14 @@ pub(crate) use direct::{Choice, GROUP};
 pub(crate) use limits::Report;
 #[cfg(test)]
 pub(crate) use live::Live;
+pub(crate) use rows::{Anchor, Guessed, CONE};
 pub use rows::{Block, Part, Push, Row, Rows, Set, Situation};
-pub(crate) use rows::{Guessed, CONE};
 pub(crate) use solver::{Solve, Solvers, Sweeper, Unconstrained};
 
 use crate::model::Span;
 use crate::real::{Mask, Real};
 use crate::spatial::{Force, Motion, V3};
-use crate::state::{Warm, SLIP, WARM_ROWS};
+use crate::warm::{Warm, SLIP, WARM_ROWS};
 
 /// A·m below this many squared roundings may be rounding; beside the squares of its terms, it is
 /// below this many.

@@ -13,13 +13,15 @@ use super::free::Free;
 use super::live::Live;
 use super::relative::WIDE;
 use crate::clock::Clock;
-use crate::elements::{Anchor, Element};
+use crate::elements::friction::MOST_WAYS;
+use crate::elements::Element;
 use crate::model::{Model, Span, NONE};
 use crate::place::Placed;
 use crate::pool::Pool;
 use crate::real::{Mask, Real};
 use crate::room::room;
-use crate::state::{Inputs, Warm};
+use crate::state::Inputs;
+use crate::warm::Warm;
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 
@@ -175,6 +177,19 @@ pub struct Push<R: Real> {
     pub y: usize,
     /// [N·s]
     pub impulse: R,
+}
+
+/// The slip of a contact in this step.
+#[derive(Clone, Debug)]
+pub(crate) struct Anchor<R: Real> {
+    /// Which block's.
+    pub block: usize,
+    pub slide: V3<R>,
+    pub turn: V3<R>,
+    /// By way, in the measure of its row.
+    pub along: [R; MOST_WAYS],
+    /// dt K d: a row's t per slip.
+    pub pull: R,
 }
 
 /// The rows of one step.

@@ -1,8 +1,8 @@
 //! What can be read of actuators, at the positions that were last placed.
 
+use crate::model::transmission::Transmission;
 use crate::real::Real;
 use crate::sim::Sim;
-use crate::transmission::Transmission;
 
 impl<R: Real> Sim<R> {
     /// Length of each actuator, in a lane.

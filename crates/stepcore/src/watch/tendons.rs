@@ -3,12 +3,12 @@
 use crate::elements::tendon_spring::tendon_force;
 use crate::elements::Kind;
 use crate::error::Result;
+use crate::model::transmission::Transmission;
 use crate::model::Tie;
 use crate::real::{Mask, Real};
 use crate::room::zeros;
 use crate::scene::Target;
 use crate::sim::{At, Sim};
-use crate::transmission::Transmission;
 
 impl<R: Real> Sim<R> {
     /// Rate of each tendon's length.

@@ -13,7 +13,7 @@ use crate::real::Real;
 use crate::room::Room;
 use crate::settings::Settings;
 use crate::sim::Sim;
-use crate::state::Warm;
+use crate::warm::Warm;
 
 /// A `Sim` whose failures say which element they came from, and which keeps a ledger of its
 /// energy if the settings ask for one.

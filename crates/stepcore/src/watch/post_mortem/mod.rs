@@ -22,7 +22,8 @@ use crate::post_mortem::{Held, Missed, PostMortem, Stable, Start};
 use crate::real::Real;
 use crate::settings::{Integrator, Law, Sweeps};
 use crate::sim::Sim;
-use crate::state::{Inputs, State, Warm};
+use crate::state::{Inputs, State};
+use crate::warm::Warm;
 
 /// Without a ledger, trees up to this many dofs are looked into.
 const SMALL: usize = 12;

@@ -3,8 +3,7 @@
 //! What pulls along a length (an actuator, a limit, a tendon's spring) asks here, and knows neither
 //! joint nor path. The lengths and arms of tendons are made in `place/tendon.rs`.
 
-use crate::model::{Linkage, Model, Span};
-use crate::place::Pulls;
+use super::{Linkage, Model, Span};
 use crate::real::Real;
 use crate::scene::JointType;
 use crate::spatial::{Quat, V3};
@@ -24,6 +23,13 @@ pub enum Transmission {
     Tendon(usize, f64),
     /// A linkage, whose arms hold its gear.
     Linkage(usize),
+}
+
+/// Lengths that were placed: by tendon, and their arms (see `Tendon::arms`).
+#[derive(Clone, Copy)]
+pub struct Pulls<'a, R: Real> {
+    pub length: &'a [R],
+    pub arms: &'a [R],
 }
 
 /// The length of a joint and its arms.

@@ -1,0 +1,132 @@
+//! The list of the arrays that a user holds.
+
+use crate::elements::{Element, Kind};
+use crate::model::Model;
+
+/// An array that is the user's to write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Array {
+    // What a step changes.
+    Qpos,
+    Qvel,
+    Act,
+    CtrlHistory,
+    // What it reads.
+    Ctrl,
+    QfrcApplied,
+    /// Force, then moment, by body: 6 numbers each.
+    XfrcApplied,
+    /// 0: an equality is left out.
+    EqActive,
+    MocapPos,
+    MocapQuat,
+}
+
+impl Array {
+    pub const COUNT: usize = 10;
+    pub const ALL: [Self; Self::COUNT] = [
+        Self::Qpos,
+        Self::Qvel,
+        Self::Act,
+        Self::CtrlHistory,
+        Self::Ctrl,
+        Self::QfrcApplied,
+        Self::XfrcApplied,
+        Self::EqActive,
+        Self::MocapPos,
+        Self::MocapQuat,
+    ];
+    /// How many of them a step changes: the first ones.
+    pub const CHANGED: usize = 4;
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Qpos => "qpos",
+            Self::Qvel => "qvel",
+            Self::Act => "act",
+            Self::CtrlHistory => "ctrl_history",
+            Self::Ctrl => "ctrl",
+            Self::QfrcApplied => "qfrc_applied",
+            Self::XfrcApplied => "xfrc_applied",
+            Self::EqActive => "eq_active",
+            Self::MocapPos => "mocap_pos",
+            Self::MocapQuat => "mocap_quat",
+        }
+    }
+
+    /// Of one world.
+    pub fn shape(self, model: &Model) -> Vec<usize> {
+        match self {
+            Self::Qpos => vec![model.nq],
+            Self::Qvel | Self::QfrcApplied => vec![model.nv],
+            Self::Act => vec![model.na],
+            Self::CtrlHistory => vec![model.nhistory],
+            Self::Ctrl => vec![model.actuators.len()],
+            Self::XfrcApplied => vec![model.bodies.len(), 6],
+            Self::EqActive => vec![model.equalities.len()],
+            Self::MocapPos => vec![model.mocaps.len(), 3],
+            Self::MocapQuat => vec![model.mocaps.len(), 4],
+        }
+    }
+
+    /// What its length is called.
+    pub fn length(self) -> &'static str {
+        match self {
+            Self::Qpos => "nq",
+            Self::Qvel | Self::QfrcApplied => "nv",
+            Self::Act => "na",
+            Self::CtrlHistory => "nhistory",
+            Self::Ctrl => "nu",
+            Self::XfrcApplied => "6 nbody",
+            Self::EqActive => "neq",
+            Self::MocapPos => "3 nmocap",
+            Self::MocapQuat => "4 nmocap",
+        }
+    }
+
+    /// The numbers at the initial configuration, at rest and without inputs.
+    pub fn initial(self, model: &Model) -> Vec<f64> {
+        match self {
+            Self::Qpos => model.qpos0.clone(),
+            Self::EqActive => (model.equalities.iter())
+                .map(|equality| if equality.active { 1.0 } else { 0.0 })
+                .collect(),
+            Self::MocapPos => (model.mocaps.iter())
+                .flat_map(|body| model.bodies[*body].pos.as_slice().to_vec())
+                .collect(),
+            Self::MocapQuat => {
+                model.mocaps.iter().flat_map(|body| model.bodies[*body].quat).collect()
+            }
+            _ => vec![0.0; self.count(model)],
+        }
+    }
+
+    pub fn count(self, model: &Model) -> usize {
+        self.shape(model).iter().product()
+    }
+
+    /// The numbers of every array in one world.
+    pub fn counts(model: &Model) -> [usize; Self::COUNT] {
+        Self::ALL.map(|array| array.count(model))
+    }
+
+    /// Whose an entry is.
+    pub(crate) fn owner(self, model: &Model, k: usize) -> Element {
+        let joint = |index| Element::whole(Kind::Joint, index);
+        match self {
+            Self::Qpos => joint(model.joints.iter().rposition(|j| j.qpos <= k).unwrap_or(0)),
+            Self::Qvel | Self::QfrcApplied => joint(model.dofs[k].joint),
+            Self::Act | Self::CtrlHistory => {
+                let own = |span: &crate::model::Span| span.range().contains(&k);
+                let acts = self == Self::Act;
+                let spans = if acts { &model.activations } else { &model.histories };
+                Element::whole(Kind::Actuator, spans.iter().position(own).unwrap_or(0))
+            }
+            Self::Ctrl => Element::whole(Kind::Actuator, k),
+            Self::XfrcApplied => Element::whole(Kind::Body, k / 6),
+            Self::EqActive => Element::whole(Kind::Equality, k),
+            Self::MocapPos => Element::whole(Kind::Body, model.mocaps[k / 3]),
+            Self::MocapQuat => Element::whole(Kind::Body, model.mocaps[k / 4]),
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! What tendons and actuators are at qpos0: lengths and arms, as a step places them.
+
+use super::transmission::Transmission;
+use super::Model;
+use crate::place::Placed;
+use crate::scene::AUTOMATIC;
+
+/// What tendons are at qpos0, and where their springs are at rest.
+pub fn measure_tendons(model: &mut Model) {
+    if model.tendons.is_empty() {
+        return;
+    }
+    let mut placed = Placed::<f64>::new(model);
+    placed.positions(model, &model.qpos_spring);
+    let rest = placed.tendon_length.clone();
+    placed.positions(model, &model.qpos0);
+    for (index, tendon) in model.tendons.iter_mut().enumerate() {
+        tendon.length0 = placed.tendon_length[index];
+        if tendon.springlength == AUTOMATIC {
+            tendon.springlength = [rest[index]; 2];
+        }
+        tendon.arms0 = tendon.arms.of(&placed.tendon_arms).to_vec();
+    }
+}
+
+impl Model {
+    /// The arms of each actuator at qpos0, by dof.
+    pub(super) fn arms_at_qpos0(&self) -> Vec<Vec<f64>> {
+        if self.actuators.is_empty() {
+            return vec![];
+        }
+        let mut placed = Placed::<f64>::new(self);
+        placed.positions(self, &self.qpos0);
+        let arms = |along: &Transmission| {
+            let mut row = vec![0.0; self.nv];
+            along.arms(self, &self.qpos0, placed.pulls(), |dof, arm: f64| row[dof] += arm);
+            row
+        };
+        self.along.iter().map(arms).collect()
+    }
+}
