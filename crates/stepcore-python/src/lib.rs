@@ -14,12 +14,15 @@ mod errors;
 mod extract;
 mod gil;
 mod integrators;
+#[allow(unsafe_code)]
 mod memory;
 mod model;
 mod nearest;
 mod readings;
 mod readout;
 mod scene;
+// What pyo3 writes into it.
+#[allow(unsafe_op_in_unsafe_fn)]
 mod settings;
 mod sim;
 mod snapshot;

@@ -18,8 +18,7 @@ use crate::scene::JointType;
 use crate::settings::{Precision, Settings};
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
-use crate::warm::Sleep;
-use crate::warm::Warm;
+use crate::warm::{Sleep, Warm};
 
 /// The square of a quaternion's length from which it can still be scaled to 1 in any precision.
 const SHORTEST_SQUARE: f64 = 1e-30;

@@ -1,7 +1,6 @@
 //! How much memory a world holds beside its own struct: the room of all its lists; and whether
 //! there is as much.
 
-use crate::error::{Error, Result};
 use std::hint::black_box;
 
 /// Whether the memory has so many bytes. The black box has them used: the optimiser may leave out
@@ -9,21 +8,6 @@ use std::hint::black_box;
 pub(crate) fn can_be_had(bytes: usize) -> bool {
     let mut room = Vec::<u8>::new();
     room.try_reserve_exact(bytes).is_ok() && black_box(&mut room).capacity() >= bytes
-}
-
-/// A matrix of zeros, whose size a model decides; refuses one that the memory does not hold.
-pub(crate) fn zeros(what: &str, rows: usize, columns: usize) -> Result<Vec<f64>> {
-    let mut all = Vec::new();
-    match rows.checked_mul(columns) {
-        Some(count) if all.try_reserve_exact(count).is_ok() => {
-            all.resize(count, 0.0);
-            Ok(all)
-        }
-        _ => {
-            let limit = "a matrix that the memory can hold";
-            Err(Error::value(what, format!("{rows} × {columns} numbers"), limit))
-        }
-    }
 }
 
 /// Bytes on the heap.

@@ -3,6 +3,8 @@
 //! Each scene runs once to fill the buffers, is put back to its start and runs the
 //! same steps again: they hold no more contacts than before, so nothing may grow.
 
+#![allow(unsafe_code)]
+
 mod scenes;
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -35,15 +37,18 @@ fn note(count: u64, bytes: i64) {
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         note(1, layout.size() as i64);
-        System.alloc(layout)
+        // SAFETY: the caller's.
+        unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
         note(0, -(layout.size() as i64));
-        System.dealloc(at, layout);
+        // SAFETY: the caller's.
+        unsafe { System.dealloc(at, layout) };
     }
     unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         note(1, size as i64 - layout.size() as i64);
-        System.realloc(at, layout, size)
+        // SAFETY: the caller's.
+        unsafe { System.realloc(at, layout, size) }
     }
 }
 

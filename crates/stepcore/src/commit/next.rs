@@ -7,8 +7,7 @@ use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
 use crate::state::State;
-use crate::warm::Sleep;
-use crate::warm::Warm;
+use crate::warm::{Sleep, Warm};
 
 /// The state that a step proposes, and the working space of the integrators.
 pub struct Next<R: Real> {

@@ -12,7 +12,7 @@ use super::friction::{Axis, Way, Ways, MOST_WAYS};
 use super::sticky::Normal;
 use crate::detect::path::meeting;
 use crate::detect::Contact;
-use crate::model::{Model, Pair, NONE};
+use crate::model::{Model, Pair, NEAR, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
 use crate::solve::law::{least_softness, target_at, weightless_softness, Near, OnGuess, SolRef};

@@ -5,7 +5,7 @@ use super::{Element, Kind};
 use crate::model::transmission::Pulls;
 use crate::model::Model;
 use crate::real::Real;
-use crate::spatial::Force;
+use crate::spatial::{rotate, splat, Force, Motion, M3, V3};
 use crate::state::Inputs;
 
 /// What forces depend on: a model at a state, with its inputs.

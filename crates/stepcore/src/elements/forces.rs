@@ -2,7 +2,6 @@
 //! integrators take their slopes, and the watchers read their energies, their power and each
 //! element's own force: a new kind of force is one file and one line here.
 
-use super::activation::Activations;
 use super::actuator::Actuator;
 use super::applied::{BodyForce, JointForce};
 use super::damper::Damper;
@@ -16,7 +15,6 @@ use super::{Element, Kind};
 use crate::integrator::Late;
 use crate::model::{Model, NONE};
 use crate::real::Real;
-use crate::state::Inputs;
 
 macro_rules! forces {
     ($($kind:ident),+ $(,)?) => {

@@ -3,7 +3,7 @@
 use super::constraint::{Constraint, Makings};
 use super::{Element, Kind};
 use crate::model::transmission::{Reach, Transmission};
-use crate::model::{Model, Span};
+use crate::model::{Model, Span, NEAR};
 use crate::real::{Mask, Real};
 use crate::scene::{JointType, Softness};
 use crate::solve::law::{least_softness, Near, OnGuess, SolRef};

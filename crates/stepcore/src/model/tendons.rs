@@ -1,7 +1,7 @@
 //! Tendons compiled: their stretches, the dofs that move them, and what they are at qpos0.
 
 use super::{Model, Span};
-use crate::scene::{self, Coefficients, GeomType, Scene, Softness, Stop, Target, AUTOMATIC};
+use crate::scene::{self, Coefficients, GeomType, Scene, Softness, Stop, Target};
 use nalgebra::Vector3;
 
 /// A point of a body, in its frame [m].

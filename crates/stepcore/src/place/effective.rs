@@ -9,8 +9,9 @@ use std::ops::Range;
 
 use super::{Metric, Placed};
 use crate::elements::activation::Activations;
-use crate::elements::force::Moment;
+use crate::elements::force::{Frames, Moment};
 use crate::elements::forces::holding;
+use crate::model::transmission::Pulls;
 use crate::model::Model;
 use crate::real::{Real, Stage};
 use crate::room::room;
@@ -91,20 +92,16 @@ impl<R: Real> Placed<R> {
         act: Activations<R>,
         inputs: &Inputs<R>,
     ) {
-        let Some(dt) = self.late else { return };
+        let Some(effective) = &mut self.effective else { return };
+        let Self { xpos, xmat, origin, motion, actuator, shares, mass, metric, .. } = self;
         R::enter(Stage::Factor);
-        // Gone only after a panic, which whoever caught it may have survived.
-        let mut effective = self.effective.take().unwrap_or_else(|| {
-            let mut anew = Effective::new(model, &self.metric, dt);
-            anew.start(&self.mass, &mut self.metric);
-            anew
-        });
-        let now = Moment { model, frames: self.frames(), qpos, qvel, act, inputs };
-        effective.assemble(&now, &self.mass, &self.metric);
+        let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
+        let frames = Frames { xpos, xmat, origin, motion, tension: actuator, shares, pulls };
+        let now = Moment { model, frames, qpos, qvel, act, inputs };
+        effective.assemble(&now, mass, metric);
         for part in &effective.parts {
-            self.metric.refill(part.clone(), &effective.matrix);
-            self.metric.factor(part.clone());
+            metric.refill(part.clone(), &effective.matrix);
+            metric.factor(part.clone());
         }
-        self.effective = Some(effective);
     }
 }

@@ -31,7 +31,7 @@ use crate::model::{Body, Model, Tree};
 use crate::real::{Real, Stage};
 use crate::room::room;
 use crate::settings::Settings;
-use crate::spatial::{rotate, splat, Force, Inertia, Motion, Pose, Quat, M3, V3};
+use crate::spatial::{splat, Force, Inertia, Motion, Pose, Quat, M3, V3};
 use crate::state::Inputs;
 use in_plane::InPlane;
 use resting::Resting;
@@ -68,8 +68,6 @@ pub struct Placed<R: Real> {
     /// M = LᵀDL; under `discrete` the factors of M̂, and M̂ itself.
     pub metric: Metric<R>,
     pub effective: Option<Effective<R>>,
-    /// The step in whose M̂ rows are solved [s].
-    late: Option<R>,
     /// Velocity by body.
     pub velocity: Vec<Motion<R>>,
     acceleration: Vec<Motion<R>>,
@@ -144,7 +142,6 @@ impl<R: Real> Placed<R> {
             in_space,
             mass: vec![zero; model.row_dofs.len()],
             effective: effective.map(|dt| Effective::new(model, &metric, dt)),
-            late: effective,
             metric,
             velocity: vec![Motion::zero(); nbody],
             acceleration: vec![Motion::zero(); nbody],

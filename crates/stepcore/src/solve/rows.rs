@@ -20,6 +20,7 @@ use crate::place::Placed;
 use crate::pool::Pool;
 use crate::real::{Mask, Real};
 use crate::room::room;
+use crate::spatial::V3;
 use crate::state::Inputs;
 use crate::warm::Warm;
 use std::ops::Range;

@@ -9,12 +9,12 @@
 use std::ops::Range;
 
 use super::watched::explained;
+use super::zeros;
 use crate::arrays::{Array, Plain};
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::{Dual, Real, WAYS};
-use crate::room::zeros;
 use crate::scene::JointType;
 use crate::sim::Sim;
 use crate::solve::Differentiated;

@@ -23,6 +23,8 @@ mod tendon_path;
 mod tendons;
 mod watched;
 
+use crate::error::{Error, Result};
+
 pub use bodies::Bodies;
 pub use body_forces::BodyForces;
 pub use count::Counter;
@@ -36,3 +38,18 @@ pub use readout::Coupling;
 pub use tape::StepGains;
 pub use tendon_path::{tendon_path, Way};
 pub use watched::Watched;
+
+/// A matrix of zeros, whose size a model decides; refuses one that the memory does not hold.
+fn zeros(what: &str, rows: usize, columns: usize) -> Result<Vec<f64>> {
+    let mut all = Vec::new();
+    match rows.checked_mul(columns) {
+        Some(count) if all.try_reserve_exact(count).is_ok() => {
+            all.resize(count, 0.0);
+            Ok(all)
+        }
+        _ => {
+            let limit = "a matrix that the memory can hold";
+            Err(Error::value(what, format!("{rows} × {columns} numbers"), limit))
+        }
+    }
+}

@@ -3,13 +3,13 @@
 //! Poses and matrices are those of the last `refresh` or solve; rows, contacts and
 //! constraint forces those of the last solve.
 
+use super::zeros;
 use crate::detect::Contact;
 use crate::elements::friction::{Axis, Ways, MOST_WAYS};
 use crate::elements::{Element, Kind};
 use crate::error::Result;
 use crate::model::NONE;
 use crate::real::{Mask, Real};
-use crate::room::zeros;
 use crate::settings::Law;
 use crate::sim::Sim;
 use crate::solve::{Block, Push, Row, Set};

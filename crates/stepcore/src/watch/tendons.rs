@@ -1,12 +1,12 @@
 //! What can be read of tendons, at the positions that were last placed.
 
+use super::zeros;
 use crate::elements::tendon_spring::tendon_force;
 use crate::elements::Kind;
 use crate::error::Result;
 use crate::model::transmission::Transmission;
 use crate::model::Tie;
 use crate::real::{Mask, Real};
-use crate::room::zeros;
 use crate::scene::Target;
 use crate::sim::{At, Sim};
 
