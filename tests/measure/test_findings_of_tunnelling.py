@@ -52,6 +52,24 @@ def test_what_is_far_or_slow_or_leaves_is_not_told(down, across, z):
     assert not [one for one in findings if one.kind == "tunnelling"]
 
 
+@pytest.mark.parametrize("wall", ['sphere" size=".1', 'capsule" size=".03 .3" euler="90 0 0'])
+def test_a_cube_that_fell_through_a_round_wall_is_told(wall):
+    scene = TABLE.replace('box" size=".4 .4 .025', wall).format(
+        down=-31, z=1.2, across=0, dt=0.008, fields=""
+    )
+    one = the(watched(sc.loads(scene), time=0.1)[1], "tunnelling")
+    assert one.severity == "error" and "`cube` passes through geom `table`" in one.text
+
+
+def test_a_cube_pushed_out_of_a_tall_block_on_its_side_has_not_passed():
+    """It enters through the top, and leaves above the middle."""
+    scene = TABLE.replace(".4 .4 .025", ".025 .4 .4").format(
+        down=-3, z=1.2, across=2.0, dt=0.002, fields='solref=".05 1"'
+    )
+    findings = watched(sc.loads(scene), time=0.3)[1]
+    assert not [one for one in findings if one.kind == "tunnelling"]
+
+
 CUP = """<mujoco><worldbody><body name="cup"><joint name="x" type="slide" axis="1 0 0" damping="1"/>
 <geom name="bottom" type="cylinder" size=".05 .001" mass=".2"/>{}</body>
 <body pos="-.01 0 .0085"><freejoint/><geom name="ball" size=".0075" mass=".005" solref=".005 1"/>

@@ -1,13 +1,15 @@
-"""Find bodies that pass through each other and leave on the other side.
+"""Find bodies that pass through each other and leave on the other side, and those that soon may.
 
 Contacts keep the centre of a geom outside of every geom that it collides with. A step that moves a
 geom by more than its thickness may carry the centre across a surface, and so may a contact that
-sinks too deep. A ray along the centre's way since the last observation finds the crossed surface.
-If the centre is still behind that surface when the contact has ended, the geom has passed. A geom
-below a plane stays in contact with it, and has not.
+sinks too deep. A ray along the centre's way since the last observation, seen from the other geom,
+finds the crossed surface. If the centre is beyond the middle, seen from that surface, when the
+contact has ended, the geom has passed. A geom below a plane stays in contact with it, and has not.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,72 +23,95 @@ NEAR = 0.5
 # The distance from the middle of a geom within which a way may meet it, over its reach: the middle
 # of a mesh is its centre of mass.
 WIDE = 1.5
+# A geom that will arrive within this number of steps or observations is about to, if a step moves
+# it by this share of half of both thicknesses.
+SOON, OBSERVATIONS, SLOW = 10, 2, 0.1
+# The largest number of pairs that are observed, those of the thinnest geoms.
+MOST = 2000
+
+# The share of a way by which a point lies behind a surface that it meets.
+INSIDE = 1e-9
 
 # A geom, and the geom whose surface its centre has crossed.
 Passage = tuple[int, int]
 
 
+class Crossing(NamedTuple):
+    """How a geom meets the surface of another one.
+
+    time: [s]. speed: along the surface's normal [m/s]. room: half of both thicknesses [m].
+    """
+
+    time: float
+    speed: float
+    room: float
+
+
 class Passages:
     """The passages of one run, observed every few steps.
 
-    found: the passages up to now, with the time at which the surface was crossed [s].
+    found: the passages up to now. arrivals: the fastest arrival of each geom at another one, within
+    which no surface was crossed.
     """
 
     def __init__(self, sim: Sim) -> None:
         model = sim.model
-        self.found: dict[Passage, float] = {}
-        # Where and when a centre has entered the other geom, and the outward normal there.
-        self.inside: dict[Passage, tuple[Floats, Floats, float]] = {}
-        self.watches = model.npair > 0 and not model.is_heap
+        self.found: dict[Passage, Crossing] = {}
+        self.arrivals: dict[Passage, Crossing] = {}
+        # Where a centre has entered the other geom, the outward normal there, and how.
+        self.inside: dict[Passage, tuple[Floats, Floats, Crossing]] = {}
+        features = model.scene.features
+        self.watches = bool(model.npair and features.contact and features.constraint)
+        self.watches = self.watches and not model.is_heap
         if not self.watches:
             return
         sizes, geoms = Sizes(model), model.pair_geoms
-        self.thick, self.body = np.array(sizes.thick), model.geom_body
+        self.thick, reach = np.array(sizes.thick), np.array(sizes.reach)
+        self.body = model.geom_body
         # The other geom bounds where a centre can enter it. A plane is left by nothing below it.
         both = np.concatenate([geoms, geoms[:, ::-1]])
         flat = np.array([kind == "plane" for kind in model.geom_type], bool)
-        self.able = both[np.isfinite(self.thick[both[:, 0]]) & ~flat[both[:, 1]]]
-        self.pairs = {(a, b) for a, b in self.able.tolist()}
-        self.reach = WIDE * np.array(sizes.reach)[self.able[:, 1]]
-        self.watches = len(self.able) > 0
+        able = both[np.isfinite(self.thick[both[:, 0]]) & ~flat[both[:, 1]]]
+        able = able[np.argsort(self.thick[able].sum(axis=1), kind="stable")[:MOST]]
+        self.mover, self.other = able.T
+        self.index = {(a, b): k for k, (a, b) in enumerate(able.tolist())}
+        self.far = np.minimum(NEAR * self.thick[self.mover], SLOW * self.thick[able].sum(axis=1))
+        self.reach = WIDE * reach[self.other]
+        self.watches = len(able) > 0
         self._keep(sim)
 
     def observe(self, sim: Sim) -> None:
         """Observe the present state; a way between two states counts as straight."""
         if not self.watches:
             return
-        before, turned = self.centres, self.axes
+        before, turned, since = self.centres, self.axes, self.time
         self._keep(sim)
-        if not np.isfinite(self.centres).all():
+        if not np.isfinite(self.centres).all() or self.time <= since:
             return
         touching = self._touching(sim)
         for passage in [passage for passage in self.inside if passage not in touching]:
             self._leave(passage)
-        for (geom, other), deep in touching.items():
-            if deep and (geom, other) in self.pairs:
-                # The way of the centre seen from the other geom.
-                turn = self.axes[other] @ turned[other].T
-                start = self.centres[other] + turn @ (before[geom] - before[other])
-                self._cross(sim, geom, start)
-        for geom in self._fast(before):
-            self._cross(sim, geom, before[geom])
-
-    def _fast(self, before: Floats) -> list[int]:
-        """Return the geoms that have moved far, on a way near a geom that they collide with."""
-        ways = self.centres - before
-        length = np.linalg.norm(ways, axis=1)
-        far = length[self.able[:, 0]] > NEAR * self.thick[self.able[:, 0]]
-        if not far.any():
-            return []
-        (geoms, others), reach = self.able[far].T, self.reach[far]
-        way, apart = ways[geoms], self.centres[others] - before[geoms]
-        part = np.clip(np.sum(way * apart, axis=1) / length[geoms] ** 2, 0.0, 1.0)
-        near = np.linalg.norm(apart - part[:, None] * way, axis=1) < reach
-        return sorted(set(geoms[near].tolist()))
+        time = self.time - since
+        soon = max(SOON * sim.settings.dt / time, OBSERVATIONS)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            # The ways of the centres seen from the other geoms.
+            turn = np.einsum("nij,nkj->nik", self.axes, turned)[self.other]
+            starts = np.einsum("nij,nj->ni", turn, before[self.mover] - before[self.other])
+            starts += self.centres[self.other]
+            ways, apart = self.centres[self.mover] - starts, self.centres[self.other] - starts
+            squares = np.sum(ways * ways, axis=1)
+            part = np.clip(np.sum(ways * apart, axis=1) / squares, 0.0, 1 + soon)
+            meets = np.linalg.norm(apart - part[:, None] * ways, axis=1) < self.reach
+            meets &= squares > (self.far * min(1.0, time / sim.settings.dt)) ** 2
+        meets[[self.index[p] for p, deep in touching.items() if deep and p in self.index]] = True
+        for k in np.flatnonzero(meets & (squares > 0) & np.isfinite(squares)):
+            self._meet(
+                sim, (int(self.mover[k]), int(self.other[k])), starts[k], ways[k], time, soon
+            )
 
     def _keep(self, sim: Sim) -> None:
-        self.centres, self.axes = np.array(sim.geom_xpos), np.array(sim.geom_xmat)
-        self.axes = self.axes.reshape(-1, 3, 3)
+        self.time, self.centres = sim.time, np.array(sim.geom_xpos)
+        self.axes = np.array(sim.geom_xmat).reshape(-1, 3, 3)
 
     def _touching(self, sim: Sim) -> dict[Passage, bool]:
         """Return whether the last contact of each pair was deep, for both orders of its geoms."""
@@ -98,23 +123,39 @@ class Passages:
                 deep[pair] = deep.get(pair, False) or far
         return deep | {(b, a): far for (a, b), far in deep.items()}
 
-    def _cross(self, sim: Sim, geom: int, start: Floats) -> None:
-        """Keep where a geom's centre enters another geom on its way to its present place."""
-        way = self.centres[geom] - start
-        if not way.any():
-            return
+    def _meet(
+        self, sim: Sim, passage: Passage, start: Floats, way: Floats, time: float, soon: float
+    ) -> None:
+        """Keep where a centre enters the other geom on its way to its present place, or will soon.
+
+        time: that the way took [s]. soon: how much longer a way ahead is kept, over this one.
+        """
+        geom, other = passage
         hit = sim.ray(start, way, exclude=int(self.body[geom]))
-        passage = geom, int(hit.geom)
-        enters = 0 <= float(hit.distance) <= 1 and float(hit.normal @ way) < 0
-        if enters and passage in self.pairs and passage not in self.found:
-            axes, centre = self.axes[passage[1]], self.centres[passage[1]]
-            entry = axes.T @ (start + float(hit.distance) * way - centre)
-            self.inside.setdefault(passage, (entry, axes.T @ hit.normal, sim.time))
+        closing = -float(hit.normal @ way)
+        if int(hit.geom) != other or closing <= 0:
+            return
+        at = start + float(hit.distance) * way
+        # From within the ray hits the other side; a way through a corner is short.
+        beyond = float(sim.ray(at + INSIDE * way, way, exclude=int(self.body[geom])).distance)
+        room = float(self.thick[geom] + max(beyond * closing / 2, self.thick[other]))
+        speed, risk = closing / time, self.arrivals.get(passage)
+        if hit.distance <= 1:
+            # Soft contact has slowed it down on the way in.
+            crossing = Crossing(self.time, max(speed, risk.speed if risk else 0.0), room)
+            axes = self.axes[other].T
+            entry = axes @ (at - self.centres[other]), axes @ hit.normal, crossing
+            if passage not in self.found:
+                self.inside.setdefault(passage, entry)
+        elif (hit.distance - 1) * closing - self.thick[geom] <= closing * soon and (
+            risk is None or speed > risk.speed
+        ):
+            self.arrivals[passage] = Crossing(self.time, speed, room)
 
     def _leave(self, passage: Passage) -> None:
-        """Keep the passage of a centre behind the surface, where the contact has ended."""
+        """Keep the passage of a centre beyond the other's middle, where the contact has ended."""
         geom, other = passage
-        entry, normal, time = self.inside.pop(passage)
+        entry, normal, crossing = self.inside.pop(passage)
         now = self.axes[other].T @ (self.centres[geom] - self.centres[other])
-        if float(normal @ (now - entry)) < 0:
-            self.found[passage] = time
+        if float(normal @ (entry - now)) > crossing.room - float(self.thick[geom]):
+            self.found[passage] = crossing

@@ -260,7 +260,7 @@ class _Watch(Probe):
             swings=np.mean(self.seen, axis=0) if later else nothing,
             saturated=self.saturated,
             speeds=self.speeds,
-            passages=self.passages.found,
+            passages={pair: at.time for pair, at in self.passages.found.items()},
             calm=self.calm,
         )
 
