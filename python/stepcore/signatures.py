@@ -87,7 +87,9 @@ def spell_out(function: F, keywords: Iterable[inspect.Parameter]) -> F:
 def takes_settings(function: F) -> F:
     """Decorate a function: its signature lists each field of `Settings` as a keyword."""
     fields = SettingsFields.__annotations__.items()
-    return spell_out(function, [keyword(name, _AsInScene(), _text(hint)) for name, hint in fields])
+    return spell_out(
+        function, [keyword(name, _AsInScene(), annotation(hint)) for name, hint in fields]
+    )
 
 
 def refuse_unknown(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
@@ -114,6 +116,6 @@ def _plain(parameter: inspect.Parameter) -> inspect.Parameter:
     return parameter
 
 
-def _text(hint: Any) -> Any:
+def annotation(hint: Any) -> Any:
     """Return the text of an annotation of a TypedDict, which Python stores as a ForwardRef."""
     return getattr(hint, "__forward_arg__", hint)

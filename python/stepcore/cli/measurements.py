@@ -31,9 +31,8 @@ from stepcore.experiment import schedule
 from stepcore.report.result import Result
 
 LIST = "numbers a,b,c or FIRST:LAST:COUNT on a log scale"
-# The arguments: the measuring function, the parsed command line, the model, and the function's
-# arguments.
-Call = Callable[[Callable[..., Any], argparse.Namespace, Model, Mapping[str, Any]], Result]
+# Returns further arguments of the measuring function, from the command line and the model.
+More = Callable[[argparse.Namespace, Model], Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,8 @@ class Measurement:
     exclusive options. full: the description of --all in the help. warn: whether to warn of
     stiffness, as `stepcore.load` does; False if the result reports stiffness in detail. model: the
     settings of the argument FILE. motion: defaults shown in the help; None for a command without a
-    motion. call: a custom call of the function, where a plain call does not suffice.
+    motion. source: whether the function may read the file itself. more: further arguments of the
+    function. done: what follows a call.
     """
 
     module: str
@@ -56,7 +56,9 @@ class Measurement:
     warn: bool = True
     model: Mapping[str, Any] | None = None
     motion: Mapping[str, Any] | None = None
-    call: Call | None = None
+    source: bool = False
+    more: More = lambda args, model: {}
+    done: Callable[[Any, argparse.Namespace], None] = lambda result, args: None
 
 
 def _function(name: str) -> Callable[..., Any]:
@@ -104,76 +106,41 @@ def call(args: argparse.Namespace, name: str) -> Result:
         given |= motion_of(args, model)
     if name in SECONDS:
         given["seconds"] = args.seconds
-    if measurement.call is not None:
-        return measurement.call(function, args, model, given)
-    result: Result = function(model, **given)
+    given |= measurement.more(args, model)
+    # The measurement can read the file itself, if it is taken as it is.
+    whole = measurement.source and not args.without and args.fuse is not False
+    result: Result = function(args.file if whole else model, **given)
+    measurement.done(result, args)
     return result
 
 
-def _source(args: argparse.Namespace, model: Model) -> Model | str:
-    """Return the file name if the measurement can read the file itself, else the model."""
-    source: Model | str = model if args.without or args.fuse is False else args.file
-    return source
-
-
-def _check(
-    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
-) -> Result:
+def _checked(result: Any, args: argparse.Namespace) -> None:
+    """Give the commands recommended by a check the same file and motion."""
     from stepcore.measure.check import file_in_words
 
-    result: Any = function(_source(args, model), **given)
-    # The commands recommended by the result get the same file and motion.
     said = {name: getattr(args, name, None) for name in OPTIONS}
     result.file = file_in_words(args.file, args.without, args.fuse is not False)
     result.options = {name: str(value) for name, value in said.items() if value is not None}
-    checked: Result = result
-    return checked
 
 
-def _trade(
-    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
-) -> Result:
-    result: Result = function(model, search="grid" if args.grid else None, **given)
-    return result
-
-
-def _ablate(
-    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
-) -> Result:
-    ablation: Any = function(model, **given)
+def _ablated(result: Any, args: argparse.Namespace) -> None:
     if args.save is not None:
-        ablation.smallest.save(args.save)
-    result: Result = ablation
-    return result
+        result.smallest.save(args.save)
 
 
-def _plan(
-    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
-) -> Result:
-    sim = None
-    if args.key is not None:
-        sim = Sim(model)
-        sim.reset(key=key_of(args, model))
-    result: Result = function(model, sim=sim, **given)
-    return result
+def _planned(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
+    if args.key is None:
+        return {}
+    sim = Sim(model)
+    sim.reset(key=key_of(args, model))
+    return {"sim": sim}
 
 
-def _tune(
-    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
-) -> Result:
-    result: Result = function(model, key=key_of(args, model), **given)
-    return result
-
-
-def _stability_map(
-    function: Callable[..., Any], args: argparse.Namespace, model: Model, given: Mapping[str, Any]
-) -> Result:
-    lists = {
+def _lists(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
+    return {
         "values": None if args.values is None else numbers("--values", args.values),
         "dts": None if args.dts is None else numbers("--dts", args.dts, time),
     }
-    result: Result = function(_source(args, model), **(dict(given) | lists))
-    return result
 
 
 def numbers(option: str, text: str, read: Callable[[str], float] = float) -> list[float]:
@@ -213,7 +180,8 @@ Example:
         },
         warn=False,
         motion={},
-        call=_check,
+        source=True,
+        done=_checked,
     ),
     "trade": Measurement(
         "stepcore.measure.trade",
@@ -262,7 +230,7 @@ Example:
         excluding=("error", "budget"),
         full="print every setting",
         motion={},
-        call=_trade,
+        more=lambda args, model: {"search": "grid" if args.grid else None},
     ),
     "predict": Measurement(
         "stepcore.measure.predictability",
@@ -341,7 +309,8 @@ Example:
             "words": " (default: lesson:spring; also lesson:stack)",
         },
         motion={"horizon": "1, or 25 times the largest time step if that is longer"},
-        call=_stability_map,
+        source=True,
+        more=_lists,
     ),
     "converge": Measurement(
         "stepcore.measure.convergence",
@@ -411,7 +380,7 @@ Example:
         },
         excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
         warn=False,
-        call=_tune,
+        more=lambda args, model: {"key": key_of(args, model)},
     ),
     "plan": Measurement(
         "stepcore.measure.plan",
@@ -424,7 +393,7 @@ Example:
 """,
         {"time": {"action": "store_true", "help": "also measure times [µs]"}},
         full="print every entry, the names of all its elements",
-        call=_plan,
+        more=_planned,
     ),
     "ablate": Measurement(
         "stepcore.measure.ablation",
@@ -447,7 +416,7 @@ Example:
         },
         full="print every feature",
         motion={},
-        call=_ablate,
+        done=_ablated,
     ),
 }
 

@@ -10,15 +10,16 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
 from stepcore import checks, deadline
-from stepcore.deadline import Deadline
+from stepcore.deadline import Deadline, in_time
 from stepcore.engine.model import Model
 from stepcore.executors import check_executor, each
 from stepcore.experiment.coordinates import Coordinates
-from stepcore.experiment.motion import Motion
+from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.run import Run
 from stepcore.loading import find_model
 from stepcore.report.progress import Choice, Progress
 from stepcore.scene.scene import Scene
+from stepcore.signatures import F, annotation, keyword
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -92,11 +93,14 @@ class BatchSpeedup:
 
 @dataclass(frozen=True)
 class Workers:
-    """Threads or an executor for the runs of a measurement, and the choice of progress bar.
+    """What makes the runs of a measurement, from the arguments that every measurement has.
 
-    threads: the number of runs at the same time.
-    executor: used in place of threads.
-    progress: see `Progress`.
+    threads: the number of runs at the same time; by default one per core.
+    executor: any `concurrent.futures` executor, used in place of threads. Costs are timed
+        afterwards, on one thread.
+    progress: False for no bar, or a function of (label, done, total).
+    seconds: (of the measurement) the longest time [s]; by default there is none. When the time is
+        over, the result has what is known, and `unfinished` says what was not done.
     speedup: the speed-up of the batched runs that these workers made.
     """
 
@@ -195,26 +199,48 @@ class Setup(NamedTuple):
         return self.model.scene.name or "scene"
 
 
+class MeasurementFields(MotionFields, total=False):
+    """The keyword arguments of every measurement: see `Workers`, and the fields of its `Motion`."""
+
+    threads: int | None
+    executor: Executor | None
+    progress: Choice
+    seconds: float | None
+
+
+# These keyword arguments that are not fields of `Motion`.
+SHARED = MeasurementFields.__annotations__.keys() - MotionFields.__annotations__.keys()
+
+
+def measurement(*, without: tuple[str, ...] = ()) -> Callable[[F], F]:
+    """Return a decorator of a measurement: its time is limited, and `help` lists `**fields`.
+
+    without: the names of the fields of `Motion` that it does not use.
+    """
+
+    hints = MeasurementFields.__annotations__
+    shared = [keyword(name, None, annotation(hints[name])) for name in hints if name in SHARED]
+    spelled_out = takes_motion(without=without, more=shared)
+    return lambda function: spelled_out(in_time(function))
+
+
 def set_up(
-    measurement: Callable[..., Any],
+    called: Callable[..., Any],
     model: Source,
     motion: Motion | str | None,
     fields: Mapping[str, Any],
     *,
     missing: str,
-    threads: int | None = None,
-    executor: Executor | None = None,
-    progress: Choice = None,
 ) -> Setup:
     """Check the arguments that all measurements share, and load and compile the model.
 
-    measurement: the function that was called.
-    fields: the keyword arguments that are fields of `Motion`.
+    called: the measurement. fields: its `MeasurementFields`.
     missing: words for the error if nothing in the scene can move, such as "no motion to predict".
     """
-    motion = Motion.of(motion, fields, measurement)
+    motion = Motion.of(motion, {k: v for k, v in fields.items() if k not in SHARED}, called)
     compiled = find_model(model)
-    workers = Workers.checked(measurement.__name__, threads, executor, progress)
+    shared = (fields.get(name) for name in ("threads", "executor", "progress"))
+    workers = Workers.checked(called.__name__, *shared)
     if not compiled.nv:
         raise ValueError(
             "the scene has no joint, so nothing in it can move: add a body with a joint"

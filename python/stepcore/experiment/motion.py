@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypedDict
 
@@ -247,14 +247,17 @@ class Motion:
         return f"Motion({', '.join(parts)})"
 
 
-def takes_motion(*, without: tuple[str, ...] = ()) -> Callable[[F], F]:
+def takes_motion(
+    *, without: tuple[str, ...] = (), more: Sequence[inspect.Parameter] = ()
+) -> Callable[[F], F]:
     """Return a decorator that adds the fields of `Motion` to a measurement's keyword arguments.
 
     without: the names of fields that the measurement does not use.
+    more: further keyword arguments that are in its ``**fields``.
     """
 
     def spelled_out(measurement: F) -> F:
         own = [field for field in fields(Motion) if field.name not in without]
-        return spell_out(measurement, [keyword(f.name, f.default, f.type) for f in own])
+        return spell_out(measurement, [*more, *(keyword(f.name, f.default, f.type) for f in own)])
 
     return spelled_out

@@ -5,22 +5,19 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
 from stepcore._core import Settings
-from stepcore.deadline import in_time
-from stepcore.experiment.arguments import Source, set_up
+from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.growth import DIRECTIONS, GROWTH, NEARBY, Growth
-from stepcore.experiment.motion import Motion, MotionFields, takes_motion
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import STARTS, scheduled, time_steps
-from stepcore.report.progress import Choice
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds, times
@@ -156,17 +153,11 @@ class Predictability(Result):
         return f"<Predictability of {self.name}: {self.time:.3g} s of {self.horizon:.3g} s>"
 
 
-@takes_motion()
-@in_time
+@measurement()
 def predict(
     model: Source,
     motion: Motion | str | None = None,
-    *,
-    threads: int | None = None,
-    executor: Executor | None = None,
-    progress: Choice = None,
-    seconds: float | None = None,
-    **fields: Unpack[MotionFields],
+    **fields: Unpack[MeasurementFields],
 ) -> Predictability:
     """Measure how long the motion of a scene can be predicted.
 
@@ -178,11 +169,7 @@ def predict(
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`, or its fields as arguments. By default 10 s, and 8 starts.
-    threads: the number of runs at the same time (default: one per core).
-    executor: any concurrent.futures executor, used in place of threads.
-    progress: False for no progress bar, or a function of (label, done, total).
-    seconds: the longest time of the measurement [s]; by default there is none. When the time is
-        over, the result has what is known, and `unfinished` says what was not done.
+    threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, or if the scene cannot be run.
 
@@ -191,16 +178,8 @@ def predict(
     >>> spring.time, round(float(spring.growth.factor.max()), 2)
     (inf, 1.0)
     """
-    model, motion, workers = setup = set_up(
-        predict,
-        model,
-        motion,
-        fields,
-        missing="no motion to predict",
-        threads=threads,
-        executor=executor,
-        progress=progress,
-    )
+    setup = set_up(predict, model, motion, fields, missing="no motion to predict")
+    model, motion, workers = setup
     horizon = HORIZON if motion.horizon is None else motion.horizon
     motion = dataclasses.replace(motion, horizon=horizon, starts=motion.starts or STARTS)
     own = model.settings.dt

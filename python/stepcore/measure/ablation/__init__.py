@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
 from functools import partial
 from typing import Unpack
 
 import numpy as np
 
 from stepcore import checks
-from stepcore.deadline import in_time
 from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
-from stepcore.experiment.arguments import Source, Workers, set_up
+from stepcore.experiment.arguments import MeasurementFields, Source, Workers, measurement, set_up
 from stepcore.experiment.cost import TimedRun, heaviness
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.failure import runaway
-from stepcore.experiment.motion import Motion, MotionFields, takes_motion
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.runner import Runner
@@ -35,7 +33,7 @@ from stepcore.measure.ablation.variants import (
     usage_of,
 )
 from stepcore.report import units
-from stepcore.report.progress import Choice, Progress
+from stepcore.report.progress import Progress
 from stepcore.report.units import metres, seconds
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
@@ -57,18 +55,13 @@ BUDGET = 3e6
 CONVERGED, ALONE, CHOSEN, CONFIRMED = 0.4, 0.7, 0.8, 0.95
 
 
-@takes_motion()
-@in_time
+@measurement()
 def ablate(
     model: Source,
     motion: Motion | str | None = None,
     *,
     added: float | str = 1e-3,
-    threads: int | None = None,
-    executor: Executor | None = None,
-    progress: Choice = None,
-    seconds: float | None = None,
-    **fields: Unpack[MotionFields],
+    **fields: Unpack[MeasurementFields],
 ) -> Ablation:
     """Remove one modelled feature at a time, and measure the work saved and the error added.
 
@@ -82,11 +75,7 @@ def ablate(
     added: the largest RMS position error, over samples and bodies, that the smallest model may add
         to the whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's
         size.
-    threads: the number of parallel runs (default: one per core).
-    executor: any `concurrent.futures` executor, used in place of threads.
-    progress: False for no bar, or a function of (label, done, total).
-    seconds: the longest time of the measurement [s]; by default there is none. When the time is
-        over, the result has what is known, and `unfinished` says what was not done.
+    threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, or if the whole model fails.
 
@@ -101,16 +90,7 @@ def ablate(
     """
     # Check the tolerance before minutes of work; the scene's size is known later.
     units.length("ablate", "added", added, 1.0)
-    setup = set_up(
-        ablate,
-        model,
-        motion,
-        fields,
-        missing="no motion to keep",
-        threads=threads,
-        executor=executor,
-        progress=progress,
-    )
+    setup = set_up(ablate, model, motion, fields, missing="no motion to keep")
     model, motion, workers = setup
     starts, dt = motion.starts or STARTS, model.settings.dt
     _, period = time_steps(dt, None, motion.period(dt), motion.horizon or HORIZON)

@@ -7,7 +7,6 @@ import math
 import os
 import shlex
 from collections.abc import Iterator, Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Unpack
 
@@ -15,14 +14,14 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.checks import one_line
-from stepcore.deadline import OutOfTime, in_time
+from stepcore.deadline import OutOfTime
 from stepcore.engine.control import control_option
 from stepcore.engine.model import Model
-from stepcore.experiment.arguments import Setup, Source, set_up
+from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Start
 from stepcore.experiment.horizon import horizon_of
-from stepcore.experiment.motion import Motion, MotionFields, takes_motion
+from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, Schedule, home, scheduled
@@ -34,7 +33,6 @@ from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.monitors import Finding, Next, monitored, ordered, proven
 from stepcore.mjcf.worldbody import EmptyRange
 from stepcore.report import units
-from stepcore.report.progress import Choice
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
@@ -189,18 +187,13 @@ class Check(Result):
         return f"<Check of {self.name}: {counted(len(self.findings), 'finding')}>"
 
 
-@takes_motion(without=("starts",))
-@in_time
+@measurement(without=("starts",))
 def check(
     model: Source,
     motion: Motion | str | None = None,
     *,
     depth: float | str | None = None,
-    threads: int | None = None,
-    executor: Executor | None = None,
-    progress: Choice = None,
-    seconds: float | None = None,
-    **fields: Unpack[MotionFields],
+    **fields: Unpack[MeasurementFields],
 ) -> Check:
     """Find what makes a scene misbehave, in seconds; the first thing to run.
 
@@ -218,11 +211,7 @@ def check(
         repeats, or has lasted 10 s; see `stepcore.experiment.horizon`. The diagnosis covers 1 s.
     depth: the wanted depth of resting contacts, a length such as 1e-4 or "0.1mm". For contacts
         that rest deeper, the result names the solref that gives this depth.
-    threads: the number of integrators diagnosed in parallel (default: one per core).
-    executor: any concurrent.futures executor, used in place of threads.
-    progress: False for no bar, or a function of (label, done, total).
-    seconds: the longest time of the measurement [s]; by default there is none. When the time is
-        over, the result has what is known, and `unfinished` says what was not done.
+    threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, for a scene that cannot be compiled, and
     for a scene in which nothing can move.
@@ -235,16 +224,7 @@ def check(
     >>> [finding.kind for finding in result.findings]
     ['outside a limit']
     """
-    setup = set_up(
-        check,
-        model,
-        motion,
-        fields,
-        missing="nothing to check",
-        threads=threads,
-        executor=executor,
-        progress=progress,
-    )
+    setup = set_up(check, model, motion, fields, missing="nothing to check")
     wanted = None if depth is None else units.length("check", "depth", depth, NO_SIZE)
     compiled, motion = setup.model, setup.motion
     dt = compiled.settings.dt

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import operator
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from functools import partial
 from typing import Unpack
 
@@ -13,11 +12,11 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.deadline import OutOfTime, in_time
-from stepcore.experiment.arguments import Source, Workers, set_up
+from stepcore.deadline import OutOfTime
+from stepcore.experiment.arguments import MeasurementFields, Source, Workers, measurement, set_up
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.horizon import affordable, horizon_of
-from stepcore.experiment.motion import Motion, MotionFields, takes_motion
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
@@ -39,7 +38,6 @@ from stepcore.measure.convergence.sweeps import (
     residual_history,
 )
 from stepcore.measure.monitors import Finding, monitored
-from stepcore.report.progress import Choice
 
 __all__ = [
     "CandidateRun",
@@ -60,18 +58,13 @@ STARTS = 3
 RUN, MEASURED = 0.7, 0.95
 
 
-@takes_motion()
-@in_time
+@measurement()
 def converge(
     model: Source,
     motion: Motion | str | None = None,
     *,
     states: int = 8,
-    threads: int | None = None,
-    executor: Executor | None = None,
-    progress: Choice = None,
-    seconds: float | None = None,
-    **fields: Unpack[MotionFields],
+    **fields: Unpack[MeasurementFields],
 ) -> Convergence:
     """Test whether a scene's contact forces and other rows are converged along its motion.
 
@@ -87,11 +80,7 @@ def converge(
     motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s, or longer
         if it is not at rest by then; see `stepcore.experiment.horizon`.
     states: the number of states at which sweeps are measured.
-    threads: the number of parallel runs (default: one per core).
-    executor: any `concurrent.futures` executor, used in place of threads.
-    progress: False for no bar, or a function of (label, done, total).
-    seconds: the longest time of the measurement [s]; by default there is none. When the time is
-        over, the result has what is known, and `unfinished` says what was not done.
+    threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, or if the reference itself fails.
 
@@ -103,16 +92,7 @@ def converge(
     >>> print(f"{result.contraction:.4f} {result.theory.closed:.4f}")
     0.9990 0.9990
     """
-    setup = set_up(
-        converge,
-        model,
-        motion,
-        fields,
-        missing="nothing to solve",
-        threads=threads,
-        executor=executor,
-        progress=progress,
-    )
+    setup = set_up(converge, model, motion, fields, missing="nothing to solve")
     model, motion, workers = setup
     states = checks.count("states", states)
     shipped = model.settings

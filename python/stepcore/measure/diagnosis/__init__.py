@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
 from typing import Unpack
 
 import numpy as np
 
-from stepcore.deadline import in_time
 from stepcore.engine.element import INERTIAL, Element
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.executors import checkpoint
-from stepcore.experiment.arguments import Source, set_up
-from stepcore.experiment.motion import Motion, MotionFields, takes_motion
+from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import HORIZON
 from stepcore.measure.diagnosis.advice import Advice, ways
@@ -34,7 +32,6 @@ from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
 from stepcore.measure.diagnosis.visited_states import visit
 from stepcore.measure.diagnosis.words import gentle_chatter, notes
 from stepcore.report import units
-from stepcore.report.progress import Choice
 
 # The share of the time (`seconds`) at which the limits of single elements end.
 ELEMENTS = 0.85
@@ -42,18 +39,13 @@ ELEMENTS = 0.85
 __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
 
 
-@takes_motion(without=("starts",))
-@in_time
+@measurement(without=("starts",))
 def diagnose(
     model: Source,
     motion: Motion | str | None = None,
     *,
     dt: float | str | None = None,
-    threads: int | None = None,
-    executor: Executor | None = None,
-    progress: Choice = None,
-    seconds: float | None = None,
-    **fields: Unpack[MotionFields],
+    **fields: Unpack[MeasurementFields],
 ) -> Diagnosis:
     """Find the element that limits the time step, and changes that make a wanted step stable.
 
@@ -68,11 +60,7 @@ def diagnose(
         If no controls are given, the motion is chosen from the model; see `Motion.kind`.
     dt: the wanted time step [s]; by default the scene's own. If it is unstable, each suggestion is
         made on a copy of the model and verified on its linearised step.
-    threads: the number of integrators that are diagnosed in parallel (default: one per core).
-    executor: any concurrent.futures executor, used in place of threads.
-    progress: False for no bar, or a function of (label, done, total).
-    seconds: the longest time of the measurement [s]; by default there is none. When the time is
-        over, the result has what is known, and `unfinished` says what was not done.
+    threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, for a scene in which nothing can move, and
     for a scene whose accelerations are not finite at the start.
@@ -86,16 +74,7 @@ def diagnose(
     >>> print(f"{1e3 * d.limit('semi-implicit'):.2f} ms by the {d.stiffest('semi-implicit')}")
     2.00 ms by the spring of joint `knee`
     """
-    setup = set_up(
-        diagnose,
-        model,
-        motion,
-        fields,
-        missing="no step to diagnose",
-        threads=threads,
-        executor=executor,
-        progress=progress,
-    )
+    setup = set_up(diagnose, model, motion, fields, missing="no step to diagnose")
     workers, model = setup.workers, with_converged_rows(setup.model)
     settings, own = model.settings, model.settings.integrator
     wanted = settings.dt if dt is None else units.time("dt", dt)

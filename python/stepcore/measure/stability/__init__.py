@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from functools import partial
 from itertools import product
 from typing import Unpack
@@ -13,11 +12,11 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.deadline import OutOfTime, in_time
+from stepcore.deadline import OutOfTime
 from stepcore.engine.model import Model
-from stepcore.experiment.arguments import Source, Workers, set_up
+from stepcore.experiment.arguments import MeasurementFields, Source, Workers, measurement, set_up
 from stepcore.experiment.failure import FAR
-from stepcore.experiment.motion import Motion, MotionFields, takes_motion
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
 from stepcore.experiment.schedule import home
 from stepcore.measure.stability import lesson_maps
@@ -35,7 +34,6 @@ from stepcore.measure.stability.result import (
 )
 from stepcore.measure.stability.runs import FINER, MapMotion, TrueMotion, closed_form, converged
 from stepcore.report import units
-from stepcore.report.progress import Choice
 from stepcore.report.units import seconds
 from stepcore.scene.value_paths import find
 
@@ -53,8 +51,7 @@ MOST_STEPS = 1e10
 WITHOUT = ("starts", "seed", "control", "ctrl", "control_dt", "interpolation", "kind", "follow")
 
 
-@takes_motion(without=WITHOUT)
-@in_time
+@measurement(without=WITHOUT)
 def stability_map(
     model: Source | None = None,
     motion: Motion | str | None = None,
@@ -65,11 +62,7 @@ def stability_map(
     integrators: str | Sequence[str] | None = None,
     deviation: float | str = "10%",
     size: float | None = None,
-    threads: int | None = None,
-    executor: Executor | None = None,
-    progress: Choice = None,
-    seconds: float | None = None,
-    **fields: Unpack[MotionFields],
+    **fields: Unpack[MeasurementFields],
 ) -> StabilityMap:
     """Map stability and accuracy over dt × a parameter of the scene, with one run for each pair.
 
@@ -90,9 +83,7 @@ def stability_map(
         inaccurate: metres, "1mm", or "10%" of `size`.
     size: the length that deviations are relative to [m]; by default the size of the scene and its
         true motion, as in other measurements.
-    threads, executor, progress: as in `stepcore.sweep`.
-    seconds: the longest time of the measurement [s]; by default there is none. When the time is
-        over, the result has what is known, and `unfinished` says what was not done.
+    threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     The true motion is a closed form for the two maps of the lesson that have one. Otherwise the
     true motion is the scene's own run at the same value, with converged rows (and rk4 if nothing in
@@ -132,14 +123,7 @@ def stability_map(
     elif path is None and model == "lesson:stack":
         lesson = lesson_maps.stack(tolerance, size)
     setup = set_up(
-        stability_map,
-        lesson.model if lesson else model,
-        motion,
-        fields,
-        missing="no motion to map",
-        threads=threads,
-        executor=executor,
-        progress=progress,
+        stability_map, lesson.model if lesson else model, motion, fields, missing="no motion to map"
     )
     names = None if integrators is None else _integrators(integrators)
     if lesson is None:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from functools import partial
 from typing import Any, Unpack
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.deadline import OutOfTime, in_time
-from stepcore.experiment.arguments import Source, set_up
+from stepcore.deadline import OutOfTime
+from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.cost import TimedRun
 from stepcore.experiment.errors import moved
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.horizon import affordable, horizon_of
-from stepcore.experiment.motion import Motion, MotionFields, takes_motion
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.other_models import ErrorSplit, clamping
 from stepcore.experiment.reference import FINER, Gap, Reference, ReferenceRuns, smallest
@@ -33,7 +32,6 @@ from stepcore.measure.trade.run_cache import RowMaker, RunCache
 from stepcore.measure.trade.search import SettingsSearch
 from stepcore.measure.trade.statistics import LEAST, MOST, AfterPrediction
 from stepcore.report import units
-from stepcore.report.progress import Choice
 
 __all__ = ["Trade", "TradeRow", "trade"]
 
@@ -48,8 +46,7 @@ APART = 1_000_003
 SEARCHED, REFINED, COMPARED, COUNTED, TESTED = 0.55, 0.6, 0.65, 0.75, 0.95
 
 
-@takes_motion()
-@in_time
+@measurement()
 def trade(
     model: Source,
     motion: Motion | str | None = None,
@@ -66,11 +63,7 @@ def trade(
     precisions: Sequence[str] | None = None,
     mujoco: bool = False,
     effort: float = EFFORT,
-    threads: int | None = None,
-    executor: Executor | None = None,
-    progress: Choice = None,
-    seconds: float | None = None,
-    **fields: Unpack[MotionFields],
+    **fields: Unpack[MeasurementFields],
 ) -> Trade:
     """Measure accuracy against cost over many settings of a scene, and recommend settings.
 
@@ -105,12 +98,7 @@ def trade(
     effort: the largest cost of the reference, in steps × (dofs + 2). A step that takes more
         operations than 1500 × (dofs + 2), as with many contacts, counts in proportion. Time steps
         that the reference cannot judge are not searched; a note lists them.
-    threads: the number of parallel runs (default: one per core).
-    executor: any concurrent.futures executor, used in place of threads. Costs are timed afterwards,
-        on one thread.
-    progress: False for no bar, or a function of (label, done, total).
-    seconds: the longest time of the measurement [s]; by default there is none. When the time is
-        over, the result has what is known, and `unfinished` says what was not done.
+    threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, or if the reference itself fails.
 
@@ -133,14 +121,7 @@ def trade(
         units.length("trade", "error", error, 1.0)
     source = model
     model, motion, workers = setup = set_up(
-        trade,
-        model,
-        motion,
-        fields,
-        missing="no motion to trade",
-        threads=threads,
-        executor=executor,
-        progress=progress,
+        trade, model, motion, fields, missing="no motion to trade"
     )
     shipped = model.settings
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
