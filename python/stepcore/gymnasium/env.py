@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from stepcore import checks
@@ -18,7 +17,7 @@ from stepcore.gymnasium.camera import MODES, Picture, camera_for, metadata_of
 from stepcore.gymnasium.env_core import EnvCore
 from stepcore.gymnasium.snapshot import owned
 from stepcore.gymnasium.spaces import Spaces
-from stepcore.gymnasium.task import Function, Source, Task, task_of
+from stepcore.gymnasium.task import Source, Task, TaskFields, takes_task, task_of
 
 
 class Env(gymnasium.Env[Floats, NDArray[Any]]):
@@ -62,36 +61,20 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": MODES}  # type: ignore[misc]
 
+    @takes_task
     def __init__(
         self,
         model: Source | Task,
         *,
-        observe: Function | None = None,
-        reward: Function | None = None,
-        terminated: Function | None = None,
-        info: Function | None = None,
-        reset: Any = None,
-        frame_skip: int = 1,
-        action_space: Box | None = None,
-        observation_space: Box | None = None,
         settings: Settings | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         width: int = 480,
         height: int = 480,
+        **task: Unpack[TaskFields],
     ) -> None:
         self._camera = camera_for("Env", render_mode, width, height)
         self.render_mode = render_mode
-        self._task = task_of(
-            model,
-            frame_skip,
-            observe=observe,
-            reward=reward,
-            terminated=terminated,
-            info=info,
-            reset=reset,
-            action_space=action_space,
-            observation_space=observation_space,
-        )
+        self._task = task_of(Env, model, task)
         self._env_core = EnvCore(self._task, settings)
         spaces = Spaces(self._task, self._env_core)
         self.action_space = spaces.action

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -18,6 +18,7 @@ from stepcore.engine.world import compiled
 from stepcore.gymnasium.snapshot import Moment, state_vector
 from stepcore.reading import load
 from stepcore.scene.scene import Scene
+from stepcore.signatures import F, annotation, keyword, refuse_unknown, spell_out
 
 Source = Model | Scene | str | os.PathLike[str]
 Outcome = tuple[Floats, NDArray[np.bool_], dict[str, Any]]
@@ -79,6 +80,28 @@ class Task(ABC):
 
 
 Function = Callable[[Moment], Any]
+
+
+class TaskFields(TypedDict, total=False):
+    """The arguments of `Env` and `VectorEnv` that make the task of a model."""
+
+    observe: Function | None
+    reward: Function | None
+    terminated: Function | None
+    info: Function | None
+    reset: Any
+    frame_skip: int
+    action_space: Box | None
+    observation_space: Box | None
+
+
+def takes_task(function: F) -> F:
+    """Decorate a function: its signature lists each field of `TaskFields` as a keyword."""
+    hints = TaskFields.__annotations__.items()
+    defaults = {"frame_skip": 1}
+    return spell_out(function, [keyword(k, defaults.get(k), annotation(v)) for k, v in hints])
+
+
 # The arguments of `Env` that are spaces, and no functions.
 SPACES = ("action_space", "observation_space")
 
@@ -104,15 +127,17 @@ class FunctionTask(Task):
         return self.spaces.get("observation_space") or super().observation_space(size)
 
 
-def task_of(model: Source | Task, frame_skip: int, **functions: Any) -> Task:
+def task_of(owner: Callable[..., Any], model: Source | Task, fields: Mapping[str, Any]) -> Task:
     """Return a `Task` unchanged, or make the task of a model with these functions.
 
-    functions: by the names that they have as arguments of `Env`.
+    owner: the class that is called, for errors. fields: its `TaskFields`.
 
     Raises ValueError for functions beside a `Task`, which has its own, and for a function that
     cannot be called.
     """
-    given = {name: value for name, value in functions.items() if value is not None}
+    refuse_unknown(owner, fields)
+    given = {name: value for name, value in fields.items() if value is not None}
+    frame_skip = given.pop("frame_skip", 1)
     if isinstance(model, Task):
         if given or frame_skip != 1:
             name = next(iter(given), "frame_skip")

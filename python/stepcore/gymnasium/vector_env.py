@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Unpack
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
@@ -23,7 +22,7 @@ from stepcore.gymnasium.env_core import EnvCore
 from stepcore.gymnasium.infos import failures, final_infos, masked
 from stepcore.gymnasium.snapshot import owned
 from stepcore.gymnasium.spaces import Spaces
-from stepcore.gymnasium.task import Function, Source, Task, task_of
+from stepcore.gymnasium.task import Source, Task, TaskFields, takes_task, task_of
 
 Mask = NDArray[np.bool_]
 Step = tuple[Floats, Floats, Mask, Mask, dict[str, Any]]
@@ -50,19 +49,12 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": MODES}  # type: ignore[misc]
 
+    @takes_task
     def __init__(
         self,
         model: Source | Task,
         num_envs: int,
         *,
-        observe: Function | None = None,
-        reward: Function | None = None,
-        terminated: Function | None = None,
-        info: Function | None = None,
-        reset: Any = None,
-        frame_skip: int = 1,
-        action_space: Box | None = None,
-        observation_space: Box | None = None,
         settings: Settings | Mapping[str, Any] | None = None,
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -71,6 +63,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         render_mode: str | None = None,
         width: int = 480,
         height: int = 480,
+        **task: Unpack[TaskFields],
     ) -> None:
         self._camera = camera_for("VectorEnv", render_mode, width, height)
         self.render_mode = render_mode
@@ -78,17 +71,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         if max_episode_steps is not None:
             checks.count("max_episode_steps", max_episode_steps)
         self._most = np.inf if max_episode_steps is None else max_episode_steps
-        self._task = task_of(
-            model,
-            frame_skip,
-            observe=observe,
-            reward=reward,
-            terminated=terminated,
-            info=info,
-            reset=reset,
-            action_space=action_space,
-            observation_space=observation_space,
-        )
+        self._task = task_of(VectorEnv, model, task)
         self._env_core = EnvCore(self._task, settings, self.num_envs, threads=threads, lanes=lanes)
         spaces = Spaces(self._task, self._env_core)
         self.single_action_space = spaces.action
