@@ -12,7 +12,7 @@ from pathlib import Path
 
 from stepcore import Scene
 from stepcore.scene import elements
-from stepcore.scene.element import table
+from stepcore.scene.element import Row, table
 
 STUB = Path(__file__).parent.parent / "python" / "stepcore" / "scene" / "fields.pyi"
 KINDS = (
@@ -28,10 +28,17 @@ from typing import Any, TypedDict
 
 from numpy.typing import NDArray
 
+from stepcore.scene.elements import Actuator, Body, Joint, Site, Tendon
+
 # What is checked when it is assigned: one number stands for a first entry where that is said.
 Vector = Sequence[float] | NDArray[Any]
 Numbers = float | Vector
 '''
+
+
+def given(row: Row) -> str:
+    """The type of what is given for a field; for a reference a name, or the element."""
+    return row.type.given or " | ".join(("str", *row.type.refers, "None"))
 
 
 def text() -> str:
@@ -40,7 +47,7 @@ def text() -> str:
     for kind in KINDS:
         named = inspect.signature(getattr(Scene, f"add_{kind.lower()}")).parameters
         rows = table(getattr(elements, kind)).values()
-        lines = [f"    {row.name}: {row.type.given}" for row in rows if row.name not in named]
+        lines = [f"    {row.name}: {given(row)}" for row in rows if row.name not in named]
         parts.append("\n".join([f"class {kind}Fields(TypedDict, total=False):", *lines, ""]))
     return "\n".join(parts)
 

@@ -105,7 +105,7 @@ class Contents(Holdings):
         fields: of `Joint`: name, pos [m], axis, range [rad or m], ref, stiffness [N·m/rad or N/m],
             damping [N·m·s/rad or N·s/m], armature [kg·m² or kg], frictionloss [N·m or N], …
         """
-        return self._add(self.joints, Joint, fields, body=self.body(body), type=type)
+        return self._add(self.joints, Joint, fields, body=body, type=type)
 
     def add_geom(
         self,
@@ -131,11 +131,8 @@ class Contents(Holdings):
         fields: of `Geom`: name, pos [m], quat, mass [kg], density [kg/m³], friction, condim,
             solref, solimp, …
         """
-        own: dict[str, Any] = {"body": self.body(body), "type": type, "size": size}
-        if mesh is not None:
-            own["mesh"] = self.mesh(mesh)
-        if hfield is not None:
-            own["hfield"] = self.hfield(hfield)
+        own = {"body": body, "type": type, "size": size, "mesh": mesh, "hfield": hfield}
+        own = self._resolved(Geom, own)
         with self._naming():
             geom = _make(Geom, fields, **own)
             if fromto is not None:
@@ -214,7 +211,7 @@ class Contents(Holdings):
         body: the body that the site is fixed to, as a name or a `Body`.
         fields: of `Site`: name, pos [m], quat, type, size [m].
         """
-        return self._add(self.sites, Site, fields, body=self.body(body))
+        return self._add(self.sites, Site, fields, body=body)
 
     def add_tendon(
         self,
@@ -308,15 +305,6 @@ class Contents(Holdings):
         self,
         joint: str | Joint | None = None,
         type: str = "motor",
-        *,
-        jointinparent: str | Joint | None = None,
-        tendon: str | Tendon | None = None,
-        site: str | Site | None = None,
-        refsite: str | Site | None = None,
-        cranksite: str | Site | None = None,
-        slidersite: str | Site | None = None,
-        body: str | Body | None = None,
-        feeds: str | Actuator | None = None,
         **fields: Unpack[of.ActuatorFields],
     ) -> Actuator:
         """Add an actuator on a joint or another transmission target.
@@ -329,19 +317,7 @@ class Contents(Holdings):
         feeds: the pid, dcmotor or orientation that an "input" feeds.
         fields: of `Actuator`: name, gear, kp, kv, dampratio, ctrlrange, forcerange [N or N·m], …
         """
-        ends = self._ends(
-            Actuator,
-            joint=joint,
-            jointinparent=jointinparent,
-            tendon=tendon,
-            site=site,
-            refsite=refsite,
-            cranksite=cranksite,
-            slidersite=slidersite,
-            body=body,
-            feeds=feeds,
-        )
-        return self._add(self.actuators, Actuator, fields, **ends, type=type)
+        return self._add(self.actuators, Actuator, fields, joint=joint, type=type)
 
     def add_equality(
         self,
@@ -349,13 +325,6 @@ class Contents(Holdings):
         body1: str | Body | None = None,
         body2: str | Body | None = None,
         anchor: Vector = frames.ORIGIN,
-        *,
-        site1: str | Site | None = None,
-        site2: str | Site | None = None,
-        joint1: str | Joint | None = None,
-        joint2: str | Joint | None = None,
-        tendon1: str | Tendon | None = None,
-        tendon2: str | Tendon | None = None,
         **fields: Unpack[of.EqualityFields],
     ) -> Equality:
         """Add a constraint between two bodies, two joints or two tendons.
@@ -370,18 +339,8 @@ class Contents(Holdings):
             equality.
         fields: of `Equality`: name, active, relpose, torquescale, polycoef, solref, solimp.
         """
-        ends = self._ends(
-            Equality,
-            body1=body1,
-            body2=body2,
-            site1=site1,
-            site2=site2,
-            joint1=joint1,
-            joint2=joint2,
-            tendon1=tendon1,
-            tendon2=tendon2,
-        )
-        return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **ends)
+        bodies = {"body1": body1, "body2": body2}
+        return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **bodies)
 
     def add_key(self, name: str = "", **fields: Unpack[of.KeyFields]) -> Key:
         """Add a keyframe, a named state.
@@ -400,21 +359,22 @@ class Contents(Holdings):
         fields: of `Pair`: name, condim, friction, solref, solimp, solreffriction, margin [m], gap
             [m].
         """
-        ends = self._ends(Pair, geom1=geom1, geom2=geom2)
-        return self._add(self.pairs, Pair, fields, **ends)
+        return self._add(self.pairs, Pair, fields, geom1=geom1, geom2=geom2)
 
     def exclude(self, body1: str | Body, body2: str | Body) -> None:
         """Exclude collisions between the geoms of two bodies, except for explicit pairs."""
         self.excludes.append((self.body(body1), self.body(body2)))
 
-    def _ends(self, kind: type[Element], **ends: str | Element | None) -> dict[str, Any]:
-        """Return the elements for these reference fields, with names resolved and None left out."""
-        rows = table(kind)
-        return {
-            field: getattr(self, rows[field].type.refers[0].lower())(end)
-            for field, end in ends.items()
-            if end is not None
-        }
+    def _resolved(self, kind: type[Element], fields: Mapping[str, Any]) -> dict[str, Any]:
+        """Return fields with the elements for the names of references; None is left out there."""
+        rows, found = table(kind), dict(fields)
+        for field, value in fields.items():
+            refers = rows[field].type.refers if field in rows else ()
+            if refers and value is None:
+                del found[field]
+            elif len(refers) == 1 and isinstance(value, str):
+                found[field] = getattr(self, refers[0].lower())(value)
+        return found
 
     @contextlib.contextmanager
     def _naming(self) -> Iterator[None]:
@@ -437,8 +397,9 @@ class Contents(Holdings):
                         belongs(element, self)
 
     def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
+        given, own = (self._resolved(kind, part) for part in (fields, own))
         with self._naming():
-            element = _make(kind, fields, **own)
+            element = _make(kind, given, **own)
         return self._append(into, element)
 
     def _append(self, into: list[E], element: E) -> E:

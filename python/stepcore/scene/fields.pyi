@@ -8,6 +8,8 @@ from typing import Any, TypedDict
 
 from numpy.typing import NDArray
 
+from stepcore.scene.elements import Actuator, Body, Joint, Site, Tendon
+
 # What is checked when it is assigned: one number stands for a first entry where that is said.
 Vector = Sequence[float] | NDArray[Any]
 Numbers = float | Vector
@@ -101,13 +103,21 @@ class TendonFields(TypedDict, total=False):
 
 class ActuatorFields(TypedDict, total=False):
     name: str
+    jointinparent: str | Joint | None
+    tendon: str | Tendon | None
+    site: str | Site | None
+    refsite: str | Site | None
+    cranksite: str | Site | None
+    slidersite: str | Site | None
     cranklength: float
+    body: str | Body | None
     gear: Numbers
     kp: float | None
     kv: float | None
     dampratio: float | None
     timeconst: Numbers | None
     input: str | None
+    feeds: str | Actuator | None
     ki: float | None
     imax: float | None
     slewmax: float | None
@@ -151,6 +161,12 @@ class ActuatorFields(TypedDict, total=False):
 
 class EqualityFields(TypedDict, total=False):
     name: str
+    site1: str | Site | None
+    site2: str | Site | None
+    joint1: str | Joint | None
+    joint2: str | Joint | None
+    tendon1: str | Tendon | None
+    tendon2: str | Tendon | None
     relpose: Vector | None
     torquescale: float
     polycoef: Numbers
