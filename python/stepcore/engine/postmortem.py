@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -25,7 +25,6 @@ PRINTED_ELEMENTS = 5
 class PostMortem(Result):
     """A repeated failure, with the energy that each element injected in each step.
 
-    name: the name of the scene.
     same: whether the replay failed in the same step with the same bits.
     time: the time after each step [s], shape (n,).
     energy: kinetic energy plus the energy of springs and penalty contacts [J], before the first
@@ -50,13 +49,11 @@ class PostMortem(Result):
     kind = "postmortem"
     units: ClassVar = {"energy": "J", "time": "s", "work": "J"}
 
-    name: str
     replay: Replay
     same: bool
     time: Floats
     energy: Floats
     work: dict[str, Floats]
-    notes: list[str] = field(default_factory=list)
 
     @property
     def settings(self) -> Settings:

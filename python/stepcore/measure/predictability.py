@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
@@ -42,7 +41,7 @@ class StartGrowth:
     largest: float
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Predictability(Result):
     """The result of `stepcore.predict`: how long a scene can be predicted.
 
@@ -54,16 +53,12 @@ class Predictability(Result):
     kind = "predictability"
     units: ClassVar = {"predictable": "s", "growth": "1", "largest": "1", "times": "s"}
 
-    name: str
     settings: Settings
     motion: Motion
     horizon: float
     dt: float
     integrator: str
     growth: Growth
-    notes: list[str] = field(default_factory=list)
-    ran: str = ""
-    batches: Sequence[str] = field(default=(), compare=False)
 
     @property
     def time(self) -> float:

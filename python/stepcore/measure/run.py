@@ -53,15 +53,13 @@ CLEAN = "Nothing found: no contact creeps or sinks in, and limits and servos hol
 class SimulationRun(Result):
     """The result of `stepcore.run`: one simulation of a scene, and the problems in it.
 
-    name: the name of the scene.
-    motion: the motion that was run; ran: the same in words.
+    motion: the motion that was run.
     settings: the settings of the run.
     steps: the number of steps made.
     sim: the `Sim` in its final state; if the run failed, in the last finite state.
     findings: the problems in the run, the most severe first: contacts that creep, joints beyond
         their limits, servos that do not reach their targets.
     us_per_step: computing time of a step [µs]; None if no step was timed.
-    notes: remarks on the scene and on the length of the run.
     trajectory: the recorded arrays; None without `record`.
     error: the `SimulationError` of a run that failed; `error.replay` repeats the run. Else None.
     interrupted: whether Ctrl-C ended the run (command line only); the result covers the steps made.
@@ -72,15 +70,12 @@ class SimulationRun(Result):
     (True, 0.5, [])
     """
 
-    name: str
     motion: Motion
-    ran: str
     settings: Settings
     steps: int
     sim: Sim
     findings: list[Finding]
     us_per_step: float | None
-    notes: list[str]
     trajectory: Trajectory | None = None
     error: SimulationError | None = None
     interrupted: bool = False

@@ -7,6 +7,7 @@ import json
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,6 +18,7 @@ from stepcore.report.report import Report
 from stepcore.report.table import Table, jsonable
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Result(ABC):
     """The result of a measurement, as text, a plot, a page or data.
 
@@ -39,9 +41,9 @@ class Result(ABC):
     units: ClassVar[Mapping[str, str]] = {}
 
     name: str
-    notes: list[str]
-    batches: Sequence[str] = ()
     ran: str = ""
+    notes: list[str] = field(default_factory=list)
+    batches: Sequence[str] = field(default=(), compare=False)
     unfinished: str = ""
     not_done: Sequence[str] = ()
     interrupted: bool = False

@@ -73,14 +73,12 @@ class Plan(Result):
     kind = "plan"
     units: ClassVar = {"flops": "1", "micros": "µs"}
 
-    name: str
     settings: Settings
     entries: list[PlanEntry]
     flops: float
     stages: dict[str, float] = field(default_factory=dict)
     micros: float | None = None
     at: str = "the initial pose"
-    notes: list[str] = field(default_factory=list)
     # Size of the mesh and height-field files that are read, and of all such files [bytes].
     read_bytes: int = 0
     asset_bytes: int = 0

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stepcore._core import Settings
@@ -81,7 +80,6 @@ class Ablation(Result):
         "error": "m",
     }
 
-    name: str
     settings: Settings
     motion: Motion
     horizon: float
@@ -96,9 +94,6 @@ class Ablation(Result):
     smallest: Scene
     reference: float | None
     restored_on: VariantOutcome | None = None
-    notes: list[str] = field(default_factory=list)
-    ran: str = ""
-    batches: Sequence[str] = ()
     complete: bool = True
 
     @property

@@ -74,13 +74,11 @@ TAKEN = {
 class Check(Result):
     """The problems of a scene; `stepcore.check` returns it.
 
-    name: the name of the scene.
     settings: the scene's own settings, under which it ran.
     motion: the motion that was run.
     findings: the problems, most severe first.
     diagnosis: the `Diagnosis` of the time step; None if the diagnosis failed, and a note gives the
         reason.
-    ran: the motion in words.
     file: the file argument of the commands, with the options that change how the file is read.
     options: the options of the motion for the commands, by the field of `Motion`.
     """
@@ -88,13 +86,10 @@ class Check(Result):
     kind = "check"
     units: ClassVar = {"value": "unit"}
 
-    name: str
     settings: Settings
     motion: Motion
     findings: list[Finding]
     diagnosis: Diagnosis | None
-    ran: str = ""
-    notes: list[str] = field(default_factory=list)
     file: str = "FILE"
     options: Mapping[str, str] = field(default_factory=dict)
 

@@ -69,7 +69,6 @@ class Convergence(Result):
         "updates": "1/s",
     }
 
-    name: str
     settings: Settings
     motion: Motion
     horizon: float
@@ -80,9 +79,7 @@ class Convergence(Result):
     reference: Reference
     size: float
     ending: Ending | None
-    notes: list[str] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
-    ran: str = ""
 
     def __post_init__(self) -> None:
         self.notes = [*self.notes, *self._cautions()]

@@ -39,7 +39,6 @@ SLOW = 10.0
 class Diagnosis(Result):
     """Which element limits the time step of a scene; `stepcore.diagnose` returns it.
 
-    name: the name of the scene.
     settings: the settings of the scene, with constraint rows solved to rounding.
     motion: the motion along which the states lie; see `diagnose`.
     wanted: the time step to judge [s].
@@ -50,7 +49,6 @@ class Diagnosis(Result):
     limiters: by integrator, the elements that limit dt; several where no single element does.
     rows: the elements, each on its own: those that limit dt, then the others by their own limit.
     advice: changes that make the wanted step stable.
-    notes: remarks on the validity of the diagnosis.
     physical: the fastest growth of the motion itself [1/s].
     rate: the growth at the wanted step that the integrator causes [1/s]; None if the step is
         stable.
@@ -59,7 +57,6 @@ class Diagnosis(Result):
     lasting: the time [s], after the horizon, at which growth caused by the integrator explodes;
         None if there is none within ten horizons.
     runaway: how the motion blows up at every step tried; None if it does not.
-    ran: a description of the motion that was run.
     circulation: servos whose forces derive from no energy and make the motion grow; None if there
         are none.
     gained: the energy that the integrator adds at the wanted dt to a motion that nothing drives,
@@ -78,7 +75,6 @@ class Diagnosis(Result):
         "softened": "s",
     }
 
-    name: str
     settings: Settings
     motion: Motion
     wanted: float
@@ -88,14 +84,12 @@ class Diagnosis(Result):
     limiters: dict[str, tuple[Element, ...]]
     rows: list[ElementLimits]
     advice: list[Advice] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
     physical: float = 0.0
     rate: float | None = None
     observed: Outcome | None = None
     saturations: list[Saturation] = field(default_factory=list)
     lasting: float | None = None
     runaway: Runaway | None = None
-    ran: str = ""
     longest_period: float | None = None
     circulation: Circulation | None = None
     gained: float = 0.0

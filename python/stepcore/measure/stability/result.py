@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stepcore._core import Settings
@@ -114,7 +114,6 @@ class StabilityMap(Result):
     kind = "stability"
     units: ClassVar = {"dt": "s", "deviation": "1", "theory": "s"}
 
-    name: str
     settings: Settings
     motion: Motion
     path: str
@@ -125,8 +124,6 @@ class StabilityMap(Result):
     tolerance: Tolerance
     far: float
     panels: list[MapPanel]
-    notes: list[str] = field(default_factory=list)
-    ran: str = ""
 
     def __post_init__(self) -> None:
         unjudged = sum(cell.state == FINITE for cell in self.rows)

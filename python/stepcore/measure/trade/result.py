@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -36,16 +36,14 @@ ERROR = 1e-3
 FEW = 0.1
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Trade(Result):
     """The trade-off between cost and accuracy for one scene; `stepcore.trade` returns it.
 
-    name: the name of the scene.
     motion: the motion that every setting ran.
     frontier: every setting that ran from all starts, and every setting that failed.
     reference: the converged motion, with its error.
     horizon: the simulated time [s].
-    notes: remarks on the reference, the motion and the failures.
     target, budget: the requested error [m] or the requested budget.
     verified: if the reference cannot verify `target`, the least round error that it can [m].
     size: the size of the scene [m].
@@ -55,8 +53,6 @@ class Trade(Result):
     screened: the number of settings that were tried.
     runs: the number of runs that the trade made.
     chosen: the row for `target`, or for `verified`, that further starts confirmed.
-    ran: the motion in words.
-    batches: the time saved by running in batches.
     findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
     runner: repeats runs of the trade for viewing.
     """
@@ -64,12 +60,10 @@ class Trade(Result):
     kind = "trade"
     units: ClassVar = UNITS
 
-    name: str
     motion: Motion
     frontier: Frontier
     reference: Reference
     horizon: float
-    notes: list[str] = field(default_factory=list)
     target: float | None = None
     budget: float | None = None
     verified: float | None = None
@@ -79,8 +73,6 @@ class Trade(Result):
     screened: int = 0
     runs: int = 0
     chosen: TradeRow | None = None
-    ran: str = ""
-    batches: Sequence[str] = ()
     findings: Sequence[Finding] = ()
     runner: Runner | None = None
 

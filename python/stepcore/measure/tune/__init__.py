@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stepcore import checks
@@ -30,20 +30,15 @@ GOALS = tuple(dict.fromkeys((*SERVO, *CONTACT)))
 class Tuning(Result):
     """Proposed gains, or solref and solimp; `stepcore.tune` returns it.
 
-    name: the name of the scene.
     settings: the settings under which every proposal was run.
     found: the proposal for each servo or geom; see `Tuned`.
-    ran: the motion of the runs in words.
     """
 
     kind = "tuning"
     units: ClassVar = {"wanted": "Hz, s, rad, m, N/m or N", "measured": "as wanted"}
 
-    name: str
     settings: Settings
     found: list[Tuned]
-    ran: str = ""
-    notes: list[str] = field(default_factory=list)
 
     @property
     def title(self) -> str:
@@ -167,11 +162,11 @@ def tune(
         found, held = [], "nothing was run"
     begin = start_in_words(compiled, key)
     return Tuning(
-        compiled.scene.name or "scene",
         compiled.settings,
         found,
-        f"from {begin}; {held}; {scene_in_words(compiled)}",
-        list(compiled.scene.notes),
+        name=compiled.scene.name or "scene",
+        ran=f"from {begin}; {held}; {scene_in_words(compiled)}",
+        notes=list(compiled.scene.notes),
     )
 
 
