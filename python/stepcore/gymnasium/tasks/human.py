@@ -8,16 +8,15 @@ from typing import ClassVar
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.model import Model
 from stepcore.gymnasium.snapshot import Moment
-from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, observed, uniform
+from stepcore.gymnasium.tasks.mujoco_task import NoisyTask, observed
 
 # Dofs of the free joint, on which no actuator acts.
 FREE = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Human(MujocoTask):
+class Human(NoisyTask):
     """Observes inertias, velocities and forces of all bodies beside qpos and qvel."""
 
     late: ClassVar[tuple[str, ...]] = (  # type: ignore[misc]
@@ -60,9 +59,6 @@ class Human(MujocoTask):
             "tendon_length": now.ten_length,
             "tendon_velocity": now.ten_velocity,
         }
-
-    def start(self, model: Model, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        return uniform(model, rng, self.reset_noise_scale)
 
 
 def _of_bodies(now: Moment, values: Floats) -> Floats:

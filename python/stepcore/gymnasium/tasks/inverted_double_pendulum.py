@@ -9,23 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.model import Model
 from stepcore.gymnasium.snapshot import Moment
-from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, uniform
+from stepcore.gymnasium.tasks.mujoco_task import NoisyTask
 
 # Observed velocities and forces are clipped to this on either side.
 LARGEST = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class InvertedDoublePendulum(MujocoTask):
+class InvertedDoublePendulum(NoisyTask):
     """The options are those of gymnasium's InvertedDoublePendulum-v5."""
 
+    normal: ClassVar[bool] = True
     late: ClassVar[tuple[str, ...]] = ("site_xpos", "constraint_force")  # type: ignore[misc]
 
     xml_file: str = "inverted_double_pendulum.xml"
     healthy_reward: float = 10.0
-    reset_noise_scale: float = 0.1
 
     def observe(self, now: Moment) -> Floats:
         angles = now.qpos[..., 1:]
@@ -45,6 +44,3 @@ class InvertedDoublePendulum(MujocoTask):
 
     def terminated(self, now: Moment) -> NDArray[np.bool_]:
         return now.site_xpos[..., 0, 2] <= 1
-
-    def start(self, model: Model, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        return uniform(model, rng, self.reset_noise_scale, qvel=False)

@@ -8,16 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.model import Model
 from stepcore.gymnasium.snapshot import Moment, state_vector
-from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, uniform
+from stepcore.gymnasium.tasks.mujoco_task import NoisyTask
 
 # An episode is over when the pole leans more than this [rad].
 LEANING = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class InvertedPendulum(MujocoTask):
+class InvertedPendulum(NoisyTask):
     """The options are those of gymnasium's InvertedPendulum-v5."""
 
     xml_file: str = "inverted_pendulum.xml"
@@ -30,6 +29,3 @@ class InvertedPendulum(MujocoTask):
     def terminated(self, now: Moment) -> NDArray[np.bool_]:
         finite = np.all(np.isfinite(state_vector(now)), axis=-1)
         return ~finite | (np.abs(now.qpos[..., 1]) > LEANING)
-
-    def start(self, model: Model, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        return uniform(model, rng, self.reset_noise_scale)

@@ -6,7 +6,7 @@ import os
 from abc import abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,81 @@ class MujocoTask(Task):
         return self.total(parts), self.terminated(now), {**self.info(now), **parts}
 
 
+@dataclass(frozen=True, kw_only=True)
+class NoisyTask(MujocoTask):
+    """A task that begins near the initial state of its model.
+
+    The draws are gymnasium's, in their order.
+    """
+
+    # Whether the noise of the first velocities is normal; else it is uniform.
+    normal: ClassVar[bool] = False
+
+    reset_noise_scale: float = 0.1
+
+    def start(self, model: Model, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        scale = self.reset_noise_scale
+        qpos = model.qpos0 + rng.uniform(low=-scale, high=scale, size=model.nq)
+        if self.normal:
+            return qpos, scale * rng.standard_normal(model.nv)
+        return qpos, rng.uniform(low=-scale, high=scale, size=model.nv)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForwardTask(NoisyTask):
+    """Move forward along x."""
+
+    # The coordinates of the place, with which qpos begins.
+    axes: ClassVar[str] = "x"
+
+    forward_reward_weight: float = 1.0
+    ctrl_cost_weight: float = 0.1
+    exclude_current_positions_from_observation: bool = True
+
+    def observe(self, now: Moment) -> Floats:
+        excluded = len(self.axes) * self.exclude_current_positions_from_observation
+        return observed(now, excluded, now.qvel)
+
+    def main_velocity(self, now: Moment, axis: int) -> Floats:
+        """Return the velocity along an axis, shape ()."""
+        return velocity(now, "qpos", (..., axis))
+
+    def parts(self, now: Moment) -> dict[str, Floats]:
+        return {
+            "reward_forward": self.forward_reward_weight * self.main_velocity(now, 0),
+            "reward_ctrl": -self.ctrl_cost_weight * squares(now.action),
+        }
+
+    def info(self, now: Moment) -> dict[str, Floats]:
+        speeds = {f"{x}_velocity": self.main_velocity(now, k) for k, x in enumerate(self.axes)}
+        return {**self.reset_info(now), **speeds}
+
+    def reset_info(self, now: Moment) -> dict[str, Floats]:
+        place = {f"{x}_position": now.qpos[..., k] for k, x in enumerate(self.axes)}
+        if len(self.axes) > 1:
+            place["distance_from_origin"] = distance(now.qpos[..., : len(self.axes)])
+        return place
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandingTask(ForwardTask):
+    """Move forward without falling."""
+
+    healthy_reward: float = 1.0
+    terminate_when_unhealthy: bool = True
+
+    @abstractmethod
+    def healthy(self, now: Moment) -> NDArray[np.bool_]:
+        """Return whether the robot stands, shape ()."""
+
+    def parts(self, now: Moment) -> dict[str, Floats]:
+        survive: Any = self.healthy(now) * self.healthy_reward
+        return {**super().parts(now), "reward_survive": survive}
+
+    def terminated(self, now: Moment) -> NDArray[np.bool_]:
+        return ~self.healthy(now) & self.terminate_when_unhealthy
+
+
 def model_path(xml_file: str) -> str:
     """Return the path of a model by gymnasium's rule."""
     if not isinstance(xml_file, str):
@@ -81,16 +156,3 @@ def velocity(now: Moment, name: str, index: Any) -> Floats:
 def observed(now: Moment, excluded: int, qvel: Floats) -> Floats:
     """Return qpos without its first entries, and the velocities."""
     return np.concatenate([now.qpos[..., excluded:], qvel], axis=-1)
-
-
-def uniform(
-    model: Model, rng: np.random.Generator, scale: float, *, qvel: bool = True
-) -> tuple[Floats, Floats]:
-    """Return the first state with uniform noise; without `qvel` the noise of velocities is normal.
-
-    The draws are gymnasium's, in their order.
-    """
-    qpos = model.qpos0 + rng.uniform(low=-scale, high=scale, size=model.nq)
-    if qvel:
-        return qpos, rng.uniform(low=-scale, high=scale, size=model.nv)
-    return qpos, scale * rng.standard_normal(model.nv)
