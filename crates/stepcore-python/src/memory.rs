@@ -12,7 +12,7 @@ use numpy::ndarray::{ArrayViewMut, IxDyn};
 use numpy::{PyArray, PyArrayDyn};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use stepcore::arrays::{Array, Given, Givens};
+use stepcore::arrays::{Array, ArraySet, Given, Givens};
 use stepcore::model::Model;
 
 /// A numpy view with its name.
@@ -23,6 +23,8 @@ pub struct Arrays {
     /// Numbers a world has in each of `Array::ALL`, and their shape there.
     pub lengths: [usize; Array::COUNT],
     shapes: [Vec<usize>; Array::COUNT],
+    /// Where the first world's part of each begins.
+    starts: [usize; Array::COUNT],
     pub worlds: usize,
     memory: Py<Memory>,
 }
@@ -31,11 +33,17 @@ impl Arrays {
     /// Every world as it is initially: see `Array::initial`.
     pub fn new(py: Python<'_>, model: &Model, worlds: usize) -> PyResult<Self> {
         let (lengths, shapes) = (Array::counts(model), Array::ALL.map(|array| array.shape(model)));
-        let memory = Py::new(py, Memory::new(worlds * lengths.iter().sum::<usize>()))?;
-        let arrays = Self { lengths, shapes, worlds, memory };
+        let mut count = 0;
+        let starts = lengths.map(|length| {
+            let start = count;
+            count += worlds * length;
+            start
+        });
+        let memory = Py::new(py, Memory::new(count))?;
+        let arrays = Self { lengths, shapes, starts, worlds, memory };
         for array in Array::ALL {
-            let start = arrays.range(array).start;
-            arrays.memory.get().write(start, &array.initial(model).repeat(worlds));
+            let initial = array.initial(model).repeat(worlds);
+            arrays.memory.get().write(array, arrays.range(array), &initial);
         }
         Ok(arrays)
     }
@@ -47,52 +55,69 @@ impl Arrays {
 
     /// All worlds' part of one array.
     fn range(&self, array: Array) -> Range<usize> {
-        let array = array as usize;
-        let start = self.worlds * self.lengths[..array].iter().sum::<usize>();
-        start..start + self.worlds * self.lengths[array]
+        let start = self.starts[array as usize];
+        start..start + self.worlds * self.lengths[array as usize]
+    }
+
+    /// One world's part of one array.
+    #[inline]
+    fn range_of(&self, array: Array, world: usize) -> Range<usize> {
+        let length = self.lengths[array as usize];
+        let start = self.starts[array as usize] + world * length;
+        start..start + length
     }
 
     /// Lets `read` see one world's arrays.
     pub fn read<T>(
         &self,
-        py: Python<'_>,
+        _py: Python<'_>,
         world: usize,
         read: impl FnOnce(&Given) -> T + Send,
     ) -> T {
-        let ranges = Array::ALL.into_iter().map(|array| {
-            let (start, length) = (self.range(array).start, self.lengths[array as usize]);
-            start + world * length..start + (world + 1) * length
-        });
-        self.see(py, ranges, |all| read(&all.of(world)))
+        let range = |array| self.range_of(array, world);
+        self.memory.get().read(range, |numbers, _| {
+            read(&Given::new(|array| &numbers[self.range_of(array, world)]))
+        })
+    }
+
+    /// Lets `load` take in the arrays of the only world, of which some may have changed since it last
+    /// did so; it is not asked where none has.
+    pub fn load<E>(
+        &self,
+        _py: Python<'_>,
+        load: impl FnOnce(&Given, ArraySet) -> Result<(), E> + Send,
+    ) -> Result<(), E> {
+        let range = |array| self.range_of(array, 0);
+        self.memory.get().read(range, |numbers, news| {
+            if *news != ArraySet::NONE {
+                load(&Given::new(|array| &numbers[self.range_of(array, 0)]), *news)?;
+                *news = ArraySet::NONE;
+            }
+            Ok(())
+        })
     }
 
     /// Lets `read` see all worlds' arrays, from as many threads as it likes.
-    pub fn read_all<T>(&self, py: Python<'_>, read: impl FnOnce(&Givens) -> T + Send) -> T {
-        self.see(py, Array::ALL.into_iter().map(|array| self.range(array)), read)
-    }
-
-    fn see<T>(
-        &self,
-        _py: Python<'_>,
-        ranges: impl Iterator<Item = Range<usize>>,
-        read: impl FnOnce(&Givens) -> T + Send,
-    ) -> T {
-        self.memory.get().read(ranges, |numbers| {
-            read(&Givens::new(self.worlds, |array| &numbers[self.range(array)]))
-        })
+    pub fn read_all<T>(&self, _py: Python<'_>, read: impl FnOnce(&Givens) -> T + Send) -> T {
+        self.memory.get().read(
+            |array| self.range(array),
+            |numbers, _| read(&Givens::new(self.worlds, |array| &numbers[self.range(array)])),
+        )
     }
 
     /// Lets `take(array, numbers)` overwrite what a step changes, an array of all worlds at a time.
     pub fn store(&self, _py: Python<'_>, mut take: impl FnMut(Array, &mut [f64]) + Send) {
+        let mut own = self.memory.get().own();
         for array in &Array::ALL[..Array::CHANGED] {
-            self.memory.get().edit(self.range(*array), |numbers| take(*array, numbers));
+            let numbers = self.range(*array);
+            take(*array, &mut own.numbers[numbers.clone()]);
+            self.memory.get().show(&own, numbers);
         }
     }
 
     /// Overwrites one world's part of one array.
     pub fn write(&self, _py: Python<'_>, array: Array, world: usize, values: &[f64]) {
-        let start = self.range(array).start + world * self.lengths[array as usize];
-        self.memory.get().write(start, values);
+        self.memory.get().write(array, self.range_of(array, world), values);
     }
 
     /// Overwrites all of one world's arrays with numbers that stand one after the other.
@@ -118,8 +143,14 @@ impl Arrays {
 #[pyclass(module = "stepcore._core", frozen)]
 pub struct Memory {
     numbers: Box<[UnsafeCell<f64>]>,
-    /// What the engine reads and writes: what was checked is what is used, whoever writes meanwhile.
-    copy: Mutex<Box<[f64]>>,
+    own: Mutex<Own>,
+}
+
+/// What the engine reads and writes: what was checked is what is used, whoever writes meanwhile.
+struct Own {
+    numbers: Box<[f64]>,
+    /// Where it may differ from what the engine has.
+    news: ArraySet,
 }
 
 // SAFETY: here the numbers are reached one by one, as atomics; no slice of them exists. Numpy reads and
@@ -130,7 +161,8 @@ unsafe impl Sync for Memory {}
 impl Memory {
     fn new(count: usize) -> Self {
         let numbers = (0..count).map(|_| UnsafeCell::new(0.0)).collect();
-        Self { numbers, copy: Mutex::new(vec![0.0; count].into()) }
+        let own = Own { numbers: vec![0.0; count].into(), news: ArraySet::NONE };
+        Self { numbers, own: Mutex::new(own) }
     }
 
     /// Where a range starts. The pointer may be written through: it comes from the cells, not
@@ -147,38 +179,45 @@ impl Memory {
         cells.map(|cell| unsafe { AtomicU64::from_ptr(UnsafeCell::raw_get(cell).cast()) })
     }
 
-    fn own(&self) -> MutexGuard<'_, Box<[f64]>> {
-        self.copy.lock().unwrap_or_else(PoisonError::into_inner)
+    fn own(&self) -> MutexGuard<'_, Own> {
+        self.own.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets `read` see the numbers of some ranges as they are now; of the others nothing is said.
+    /// Lets `read` see a range of each array as it is now, and where there may be news; of other
+    /// numbers nothing is said.
     fn read<T>(
         &self,
-        ranges: impl Iterator<Item = Range<usize>>,
-        read: impl FnOnce(&[f64]) -> T + Send,
+        range: impl Fn(Array) -> Range<usize>,
+        read: impl FnOnce(&[f64], &mut ArraySet) -> T + Send,
     ) -> T {
-        let mut copy = self.own();
-        for range in ranges {
-            for (to, from) in copy[range.clone()].iter_mut().zip(self.cells(range)) {
-                *to = f64::from_bits(from.load(Ordering::Relaxed));
+        let Own { numbers, news } = &mut *self.own();
+        for array in Array::ALL {
+            let (range, mut differ) = (range(array), 0);
+            for (to, from) in numbers[range.clone()].iter_mut().zip(self.cells(range)) {
+                let now = from.load(Ordering::Relaxed);
+                differ |= to.to_bits() ^ now;
+                *to = f64::from_bits(now);
+            }
+            if differ != 0 {
+                news.insert(array);
             }
         }
-        read(&copy)
+        read(numbers, news)
     }
 
-    /// Lets `write` overwrite the numbers of a range, all of them.
-    fn edit(&self, range: Range<usize>, write: impl FnOnce(&mut [f64]) + Send) {
-        let mut copy = self.own();
-        let own = &mut copy[range.clone()];
-        write(own);
-        for (to, from) in self.cells(range).zip(own) {
+    /// Shows numpy the numbers of a range.
+    fn show(&self, own: &Own, range: Range<usize>) {
+        for (to, from) in self.cells(range.clone()).zip(&own.numbers[range]) {
             to.store(from.to_bits(), Ordering::Relaxed);
         }
     }
 
-    /// Overwrites the numbers from `start` on.
-    fn write(&self, start: usize, values: &[f64]) {
-        self.edit(start..start + values.len(), |numbers| numbers.copy_from_slice(values));
+    /// Overwrites a range of an array.
+    fn write(&self, array: Array, range: Range<usize>, values: &[f64]) {
+        let mut own = self.own();
+        own.numbers[range.clone()].copy_from_slice(values);
+        own.news.insert(array);
+        self.show(&own, range);
     }
 
     /// A numpy view of a range.

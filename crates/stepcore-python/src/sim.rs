@@ -44,14 +44,15 @@ impl Sim {
         gil::lock(&self.world, "Sim")
     }
 
-    /// Checks the arrays and copies them into the engine.
+    /// Checks the arrays and copies them into the engine, which is about to solve.
     fn load(&self, py: Python<'_>, world: &mut dyn World) -> PyResult<()> {
-        let loaded = self.arrays.read(py, 0, |given| {
-            world.check(given)?;
-            world.put(given);
-            Ok(())
-        });
-        loaded.raised(py)
+        self.arrays.load(py, |given, some| world.load(given, some)).raised(py)
+    }
+
+    /// The same for who does something else.
+    fn load_beside(&self, py: Python<'_>, world: &mut dyn World) -> PyResult<()> {
+        world.keep_solve();
+        self.load(py, world)
     }
 
     fn store(&self, py: Python<'_>, world: &mut dyn World) {
@@ -116,6 +117,9 @@ impl Sim {
         let n = u64::read(n, &At::Root.field("n"))?;
         let mut guard = self.lock()?;
         let world = &mut **guard;
+        if n == 0 {
+            return self.load_beside(py, world);
+        }
         self.load(py, world)?;
         let mut outcome = gil::steps(py, n, |n| world.step(n));
         if n > 1 && outcome.is_ok() {
@@ -137,7 +141,7 @@ impl Sim {
     fn balance(&self, py: Python<'_>) -> PyResult<()> {
         let mut guard = self.lock()?;
         let world = &mut **guard;
-        self.load(py, world)?;
+        self.load_beside(py, world)?;
         let outcome = gil::release(py, || world.balance_at_end(u64::MAX));
         self.store(py, world);
         outcome?;
@@ -197,7 +201,7 @@ impl Sim {
         let mut linearizer = {
             let mut guard = self.lock()?;
             let world = &mut **guard;
-            self.load(py, world)?;
+            self.load_beside(py, world)?;
             gil::release(py, || world.linearizer())?
         };
         gil::steps(py, linearizer.steps(), |n| linearizer.advance(n))?;
@@ -213,7 +217,7 @@ impl Sim {
         let mut slopes = {
             let mut guard = self.lock()?;
             let world = &mut **guard;
-            self.load(py, world)?;
+            self.load_beside(py, world)?;
             gil::release(py, || world.element_slopes())?
         };
         gil::steps(py, slopes.steps(), |n| slopes.advance(n))?;
@@ -241,7 +245,7 @@ impl Sim {
         let mut counter = {
             let mut guard = self.lock()?;
             let world = &mut **guard;
-            self.load(py, world)?;
+            self.load_beside(py, world)?;
             gil::release(py, || world.counter())?
         };
         gil::steps(py, n, |n| counter.advance(n))?;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use stepcore::arrays::{Array, Given};
+use stepcore::arrays::{Array, ArraySet, Given};
 use stepcore::elements::Element;
 use stepcore::error::Result;
 use stepcore::model::Model;
@@ -122,6 +122,8 @@ impl Memo {
 
 pub trait World: Send {
     fn check(&self, given: &Given) -> Result<()>;
+    /// Checks some arrays and takes them in.
+    fn load(&mut self, given: &Given, some: ArraySet) -> Result<()>;
     fn put(&mut self, given: &Given);
     fn take(&self, array: Array, out: &mut [f64]);
     /// Lets so many threads share the work of each step.
@@ -149,6 +151,8 @@ pub trait World: Send {
     fn unsolved(&mut self);
     /// The last solve is one at the state at hand, to be done when something of it is read.
     fn stayed(&mut self);
+    /// The last solve is kept for reading, because what follows is none.
+    fn keep_solve(&mut self);
     /// By body, 6 numbers each, at the last solve or, before there was one, at the present state.
     fn body_force(&mut self, given: &Given, what: BodyForce) -> Result<Vec<f64>>;
     /// A sensor's values, or all sensors', at the same state.
@@ -191,9 +195,7 @@ pub fn world(model: Arc<Model>, settings: &Settings) -> Result<Box<dyn World>> {
 
 struct One<R: Real> {
     watched: Watched<R>,
-    /// Placed anew whenever something of the present state is read, so that reading
-    /// leaves the last solve as it is. Made when first needed.
-    reader: Option<Box<Sim<R>>>,
+    /// What is read is computed there, so that reading leaves the last solve as it is.
     last: LastSolve<R>,
 }
 
@@ -201,35 +203,30 @@ impl<R: Real> One<R> {
     fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
         let last = LastSolve::new(&model);
         let watched = Watched::new(model, settings.clone())?;
-        Ok(Self { watched, reader: None, last })
+        Ok(Self { watched, last })
     }
 
     fn sim(&self) -> &Sim<R> {
         &self.watched.sim
     }
 
-    /// A solve is over: of a step that was taken, or at a state that stayed.
-    fn note(&mut self, stepped: bool) {
-        if stepped {
-            self.last.stepped(&self.watched.sim);
-        } else {
+    /// An error ended in a solve at the state that it left.
+    fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
+        if outcome.is_err() {
             self.last.stayed(&self.watched.sim);
         }
+        outcome
     }
-}
 
-impl<R: Real> One<R> {
-    /// The reader at the present state.
-    fn reader(&mut self, given: &Given) -> Result<&mut Sim<R>> {
+    /// A `Sim` at the present state.
+    fn present(&mut self, given: &Given) -> Result<&mut Sim<R>> {
         self.check(given)?;
-        let sim = &self.watched.sim;
-        let reader = match &mut self.reader {
-            Some(reader) => reader,
-            none => none.insert(Box::new(Sim::new(sim.model().clone(), sim.settings().clone())?)),
-        };
-        reader.put(0, given);
-        reader.refresh();
-        Ok(reader)
+        self.last.present(&self.watched.sim, given)
+    }
+
+    /// Lets `read` see a `Sim` that has solved where this one last did.
+    fn solved<T>(&mut self, given: &Given, read: impl FnOnce(&mut Sim<R>) -> T) -> Result<T> {
+        self.last.read(&mut self.watched.sim, given, true, read)
     }
 }
 
@@ -237,8 +234,13 @@ impl<R: Real> World for One<R> {
     fn check(&self, given: &Given) -> Result<()> {
         given.check::<R>(self.sim().model(), None)
     }
+    fn load(&mut self, given: &Given, some: ArraySet) -> Result<()> {
+        given.check_some::<R>(self.sim().model(), some, None)?;
+        self.watched.put(0, given, some);
+        Ok(())
+    }
     fn put(&mut self, given: &Given) {
-        self.watched.put(0, given);
+        self.watched.put(0, given, ArraySet::ALL);
     }
     fn take(&self, array: Array, out: &mut [f64]) {
         self.sim().state.take(0, array, out);
@@ -250,19 +252,20 @@ impl<R: Real> World for One<R> {
         self.watched.sim.use_list();
     }
     fn step(&mut self, n: u64) -> Result<()> {
-        let outcome = self.watched.step(n);
         if n > 0 {
-            self.note(outcome.is_ok());
+            self.last.stepped();
         }
-        outcome
+        let outcome = self.watched.step(n);
+        self.noted(outcome)
     }
     fn balance_at_end(&mut self, n: u64) -> Result<()> {
-        self.watched.balance_at_end(n)
+        let outcome = self.watched.balance_at_end(n);
+        self.noted(outcome)
     }
     fn forward(&mut self) -> Result<()> {
+        self.last.solved();
         let outcome = self.watched.forward();
-        self.note(false);
-        outcome
+        self.noted(outcome)
     }
     fn take_warning(&mut self) -> Option<String> {
         self.watched.take_warning()
@@ -272,8 +275,12 @@ impl<R: Real> World for One<R> {
     }
     fn taped_step(&mut self) -> Result<StepGains> {
         let outcome = self.watched.taped_step(0);
-        self.note(outcome.is_ok());
-        outcome
+        if outcome.is_ok() {
+            // Energies were summed up after it.
+            self.last.stepped();
+            self.keep_solve();
+        }
+        self.noted(outcome)
     }
     fn time(&self) -> f64 {
         self.sim().time()
@@ -285,6 +292,7 @@ impl<R: Real> World for One<R> {
         Memo::of(&self.sim().state, 0)
     }
     fn set_memo(&mut self, memo: &Memo) {
+        self.keep_solve();
         let state = &mut self.watched.sim.state;
         (state.start, state.steps) = (memo.start, memo.steps);
         let number = |x: f64| R::of(impulse::<R>(x));
@@ -299,7 +307,7 @@ impl<R: Real> World for One<R> {
     }
 
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>> {
-        readings::placed(self.reader(given)?, what)
+        readings::placed(self.present(given)?, what)
     }
 
     fn solved(&self, what: Solved) -> Vec<f64> {
@@ -314,13 +322,17 @@ impl<R: Real> World for One<R> {
         self.last.forget();
     }
     fn stayed(&mut self) {
-        self.note(false);
+        self.last.stayed(&self.watched.sim);
+    }
+    fn keep_solve(&mut self) {
+        self.last.keep(&self.watched.sim);
     }
 
     fn body_force(&mut self, given: &Given, what: BodyForce) -> Result<Vec<f64>> {
-        let sim = self.last.again(&self.watched.sim, given, true)?;
-        let bodies = sim.bodies(0);
-        Ok(readings::body_force(&sim.body_forces(&bodies, 0), what))
+        self.solved(given, |sim| {
+            let bodies = sim.bodies(0);
+            readings::body_force(&sim.body_forces(&bodies, 0), what)
+        })
     }
 
     fn sensordata(&mut self, given: &Given, sensor: Option<usize>) -> Result<Vec<f64>> {
@@ -332,28 +344,30 @@ impl<R: Real> World for One<R> {
             values.resize(sensors.iter().map(Sensor::size).sum(), 0.0);
             return Ok(values);
         }
-        let mut reading = Reading::new(self.last.again(&self.watched.sim, given, solve)?, 0);
-        sensors.iter().for_each(|sensor| reading.read(sensor, &mut values));
+        self.last.read(&mut self.watched.sim, given, solve, |sim| {
+            let mut reading = Reading::new(sim, 0);
+            sensors.iter().for_each(|sensor| reading.read(sensor, &mut values));
+        })?;
         Ok(values)
     }
 
     fn inverse(&mut self, given: &Given, qacc: Option<&[f64]>) -> Result<Vec<f64>> {
         let own = numbers(&self.sim().qacc);
-        let reader = self.reader(given)?;
-        reader.forward()?;
-        reader.inverse(qacc.unwrap_or(&own), 0)
+        let sim = self.present(given)?;
+        sim.forward()?;
+        sim.inverse(qacc.unwrap_or(&own), 0)
     }
 
     fn rays(&mut self, given: &Given, rays: &[f64], filter: &RayFilter) -> Result<Rays> {
-        Ok(readings::rays(self.reader(given)?, rays, filter))
+        Ok(readings::rays(self.present(given)?, rays, filter))
     }
 
     fn tendon_paths(&mut self, given: &Given) -> Result<Vec<TendonPath>> {
-        Ok(readings::tendon_paths(self.reader(given)?))
+        Ok(readings::tendon_paths(self.present(given)?))
     }
 
     fn element_forces(&mut self, given: &Given) -> Result<BTreeMap<Element, Vec<f64>>> {
-        Ok(self.last.again(&self.watched.sim, given, true)?.element_forces(0))
+        self.solved(given, |sim| sim.element_forces(0))
     }
 
     fn contacts(&self) -> Contacts {

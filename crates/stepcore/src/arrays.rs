@@ -6,7 +6,7 @@
 
 pub mod array;
 
-pub use array::Array;
+pub use array::{Array, ArraySet};
 use std::ops::{Index, Range};
 use std::sync::Arc;
 
@@ -50,12 +50,31 @@ impl<'a> Given<'a> {
     /// quaternions of no length.
     /// `world`: its index in a batch, for the error text.
     pub fn check<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
-        self.check_finite::<R>(model, world)?;
-        self.check_forms::<R>(model, world)
+        self.check_some::<R>(model, ArraySet::ALL, world)
     }
 
-    fn check_finite<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
-        for array in Array::ALL {
+    /// The same of some arrays.
+    pub fn check_some<R: Real>(
+        &self,
+        model: &Model,
+        some: ArraySet,
+        world: Option<usize>,
+    ) -> Result<()> {
+        self.check_finite::<R>(model, some, world)?;
+        let forms = [Array::Qpos, Array::EqActive, Array::MocapQuat];
+        if forms.into_iter().any(|array| some.has(array)) {
+            self.check_forms::<R>(model, world)?;
+        }
+        Ok(())
+    }
+
+    fn check_finite<R: Real>(
+        &self,
+        model: &Model,
+        some: ArraySet,
+        world: Option<usize>,
+    ) -> Result<()> {
+        for array in some.iter() {
             let values = &self[array];
             let Some(k) = values.iter().position(|x| !R::of(*x).lane(0).is_finite()) else {
                 continue;
@@ -240,8 +259,13 @@ impl<R: Real> Sim<R> {
     /// Takes one world's arrays, which were checked; says whether its state changed. Lane 0
     /// comes first.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
-        self.inputs.put(lane, given);
-        self.state.put(lane, given)
+        self.put_some(lane, given, ArraySet::ALL)
+    }
+
+    /// The same of the arrays that may differ from those at hand.
+    pub fn put_some(&mut self, lane: usize, given: &Given, some: ArraySet) -> bool {
+        self.inputs.put(lane, given, some);
+        some.meets(ArraySet::STATE) && self.state.put(lane, given)
     }
 
     /// The world of lane 0 in plain numbers.
@@ -302,9 +326,9 @@ impl<R: Real> Inputs<R> {
         self.set_idle_lane(lane, |array| given.list(array, world));
     }
 
-    /// Takes one world's inputs. Lane 0 comes first.
-    pub fn put(&mut self, lane: usize, given: &Given) {
+    /// Takes some of one world's inputs. Lane 0 comes first.
+    pub fn put(&mut self, lane: usize, given: &Given, some: ArraySet) {
         let (_, inputs) = given.lists().split_at(Array::CHANGED);
-        self.set_lane(lane, inputs);
+        self.set_lane(lane, inputs, some);
     }
 }

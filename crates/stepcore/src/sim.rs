@@ -64,6 +64,8 @@ pub struct Sim<R: Real> {
     pub qacc: Vec<R>,
     pub effort: Effort,
     pub(crate) next: Next<R>,
+    /// The next step has been placed, detected and solved already: see `ledger/audit.rs`.
+    pub(crate) stands: bool,
     pub(crate) solver: Box<dyn Solve<R>>,
     pub(crate) sleeper: Sleeper<R>,
     /// What makes steps that nobody looks at.
@@ -149,6 +151,7 @@ impl<R: Real> Sim<R> {
             qacc: vec![R::zero(); model.nv],
             effort: Effort::default(),
             next: Next::new(&model, settings.integrator.scheme()),
+            stands: false,
             solver,
             sleeper: if settings.sleep { Sleeper::new(&model) } else { Sleeper::off() },
             clock: Clock::new(settings.dt),

@@ -1,6 +1,6 @@
 //! What a step changes, and what the user puts in from outside.
 
-use crate::arrays::array::Array;
+use crate::arrays::array::{Array, ArraySet};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::room::room;
@@ -168,18 +168,21 @@ impl<R: Real> Inputs<R> {
         self.applied = forces.any(|force| !force.is_zero());
     }
 
-    /// Takes one world's numbers, in the order of `arrays`. Lane 0 comes first.
-    pub(crate) fn set_lane(&mut self, lane: usize, given: &[&[f64]]) {
-        let applied = given[1..3].iter().copied().flatten().any(|force| *force != 0.0);
-        self.applied = applied || (lane > 0 && self.applied);
-        for (to, from) in self.arrays_mut().into_iter().zip(given) {
-            for (to, from) in to.iter_mut().zip(*from) {
-                to.set_lane(lane, *from);
+    /// Takes some of one world's arrays, in the order of `arrays`. Lane 0 comes first.
+    pub(crate) fn set_lane(&mut self, lane: usize, given: &[&[f64]], some: ArraySet) {
+        if some.has(Array::QfrcApplied) || some.has(Array::XfrcApplied) {
+            let applied = given[1..3].iter().copied().flatten().any(|force| *force != 0.0);
+            self.applied = applied || (lane > 0 && self.applied);
+        }
+        let named = Array::ALL[Array::CHANGED..].iter().zip(given);
+        for (to, (array, from)) in self.arrays_mut().into_iter().zip(named) {
+            if some.has(*array) {
+                to.iter_mut().zip(*from).for_each(|(to, from)| to.set_lane(lane, *from));
             }
         }
     }
 
-    /// The same of a world in which no force is applied, where none was before.
+    /// Takes a world's numbers into one lane; no force is applied there, and none was before.
     #[inline(always)]
     pub(crate) fn set_idle_lane<'a>(&mut self, lane: usize, given: impl Fn(Array) -> &'a [f64]) {
         for (to, array) in self.arrays_mut().into_iter().zip(&Array::ALL[Array::CHANGED..]) {
@@ -191,10 +194,31 @@ impl<R: Real> Inputs<R> {
         }
     }
 
+    /// By array, whether it differs from that of `old`.
+    pub(crate) fn changes(&self, old: &Self) -> [bool; INPUTS] {
+        let (new, applied) = (self.arrays(), self.applied || old.applied);
+        let mut changes = [false; INPUTS];
+        for ((changes, array), (new, old)) in
+            changes.iter_mut().zip(&Array::ALL[Array::CHANGED..]).zip(new.iter().zip(old.arrays()))
+        {
+            // Where no force is applied, all of them are zero.
+            let zero = !applied && matches!(array, Array::QfrcApplied | Array::XfrcApplied);
+            *changes = !zero && *new != old;
+        }
+        changes
+    }
+
     /// Copies into inputs of the same model, whose room is used again.
     pub(crate) fn copy_to(&self, to: &mut Self) {
-        for (to, from) in to.arrays_mut().into_iter().zip(self.arrays()) {
-            to.copy_from_slice(from);
+        self.copy_some([true; INPUTS], to);
+    }
+
+    /// The same of some arrays.
+    pub(crate) fn copy_some(&self, some: [bool; INPUTS], to: &mut Self) {
+        for ((to, from), copied) in to.arrays_mut().into_iter().zip(self.arrays()).zip(some) {
+            if copied {
+                to.copy_from_slice(from);
+            }
         }
         to.applied = self.applied;
     }

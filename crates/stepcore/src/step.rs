@@ -25,7 +25,7 @@ impl<R: Real> Sim<R> {
         self.wake_where_off();
         for left in (0..n).rev() {
             // The last step leaves all that can be read.
-            if left > 0 && self.step_by_list(observer) {
+            if left > 0 && !self.stands && self.step_by_list(observer) {
                 continue;
             }
             R::enter(Stage::Commit);
@@ -37,15 +37,22 @@ impl<R: Real> Sim<R> {
             }
             self.check_next()?;
             observer.committing(self);
-            std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
-            std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
-            std::mem::swap(&mut self.state.act, &mut self.next.act);
-            std::mem::swap(&mut self.state.ctrl_history, &mut self.next.ctrl_history);
-            std::mem::swap(&mut self.state.warm, &mut self.next.warm);
-            std::mem::swap(&mut self.state.sleep, &mut self.next.sleep);
+            self.swap_states();
             self.state.steps += 1;
         }
         Ok(())
+    }
+
+    /// The state and the next one change places.
+    #[inline(always)]
+    pub(crate) fn swap_states(&mut self) {
+        let (state, next) = (&mut self.state, &mut self.next);
+        std::mem::swap(&mut state.qpos, &mut next.qpos);
+        std::mem::swap(&mut state.qvel, &mut next.qvel);
+        std::mem::swap(&mut state.act, &mut next.act);
+        std::mem::swap(&mut state.ctrl_history, &mut next.ctrl_history);
+        std::mem::swap(&mut state.warm, &mut next.warm);
+        std::mem::swap(&mut state.sleep, &mut next.sleep);
     }
 
     /// Place, detect and solve at the present state. Nothing is committed.
@@ -70,6 +77,9 @@ impl<R: Real> Sim<R> {
     }
 
     pub(crate) fn place_detect_solve(&mut self, at: At) -> Result<()> {
+        if std::mem::take(&mut self.stands) {
+            return Ok(());
+        }
         if !self.settings.sleep {
             self.place_and_make_rows(at)?;
             return self.solve_placed(at);

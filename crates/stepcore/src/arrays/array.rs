@@ -130,3 +130,31 @@ impl Array {
         }
     }
 }
+
+/// Some of the arrays, by bit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ArraySet(u16);
+
+impl ArraySet {
+    pub const NONE: Self = Self(0);
+    pub const ALL: Self = Self((1 << Array::COUNT) - 1);
+    /// Those that a step changes.
+    pub const STATE: Self = Self((1 << Array::CHANGED) - 1);
+
+    pub fn insert(&mut self, array: Array) {
+        self.0 |= 1 << array as u16;
+    }
+
+    pub fn has(self, array: Array) -> bool {
+        self.0 >> array as u16 & 1 == 1
+    }
+
+    /// Any that is in the other as well.
+    pub fn meets(self, other: Self) -> bool {
+        self.0 & other.0 != 0
+    }
+
+    pub fn iter(self) -> impl Iterator<Item = Array> {
+        Array::ALL.into_iter().filter(move |array| self.has(*array))
+    }
+}

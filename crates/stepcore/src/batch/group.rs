@@ -1,7 +1,7 @@
 //! The worlds of one register of lanes, and their stay in the working space of a thread.
 
 use super::failed::Standing;
-use crate::arrays::{Given, Givens};
+use crate::arrays::{ArraySet, Given, Givens};
 use crate::error::{Divergence, Error, Result};
 use crate::model::Model;
 use crate::program::{Holds, Place};
@@ -141,7 +141,7 @@ impl<R: Real> Group<R> {
             if self.state.put(lane, given) {
                 self.moved(lane);
             }
-            self.inputs.put(lane, given);
+            self.inputs.put(lane, given, ArraySet::ALL);
         }
     }
 

@@ -293,6 +293,11 @@ pub(crate) fn let_through<R: Real>(total: R, range: [f64; 2]) -> [R; 2] {
     [share(total, range), R::select(within, R::one(), R::zero())]
 }
 
+/// It is a position servo, which stores energy.
+pub(crate) fn stores(model: &Model, index: usize) -> bool {
+    model.acts(index) && model.actuators[index].drive() == Drive::Spring
+}
+
 /// What a position servo stores under a control [J]; 0 of other actuators.
 pub(crate) fn stored_under<R: Real>(
     model: &Model,
@@ -303,7 +308,7 @@ pub(crate) fn stored_under<R: Real>(
     ctrl: R,
 ) -> R {
     let actuator = &model.actuators[index];
-    if !model.acts(index) || actuator.drive() != Drive::Spring {
+    if !stores(model, index) {
         return R::zero();
     }
     let (k, half) = (R::of(-actuator.bias[1]), R::of(0.5));

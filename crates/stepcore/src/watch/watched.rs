@@ -6,7 +6,7 @@ use super::ledger::{Care, Ledger};
 use super::past::Past;
 use super::post_mortem::{look_into, Run};
 use super::tape::{taped, StepGains, Tape};
-use crate::arrays::Given;
+use crate::arrays::{ArraySet, Given};
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::Real;
@@ -63,9 +63,10 @@ impl<R: Real> Watched<R> {
         self
     }
 
-    /// Takes one world's arrays, which were checked. Lane 0 comes first.
-    pub fn put(&mut self, lane: usize, given: &Given) {
-        if self.sim.put(lane, given) {
+    /// Takes one world's arrays, which were checked, where they may differ from those at hand. Lane 0
+    /// comes first.
+    pub fn put(&mut self, lane: usize, given: &Given, some: ArraySet) {
+        if self.sim.put_some(lane, given, some) {
             if std::mem::take(&mut self.failed) {
                 self.sim.state.warm.clear();
             }

@@ -14,10 +14,7 @@ impl<R: Real> Sim<R> {
     /// Places, detects and solves at the present state, as the next step will, and sums up.
     /// False if that failed: the step will say why.
     pub(super) fn audit(&mut self, levels: &mut [Level], work: &Work<R>) -> bool {
-        let (updates, most) = (self.effort.row_updates, self.effort.most_rows);
-        let solved = self.place_detect_solve(At::State).is_ok();
-        (self.effort.row_updates, self.effort.most_rows) = (updates, most);
-        if !solved {
+        if self.place_detect_solve(At::State).is_err() {
             return false;
         }
         let model = self.model.clone();

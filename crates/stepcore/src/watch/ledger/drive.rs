@@ -2,9 +2,9 @@
 //! moving the control of a servo puts into its spring. What is which, `elements/` says.
 
 use crate::elements::activation::Activations;
-use crate::elements::actuator::{power_beyond, stored_under};
-use crate::elements::force::{Group, Moment};
-use crate::elements::forces::{power, stored};
+use crate::elements::actuator::{power_beyond, stored_under, stores};
+use crate::elements::force::Moment;
+use crate::elements::forces::power;
 use crate::elements::{Element, Kind};
 use crate::model::Model;
 use crate::observer::Observer;
@@ -22,14 +22,19 @@ pub(super) struct Work<R: Real> {
     belts: bool,
     /// Servos, by actuator, of which all the force counts as driving, and that store nothing.
     pub driving: Vec<usize>,
+    /// The servos that store.
+    springs: Vec<usize>,
 }
 
-room!(Work<R>: driving;);
+room!(Work<R>: driving, springs;);
 
 impl<R: Real> Work<R> {
     pub fn new(model: &Model, driving: Vec<usize>) -> Self {
         let belts = model.geoms.iter().any(|geom| geom.belt.is_some());
-        Self { done: R::zero(), counts: false, belts, driving }
+        let springs = (0..model.actuators.len())
+            .filter(|index| stores(model, *index) && !driving.contains(index))
+            .collect();
+        Self { done: R::zero(), counts: false, belts, driving, springs }
     }
 
     /// A call of steps begins.
@@ -59,15 +64,20 @@ impl<R: Real> Observer<R> for Work<R> {
 }
 
 impl<R: Real> Sim<R> {
-    /// What the servos of an account store under some controls.
-    pub(super) fn stored_in_servos(&self, inputs: &Inputs<R>, work: &Work<R>) -> R {
+    /// What moving the controls from those of `old` put into the servos of an account that store.
+    pub(super) fn put_into_servos(&self, old: &Inputs<R>, work: &Work<R>) -> R {
         let mut sum = R::zero();
-        let now = Moment { inputs, ..self.moment(At::State) };
-        stored(&now, Group::Driven, |element, energy| {
-            if !work.drives(element) {
-                sum += energy;
-            }
-        });
+        if work.springs.is_empty() || old.ctrl == self.inputs.ctrl {
+            return sum;
+        }
+        let now = self.moment(At::State);
+        for &index in &work.springs {
+            let stored = |inputs: &Inputs<R>| {
+                let ctrl = now.act.ctrl(now.model, index, inputs);
+                stored_under(now.model, index, now.qpos, now.frames.pulls, now.act, ctrl)
+            };
+            sum += stored(&self.inputs) + -stored(old);
+        }
         sum
     }
 

@@ -242,9 +242,10 @@ impl<R: Real> Ledger<R> {
             let suspect = |ledger: &mut Self, sim: &Sim<R>, lane, gained| {
                 suspect(ledger, sim, observer, lane, gained)
             };
-            outcome = self.balance(sim, suspect).and_then(|room| {
+            outcome = self.balance(sim, suspect).and_then(|(room, solved)| {
                 let portion = left.min(room);
                 left -= portion;
+                sim.stands = solved && sim.settings.solves_once();
                 sim.step_watched(portion, &mut (&mut self.work, &mut *observer))
             });
         }
@@ -279,7 +280,10 @@ impl<R: Real> Ledger<R> {
     ) -> Result<()> {
         self.open(sim);
         self.work.begin(sim);
-        self.balance(sim, suspect).map(|_| ())
+        let effort = sim.effort;
+        let outcome = self.balance(sim, suspect);
+        sim.effort = effort;
+        outcome.map(|_| ())
     }
 
     /// The account that the settings ask for.
@@ -299,42 +303,45 @@ impl<R: Real> Ledger<R> {
 
     /// Writes the inputs down where they changed, and what a moved control put in.
     fn note_inputs(&mut self, sim: &Sim<R>) {
-        if self.seen.ctrl != sim.inputs.ctrl {
-            self.work.done += sim.stored_in_servos(&sim.inputs, &self.work);
-            self.work.done += -sim.stored_in_servos(&self.seen, &self.work);
-        }
-        let (new, old) = (sim.inputs.arrays(), self.seen.arrays());
-        let changed = std::array::from_fn(|k| new[k] != old[k]);
+        self.work.done += sim.put_into_servos(&self.seen, &self.work);
+        let changed = sim.inputs.changes(&self.seen);
         if !changed.contains(&true) {
             return;
         }
         let milestone = &mut self.milestones[self.at];
         milestone.changes.push((sim.state.steps, changed));
-        for (array, changed) in new.iter().zip(changed) {
+        for (array, changed) in sim.inputs.arrays().iter().zip(changed) {
             if changed {
                 milestone.numbers.extend_from_slice(array);
             }
         }
-        sim.inputs.copy_to(&mut self.seen);
+        sim.inputs.copy_some(changed, &mut self.seen);
     }
 
-    /// Balances the accounts if a milestone is due; returns the steps to the next one.
+    /// Balances the accounts if a milestone is due; returns the steps to the next one, and whether it
+    /// has solved at the present state, with which the next step begins then.
     fn balance(
         &mut self,
         sim: &mut Sim<R>,
         mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
-    ) -> Result<u64> {
+    ) -> Result<(u64, bool)> {
         // Of the last balance: the lanes after one that failed.
         self.ask(sim, &mut suspect)?;
         if let Some(newest) = self.newest_first().next() {
             let stride = self.care.stride(newest.state.steps - self.opened);
             let since = sim.state.steps - newest.state.steps;
             if since < stride {
-                return Ok(stride - since);
+                return Ok((stride - since, false));
             }
         }
-        if !sim.audit(&mut self.levels, &self.work) {
-            return Ok(STRIDE);
+        let effort = sim.effort;
+        let solved = sim.audit(&mut self.levels, &self.work);
+        if !solved || !sim.settings.solves_once() {
+            // The step solves again, and counts it.
+            sim.effort = effort;
+        }
+        if !solved {
+            return Ok((STRIDE, false));
         }
         let new = self.expected.is_none();
         self.expected = Some((sim.state.steps, sim.state.start));
@@ -352,7 +359,7 @@ impl<R: Real> Ledger<R> {
         self.work.done = R::zero();
         self.keep(&sim.state, &sim.inputs);
         sim.inputs.copy_to(&mut self.seen);
-        outcome.map(|()| self.care.stride(sim.state.steps - self.opened))
+        outcome.map(|()| (self.care.stride(sim.state.steps - self.opened), true))
     }
 
     /// Judges every lane by the levels at hand.
