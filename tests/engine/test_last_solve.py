@@ -19,7 +19,7 @@ def moving(name, **settings):
 
 
 @pytest.mark.parametrize("integrator", ["euler", "implicitfast", "implicit", "discrete", "rk4"])
-@pytest.mark.parametrize("name", [name for name in ZOO][::5])
+@pytest.mark.parametrize("name", list(ZOO)[::5])
 def test_reading_changes_nothing_and_is_of_the_step(name, integrator):
     """A batch solves again for what it reads, and has the same bits."""
     model, sim, rng = moving(name, integrator=integrator)
@@ -42,7 +42,7 @@ def test_reading_changes_nothing_and_is_of_the_step(name, integrator):
 
 @pytest.mark.parametrize("between", ["balance", "linearize", "element_slopes", "time", "step 0"])
 def test_it_is_still_read_after_something_else_was_computed(between):
-    model, sim, _ = moving("all_together")
+    _, sim, _ = moving("all_together")
     sim.step(3)
     wanted = {field: np.array(getattr(sim, field)) for field in READ}
     forces = sim.element_forces()

@@ -5,13 +5,12 @@ mod scenes;
 use std::panic::{catch_unwind, AssertUnwindSafe};
 use std::sync::Arc;
 
-use stepcore::arrays::{lists, Given};
 use stepcore::error::Error;
 use stepcore::model::Model;
 use stepcore::scene::{GeomType, JointType, Scene};
 use stepcore::settings::{Integrator, Settings};
 use stepcore::sim::Sim;
-use stepcore::watch::{LastSolve, Watched};
+use stepcore::watch::Watched;
 
 /// A mass of 1 kg on a spring along x.
 fn spring(stiffness: f64) -> Arc<Model> {
@@ -74,51 +73,6 @@ fn a_watched_world_moves_like_one_that_nobody_watches() {
             watched.step(99).unwrap();
             watched.taped_step(0).unwrap();
             assert_eq!(alone.state, watched.sim.state, "{integrator:?}");
-        }
-    }
-}
-
-/// What bodies and elements exert on each other, and the sensors' forces rest on, bit for bit.
-fn forces(sim: &mut Sim<f64>) -> Vec<u64> {
-    let bodies = sim.bodies(0);
-    let forces = sim.body_forces(&bodies, 0);
-    sim.refresh();
-    let internal = forces.internal.iter().chain(&forces.external);
-    let internal = internal.flat_map(|f| [f.ang, f.lin]).flat_map(|v| [v.x, v.y, v.z]);
-    let elements = sim.element_forces(0).into_values().flatten();
-    internal.chain(elements).chain(sim.constraint_force(0)).map(f64::to_bits).collect()
-}
-
-/// Read where it stands, the last solve costs no other, is what it is made again, and the motion goes
-/// on as if nobody had read.
-#[test]
-fn the_last_solve_is_read_where_it_stands() {
-    for name in Integrator::NAMES {
-        let integrator = Integrator::parse(name).unwrap();
-        let several = [Integrator::Midpoint, Integrator::Rk4].contains(&integrator);
-        for scene in [scenes::runner(), scenes::heap(), scenes::tower(3)] {
-            let model = Arc::new(Model::compile(&scene).unwrap());
-            let settings = Settings { integrator, ..Settings::default() };
-            let mut alone = Sim::<f64>::new(model.clone(), settings.clone()).unwrap();
-            let mut sim = Sim::<f64>::new(model.clone(), settings).unwrap();
-            let mut last = LastSolve::new(&model);
-            for _ in 0..30 {
-                alone.step(2).unwrap();
-                sim.step(2).unwrap();
-                last.stepped();
-                let (effort, lists) = (sim.effort, lists(&sim.state, &sim.inputs, 0));
-                let given = Given::new(|array| &lists[array as usize]);
-                let stands = last.read(&mut sim, &given, true, forces).unwrap();
-                assert_eq!(sim.effort, effort);
-                last.keep(&sim);
-                assert_eq!(last.read(&mut sim, &given, true, forces).unwrap(), stands, "{name}");
-                if several {
-                    break;
-                }
-            }
-            alone.step(if several { 0 } else { 30 }).unwrap();
-            sim.step(if several { 0 } else { 30 }).unwrap();
-            assert_eq!(alone.state, sim.state, "{name}");
         }
     }
 }

@@ -305,7 +305,8 @@ class World(checks.KnownNames, ABC):
 
         `Model.sensor_dim` gives the number of values of each sensor. The values describe the state
         at the start of the last `step` or `forward`, before the step moved anything, as in MuJoCo
-        after mj_step. The values are computed on access; force sensors need one more solve.
+        after mj_step. The values are computed on access. Force sensors read the solve of the step;
+        they need one more solve in a `Batch`, with `sleep`, and under "rk4" and "midpoint".
         Before the first step or `forward`, and after `restore` and `reset`, the values describe the
         present state.
         """

@@ -361,14 +361,18 @@ pub(crate) fn saturated<R: Real>(now: &Moment<R>, index: usize) -> R::Mask {
     range.map_or(R::Mask::of(false), |[lo, hi]| tension.le(R::of(lo)).or(R::of(hi).le(tension)))
 }
 
-/// What a servo may put in beyond its `power`, for all of its force to count as driving [W].
+/// What a servo may put in beyond its `power`, for all of its force to count as driving [W]. What stores
+/// has no power of its own.
 pub(crate) fn power_beyond<R: Real>(
     now: &Moment<R>,
     index: usize,
+    stores: bool,
     velocity: &impl Fn(usize) -> R,
 ) -> R {
     let (mut usual, mut whole) = (R::zero(), R::zero());
-    Actuator::power(now, index, velocity, &mut |part| usual += part);
+    if !stores {
+        Actuator::power(now, index, velocity, &mut |part| usual += part);
+    }
     let tension = now.frames.tension[index];
     let (along, pulls) = (now.model.along[index], now.frames.pulls);
     along.arms(now.model, now.qpos, pulls, |dof, arm: R| whole += tension * (arm * velocity(dof)));

@@ -20,10 +20,13 @@ pub(super) struct Work<R: Real> {
     pub counts: bool,
     /// Surfaces move.
     belts: bool,
-    /// Servos, by actuator, of which all the force counts as driving, and that store nothing.
-    pub driving: Vec<usize>,
+    /// Servos, by actuator, of which all the force counts as driving, and which store nothing in the
+    /// account; and whether they are springs.
+    driving: Vec<(usize, bool)>,
     /// The servos that store.
     springs: Vec<usize>,
+    /// Some element has a power of its own, beside applied forces.
+    powers: bool,
 }
 
 room!(Work<R>: driving, springs;);
@@ -31,10 +34,18 @@ room!(Work<R>: driving, springs;);
 impl<R: Real> Work<R> {
     pub fn new(model: &Model, driving: Vec<usize>) -> Self {
         let belts = model.geoms.iter().any(|geom| geom.belt.is_some());
+        let motors = (0..model.actuators.len()).any(|index| !stores(model, index));
         let springs = (0..model.actuators.len())
             .filter(|index| stores(model, *index) && !driving.contains(index))
             .collect();
-        Self { done: R::zero(), counts: false, belts, driving, springs }
+        Self {
+            done: R::zero(),
+            counts: false,
+            belts,
+            driving: driving.into_iter().map(|index| (index, stores(model, index))).collect(),
+            springs,
+            powers: motors || model.compensates || !model.fluid.parts.is_empty(),
+        }
     }
 
     /// A call of steps begins.
@@ -44,7 +55,8 @@ impl<R: Real> Work<R> {
 
     /// An element of which what it stores is none of the account's.
     pub fn drives(&self, element: Element) -> bool {
-        element.kind == Kind::Actuator && self.driving.contains(&(element.index as usize))
+        let drives = |(index, _): &(usize, bool)| *index == element.index as usize;
+        element.kind == Kind::Actuator && self.driving.iter().any(drives)
     }
 }
 
@@ -55,7 +67,7 @@ impl<R: Real> Observer<R> for Work<R> {
 
     fn committing(&mut self, sim: &Sim<R>) {
         if self.counts {
-            self.done += sim.driven(&self.driving);
+            self.done += sim.driven(self);
             if self.belts {
                 self.done += sim.clock.dt * sim.power_of_surfaces();
             }
@@ -83,14 +95,17 @@ impl<R: Real> Sim<R> {
 
     /// Work of motors, applied forces and some servos in the step from `state` to `next`: what
     /// they did on the mean of both velocities.
-    fn driven(&self, servos: &[usize]) -> R {
+    fn driven(&self, work: &Work<R>) -> R {
         let (now, half) = (self.moment(At::State), R::of(0.5));
         let mean = |k: usize| half * (self.state.qvel[k] + self.next.qvel[k]);
-        let mut power = power(&now, mean);
-        for index in servos {
-            power += power_beyond(&now, *index, &mean);
+        let mut sum = R::zero();
+        if work.powers || self.inputs.applied() {
+            sum += power(&now, mean);
         }
-        self.clock.dt * power + self.driven_by_activations(&now)
+        for (index, stores) in &work.driving {
+            sum += power_beyond(&now, *index, *stores, &mean);
+        }
+        self.clock.dt * sum + self.driven_by_activations(&now)
     }
 
     /// What activations and late controls put into the springs of their servos as they moved.
