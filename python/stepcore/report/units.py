@@ -260,3 +260,36 @@ def _budget(text: str, units: Mapping[str, float], dt: float, real_time: bool) -
 def _spelt(units: Units) -> dict[str, float]:
     """Return units by the names that users type: "us" as well as "µs"."""
     return dict(units) | {unit.replace("µ", "u"): size for unit, size in units}
+
+
+def rounded(value: float, digits: int = 3, *, up: bool | None = None) -> float:
+    """Return a number rounded to some digits; upwards or downwards a number >= 0.
+
+    >>> rounded(1234.5), rounded(1236.0, up=False), rounded(0.0012341, 2, up=True)
+    (1230.0, 1230.0, 0.0013)
+    """
+    if up is None:
+        return float(f"{value:.{digits}g}")
+    if value <= 0 or not math.isfinite(value):
+        return max(value, 0.0)
+    place = math.floor(math.log10(value)) - digits + 1
+    # Through text, because the power of ten of a small number would overflow.
+    count = float(f"{value:.16e}".split("e")[0]) * 10.0 ** (digits - 1)
+    # A number with as many digits already is kept.
+    whole = round(count)
+    if not math.isclose(count, whole, rel_tol=1e-9):
+        whole = math.ceil(count) if up else math.floor(count)
+    return float(f"{whole}e{place}")
+
+
+def round_number(value: float, *, up: bool) -> float:
+    """Return the next of 1, 2 and 5 times a power of ten, upwards or downwards; value: > 0.
+
+    >>> round_number(0.00071, up=False), round_number(0.0199, up=True), round_number(0.001, up=True)
+    (0.0005, 0.02, 0.001)
+    """
+    place = math.floor(math.log10(value) + 1e-9)
+    steps = [float(f"{k}e{place}") for k in (1, 2, 5, 10)]
+    if up:
+        return min(step for step in steps if step >= value * (1 - 1e-9))
+    return max(step for step in steps if step <= value * (1 + 1e-9))

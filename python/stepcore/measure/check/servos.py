@@ -13,7 +13,7 @@ from stepcore.experiment.coordinates import Start
 from stepcore.measure.diagnosis.isolated import joint_gains
 from stepcore.measure.monitors.actuators import on_one_dof, strength
 from stepcore.measure.monitors.finding import PLOT, Finding, listed, named
-from stepcore.report.units import hertz, seconds
+from stepcore.report.units import hertz, rounded, seconds
 from stepcore.scene.layout import Layout
 
 # ω dt, and damping rate × dt, above which a servo without armature is too stiff.
@@ -190,13 +190,7 @@ def _without_armature(model: Model) -> Iterator[Finding]:
         f"{1 / inverse:.3g} {unit}, which is {rate} at a dt of {seconds(dt)}"
     )
     cure = (
-        f'armature="{_up(needed):g}" on {model.element_name("joint", joint)} makes it slow enough '
-        "(a geared motor has that much), or lower the gains"
+        f'armature="{rounded(needed, 2, up=True):g}" on {model.element_name("joint", joint)} makes '
+        "it slow enough (a geared motor has that much), or lower the gains"
     )
     yield Finding("armature", "warning", problem, cure, servos, 1 / inverse, unit)
-
-
-def _up(value: float) -> float:
-    """Return a value rounded up to two digits."""
-    step = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.ceil(value / step - 1e-9) * step:.2g}")

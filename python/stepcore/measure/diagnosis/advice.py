@@ -29,7 +29,6 @@ from stepcore.measure.diagnosis.changes import (
     NewValue,
     changed,
     ratio,
-    rounded,
     softened_to,
     text_of,
 )
@@ -42,6 +41,7 @@ from stepcore.measure.diagnosis.linear_step import step_map
 from stepcore.measure.diagnosis.motion_runs import stays_bounded
 from stepcore.measure.diagnosis.saturation import settles
 from stepcore.measure.diagnosis.shares import step_shares
+from stepcore.report.units import rounded
 from stepcore.scene.layout import Layout
 
 # The stability margin of every change: the largest stable dt over the wanted one.

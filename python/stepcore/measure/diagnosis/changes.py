@@ -18,7 +18,7 @@ from stepcore.engine.element import EQUALITIES, OVERRIDE, Element, Elements
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.elements import solref_of
 from stepcore.measure.diagnosis.isolated import ElementLimits
-from stepcore.report.units import unit_of
+from stepcore.report.units import rounded, unit_of
 from stepcore.scene.elements import Actuator, Joint
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
@@ -31,7 +31,7 @@ FROM_NOTHING = 1 / 64
 # The least damping ratio from which the size of added damping is measured.
 UNDAMPED = 0.01
 # Significant digits of a new value, and the most values written out in one text.
-DIGITS, WRITTEN = 3, 3
+WRITTEN = 3
 
 
 @dataclass(frozen=True)
@@ -100,24 +100,6 @@ def ratio(before: float, after: float) -> float:
     if before == 0 or after == 0:
         return 0.0
     return abs(math.log(abs(after)) - math.log(abs(before)))
-
-
-def rounded(value: float, *, up: bool) -> float:
-    """Return a number >= 0 rounded to three digits, upwards or downwards.
-
-    >>> rounded(1234.5, up=False), rounded(0.0012341, up=True)
-    (1230.0, 0.00124)
-    """
-    if value <= 0 or not math.isfinite(value):
-        return max(value, 0.0)
-    place = math.floor(math.log10(value)) - DIGITS + 1
-    # Through text, because the power of ten of a small number would overflow.
-    count = float(f"{value:.16e}".split("e")[0]) * 10.0 ** (DIGITS - 1)
-    # A number with three digits already is kept.
-    whole = round(count)
-    if not math.isclose(count, whole, rel_tol=1e-9):
-        whole = math.ceil(count) if up else math.floor(count)
-    return float(f"{whole}e{place}")
 
 
 @dataclass(frozen=True)

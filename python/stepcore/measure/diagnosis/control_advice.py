@@ -24,13 +24,13 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis.advice import FINE, TOGETHER, Advice, Cure, Way, failed
-from stepcore.measure.diagnosis.changes import NewValue, ratio, rounded, text_of
+from stepcore.measure.diagnosis.changes import NewValue, ratio, text_of
 from stepcore.measure.diagnosis.control import KIND, growth_when_held
 from stepcore.measure.diagnosis.growth import FINE as PERIOD_FINE
 from stepcore.measure.diagnosis.growth import bisected
 from stepcore.measure.diagnosis.limits import StepStability, step_stability
 from stepcore.measure.diagnosis.linear_step import State
-from stepcore.report.units import seconds, unit_of
+from stepcore.report.units import rounded, seconds, unit_of
 from stepcore.scene.layout import Layout
 
 # The range of gain factors in octaves: down, and up for a single gain.

@@ -22,7 +22,7 @@ from stepcore.measure.diagnosis.motion_check import Outcome, Runaway
 from stepcore.measure.diagnosis.saturation import Saturation
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, percent, seconds, times
+from stepcore.report.units import counted, percent, round_number, seconds, times
 
 DT = "largest stable dt [s]"
 # Number of elements printed by default.
@@ -272,7 +272,7 @@ class Diagnosis(Result):
         if failed:
             yield f"Tried without success: {', '.join(_shortly(failed))}."
         if 0 < limit.dt < self.wanted:
-            safe = seconds(round_below(limit.dt / MARGIN))
+            safe = seconds(round_number(limit.dt / MARGIN, up=False))
             yield f"Unchanged, the scene needs a step of {safe} for the same margin."
 
     # --- tables and data --------------------------------------------------------------------------
@@ -410,13 +410,3 @@ def _shortly(failed: Sequence[str]) -> list[str]:
     """
     pairs = {f"{a} and {b}" for a in failed for b in failed}
     return ["both" if text in pairs else text for text in failed]
-
-
-def round_below(value: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is not above a value > 0.
-
-    >>> round_below(0.00071), round_below(0.0199), round_below(0.001)
-    (0.0005, 0.01, 0.001)
-    """
-    place = math.floor(math.log10(value) + 1e-9)
-    return max(x for k in (1, 2, 5) if (x := float(f"{k}e{place}")) <= value * (1 + 1e-9))

@@ -14,7 +14,16 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.measure.monitors.finding import OTHERS, PLOT, Cure, Finding, Remedy, listed, named
 from stepcore.measure.monitors.readings import FEWEST, REST
-from stepcore.report.units import FORCES, TORQUES, metres, percent, plural, quantity, radians
+from stepcore.report.units import (
+    FORCES,
+    TORQUES,
+    metres,
+    percent,
+    plural,
+    quantity,
+    radians,
+    rounded,
+)
 
 # Relative distance from the end of the force range within which a force is at the end.
 AT_END = 1e-9
@@ -308,7 +317,7 @@ class ActuatorMonitor:
         ratios = {s.actuator: abs(s.error) / (self._notable(s.actuator) * LEFT) for s in servos}
         if max(ratios.values()) < ALIKE * min(ratios.values()):
             ratios = dict.fromkeys(ratios, max(ratios.values()))
-        gains = [_digits(-model.actuator_bias[k, 1] * ratio) for k, ratio in ratios.items()]
+        gains = [rounded(-model.actuator_bias[k, 1] * ratio) for k, ratio in ratios.items()]
         # "kp 1810 (servo `j2` 995)"
         also = [f"{of.name} {gain:g}" for of, gain in zip(actuators, gains, strict=True)][1:]
         more = f" and {len(also) - OTHERS} more in proportion" if len(also) > OTHERS else ""
@@ -364,20 +373,15 @@ def stronger(
         fields = {field.name: field for field in Element.of(model, "actuator", k).fields(model)}
         faster = math.sqrt(ratio) if damped else 1.0
         if "kp" in fields:
-            changes.append((fields["kp"], _digits(fields["kp"].value * ratio)))
+            changes.append((fields["kp"], rounded(fields["kp"].value * ratio)))
             if fields["kv"].value > 0:
-                changes.append((fields["kv"], _digits(fields["kv"].value * faster)))
+                changes.append((fields["kv"], rounded(fields["kv"].value * faster)))
         elif "biasprm" in fields:
             gain, bias = (list(fields[name].value) for name in ("gainprm", "biasprm"))
             scaled = [gain[0] * ratio, *gain[1:]], [bias[0], bias[1] * ratio, bias[2] * faster]
-            changes.append((fields["gainprm"], tuple(map(_digits, scaled[0]))))
-            changes.append((fields["biasprm"], tuple(map(_digits, [*scaled[1], *bias[3:]]))))
+            changes.append((fields["gainprm"], tuple(map(rounded, scaled[0]))))
+            changes.append((fields["biasprm"], tuple(map(rounded, [*scaled[1], *bias[3:]]))))
     return tuple(changes)
-
-
-def _digits(value: float) -> float:
-    """Return a number as it is printed."""
-    return float(f"{value:.3g}")
 
 
 def on_one_dof(model: Model) -> list[int]:

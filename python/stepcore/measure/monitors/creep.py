@@ -16,7 +16,7 @@ from stepcore.measure.monitors.contacts import LEFT, ContactMonitor
 from stepcore.measure.monitors.cures import setting_words
 from stepcore.measure.monitors.finding import Cure, Finding, Remedy, listed, named
 from stepcore.measure.monitors.readings import FEWEST, Look
-from stepcore.report.units import percent, speed
+from stepcore.report.units import percent, round_number, speed
 
 # Largest relative deviation from the mean velocity; length of the window in time constants; and
 # least load, as a share of the largest friction.
@@ -114,7 +114,7 @@ def creep_findings(contacts: ContactMonitor, times: list[float]) -> Iterator[Fin
     elements = named(model, "contact", [creep.pair for _, creep in notable])
     cures = []
     for factor in (1, 10):
-        impratio = _round_up(settings.impratio * ratio / LEFT) * factor
+        impratio = round_number(settings.impratio * ratio / LEFT, up=True) * factor
         if impratio <= IMPRATIO:
             sets = {"cone": "elliptic", "impratio": f"{impratio:g}"}
             words = setting_words(sets)
@@ -161,9 +161,3 @@ def _steady(pair: int, part: int, held: list[Look], times: list[float]) -> Creep
     if share < RUBS or unsteady or mean < RESTS * rolls:
         return None
     return Creep(pair, part, mean, share, times[held[0].look], times[held[-1].look])
-
-
-def _round_up(value: float) -> float:
-    """Return the next 1, 2 or 5 times a power of ten, at or above the value."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(power * step for step in (1, 2, 5, 10) if power * step >= value * (1 - 1e-9))

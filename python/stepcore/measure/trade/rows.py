@@ -16,6 +16,7 @@ from stepcore.experiment.converged import ORDERS
 from stepcore.experiment.errors import Errors, moved, pareto
 from stepcore.experiment.reference import FINER, Reference
 from stepcore.measure.trade.statistics import QUANTITIES, Statistics
+from stepcore.report.units import rounded
 
 # Recommended settings must stay within this share of the requested error, because further starts
 # may be harder.
@@ -241,10 +242,7 @@ class Frontier:
         It is asked for in place of an error that the reference cannot verify.
         """
         least = min(map(self.error, self.rows), default=math.inf) / MARGIN
-        if not 0 < least < math.inf:
-            return least
-        unit = 10.0 ** (math.floor(math.log10(least)) + 1 - DIGITS)
-        return float(f"{unit * math.ceil(least / unit * (1 - 1e-9)):.{DIGITS}g}")
+        return rounded(least, DIGITS, up=True) if math.isfinite(least) else least
 
     def price(self, row: TradeRow) -> float:
         """Return the cost of a row per simulated second: µs, or operations with `by="flops"`."""

@@ -21,7 +21,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.coordinates import Start
 from stepcore.measure.tune.goal import SETTLES, WITHIN, Goal, Tuned
-from stepcore.report.units import seconds
+from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout
 
 # The impedance of the proposals, and the largest that the engine takes.
@@ -104,11 +104,11 @@ def _tuned(bench: _Bench, geom: int, goal: Goal) -> Tuned:
     target, measured, tc, d = goal.value, math.nan, least, USUAL
     for _ in range(ROUNDS):
         if goal.name == "settling":
-            tc = _three(max(target / SETTLES, least))
+            tc = rounded(max(target / SETTLES, least))
             measured = bench.settling(geom, tc, d)
         else:
             stiffness = rest.force / target if goal.name == "depth" else target
-            tc = _three(max(math.sqrt(inverses / ((1 - USUAL) * stiffness)), least))
+            tc = rounded(max(math.sqrt(inverses / ((1 - USUAL) * stiffness)), least))
             d = min(1 - inverses / (stiffness * tc**2), HARDEST)
             seen = bench.rested(geom, tc, d)
             measured = math.nan if seen is None else seen.of(goal)
@@ -142,7 +142,7 @@ def _quiet(bench: _Bench, geom: int, goal: Goal, lost: Tuned, rest: Resting, lea
     for _ in range(SOFTEST):
         if seen is not None and seen.noise <= goal.value:
             break
-        tc = _three(tc * SOFTER)
+        tc = rounded(tc * SOFTER)
         seen = bench.rested(geom, tc, USUAL) or Resting(math.nan, math.nan, math.nan)
     if seen is rest:
         lost.measured, lost.reached, lost.also = rest.noise, True, ", as it is"
@@ -196,7 +196,8 @@ class _Bench:
         scene = copy.deepcopy(self.model.scene)
         owner = Layout(scene).geoms[geom]
         midpoint, power = owner.solimp[3:]
-        owner.solref, owner.solimp = (tc, 1.0), (_six(d), _six(d), 0.001, midpoint, power)
+        hard = rounded(d, 6)
+        owner.solref, owner.solimp = (tc, 1.0), (hard, hard, 0.001, midpoint, power)
         owner.priority = self.priority
         return Model(scene, self.model.settings)
 
@@ -262,11 +263,3 @@ def _contacts(sim: Sim, geom: int) -> np.ndarray:
     contacts = sim.contacts
     own: np.ndarray = contacts[(contacts["geom1"] == geom) | (contacts["geom2"] == geom)]
     return own
-
-
-def _three(value: float) -> float:
-    return float(f"{value:.3g}")
-
-
-def _six(value: float) -> float:
-    return float(f"{value:.6g}")

@@ -18,7 +18,7 @@ from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
 from stepcore.measure.diagnosis.stiffness_warning import MARGIN
 from stepcore.measure.monitors.actuators import on_one_dof
 from stepcore.measure.tune.goal import PASSES, RISES, SETTLES, WITHIN, Goal, Tuned
-from stepcore.report.units import seconds
+from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout
 
 # The size of a step of the target [rad or m]; the share of its range, and of the force left.
@@ -57,7 +57,7 @@ class Servo:
         """
         inertia = self.inertia + armature
         kv = max(0.0, 2 * inertia * omega - self.damping) / self.gear**2
-        return _three(inertia * omega**2 / self.gear**2), _three(kv)
+        return rounded(inertia * omega**2 / self.gear**2), rounded(kv)
 
 
 @dataclass(frozen=True)
@@ -236,9 +236,9 @@ def _holding(servo: Servo, load: float, sag: float, most: float) -> tuple[float,
 
     most: the highest frequency of the servo [rad/s], which armature lowers.
     """
-    kp = _three(load / (sag * abs(servo.gear)))
+    kp = rounded(load / (sag * abs(servo.gear)))
     omega = abs(servo.gear) * math.sqrt(kp / servo.inertia)
-    more = _three(servo.inertia * ((omega / most) ** 2 - 1)) if omega > most else 0.0
+    more = rounded(servo.inertia * ((omega / most) ** 2 - 1)) if omega > most else 0.0
     return kp, servo.gains(min(omega, most), more)[1], more
 
 
@@ -370,8 +370,3 @@ def _crossing(times: np.ndarray, share: np.ndarray, level: float) -> float:
         return float(times[0])
     way = (level - share[k - 1]) / (share[k] - share[k - 1])
     return float(times[k - 1] + way * (times[k] - times[k - 1]))
-
-
-def _three(value: float) -> float:
-    """Round to three digits: what is printed is what is verified."""
-    return float(f"{value:.3g}")
