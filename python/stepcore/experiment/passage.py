@@ -20,12 +20,14 @@ from stepcore.experiment.sizes import Sizes
 # The depth of a contact, and the way of a geom between two observations, over the smallest half
 # size from which a centre may have crossed a surface.
 NEAR = 0.5
-# The distance from the middle of a geom within which a way may meet it, over its reach: the middle
-# of a mesh is its centre of mass.
+# The box around the middle of a geom in which a way may meet it, over its half sizes: the middle of
+# a mesh is its centre of mass.
 WIDE = 1.5
 # A geom that will arrive within this number of steps or observations is about to, if a step moves
 # it by this share of half of both thicknesses.
 SOON, OBSERVATIONS, SLOW = 10, 2, 0.1
+# The way in a deep contact after which a surface is looked for, over the smallest half size.
+CREEPS = 0.05
 # The largest number of pairs that are observed, those of the thinnest geoms.
 MOST = 2000
 
@@ -50,14 +52,18 @@ class Crossing(NamedTuple):
 class Passages:
     """The passages of one run, observed every few steps.
 
-    found: the passages up to now. arrivals: the fastest arrival of each geom at another one, within
-    which no surface was crossed.
+    ahead: whether arrivals are observed, too, and no geoms of one tree, which its joints keep on
+        their sides.
+    found: the passages up to now. arrivals: the fastest arrival of each geom at another one, in
+        which no surface was crossed.
     """
 
-    def __init__(self, sim: Sim) -> None:
-        model = sim.model
+    def __init__(self, sim: Sim, ahead: bool = False) -> None:
+        model, self.ahead = sim.model, ahead
         self.found: dict[Passage, Crossing] = {}
         self.arrivals: dict[Passage, Crossing] = {}
+        # Of pairs in deep contact: the centre in the other geom's frame at the last ray, and when.
+        self.sunk: dict[int, tuple[Floats, float]] = {}
         # Where a centre has entered the other geom, the outward normal there, and how.
         self.inside: dict[Passage, tuple[Floats, Floats, Crossing]] = {}
         features = model.scene.features
@@ -66,17 +72,22 @@ class Passages:
         if not self.watches:
             return
         sizes, geoms = Sizes(model), model.pair_geoms
-        self.thick, reach = np.array(sizes.thick), np.array(sizes.reach)
+        self.thick = np.array(sizes.thick)
         self.body = model.geom_body
         # The other geom bounds where a centre can enter it. A plane is left by nothing below it.
         both = np.concatenate([geoms, geoms[:, ::-1]])
         flat = np.array([kind == "plane" for kind in model.geom_type], bool)
         able = both[np.isfinite(self.thick[both[:, 0]]) & ~flat[both[:, 1]]]
+        if ahead:
+            tree = np.array([model.root(int(body)) for body in self.body])[able]
+            able = able[tree[:, 0] != tree[:, 1]]
         able = able[np.argsort(self.thick[able].sum(axis=1), kind="stable")[:MOST]]
         self.mover, self.other = able.T
         self.index = {(a, b): k for k, (a, b) in enumerate(able.tolist())}
-        self.far = np.minimum(NEAR * self.thick[self.mover], SLOW * self.thick[able].sum(axis=1))
-        self.reach = WIDE * reach[self.other]
+        # The least way to a crossing, and the least way in a step of an arrival.
+        self.way, self.step = NEAR * self.thick[self.mover], SLOW * self.thick[able].sum(axis=1)
+        # The centre of a geom that arrives is beyond the surface by its own thickness.
+        self.box = WIDE * np.array(sizes.halves)[self.other] + self.thick[self.mover, None]
         self.watches = len(able) > 0
         self._keep(sim)
 
@@ -91,23 +102,51 @@ class Passages:
         touching = self._touching(sim)
         for passage in [passage for passage in self.inside if passage not in touching]:
             self._leave(passage)
+        deep = [self.index[p] for p, sunk in touching.items() if sunk and p in self.index]
         time = self.time - since
-        soon = max(SOON * sim.settings.dt / time, OBSERVATIONS)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            # A bound of the ways, by which most pairs are left out.
+            far = self.way
+            if self.ahead:
+                far = np.minimum(far, self.step * time / sim.settings.dt)
+            moved = np.linalg.norm(self.centres - before, axis=1)
+            angle = np.linalg.norm(self.axes - turned, axis=(1, 2))[self.other]
+            reached = np.linalg.norm(before[self.mover] - before[self.other], axis=1)
+            fast = moved[self.mover] + moved[self.other] + angle * reached > far
+            fast[deep] = False
+            some = np.flatnonzero(fast)
+            mover, other = self.mover[some], self.other[some]
             # The ways of the centres seen from the other geoms.
-            turn = np.einsum("nij,nkj->nik", self.axes, turned)[self.other]
-            starts = np.einsum("nij,nj->ni", turn, before[self.mover] - before[self.other])
-            starts += self.centres[self.other]
-            ways, apart = self.centres[self.mover] - starts, self.centres[self.other] - starts
+            turn = np.einsum("nij,nkj->nik", self.axes[other], turned[other])
+            starts = np.einsum("nij,nj->ni", turn, before[mover] - before[other])
+            starts += self.centres[other]
+            ways, apart = self.centres[mover] - starts, self.centres[other] - starts
             squares = np.sum(ways * ways, axis=1)
-            part = np.clip(np.sum(ways * apart, axis=1) / squares, 0.0, 1 + soon)
-            meets = np.linalg.norm(apart - part[:, None] * ways, axis=1) < self.reach
-            meets &= squares > (self.far * min(1.0, time / sim.settings.dt)) ** 2
-        meets[[self.index[p] for p, deep in touching.items() if deep and p in self.index]] = True
+            soon = max(SOON * sim.settings.dt / time, OBSERVATIONS) if self.ahead else 0.0
+            place, way = (np.einsum("nji,nj->ni", self.axes[other], v) for v in (-apart, ways))
+            ends = (-self.box[some] - place) / way, (self.box[some] - place) / way
+            enters, leaves = np.minimum(*ends).max(axis=1), np.maximum(*ends).min(axis=1)
+            meets = (enters <= leaves) & (leaves >= 0) & (enters <= 1 + soon)
+            meets &= squares > far[some] ** 2
+        self._sink(sim, deep, before, turned, since)
         for k in np.flatnonzero(meets & (squares > 0) & np.isfinite(squares)):
-            self._meet(
-                sim, (int(self.mover[k]), int(self.other[k])), starts[k], ways[k], time, soon
-            )
+            self._meet(sim, (int(mover[k]), int(other[k])), starts[k], ways[k], time, soon)
+
+    def _sink(
+        self, sim: Sim, deep: list[int], before: Floats, turned: Floats, since: float
+    ) -> None:
+        """Observe the pairs in deep contact, each after a way of its centre that is worth a ray."""
+        kept, self.sunk = self.sunk, {}
+        for k in deep:
+            mover, other = int(self.mover[k]), int(self.other[k])
+            turn, centre = self.axes[other], self.centres[other]
+            now = turn.T @ (self.centres[mover] - centre)
+            was = kept.get(k) or (turned[other].T @ (before[mover] - before[other]), since)
+            way, self.sunk[k] = now - was[0], was
+            if float(way @ way) > (CREEPS * float(self.thick[mover])) ** 2:
+                self.sunk[k] = now, self.time
+                start, time = centre + turn @ was[0], self.time - was[1]
+                self._meet(sim, (mover, other), start, turn @ way, time, 0.0)
 
     def _keep(self, sim: Sim) -> None:
         self.time, self.centres = sim.time, np.array(sim.geom_xpos)
@@ -147,8 +186,10 @@ class Passages:
             entry = axes @ (at - self.centres[other]), axes @ hit.normal, crossing
             if passage not in self.found:
                 self.inside.setdefault(passage, entry)
-        elif (hit.distance - 1) * closing - self.thick[geom] <= closing * soon and (
-            risk is None or speed > risk.speed
+        elif (
+            self.ahead
+            and (hit.distance - 1) * closing - self.thick[geom] <= closing * soon
+            and (risk is None or speed > risk.speed)
         ):
             self.arrivals[passage] = Crossing(self.time, speed, room)
 

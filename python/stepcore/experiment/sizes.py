@@ -34,15 +34,16 @@ class Sizes:
     """Lengths of a model's geoms and bodies [m].
 
     thick: the smallest half size of each geom (such as a radius).
-    reach: the distance from the centre of each geom to its furthest point. `thick` and `reach` of
-        planes and height fields are inf.
+    reach: the distance from the centre of each geom to its furthest point.
+    halves: the half sizes along the axes of each geom. Those of planes and height fields are inf.
     bodies: the reach of each body's largest geom, or its radius of gyration without geoms.
     """
 
     def __init__(self, model: Model) -> None:
         sizes = zip(model.geom_type, model.geom_size.tolist(), strict=True)
-        halves = [_half_sizes(kind, size) for kind, size in sizes]
-        self.thick, self.reach = [thick for thick, _ in halves], [reach for _, reach in halves]
+        known = [_half_sizes(kind, size) for kind, size in sizes]
+        self.halves, self.reach = [halves for halves, _ in known], [reach for _, reach in known]
+        self.thick = [min(halves) for halves in self.halves]
         inertia = np.trace(np.asarray(model.body_inertia), axis1=1, axis2=2)
         self.bodies: list[float] = []
         for body, mass in enumerate(model.body_mass.tolist()):
@@ -57,16 +58,14 @@ class Sizes:
         return least if math.isfinite(least) else UNKNOWN
 
 
-def _half_sizes(kind: str, size: list[float]) -> tuple[float, float]:
-    """Return the smallest half size of a geom, and the distance to its furthest point [m]."""
+def _half_sizes(kind: str, size: list[float]) -> tuple[tuple[float, ...], float]:
+    """Return a geom's half sizes along its axes, and the distance to its furthest point [m]."""
     if kind in ("plane", "hfield"):
-        return math.inf, math.inf
+        return (math.inf,) * 3, math.inf
     if kind == "sphere":
-        return size[0], size[0]
+        return (size[0],) * 3, size[0]
     if kind == "capsule":
-        return size[0], size[0] + size[1]
+        return (size[0], size[0], size[0] + size[1]), size[0] + size[1]
     if kind == "cylinder":
-        return min(size[:2]), math.hypot(size[0], size[1])
-    if kind == "ellipsoid":
-        return min(size), max(size)
-    return min(size), math.hypot(*size)
+        return (size[0], size[0], size[1]), math.hypot(size[0], size[1])
+    return tuple(size), max(size) if kind == "ellipsoid" else math.hypot(*size)

@@ -63,7 +63,7 @@ class Monitor(Probe):
         self.play = PlayMonitor(model)
         self.noise = NoiseMonitor(model, self.contacts)
         self.falls = FallMonitor(model)
-        self.tunnelling = TunnellingMonitor(model, sizes, bodies.moving)
+        self.tunnelling = TunnellingMonitor(model, sizes)
         # The times of the readings [s]; their residuals [m/s]; the worst residual and its row.
         self.times: list[float] = []
         self.residuals: list[float] = []

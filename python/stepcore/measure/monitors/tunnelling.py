@@ -1,6 +1,6 @@
 """Geoms that pass through others in a run, and geoms so fast that they may.
 
-`stepcore.experiment.passage` observes the run. Within a tree the joints keep geoms on their sides.
+`stepcore.experiment.passage` observes the run.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ class Passage:
 class TunnellingMonitor:
     """The geoms that pass through others in one run."""
 
-    def __init__(self, model: Model, sizes: Sizes, moving: list[int]) -> None:
+    def __init__(self, model: Model, sizes: Sizes) -> None:
         self.model, self.dt, self.reach = model, model.settings.dt, sizes.reach
         self.passages: Passages | None = None
 
     def begin(self, sim: Sim) -> None:
-        self.passages = Passages(sim)
+        self.passages = Passages(sim, ahead=True)
 
     def look(self, sim: Sim) -> None:
         if self.passages is not None:
@@ -73,11 +73,9 @@ class TunnellingMonitor:
         larger."""
         model, found = self.model, {}
         for geoms in sorted(crossings, key=lambda geoms: self.reach[geoms[0]], reverse=True):
-            trees = {model.root(int(model.geom_body[geom])) for geom in geoms}
-            if len(trees) == 2:
-                both = (np.sort(model.pair_geoms, axis=1) == np.sort(geoms)).all(axis=1)
-                pair, (time, speed, room) = int(np.flatnonzero(both)[0]), crossings[geoms]
-                found[pair] = Passage(*geoms, pair, speed, room, time)
+            both = (np.sort(model.pair_geoms, axis=1) == np.sort(geoms)).all(axis=1)
+            pair, (time, speed, room) = int(np.flatnonzero(both)[0]), crossings[geoms]
+            found[pair] = Passage(*geoms, pair, speed, room, time)
         return sorted(found.values(), key=lambda entry: entry.time)
 
     def furthest(self) -> float:
