@@ -119,4 +119,4 @@ def test_no_circle_leaves_its_folder():
 @pytest.mark.parametrize("folder", sorted({name[0] for name in FILES if name}))
 def test_circles_within_a_folder_only_shrink(folder):
     inside = [circle for circle in CIRCLES if {name[0] for name in circle} == {folder}]
-    assert sum(map(len, inside)) == WITHIN.get(folder, 0), inside
+    assert sum(map(len, inside)) <= WITHIN.get(folder, 0), inside
