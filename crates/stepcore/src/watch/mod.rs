@@ -2,7 +2,8 @@
 //!
 //! A [`Watched`] is a `Sim` with its recent past, a ledger if the settings ask for one, and an
 //! explanation of every failure. `Bodies` and `BodyForces` are what MuJoCo tells of bodies, rays
-//! what they meet, and a [`LastSolve`] solves once more for what a step does not keep. A [`Linearizer`] and a [`Counter`] step a copy in other numbers.
+//! what they meet, and a [`LastSolve`] has what is read of the last solve. A [`Linearizer`] and a
+//! [`Counter`] step a copy in other numbers.
 
 mod actuators;
 mod bodies;
