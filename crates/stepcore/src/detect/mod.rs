@@ -29,9 +29,10 @@ use crate::pool::Pool;
 use crate::real::{Mask, Real};
 use crate::room::{can_be_had, room};
 use crate::settings::Settings;
-use crate::shapes::{self, Touch};
+use crate::shapes::{self, Hint, Hints, ShapeTest, Touch};
 use crate::spatial::{Pose, V3};
 use apart::far;
+use core::cell::Cell;
 use kept::Kept;
 pub(crate) use kept::Lists;
 use near::Found;
@@ -73,6 +74,8 @@ pub struct Detected<R: Real> {
     pub(crate) asleep: Vec<bool>,
     /// So many contacts were found to fit into the memory, with their rows.
     fitting: usize,
+    /// By fixed pair and lane; no part of a state.
+    pub(crate) hints: Vec<Hint>,
     /// Of a heap.
     kept: Kept,
     /// By part of the near pairs, where threads share the work.
@@ -83,11 +86,14 @@ pub struct Detected<R: Real> {
     pub(crate) exhaustive: bool,
 }
 
-room!(Detected<R>: contacts, asleep; swept, lists, kept, found);
+room!(Detected<R>: contacts, asleep, hints; swept, lists, kept, found);
 
 impl<R: Real> Detected<R> {
     pub fn new(model: &Model, max_contacts: usize) -> Self {
+        let convex = |pair: &Pair| matches!(pair.test, ShapeTest::Convex(..));
+        let last = model.pairs.iter().rposition(convex).map_or(0, |last| last + 1);
         Self {
+            hints: vec![Hint::default(); R::LANES * last],
             contacts: Vec::with_capacity(max_contacts),
             grown: 0,
             swept: Swept::new(),
@@ -176,7 +182,12 @@ impl<R: Real> Detected<R> {
             return;
         }
         let (within, listed) = listed(model, pair, more);
-        meet(model, placed, pair, within, |part, touch| {
+        let hints = match pair.test {
+            ShapeTest::Convex(..) => &mut self.hints[R::LANES * pair.index..][..R::LANES],
+            _ => &mut [],
+        };
+        let hints = Cell::from_mut(hints).as_slice_of_cells();
+        meet(model, placed, pair, (within, hints), |part, touch| {
             let mask = touch.exists.and(touch.dist.lt(listed));
             if mask.any() {
                 push(&mut self.contacts, &mut self.grown, Contact::of(pair, part, touch, mask));
@@ -267,7 +278,7 @@ fn beyond<R: Real>(model: &Model, qpos: &[R]) -> bool {
 /// The smallest distance of a pair's geoms [m].
 pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 {
     let mut least = f64::INFINITY;
-    meet(model, placed, pair, f64::INFINITY, |_, touch| {
+    meet(model, placed, pair, (f64::INFINITY, &[]), |_, touch| {
         if touch.exists {
             least = least.min(touch.dist);
         }
@@ -288,10 +299,10 @@ fn meet<R: Real>(
     model: &Model,
     placed: &Placed<R>,
     pair: &Pair,
-    within: f64,
+    look: (f64, Hints),
     take: impl FnMut(usize, &Touch<R>),
 ) {
-    meet_at(model, pair, [&placed.geom[pair.geom1], &placed.geom[pair.geom2]], within, take);
+    meet_at(model, pair, [&placed.geom[pair.geom1], &placed.geom[pair.geom2]], look, take);
 }
 
 /// The same with the two geoms at these poses.
@@ -300,10 +311,10 @@ fn meet_at<R: Real>(
     model: &Model,
     pair: &Pair,
     [p1, p2]: [&Pose<R>; 2],
-    within: f64,
+    look: (f64, Hints),
     take: impl FnMut(usize, &Touch<R>),
 ) {
     let one = model.geoms[pair.geom1].shape(p1);
     let two = model.geoms[pair.geom2].shape(p2);
-    shapes::meet(pair.test, &one, &two, within, take);
+    shapes::meet(pair.test, &one, &two, look, take);
 }

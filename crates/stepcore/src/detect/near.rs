@@ -70,7 +70,7 @@ impl<R: Real> Near<'_, R> {
                 continue;
             }
             let (within, listed) = listed(model, pair, more);
-            meet(model, placed, pair, within, |part, touch| {
+            meet(model, placed, pair, (within, &[]), |part, touch| {
                 let mask = touch.exists.and(touch.dist.lt(listed));
                 if mask.any() {
                     take(Contact::of(pair, part, touch, mask));

@@ -42,7 +42,7 @@ fn same<R: Real>(
 ) -> Touch<R> {
     let mut found: Option<Touch<R>> = None;
     let nearest = pair.test.by_feature();
-    meet_at(model, pair, [one, two], f64::INFINITY, |part, touch| match &mut found {
+    meet_at(model, pair, [one, two], (f64::INFINITY, &[]), |part, touch| match &mut found {
         Some(best) if nearest => {
             let nearer = touch.exists.and(best.exists.not().or(touch.dist.lt(best.dist)));
             *best = touch.or_else(nearer, best);

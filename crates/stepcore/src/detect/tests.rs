@@ -1,12 +1,16 @@
 //! What is left out must change nothing: steps with and without it are the same bits.
 
 use super::broad::{Bounds, Broad};
+use super::Contact;
+use crate::assets::Mesh;
 use crate::model::Model;
 use crate::real::{Lanes, Mask, Real};
 use crate::scene::{Body, ExplicitPair, Geom, GeomType, Joint, JointType, Scene};
 use crate::settings::{Integrator, Law, Settings, Solver};
+use crate::shapes::{Hint, ShapeTest};
 use crate::sim::Sim;
 use crate::solve::Live;
+use crate::spatial::V3;
 use std::sync::Arc;
 
 /// Numbers in [0, 1) that are the same everywhere.
@@ -101,6 +105,46 @@ fn pairs_that_the_guess_keeps_apart_have_no_rows() {
         all_pairs_change_nothing::<f32>(law);
         all_pairs_change_nothing::<Lanes>(law);
     }
+}
+
+/// What is tried first for the step before only saves time.
+fn hints_change_nothing<R: Real>() {
+    let mut random = Random(23);
+    let mut scene = scattered(&mut random, 8, 0.6);
+    let on_ball = |_| {
+        let point = V3::from_fn(|_, _| random.between(-1.0, 1.0));
+        (point * (0.12 / point.norm())).into()
+    };
+    let vertices = Arc::new((0..80).map(on_ball).collect());
+    scene.meshes.push(Mesh { vertices, ..Mesh::default() });
+    let kinds = [GeomType::Mesh, GeomType::Cylinder, GeomType::Mesh, GeomType::Ellipsoid];
+    for (geom, kind) in scene.geoms.iter_mut().skip(1).zip(kinds.into_iter().cycle()) {
+        (geom.kind, geom.size) = (kind, [0.06, 0.1, 0.14]);
+        geom.mesh = (kind == GeomType::Mesh).then_some(0);
+    }
+    let model = Arc::new(Model::compile(&scene).unwrap());
+    let [mut known, mut blind] =
+        [0; 2].map(|_| Sim::<R>::new(model.clone(), Settings::default()).unwrap());
+    thrown(&mut random, &mut known, 1.0);
+    blind.state.qvel.clone_from(&known.state.qvel);
+    let (mut kept, mut touching) = (0, 0);
+    for _ in 0..200 {
+        blind.detected.hints.fill(Hint::default());
+        known.step(1).unwrap();
+        blind.step(1).unwrap();
+        assert_eq!(bits(&known), bits(&blind));
+        kept += known.detected.hints.iter().filter(|hint| **hint != Hint::default()).count();
+        let convex = |contact: &&Contact<R>| matches!(contact.pair.test, ShapeTest::Convex(..));
+        touching += known.detected.contacts.iter().filter(convex).count();
+    }
+    assert!(kept > 0 && touching > 0, "{kept} hints, {touching} contacts");
+}
+
+#[test]
+fn what_the_step_before_found_changes_no_bit() {
+    hints_change_nothing::<f64>();
+    hints_change_nothing::<f32>();
+    hints_change_nothing::<Lanes>();
 }
 
 #[test]

@@ -56,7 +56,7 @@ impl Model {
             placed.place_some(self, &q, &bodies, &geoms);
             let (p1, p2) = (&placed.geom[first], &placed.geom[second]);
             let (a, b) = (one.shape(p1), two.shape(p2));
-            shapes::meet(test, &a, &b, f64::INFINITY, |slot, touch| {
+            shapes::meet(test, &a, &b, (f64::INFINITY, &[]), |slot, touch| {
                 for lane in 0..R::LANES.min(poses - start) {
                     let at = (start + lane) * found.slots + slot;
                     let normal: [f64; 3] = touch.normal.map(|x| x.lane(lane)).into();

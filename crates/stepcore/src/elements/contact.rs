@@ -64,9 +64,14 @@ impl<R: Real> Rows<R> {
     ) {
         let (bodies, points, first) = (bodies(now.model, pair), contact.points(), self.rows.len());
         match *along {
-            [a] => self.push_relative(now, bodies, pair.dofs, &points, &[a]),
-            [a, b] => self.push_relative(now, bodies, pair.dofs, &points, &[a, b]),
-            [a, b, c] => self.push_relative(now, bodies, pair.dofs, &points, &[a, b, c]),
+            [a] => self.push_relative(now, bodies, pair.dofs, &points, (&[a], 1)),
+            [a, b] => self.push_relative(now, bodies, pair.dofs, &points, (&[a, b], 2)),
+            // Four numbers fill a register; lanes have registers of their own.
+            [a, b, c] if R::LANES == 1 => {
+                let four = [a, b, c, V3::zeros()];
+                self.push_relative(now, bodies, pair.dofs, &points, (&four, 3));
+            }
+            [a, b, c] => self.push_relative(now, bodies, pair.dofs, &points, (&[a, b, c], 3)),
             _ => {}
         }
         for (row, scale) in (first..).zip(scales) {
@@ -182,11 +187,11 @@ impl<R: Real> Rows<R> {
         if let Some(most) = most {
             // The normal of a pyramid is its edges side by side, four with condim 3.
             let edges = settings.cone == Cone::Pyramidal && material.condim > 1;
-            let each = 1.0 / f64::from(material.condim.max(2) - 1);
-            let share = if edges { each * mu * mu / impratio * (1.0 + mu * mu) } else { 1.0 };
+            let count = f64::from(2 * material.condim.max(2) - 2);
+            let weight = if edges { edge_weight(weight, mu, impratio) / count } else { weight };
             let row = &self.rows[first];
             let guess = self.dot(now.dof_lists, row, &now.placed.guess);
-            let most = target_at(row, law.softness * R::of(weight * share), guess, most);
+            let most = target_at(row, law.softness * R::of(weight), guess, most);
             let limited = law.at_most(row.velocity, r, most, dt);
             let left = (limited.kd - law.kd) * r * dt * dt;
             law = limited;
@@ -233,7 +238,7 @@ impl<R: Real> Rows<R> {
     ) {
         let pair = &contact.pair;
         let (dt, mu, still) = (R::of(now.settings.dt), ways.slide, ways.still);
-        let edge = pair.invweight * 2.0 * mu * mu / now.settings.impratio * (1.0 + mu * mu);
+        let edge = edge_weight(pair.invweight, mu, now.settings.impratio);
         let edges = self.rows.len() - first;
         let least = self.least_softness(first, pair);
         for (k, row) in self.rows[first..].iter_mut().enumerate() {
@@ -424,6 +429,11 @@ pub(super) fn axes_of<R: Real>(contact: &Contact<R>, now: &Situation<R>) -> impl
             axis * R::of(way.scale)
         }
     }
+}
+
+/// MuJoCo's inverse weight of an edge of a pyramid: 2 μ² (1 + μ²)/impratio of the normal's.
+fn edge_weight(normal: f64, mu: f64, impratio: f64) -> f64 {
+    normal * 2.0 * mu * mu / impratio * (1.0 + mu * mu)
 }
 
 pub(super) fn bodies(model: &Model, pair: &Pair) -> [usize; 2] {

@@ -1,5 +1,5 @@
-//! Contacts of one pair of free bodies, whose pyramids are made at once: four of two boxes share
-//! bodies, directions, material and most of what their rows are made of.
+//! Contacts that slide along two tangents, whose pyramids are made at once: four of two free boxes
+//! share bodies, directions, material and most of what their rows are made of.
 
 use super::contact::{axes_of, bodies};
 use super::friction::Ways;
@@ -37,8 +37,8 @@ impl<R: Real> Rows<R> {
         contacts
     }
 
-    /// The edges of contacts of one pair of free bodies that slide along the same two tangents and no
-    /// more, made at once; false: nothing is made.
+    /// The edges of contacts of one pair that slide along the same two tangents and no more, made at
+    /// once; false: nothing is made.
     pub(super) fn pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,

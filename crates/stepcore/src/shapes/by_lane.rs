@@ -16,20 +16,20 @@ pub trait OneWorld<const N: usize> {
     fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, N>;
 }
 
-/// Runs such a test in every lane.
+/// Runs such a test in every lane; `test` gives it for each.
 pub fn by_lane<R: Real, T: OneWorld<N>, const N: usize>(
-    test: &T,
+    test: impl Fn(usize) -> T,
     one: &Shape<R>,
     two: &Shape<R>,
 ) -> Touches<R, N> {
     if R::LANES == 1 && R::epsilon() <= f64::EPSILON {
-        return test.touches(one, two);
+        return test(0).touches(one, two);
     }
     let mut out = [empty::<R>(); N];
     let mut exists = [[false; WIDEST]; N];
     for lane in 0..R::LANES {
         let (p1, p2) = (pose(one.pose, lane), pose(two.pose, lane));
-        let touches = test.touches(&one.at(&p1), &two.at(&p2));
+        let touches = test(lane).touches(&one.at(&p1), &two.at(&p2));
         for (slot, touch) in touches.iter().enumerate() {
             exists[slot][lane] = touch.exists;
             let to = &mut out[slot];
@@ -94,7 +94,7 @@ mod tests {
         let (one, two) = (at::<Lanes>(|k| k as f64), at(|k| 2.5 * k as f64));
         let size = [1.0; 3];
         let shape = |pose| Shape { pose, size: &size, hull: None, field: None };
-        let [first, second] = by_lane(&Both, &shape(&one), &shape(&two));
+        let [first, second] = by_lane(|_| Both, &shape(&one), &shape(&two));
         for lane in 0..<Lanes>::LANES {
             assert_eq!(first.dist.lane(lane), 1.5 * lane as f64);
             assert_eq!(second.pos.x.lane(lane), lane as f64);

@@ -5,17 +5,19 @@ use super::manifold::{Meeting, MOST};
 use super::separation::{normal, Pairing, Separation};
 use super::solid::{plain, Core, Solid};
 use super::touch::{Touch, Touches};
-use super::Shape;
+use super::{Hint, Shape};
 use crate::real::{Mask, Real};
 use crate::scene::GeomType;
+use core::cell::Cell;
 
 /// A pair of shapes by their types.
 #[derive(Clone, Copy, Debug)]
-pub struct Convex {
+pub struct Convex<'a> {
     pub one: GeomType,
     pub two: GeomType,
     /// Shapes that are this far apart [m] have no contact.
     pub within: f64,
+    pub hint: Option<&'a Cell<Hint>>,
 }
 
 /// The most contacts: a round shape touches at one place, a capsule along its side at two.
@@ -30,10 +32,10 @@ pub fn most(one: GeomType, two: GeomType) -> usize {
     }
 }
 
-impl<const N: usize> OneWorld<N> for Convex {
+impl<const N: usize> OneWorld<N> for Convex<'_> {
     fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, N> {
         let (one, two) = (solid(self.one, one), solid(self.two, two));
-        match meeting(&one, &two, self.within) {
+        match meeting(&one, &two, self.within, self.hint) {
             Some(found) => contacts(&one, &two, &found),
             None => [empty(); N],
         }
@@ -59,13 +61,18 @@ const SUPPORT: u64 = 40;
 
 /// How far two convex shapes are apart, and along which direction; None if they are proven `within`
 /// [m] apart.
-pub fn meeting<R: Real>(one: &Solid<R>, two: &Solid<R>, within: f64) -> Option<Separation> {
+pub fn meeting<R: Real>(
+    one: &Solid<R>,
+    two: &Solid<R>,
+    within: f64,
+    hint: Option<&Cell<Hint>>,
+) -> Option<Separation> {
     let (p, q) = (plain(one.pose), plain(two.pose));
     let pairing = Pairing::new(
         Solid { core: one.core, radius: one.radius, pose: &p },
         Solid { core: two.core, radius: two.radius, pose: &q },
     );
-    let separation = pairing.separation(within);
+    let separation = pairing.separation(within, hint);
     spend::<R>(pairing.asked() * SUPPORT);
     separation
 }

@@ -63,7 +63,7 @@ fn touch_within<R: Real>(
     one: &Shape<R>,
     two: &Shape<R>,
 ) -> Touches<R, 8> {
-    by_lane(&Convex { one: a, two: b, within }, one, two)
+    by_lane(|_| Convex { one: a, two: b, within, hint: None }, one, two)
 }
 
 fn deepest(touches: &[Touch<f64>]) -> Touch<f64> {

@@ -9,7 +9,7 @@ use crate::spatial::V3;
 
 /// Where the walk ended.
 pub struct Nearest {
-    /// The nearest point that was found.
+    /// The nearest point that was found; of a set beyond what was enough, a direction that shows it.
     pub point: V3<f64>,
     /// The points that it lies between; four of them hold the origin.
     pub simplex: [V3<f64>; 4],
@@ -44,6 +44,7 @@ pub fn gjk(
         asked: 1,
     };
     if at.beyond {
+        at.point = toward;
         return at;
     }
     let mut size = first.dot(&first);
@@ -83,7 +84,7 @@ pub fn gjk(
 
 /// The plane across a direction through the set's furthest point w against it is further than
 /// `enough` from the origin.
-fn beyond(w: &V3<f64>, along: &V3<f64>, enough: f64) -> bool {
+pub fn beyond(w: &V3<f64>, along: &V3<f64>, enough: f64) -> bool {
     let reach = w.dot(along);
     reach > 0.0 && reach * reach > enough * enough * along.dot(along)
 }

@@ -323,7 +323,7 @@ fn on_prism<R: Real>(
 ) {
     let ground = Solid { core: Core::Prism(&prism.corners), radius: 0.0, pose };
     // Which contacts of a field are kept depends on all of them, near or far.
-    let Some(separation) = meeting(&ground, shape, f64::INFINITY) else { return };
+    let Some(separation) = meeting(&ground, shape, f64::INFINITY, None) else { return };
     let way = plain(pose).to_local(&separation.normal);
     let tolerance = SAME * (shape.extent() + prism_size(prism));
     let (found, own) = if field.leads_out(prism, &way, centre, tolerance) {

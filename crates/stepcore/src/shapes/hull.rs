@@ -2,6 +2,7 @@
 
 pub use super::facets::{Edge, Face};
 
+use super::directions::{self, ByDirection};
 use super::facets;
 use super::grid::{Grid, Point, NOISE};
 use super::quickhull::{surface, Flat, Surface};
@@ -11,8 +12,12 @@ use nalgebra::{Matrix3, Vector3};
 /// From this many vertices on the support function climbs instead of looking at every vertex.
 const CLIMB: usize = 32;
 
-/// Directions fall into so many by so many cells on each side of a cube.
-const CELLS: usize = 8;
+/// Over the reach, along a unit direction: how much further than its neighbours a vertex is that is the
+/// furthest without doubt. Hulls are convex to within 1e-11 of their size.
+const EVEN: f64 = 1e-9;
+
+/// From this many faces on those that look along a direction are listed.
+const LISTED: usize = 32;
 
 /// A convex polytope.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +38,9 @@ pub struct Hull {
     /// By cell of directions the vertex furthest along the middle of the cell, from which the others
     /// of the cell are climbed to; empty where nobody climbs.
     nearby: Vec<usize>,
+    /// By cell the faces that may look along it most; empty where there are few, and until the hull is
+    /// where it collides.
+    faces_along: ByDirection,
     /// Distance of the furthest vertex from the origin [m].
     reach: f64,
 }
@@ -105,9 +113,18 @@ impl Hull {
         let (faces, edges) = facets::merged(&vertices, &surface, half);
         let triangles = surface.triangles;
         let reach = furthest(&vertices);
-        let nearby = Vec::new();
-        let mut hull =
-            Self { vertices, source, triangles, faces, edges, starts, adjacent, nearby, reach };
+        let mut hull = Self {
+            vertices,
+            source,
+            triangles,
+            faces,
+            edges,
+            starts,
+            adjacent,
+            nearby: Vec::new(),
+            faces_along: ByDirection::default(),
+            reach,
+        };
         for i in 0..hull.faces.len() {
             let normal = hull.faces[i].normal;
             let furthest = hull.support_from(hull.faces[i].corners[0], &normal);
@@ -123,8 +140,8 @@ impl Hull {
             return;
         }
         let mut last = 0;
-        for index in 0..6 * CELLS * CELLS {
-            last = self.support_from(last, &middle(index));
+        for index in 0..directions::COUNT {
+            last = self.support_from(last, &directions::middle(index));
             self.nearby.push(last);
         }
     }
@@ -137,7 +154,7 @@ impl Hull {
     /// The vertex furthest along a direction; the first of several, where there are few.
     pub fn support(&self, direction: &Vector3<f64>) -> usize {
         if self.vertices.len() >= CLIMB {
-            return self.support_from(self.nearby[cell(direction)], direction);
+            return self.support_from(self.nearby[directions::cell(direction)], direction);
         }
         let mut best = (0, f64::NEG_INFINITY);
         for (i, vertex) in self.vertices.iter().enumerate() {
@@ -149,26 +166,66 @@ impl Hull {
         best.0
     }
 
+    /// The face that looks most along a direction, the first of several.
+    pub fn face(&self, direction: &Vector3<f64>) -> usize {
+        let mut best = (f64::NEG_INFINITY, 0);
+        let mut see = |index: usize| {
+            let along = self.faces[index].normal.dot(direction);
+            if along > best.0 {
+                best = (along, index);
+            }
+        };
+        if self.faces_along.is_empty() {
+            (0..self.faces.len()).for_each(see);
+        } else {
+            let list = self.faces_along.at(directions::cell(direction));
+            list.iter().for_each(|index| see(*index as usize));
+        }
+        best.1
+    }
+
+    /// The same, sooner where a vertex nearby is known.
+    pub fn support_near(&self, near: usize, direction: &Vector3<f64>) -> usize {
+        if self.vertices.len() < CLIMB || near >= self.vertices.len() {
+            return self.support(direction);
+        }
+        let (vertex, above) = self.climb(near, direction);
+        // Of vertices that are even but for rounding the one found goes by where the climb began.
+        if above > EVEN * self.reach * direction.amax() {
+            vertex
+        } else {
+            self.support(direction)
+        }
+    }
+
     /// The same by hill climbing from a vertex: on a convex surface a vertex that is as far as its
     /// neighbours is the furthest.
     pub fn support_from(&self, start: usize, direction: &Vector3<f64>) -> usize {
-        let mut best = (start, self.vertices[start].dot(direction));
+        self.climb(start, direction).0
+    }
+
+    /// Where hill climbing ends, and how much further that is than all of its neighbours.
+    #[inline(always)]
+    fn climb(&self, start: usize, direction: &Vector3<f64>) -> (usize, f64) {
+        let (mut best, mut most) = (start, self.vertices[start].dot(direction));
         loop {
-            let before = best.0;
-            for &next in self.neighbours(before) {
-                let along = self.vertices[next].dot(direction);
+            let (mut next, mut second) = (best, f64::NEG_INFINITY);
+            for &vertex in self.neighbours(best) {
+                let along = self.vertices[vertex].dot(direction);
                 // Nobody can tell beforehand: two choices, and no branch to be taken wrongly.
-                let further = along > best.1;
-                best.0 = if further { next } else { best.0 };
-                best.1 = if further { along } else { best.1 };
+                let further = along > second;
+                next = if further { vertex } else { next };
+                second = if further { along } else { second };
             }
-            if best.0 == before {
-                return before;
+            if second > most {
+                (best, most) = (next, second);
+            } else {
+                return (best, most - second);
             }
         }
     }
 
-    /// The same polytope turned, then moved [m].
+    /// The same polytope turned, then moved [m], to collide there.
     pub fn moved(mut self, turn: &Matrix3<f64>, shift: &Vector3<f64>) -> Self {
         for vertex in &mut self.vertices {
             *vertex = turn * *vertex + shift;
@@ -179,6 +236,10 @@ impl Hull {
         }
         self.reach = furthest(&self.vertices);
         self.find_nearby();
+        if self.faces.len() >= LISTED {
+            let normals: Vec<Vector3<f64>> = self.faces.iter().map(|face| face.normal).collect();
+            self.faces_along = ByDirection::of(&normals);
+        }
         self
     }
 
@@ -192,27 +253,6 @@ impl Hull {
     pub fn reach(&self) -> f64 {
         self.reach
     }
-}
-
-/// The cell of a direction: the side of the cube through which it leaves, and where.
-fn cell(direction: &Vector3<f64>) -> usize {
-    let k = direction.iamax();
-    let scale = 0.5 * CELLS as f64 / direction[k].abs();
-    // Of no direction, and of a number that is none, the first.
-    let grid = |x: f64| ((x * scale + 0.5 * CELLS as f64) as usize).min(CELLS - 1);
-    let side = 2 * k + usize::from(direction[k] < 0.0);
-    (side * CELLS + grid(direction[(k + 1) % 3])) * CELLS + grid(direction[(k + 2) % 3])
-}
-
-/// The direction in the middle of a cell.
-fn middle(cell: usize) -> Vector3<f64> {
-    let (side, row, column) = (cell / (CELLS * CELLS), cell / CELLS % CELLS, cell % CELLS);
-    let grid = |place: usize| (2 * place + 1) as f64 / CELLS as f64 - 1.0;
-    let (k, mut direction) = (side / 2, Vector3::zeros());
-    direction[k] = if side % 2 == 1 { -1.0 } else { 1.0 };
-    direction[(k + 1) % 3] = grid(row);
-    direction[(k + 2) % 3] = grid(column);
-    direction
 }
 
 fn furthest(vertices: &[Vector3<f64>]) -> f64 {
@@ -243,19 +283,4 @@ fn corners(surface: &Surface, places: &[Point]) -> Vec<usize> {
         }
     }
     (0..places.len()).filter(|i| folds[*i] >= 3).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_middle_of_a_cell_lies_in_it() {
-        for index in 0..6 * CELLS * CELLS {
-            assert_eq!(cell(&(3e-5 * middle(index))), index);
-        }
-        assert!(cell(&Vector3::zeros()) < 6 * CELLS * CELLS);
-        assert!(cell(&Vector3::repeat(f64::NAN)) < 6 * CELLS * CELLS);
-        assert!(cell(&Vector3::new(f64::INFINITY, 1.0, 0.0)) < 6 * CELLS * CELLS);
-    }
 }

@@ -201,7 +201,8 @@ fn the_support_is_the_furthest_vertex() {
     for n in [8, 20, 100, 2000] {
         let points: Vec<[f64; 3]> =
             (0..n).map(|_| Vector3::from(random.point()).normalize().into()).collect();
-        let hull = Hull::of(&points).unwrap();
+        let turn = *Rotation3::from_euler_angles(0.2, -0.3, 0.1).matrix();
+        let hull = Hull::of(&points).unwrap().moved(&turn, &Vector3::new(0.1, 0.0, -0.2));
         for start in 0..200 {
             let direction = Vector3::from(random.point());
             let along = |v: &Vector3<f64>| v.dot(&direction);
@@ -209,6 +210,10 @@ fn the_support_is_the_furthest_vertex() {
             assert_eq!(along(&hull.vertices[hull.support(&direction)]), most);
             let from = start % hull.vertices.len();
             assert_eq!(along(&hull.vertices[hull.support_from(from, &direction)]), most);
+            assert_eq!(hull.support_near(from, &direction), hull.support(&direction));
+            let looks = |face: &usize| hull.faces[*face].normal.dot(&direction);
+            let first = (0..hull.faces.len()).rev().max_by(|a, b| looks(a).total_cmp(&looks(b)));
+            assert_eq!(Some(hull.face(&direction)), first);
         }
     }
 }

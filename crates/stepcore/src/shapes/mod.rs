@@ -14,6 +14,7 @@ mod convex;
 #[cfg(test)]
 mod convex_tests;
 pub(crate) mod cylinder;
+mod directions;
 mod epa;
 mod facets;
 mod field_list;
@@ -55,6 +56,7 @@ use height_field::{HeightField, OnField};
 
 use crate::real::Real;
 use crate::spatial::{Pose, V3};
+use core::cell::Cell;
 
 /// One of the two shapes of a pair.
 #[derive(Clone, Copy)]
@@ -81,6 +83,19 @@ impl<'a, R: Real> Shape<'a, R> {
     }
 }
 
+/// What a pair may try first, from the step before. Whatever stands here, contacts are the same to the
+/// bit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Hint {
+    /// A direction along which the two were apart, in the world's axes and of any length; 0: none.
+    pub axis: V3<f64>,
+    /// Of hulls: which corners were last the furthest along a direction.
+    pub corners: [usize; 2],
+}
+
+/// By lane; or empty.
+pub type Hints<'a> = &'a [Cell<Hint>];
+
 /// Tests a pair exactly: `take(slot, touch)` gets what is in each of its slots. Of shapes that are
 /// `within` [m] apart or more a slot may tell nothing.
 #[inline(always)]
@@ -88,7 +103,7 @@ pub fn meet<R: Real>(
     test: ShapeTest,
     one: &Shape<R>,
     two: &Shape<R>,
-    within: f64,
+    (within, hints): (f64, Hints),
     mut take: impl FnMut(usize, &Touch<R>),
 ) {
     let (p1, p2) = (one.pose, two.pose);
@@ -103,27 +118,27 @@ pub fn meet<R: Real>(
         ShapeTest::PlaneCylinder => all(&plane::plane_cylinder(p1, p2, s2.x, s2.y)),
         ShapeTest::PlaneBox => all(&plane::plane_box(p1, p2, s2)),
         ShapeTest::PlaneMesh => {
-            let test = plane_mesh::PlaneMesh { within };
-            all(&by_lane::<R, _, { plane_mesh::MOST }>(&test, one, two));
+            let test = |_| plane_mesh::PlaneMesh { within };
+            all(&by_lane::<R, _, { plane_mesh::MOST }>(test, one, two));
         }
         ShapeTest::SphereSphere => all(&sphere::sphere_sphere(p1, s1.x, p2, s2.x)),
         ShapeTest::SphereCapsule => all(&sphere::sphere_capsule(p1, s1.x, p2, s2.x, s2.y)),
         ShapeTest::SphereBox => all(&sphere::sphere_box(p1, s1.x, p2, s2)),
         ShapeTest::OnField(kind) => {
-            let test = OnField { kind, within };
-            all(&by_lane::<R, _, { height_field::MOST }>(&test, one, two));
+            let test = |_| OnField { kind, within };
+            all(&by_lane::<R, _, { height_field::MOST }>(test, one, two));
         }
         ShapeTest::SphereCylinder => {
             all(&cylinder::sphere_cylinder(p1, s1.x, p2, s2.x, s2.y));
         }
-        ShapeTest::CapsuleBox => all(&by_lane(&capsule_box::CapsuleBox, one, two)),
-        ShapeTest::BoxBox => all(&by_lane(&boxes::Boxes { within }, one, two)),
+        ShapeTest::CapsuleBox => all(&by_lane(|_| capsule_box::CapsuleBox, one, two)),
+        ShapeTest::BoxBox => all(&by_lane(|_| boxes::Boxes { within }, one, two)),
         ShapeTest::Convex(a, b) => {
-            let test = Convex { one: a, two: b, within };
+            let test = |lane| Convex { one: a, two: b, within, hint: hints.get(lane) };
             match convex::most(a, b) {
-                1 => all(&by_lane::<R, _, 1>(&test, one, two)),
-                2 => all(&by_lane::<R, _, 2>(&test, one, two)),
-                _ => all(&by_lane::<R, _, 8>(&test, one, two)),
+                1 => all(&by_lane::<R, _, 1>(test, one, two)),
+                2 => all(&by_lane::<R, _, 2>(test, one, two)),
+                _ => all(&by_lane::<R, _, 8>(test, one, two)),
             }
         }
         ShapeTest::CapsuleCapsule => {

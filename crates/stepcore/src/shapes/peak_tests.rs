@@ -17,8 +17,8 @@ fn pose([x, y, z, w, a, b, c]: [f64; 7]) -> Pose<f64> {
 }
 
 fn touches(kinds: [GeomType; 2], shapes: [Shape<f64>; 2]) -> Touches<f64, 8> {
-    let test = Convex { one: kinds[0], two: kinds[1], within: f64::INFINITY };
-    by_lane(&test, &shapes[0], &shapes[1])
+    let test = Convex { one: kinds[0], two: kinds[1], within: f64::INFINITY, hint: None };
+    by_lane(|_| test, &shapes[0], &shapes[1])
 }
 
 /// The deepest contact is as deep as its normal says, its points belong to both shapes, and no

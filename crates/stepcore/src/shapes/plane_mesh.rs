@@ -16,6 +16,8 @@ use crate::spatial::V3;
 pub const MOST: usize = 8;
 /// Vertices that are looked at, at most; of more, every second, every third …
 const ROOM: usize = 256;
+/// Words of 64 vertices each: of larger hulls every vertex is looked at.
+const WORDS: usize = 128;
 /// Over the hull's size: vertices no higher than this above the lowest lie on its base.
 const LEVEL: f64 = 1e-5;
 
@@ -71,11 +73,21 @@ fn polygon(
     let height = |vertex: usize| centre + up.dot(&hull.vertices[vertex]);
     let limit = (height(lowest) + level).max(0.0);
     let mut list = List { vertices: [lowest; ROOM], count: 1 };
-    let below = || (0..hull.vertices.len()).filter(|vertex| height(*vertex) <= limit);
-    let base = hull.faces.iter().min_by(|a, b| a.normal.dot(up).total_cmp(&b.normal.dot(up)));
-    let corners = base.map_or(&[][..], |face| &face.corners);
-    let stride = 1 + (below().count() + corners.len()) / ROOM;
-    below().step_by(stride).for_each(|vertex| list.put(vertex));
+    let low = |vertex: usize| height(vertex) <= limit;
+    let corners = hull.faces.get(hull.face(&-up)).map_or(&[][..], |face| &face.corners);
+    let mut below = Below { seen: [0; WORDS], list: [lowest; ROOM], count: 1 };
+    let all = below.spread(hull, low);
+    let (found, every) = (&mut below.list[..below.count], 0..hull.vertices.len());
+    let count = if all { found.len() } else { every.clone().filter(|v| low(*v)).count() };
+    let stride = 1 + (count + corners.len()) / ROOM;
+    let others = |vertex: &usize| *vertex != lowest;
+    if all {
+        found.sort_unstable();
+        found.iter().copied().step_by(stride).filter(others).for_each(|vertex| list.push(vertex));
+    } else {
+        let below = every.filter(|vertex| low(*vertex));
+        below.step_by(stride).filter(others).for_each(|vertex| list.push(vertex));
+    }
     // What is not below acts only where nothing else does: it does not take the place of what is.
     let must = list.count.min(MOST);
     if must < MOST {
@@ -87,6 +99,44 @@ fn polygon(
     (chosen, kept)
 }
 
+/// The vertices below a height, found one beside another: those of a convex surface are in one piece.
+struct Below {
+    /// A bit for each vertex.
+    seen: [u64; WORDS],
+    /// The lowest first.
+    list: [usize; ROOM],
+    count: usize,
+}
+
+impl Below {
+    /// Lists those around the first that are `low`; false: they are too many.
+    fn spread(&mut self, hull: &Hull, low: impl Fn(usize) -> bool) -> bool {
+        if hull.vertices.len() > 64 * WORDS {
+            return false;
+        }
+        let bit = |vertex: usize| (vertex / 64, 1 << (vertex % 64));
+        let (word, own) = bit(self.list[0]);
+        self.seen[word] |= own;
+        let mut next = 0;
+        while next < self.count {
+            for &vertex in hull.neighbours(self.list[next]) {
+                let (word, own) = bit(vertex);
+                if self.seen[word] & own != 0 || !low(vertex) {
+                    continue;
+                }
+                self.seen[word] |= own;
+                if self.count == ROOM {
+                    return false;
+                }
+                self.list[self.count] = vertex;
+                self.count += 1;
+            }
+            next += 1;
+        }
+        true
+    }
+}
+
 /// Vertices to choose from, each once.
 struct List {
     vertices: [usize; ROOM],
@@ -95,7 +145,14 @@ struct List {
 
 impl List {
     fn put(&mut self, vertex: usize) {
-        if self.count < ROOM && !self.vertices[..self.count].contains(&vertex) {
+        if !self.vertices[..self.count].contains(&vertex) {
+            self.push(vertex);
+        }
+    }
+
+    /// Of one that it does not have.
+    fn push(&mut self, vertex: usize) {
+        if self.count < ROOM {
             self.vertices[self.count] = vertex;
             self.count += 1;
         }
@@ -121,17 +178,19 @@ fn spread(hull: &Hull, list: &mut [usize], must: usize, chosen: &mut [usize; MOS
         chosen[0] = list[0];
         kept += 1;
     }
+    // From each of the list to the nearest of the chosen ones.
+    let mut nearest = [f64::INFINITY; ROOM];
+    let mut known = 0;
     while kept < MOST {
-        let far = |vertex: usize| {
-            chosen[..kept].iter().map(|c| apart(*c, vertex)).fold(f64::INFINITY, f64::min)
-        };
         let mut best = (lowest, f64::NEG_INFINITY);
-        for &vertex in list.iter() {
-            let distance = far(vertex);
-            if distance > best.1 {
-                best = (vertex, distance);
+        for (&vertex, nearest) in list.iter().zip(&mut nearest) {
+            let new = chosen[known..kept].iter().map(|c| apart(*c, vertex));
+            *nearest = new.fold(*nearest, f64::min);
+            if *nearest > best.1 {
+                best = (vertex, *nearest);
             }
         }
+        known = kept;
         let last = kept + 1 == MOST && !chosen[..kept].contains(&lowest);
         chosen[kept] = if last { lowest } else { best.0 };
         kept += 1;

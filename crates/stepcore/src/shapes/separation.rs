@@ -9,9 +9,10 @@
 //! edge leave it two or one degrees of freedom, in which Newton's method ends at rounding. What
 //! s(n) says is exact whatever n came from, so the largest of these candidates is the answer.
 
-use super::gjk::gjk;
+use super::gjk::{beyond, gjk};
 use super::solid::{plain, Solid};
 use super::touch::unit;
+use super::Hint;
 use crate::real::Real;
 use crate::spatial::V3;
 use core::cell::Cell;
@@ -59,6 +60,8 @@ pub struct Pairing<'a> {
     pub(super) smooth: bool,
     /// How often a support function was asked.
     asked: Cell<u64>,
+    /// Of hulls: the corners that were last the furthest.
+    corners: [Cell<usize>; 2],
 }
 
 /// Over the size of the pair: a gain that is only rounding.
@@ -72,7 +75,8 @@ impl<'a> Pairing<'a> {
         let between = two.pose.pos - one.pose.pos;
         let size = one.extent() + two.extent();
         let smooth = one.smooth() || two.smooth();
-        Self { one, two, between, size, smooth, asked: Cell::new(0) }
+        let corners = [Cell::new(0), Cell::new(0)];
+        Self { one, two, between, size, smooth, asked: Cell::new(0), corners }
     }
 
     /// How often a support function was asked.
@@ -83,7 +87,8 @@ impl<'a> Pairing<'a> {
     /// The point of two minus one furthest along a direction.
     pub(super) fn furthest(&self, way: &V3<f64>) -> V3<f64> {
         self.asked.set(self.asked.get() + 1);
-        self.between + (self.two.support(way).0 - self.one.support(&-way).0)
+        let [one, two] = &self.corners;
+        self.between + (self.two.support_near(way, two) - self.one.support_near(&-way, one))
     }
 
     /// Which pieces of the two are least apart along a unit direction.
@@ -108,14 +113,25 @@ impl<'a> Pairing<'a> {
     }
 
     /// None of shapes that are proven `within` [m] apart: no contact of theirs is nearer.
-    pub fn separation(&self, within: f64) -> Option<Separation> {
+    pub fn separation(&self, within: f64, hint: Option<&Cell<Hint>>) -> Option<Separation> {
         SEARCHED.set(SEARCHED.get() + 1);
-        let enough = within + self.one.radius + self.two.radius + SURE * self.size;
-        self.search(enough.max(0.0))
+        let enough = (within + self.one.radius + self.two.radius + SURE * self.size).max(0.0);
+        let Some(hint) = hint else { return self.search(enough).ok() };
+        let Hint { mut axis, corners } = hint.get();
+        for (own, corner) in self.corners.iter().zip(corners) {
+            own.set(corner);
+        }
+        let known = axis != V3::zeros() && beyond(&self.furthest(&-axis), &axis, enough);
+        let found = if known { Err(axis) } else { self.search(enough) };
+        if let Err(proof) = found {
+            axis = proof;
+        }
+        hint.set(Hint { axis, corners: [self.corners[0].get(), self.corners[1].get()] });
+        found.ok()
     }
 
-    /// None of cores that are proven `enough` apart.
-    fn search(&self, enough: f64) -> Option<Separation> {
+    /// Of cores that are `enough` apart the direction that proves it, as an error.
+    fn search(&self, enough: f64) -> Result<Separation, V3<f64>> {
         let some = self.between.dot(&self.between) > 0.0;
         let toward = if some { self.between } else { V3::x() };
         let support = |way: &V3<f64>| self.furthest(way);
@@ -123,21 +139,21 @@ impl<'a> Pairing<'a> {
         for gap in gaps {
             let nearest = gjk(support, toward, *gap, enough);
             if nearest.beyond {
-                return None;
+                return Err(nearest.point);
             }
             if nearest.inside {
-                return Some(self.overlap(&nearest.simplex[..nearest.count]));
+                return Ok(self.overlap(&nearest.simplex[..nearest.count]));
             }
             let length = nearest.point.dot(&nearest.point).sqrt();
             let found = self.topped(self.refine(&(nearest.point * (1.0 / length))));
             if found.apart >= length * (1.0 - 1e-4) {
-                return Some(found);
+                return Ok(found);
             }
             if found.apart <= 0.0 {
-                return Some(self.overlap(&nearest.simplex[..nearest.count]));
+                return Ok(self.overlap(&nearest.simplex[..nearest.count]));
             }
         }
-        Some(self.overlap(&[]))
+        Ok(self.overlap(&[]))
     }
 }
 

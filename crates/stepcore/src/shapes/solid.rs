@@ -9,6 +9,7 @@
 use super::hull::Hull;
 use crate::real::Real;
 use crate::spatial::{Pose, V3};
+use core::cell::Cell;
 
 /// A shape without its radius.
 #[derive(Clone, Copy)]
@@ -61,6 +62,14 @@ impl<'a, R: Real> Solid<'a, R> {
     pub fn support(&self, direction: &V3<R>) -> (V3<R>, usize) {
         let (local, corner) = self.support_local(&self.pose.to_local(direction));
         (self.pose.to_world(&local), corner)
+    }
+
+    /// The point alone. Of a hull it is climbed to from a corner, which becomes the one found.
+    pub fn support_near(&self, direction: &V3<R>, corner: &Cell<usize>) -> V3<R> {
+        let Core::Hull(hull) = self.core else { return self.support(direction).0 };
+        let local = self.pose.to_local(direction).map(|x| x.lane(0));
+        corner.set(hull.support_near(corner.get(), &local));
+        self.pose.to_world(&hull.vertices[corner.get()].map(R::of))
     }
 
     fn support_local(&self, d: &V3<R>) -> (V3<R>, usize) {
@@ -235,14 +244,8 @@ impl<'a, R: Real> Solid<'a, R> {
                 (normal, 2 * axis + usize::from(up))
             }
             Core::Hull(hull) => {
-                let mut best = (f64::NEG_INFINITY, 0);
-                for (i, face) in hull.faces.iter().enumerate() {
-                    let along = face.normal.dot(&d);
-                    if along > best.0 {
-                        best = (along, i);
-                    }
-                }
-                (hull.faces[best.1].normal, best.1)
+                let face = hull.face(&d);
+                (hull.faces[face].normal, face)
             }
             Core::Prism(corners) => {
                 let mut best = (f64::NEG_INFINITY, V3::zeros(), 0);

@@ -1,8 +1,8 @@
-//! The edges of contacts between two free bodies, whose pyramids are made at once.
+//! The edges of contacts that slide along two tangents, whose pyramids are made at once.
 //!
 //! Normal and tangents are lifted side by side, and each dof's entries of the four edges made of
-//! them, so that no way of friction is stored. Contacts of two bodies that have their directions in
-//! common, such as those of two boxes, are made number by number: an operation is on one number of
+//! them, so that no way of friction is stored. Contacts of two free bodies that have their directions
+//! in common, such as those of two boxes, are made number by number: an operation is on one number of
 //! each. The numbers are those of `push_relative` and `push_edges`, bit for bit.
 
 use super::relative::{is_free, SIX};
@@ -38,9 +38,30 @@ pub(crate) struct Pyramids<R: Real, const N: usize> {
 
 impl<R: Real> Rows<R> {
     /// Makes the y of the edges J_n ± μ J_t of how two bodies' points `at` slide, `along` the normal
-    /// and two tangents. Makes nothing where the bodies are not free, or where a way may be
-    /// rounding that is to be dropped, which is looked at row by row.
+    /// and two tangents. Makes nothing of several contacts where the bodies are not free, and where
+    /// a way may be rounding that is to be dropped, which is looked at row by row.
     pub(crate) fn lift_pyramids<const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        own: ([usize; 2], &Pair),
+        at: &[[V3<R>; 2]; N],
+        along: &[V3<R>; WAYS],
+        mu: R,
+    ) -> Option<Pyramids<R, N>> {
+        match (self.lift_free_pyramids(now, own, at, along, mu), at.as_slice()) {
+            (None, [at]) => {
+                let (y, sums, edges) = self.lift_pyramid(now, own, at, along, mu)?;
+                let each = |of: R| [of; N];
+                let [ways, velocities] =
+                    [sums.a, sums.velocity].map(|[n, a, b, _]| [n, a, b].map(each));
+                Some(Pyramids { y, ways, velocities, edges: edges.map(each) })
+            }
+            (made, _) => made,
+        }
+    }
+
+    /// The same of free bodies alone.
+    fn lift_free_pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,
         (bodies, pair): ([usize; 2], &Pair),

@@ -5,21 +5,23 @@
 //! row after another (`Rows::push_scratch`), bit for bit.
 
 use super::rows::{Rows, Situation};
-use crate::model::{Model, Span, NONE};
+use super::suspect;
+use crate::model::{Model, Pair, Span, NONE};
 use crate::place::Metric;
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::scene::JointType;
-use crate::spatial::{Force, V3};
+use crate::spatial::{Motion, V3};
 
-/// The most directions at a time.
-pub(super) const WIDE: usize = 3;
+/// The most directions at a time: three, and one that fills a vector register.
+pub(super) const WIDE: usize = 4;
 /// Dofs of a free body.
 pub(super) const SIX: usize = 6;
 
-/// One of the two bodies: the forces whose power is its part of each row's velocity.
+/// One of the two bodies: the forces whose power is its part of each row's velocity, number by number.
 struct Side<'a, R: Real, const N: usize> {
     chain: &'a [usize],
-    along: [Force<R>; N],
+    ang: [[R; N]; 3],
+    lin: [[R; N]; 3],
 }
 
 impl<'a, R: Real, const N: usize> Side<'a, R, N> {
@@ -30,17 +32,21 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
             return None;
         }
         let arm = at - now.placed.origin[body.tree];
-        let along = along.map(|d| Force { ang: arm.cross(&d), lin: d });
-        Some(Self { chain: body.chain.of(&now.model.dof_lists), along })
+        let torques = along.map(|d| arm.cross(&d));
+        let numbers = |of: &[V3<R>; N]| core::array::from_fn(|k| of.map(|v| v[k]));
+        let chain = body.chain.of(&now.model.dof_lists);
+        Some(Self { chain, ang: numbers(&torques), lin: numbers(&along) })
     }
 
     /// J of one dof in each direction.
     #[inline(always)]
     fn of_dof(&self, now: &Situation<R>, k: usize) -> [R; N] {
-        let motion = &now.placed.motion[k];
+        let Motion { ang, lin } = &now.placed.motion[k];
         let mut j = [R::zero(); N];
-        for (j, along) in j.iter_mut().zip(&self.along) {
-            *j += motion.dot(along);
+        for i in 0..N {
+            let turn = ang.x * self.ang[0][i] + ang.y * self.ang[1][i] + ang.z * self.ang[2][i];
+            let slide = lin.x * self.lin[0][i] + lin.y * self.lin[1][i] + lin.z * self.lin[2][i];
+            j[i] += turn + slide;
         }
         j
     }
@@ -50,10 +56,12 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
     #[inline(always)]
     fn of_free_joint(&self, now: &Situation<R>, first: usize) -> [[R; N]; SIX] {
         let mut x = [[R::zero(); N]; SIX];
-        for (i, along) in self.along.iter().enumerate() {
-            for k in 0..3 {
-                x[k][i] += along.lin[k];
-                x[3 + k][i] += now.placed.motion[first + 3 + k].ang.dot(&along.ang);
+        for k in 0..3 {
+            let axis = &now.placed.motion[first + 3 + k].ang;
+            for i in 0..N {
+                let [a, b, c] = self.ang.map(|ang| ang[i]);
+                x[k][i] += self.lin[k][i];
+                x[3 + k][i] += axis.x * a + axis.y * b + axis.z * c;
             }
         }
         x
@@ -77,41 +85,62 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
 
 impl<R: Real> Rows<R> {
     /// Pushes the rows of the relative velocity of two body points, each at its `at` (body 2 minus
-    /// body 1), along N directions, on the union `dofs` of their chains.
+    /// body 1), along the first `count` of N directions, on the union `dofs` of their chains.
     pub(crate) fn push_relative<const N: usize>(
         &mut self,
         now: &Situation<R>,
         bodies: [usize; 2],
         dofs: Span,
         at: &[V3<R>; 2],
-        along: &[V3<R>; N],
+        (along, count): (&[V3<R>; N], usize),
     ) {
         let sides = [
             Side::of(now, bodies[0], &at[0], along.map(|d| -d)),
             Side::of(now, bodies[1], &at[1], *along),
         ];
         let start = self.y.len();
-        self.y.resize(start + N * dofs.len, R::zero());
+        self.y.resize(start + count * dofs.len, R::zero());
         let list = dofs.of(now.dof_lists);
         let sums = if all_free(now.model, list, &sides) {
-            self.lift_free(now, list, &sides, start)
+            self.lift_free(now, list, &sides, (start, count))
         } else {
-            self.lift_any(now, list, &sides, start)
+            self.lift_any(now, list, &sides, (start, count))
         };
-        for (i, (a, velocity)) in sums.into_iter().enumerate() {
-            self.push_row(dofs, start + i * dofs.len, a, velocity);
+        for i in 0..count {
+            self.push_row(dofs, start + i * dofs.len, sums.a[i], sums.velocity[i]);
         }
     }
 
-    /// y of all directions from `start` on; A and J v of each.
+    /// y of the first `count` directions from `start` on; A and J v of each.
     fn lift_any<const N: usize>(
         &mut self,
         now: &Situation<R>,
         list: &[usize],
         sides: &[Option<Side<R, N>>; 2],
-        start: usize,
-    ) -> [(R, R); N] {
-        // By dof N numbers, of which the rest of `scratch` has room.
+        (start, count): (usize, usize),
+    ) -> Sums<R, N> {
+        self.lift_sides(now, list, sides);
+        let mut sums = Sums::none();
+        let own = &mut self.y[start..start + count * list.len()];
+        for (at, &k) in list.iter().enumerate() {
+            let mut y = [R::zero(); N];
+            y.copy_from_slice(&self.scratch[k * N..(k + 1) * N]);
+            sums.add(&y, now.placed.metric.inv_d[k], now.placed.u[k]);
+            for (i, y) in y.iter().enumerate().take(count) {
+                own[i * list.len() + at] = *y;
+            }
+        }
+        sums
+    }
+
+    /// Sets the first of `scratch`, by dof N numbers, to y of all directions.
+    #[inline(always)]
+    fn lift_sides<const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        list: &[usize],
+        sides: &[Option<Side<R, N>>; 2],
+    ) {
         let scratch = &mut self.scratch;
         for k in list {
             scratch[k * N..(k + 1) * N].fill(R::zero());
@@ -125,17 +154,46 @@ impl<R: Real> Rows<R> {
             }
         }
         now.placed.metric.lift_each::<N>(list, scratch);
-        let mut sums = [(R::zero(), R::zero()); N];
+    }
+
+    /// Makes the y of the four edges J_n ± μ J_t of a contact: where they begin, A and J v of its
+    /// normal and two tangents, and A of the edges. None: one of them may be rounding.
+    pub(super) fn lift_pyramid(
+        &mut self,
+        now: &Situation<R>,
+        (bodies, pair): ([usize; 2], &Pair),
+        at: &[V3<R>; 2],
+        [n, a, b]: &[V3<R>; 3],
+        mu: R,
+    ) -> Option<(usize, Sums<R, 4>, [R; 4])> {
+        let along = [*n, *a, *b, V3::zeros()];
+        let sides = [
+            Side::of(now, bodies[0], &at[0], along.map(|d| -d)),
+            Side::of(now, bodies[1], &at[1], along),
+        ];
+        let (list, start) = (pair.dofs.of(now.dof_lists), self.y.len());
+        self.lift_sides(now, list, &sides);
+        self.y.resize(start + 4 * list.len(), R::zero());
+        let own = &mut self.y[start..];
+        let (mut ways, mut edges) = (Sums::<R, 4>::none(), Sums::<R, 4>::none());
         for (at, &k) in list.iter().enumerate() {
+            let mut y = [R::zero(); 4];
+            y.copy_from_slice(&self.scratch[k * 4..(k + 1) * 4]);
             let (inv_d, u) = (now.placed.metric.inv_d[k], now.placed.u[k]);
-            for (i, (a, velocity)) in sums.iter_mut().enumerate() {
-                let y = self.scratch[k * N + i];
-                *a += y * y * inv_d;
-                *velocity += y * u;
-                self.y[start + i * list.len() + at] = y;
+            ways.add(&y, inv_d, u);
+            let [n, a, b, _] = y;
+            let (p, q) = (mu * a, mu * b);
+            let line = [n + p, n - p, n + q, n - q];
+            edges.add(&line, inv_d, u);
+            for i in 0..4 {
+                own[i * list.len() + at] = line[i];
             }
         }
-        sums
+        if ways.a[..3].iter().any(|a| suspect(*a, pair.mass).any()) {
+            self.y.truncate(start);
+            return None;
+        }
+        Some((start, ways, edges.a))
     }
 
     /// The same of free bodies.
@@ -144,24 +202,19 @@ impl<R: Real> Rows<R> {
         now: &Situation<R>,
         list: &[usize],
         sides: &[Option<Side<R, N>>; 2],
-        start: usize,
-    ) -> [(R, R); N] {
-        let mut sums = [(R::zero(), R::zero()); N];
+        (start, count): (usize, usize),
+    ) -> Sums<R, N> {
+        let mut sums = Sums::none();
         for from in (0..list.len()).step_by(SIX) {
             let first = list[from];
             let mine = sides.iter().flatten().find(|side| side.begins(first));
             let Some(side) = mine else { continue };
             let mut x = side.of_six(now, first);
             now.placed.metric.lift_six(first, &mut x);
-            let inv_d = &now.placed.metric.inv_d[first..first + SIX];
-            let u = &now.placed.u[first..first + SIX];
-            for (i, (a, velocity)) in sums.iter_mut().enumerate() {
-                let out = &mut self.y[start + i * list.len() + from..][..SIX];
-                for k in 0..SIX {
-                    let y = x[k][i];
-                    *a += y * y * inv_d[k];
-                    *velocity += y * u[k];
-                    out[k] = y;
+            for k in 0..SIX {
+                sums.add(&x[k], now.placed.metric.inv_d[first + k], now.placed.u[first + k]);
+                for i in 0..count {
+                    self.y[start + i * list.len() + from + k] = x[k][i];
                 }
             }
         }
@@ -211,6 +264,27 @@ impl<R: Real> Rows<R> {
         let start = self.y.len();
         self.y.extend_from_slice(&self.ways[..dofs.len]);
         self.push_row(dofs, start, a, velocity);
+    }
+}
+
+/// A = J M⁻¹ Jᵀ and J v of N rows.
+pub(super) struct Sums<R: Real, const N: usize> {
+    pub a: [R; N],
+    pub velocity: [R; N],
+}
+
+impl<R: Real, const N: usize> Sums<R, N> {
+    fn none() -> Self {
+        Self { a: [R::zero(); N], velocity: [R::zero(); N] }
+    }
+
+    /// Adds what a dof has of them.
+    #[inline(always)]
+    fn add(&mut self, y: &[R; N], inv_d: R, u: R) {
+        for i in 0..N {
+            self.a[i] += y[i] * y[i] * inv_d;
+            self.velocity[i] += y[i] * u;
+        }
     }
 }
 
