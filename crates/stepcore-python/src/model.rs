@@ -9,6 +9,7 @@ use pyo3::types::PyDict;
 use stepcore::arrays::Array;
 use stepcore::elements::{joint_forces, ways, Kind};
 use stepcore::model::Model as Engine;
+use stepcore::plan::{Entry, Of, Plan};
 use stepcore::program::Program;
 use stepcore::scene::{JointType, Scene, Target};
 use stepcore::settings::Precision;
@@ -344,6 +345,53 @@ impl Model {
             Precision::F32 => Program::of::<f32>(&self.0, &settings.0),
         }
         .map(|program| (program.lines(), program.serves_one()))
+    }
+
+    /// What a step does and leaves out: see `Plan` in `plan/mod.rs`. Stage, kind, name, what its
+    /// elements are, these by index, how many, whether it is used, why not, and the kind of rows.
+    #[allow(clippy::type_complexity)]
+    fn entries(
+        &self,
+        settings: &Settings,
+    ) -> Vec<(
+        &'static str,
+        &'static str,
+        String,
+        &'static str,
+        Vec<usize>,
+        usize,
+        bool,
+        String,
+        Option<&'static str>,
+    )> {
+        let of = |entry: &Entry| match entry.of {
+            Of::Body => "body",
+            Of::Joint => "joint",
+            Of::Geom => "geom",
+            Of::Tendon => "tendon",
+            Of::Actuator => "actuator",
+            Of::Equality => "equality",
+            Of::Sensor => "sensor",
+            Of::Tree => "tree",
+            Of::Island => "island",
+            Of::Pair => "pair",
+        };
+        let entries = Plan::of(&self.0, &settings.0).entries.into_iter();
+        entries
+            .map(|e| {
+                (
+                    e.stage,
+                    e.kind,
+                    e.name.clone(),
+                    of(&e),
+                    e.elements,
+                    e.count,
+                    e.used,
+                    e.why,
+                    e.rows,
+                )
+            })
+            .collect()
     }
 
     /// What compiling decided: by pair, by tree, by body and by geom, in the model's order.

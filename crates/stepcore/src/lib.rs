@@ -62,6 +62,7 @@ pub mod model;
 mod named;
 pub mod observer;
 pub mod place;
+pub mod plan;
 #[allow(unsafe_code)]
 mod pool;
 pub mod post_mortem;

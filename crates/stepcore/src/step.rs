@@ -49,10 +49,17 @@ impl<R: Real> Sim<R> {
         let (state, next) = (&mut self.state, &mut self.next);
         std::mem::swap(&mut state.qpos, &mut next.qpos);
         std::mem::swap(&mut state.qvel, &mut next.qvel);
-        std::mem::swap(&mut state.act, &mut next.act);
-        std::mem::swap(&mut state.ctrl_history, &mut next.ctrl_history);
+        if self.model.na > 0 {
+            std::mem::swap(&mut state.act, &mut next.act);
+        }
+        if self.model.nhistory > 0 {
+            std::mem::swap(&mut state.ctrl_history, &mut next.ctrl_history);
+        }
+        // What is restored may hold impulses that these settings do not keep.
         std::mem::swap(&mut state.warm, &mut next.warm);
-        std::mem::swap(&mut state.sleep, &mut next.sleep);
+        if self.settings.sleep {
+            std::mem::swap(&mut state.sleep, &mut next.sleep);
+        }
     }
 
     /// Place, detect and solve at the present state. Nothing is committed.
@@ -128,6 +135,10 @@ impl<R: Real> Sim<R> {
     pub(crate) fn detect(&mut self, at: At) -> Result<()> {
         R::enter(Stage::Detect);
         self.effort.evaluations += 1;
+        if !self.model.meets() {
+            self.detected.contacts.clear();
+            return Ok(());
+        }
         let (qpos, _) = at.of(&self.state, &self.next);
         self.detected.detect(&self.model, &self.placed, &self.settings, qpos)
     }
@@ -135,6 +146,9 @@ impl<R: Real> Sim<R> {
     /// Rows of the contacts at hand.
     pub(crate) fn make_rows(&mut self, at: At, part: Part) {
         R::enter(Stage::Rows);
+        if !self.model.makes_rows(self.detected.contacts.len()) {
+            return self.rows.begin(&self.placed.guess);
+        }
         let (qpos, qvel) = at.of(&self.state, &self.next);
         let now = Situation {
             model: &self.model,
@@ -249,6 +263,9 @@ impl<R: Real> Sim<R> {
             return Err(
                 self.diverged(bad, |lane| self.not_finite(lane, "velocity", &self.next.qvel))
             );
+        }
+        if act.is_empty() {
+            return Ok(());
         }
         let bad = all_finite(act).not();
         if bad.any() {

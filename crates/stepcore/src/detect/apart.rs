@@ -23,6 +23,9 @@ impl Spheres {
         if self.apart && inside {
             return true;
         }
+        if self.square == f64::INFINITY {
+            return false;
+        }
         let [one, two] = self.geoms.map(|geom| &placed.geom[geom as usize].pos);
         let between = two - one;
         between.dot(&between).gt(R::of(self.square)).all()

@@ -349,7 +349,7 @@ fn pairs_are_counted_as_going_through_them_counts() {
             let kinds = (list.geoms[pair.geom1].kind, list.geoms[pair.geom2].kind);
             assert!(tally.meet.contains_key(&kinds));
         }
-        let counts = |unmet: &std::collections::BTreeMap<_, crate::model::Unmet>| {
+        let counts = |unmet: &std::collections::BTreeMap<_, crate::plan::Unmet>| {
             unmet.iter().map(|(why, unmet)| (*why, unmet.count)).collect::<Vec<_>>()
         };
         assert_eq!(counts(&heap.unmet()), counts(&list.unmet()));

@@ -56,7 +56,11 @@ impl<R: Real> Activations<'_, R> {
 }
 
 /// The past controls after a step with the present ones.
+#[inline]
 pub(crate) fn remember<R: Real>(model: &Model, history: &[R], ctrl: &[R], out: &mut [R]) {
+    if out.is_empty() {
+        return;
+    }
     for (span, ctrl) in model.histories.iter().zip(ctrl).filter(|(span, _)| span.len > 0) {
         let (first, last) = (span.start, span.start + span.len - 1);
         out[first] = *ctrl;
@@ -160,6 +164,7 @@ pub(crate) fn rates<R: Real>(
 }
 
 /// All activations after a step with these rates, which fade as they move.
+#[inline]
 pub(crate) fn advance<R: Real>(
     model: &Model,
     act: &[R],
@@ -167,8 +172,11 @@ pub(crate) fn advance<R: Real>(
     seconds: f64,
     out: &mut [R],
 ) {
+    if act.is_empty() {
+        return;
+    }
     out.copy_from_slice(act);
-    if act.is_empty() || !model.features.actuation {
+    if !model.features.actuation {
         return;
     }
     for index in model.controlled() {
@@ -246,6 +254,7 @@ pub(crate) fn through_middle<R: Real>(
 }
 
 /// By activation, the length that a servo on a circle has; others are left alone.
+#[inline]
 pub(crate) fn centres<R: Real>(model: &Model, qpos: &[R], pulls: Pulls<R>, out: &mut [R]) {
     if out.is_empty() {
         return;
@@ -256,6 +265,7 @@ pub(crate) fn centres<R: Real>(model: &Model, qpos: &[R], pulls: Pulls<R>, out: 
 }
 
 /// Takes whole turns off activations that are more than half a turn away from these lengths.
+#[inline]
 pub(crate) fn unwind<R: Real>(model: &Model, centres: &[R], act: &mut [R]) {
     if act.is_empty() {
         return;

@@ -18,6 +18,7 @@ use super::orientation::turn;
 use super::Kind;
 use crate::model::transmission::Pulls;
 use crate::model::Model;
+use crate::plan::acting::Why;
 use crate::real::{Mask, Real};
 use crate::scene::{self, Target};
 use crate::state::Inputs;
@@ -371,7 +372,7 @@ pub(crate) fn power_beyond<R: Real>(
 ) -> R {
     let (mut usual, mut whole) = (R::zero(), R::zero());
     if !stores {
-        Actuator::power(now, index, velocity, &mut |part| usual += part);
+        Actuator::power(now, &index, velocity, &mut |part| usual += part);
     }
     let tension = now.frames.tension[index];
     let (along, pulls) = (now.model.along[index], now.frames.pulls);
@@ -383,11 +384,18 @@ impl Forces for Actuator {
     const KIND: Kind = Kind::Actuator;
     const GROUP: Group = Group::Driven;
 
-    #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, R)) {
-        if !now.model.acts(index) {
-            return;
+    /// Its place among the model's.
+    type At = usize;
+
+    fn at(model: &Model, index: usize) -> Result<usize, Why> {
+        match model.acts(index) {
+            true => Ok(index),
+            false => Err(Why::Off("actuation")),
         }
+    }
+
+    #[inline(always)]
+    fn force<R: Real>(now: &Moment<R>, &index: &usize, add: &mut impl FnMut(usize, R)) {
         let (tension, shares) = (now.frames.tension[index], now.frames.shares);
         let (along, pulls) = (now.model.along[index], now.frames.pulls);
         along.arms(now.model, now.qpos, pulls, |dof, arm: R| {
@@ -399,9 +407,13 @@ impl Forces for Actuator {
     /// Zero at the bounds of `forcerange`, and where the own joint or tendon bounds the sum, as in
     /// MuJoCo.
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
+    fn slopes<R: Real>(
+        now: &Moment<R>,
+        &index: &usize,
+        add: &mut impl FnMut(usize, usize, [R; 2]),
+    ) {
         let (model, actuator) = (now.model, &now.model.actuators[index]);
-        if !(model.acts(index) && actuator.feeds_back()) {
+        if !actuator.feeds_back() {
             return;
         }
         let (along, pulls) = (model.along[index], now.frames.pulls);
@@ -436,28 +448,28 @@ impl Forces for Actuator {
     }
 
     #[inline(always)]
-    fn sloped(model: &Model, index: usize, each: &mut impl FnMut(usize)) {
-        if model.acts(index) && model.actuators[index].feeds_back() {
+    fn sloped(model: &Model, &index: &usize, each: &mut impl FnMut(usize)) {
+        if model.actuators[index].feeds_back() {
             let dofs = model.along[index].dofs(model);
             dofs.of(&model.dof_lists).iter().for_each(|dof| each(*dof));
         }
     }
 
     #[inline(always)]
-    fn damps(model: &Model, index: usize) -> bool {
+    fn damps(model: &Model, &index: &usize) -> bool {
         let actuator = &model.actuators[index];
         let varies = actuator.gain[2] != 0.0 || actuator.muscle_gain.is_some();
-        model.acts(index) && (actuator.bias[2] != 0.0 || varies || actuator.drives_motor())
+        actuator.bias[2] != 0.0 || varies || actuator.drives_motor()
     }
 
-    fn stored<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(R)) {
+    fn stored<R: Real>(now: &Moment<R>, &index: &usize, add: &mut impl FnMut(R)) {
         let (ctrl, pulls) = (now.act.ctrl(now.model, index, now.inputs), now.frames.pulls);
         add(stored_under(now.model, index, now.qpos, pulls, now.act, ctrl));
     }
 
     fn power<R: Real>(
         now: &Moment<R>,
-        index: usize,
+        &index: &usize,
         velocity: &impl Fn(usize) -> R,
         add: &mut impl FnMut(R),
     ) {

@@ -3,7 +3,8 @@
 
 use super::force::{Forces, Group, Moment, Sum};
 use super::Kind;
-use crate::model::NONE;
+use crate::model::{Model, NONE};
+use crate::plan::acting::{Acts, Why};
 use crate::real::Real;
 use crate::spatial::{Force, V3};
 
@@ -12,15 +13,28 @@ pub(super) struct JointForce;
 impl Forces for JointForce {
     const KIND: Kind = Kind::JointForce;
     const GROUP: Group = Group::Driven;
+    const APPLIED: bool = true;
+    /// The joint's first dof, and how many it has.
+    type At = (usize, usize);
+
+    fn at(model: &Model, joint: usize) -> Result<(usize, usize), Why> {
+        let joint = &model.joints[joint];
+        Ok((joint.dof, joint.dofs()))
+    }
 
     #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, R)) {
-        if !now.inputs.applied() {
-            return;
+    fn force<R: Real>(now: &Moment<R>, dofs: &(usize, usize), add: &mut impl FnMut(usize, R)) {
+        if now.inputs.applied() {
+            let (first, count) = *dofs;
+            (first..first + count).for_each(|k| add(k, now.inputs.qfrc_applied()[k]));
         }
-        let joint = &now.model.joints[joint];
-        for k in joint.dof..joint.dof + joint.dofs() {
-            add(k, now.inputs.qfrc_applied()[k]);
+    }
+
+    #[inline(always)]
+    fn push<R: Real>(now: &Moment<R>, _: &[Acts<(usize, usize)>], sum: &mut Sum<R>) {
+        if now.inputs.applied() {
+            let given = now.inputs.qfrc_applied();
+            sum.force.iter_mut().zip(given).for_each(|(sum, force)| *sum += *force);
         }
     }
 
@@ -31,11 +45,11 @@ impl Forces for JointForce {
 
     fn power<R: Real>(
         now: &Moment<R>,
-        joint: usize,
+        dofs: &(usize, usize),
         velocity: &impl Fn(usize) -> R,
         add: &mut impl FnMut(R),
     ) {
-        Self::force(now, joint, &mut |k, force| add(force * velocity(k)));
+        Self::force(now, dofs, &mut |k, force| add(force * velocity(k)));
     }
 }
 
@@ -44,8 +58,15 @@ pub(super) struct BodyForce;
 impl Forces for BodyForce {
     const KIND: Kind = Kind::BodyForce;
     const GROUP: Group = Group::Driven;
+    const APPLIED: bool = true;
+    /// The body.
+    type At = usize;
 
-    fn force<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(usize, R)) {
+    fn at(_: &Model, body: usize) -> Result<usize, Why> {
+        Ok(body)
+    }
+
+    fn force<R: Real>(now: &Moment<R>, &body: &usize, add: &mut impl FnMut(usize, R)) {
         let [force, moment] = given(now, body);
         if now.inputs.applied() && !force.iter().chain(moment.iter()).all(|x| x.is_zero()) {
             on_dofs(now, body, &force, &moment, add);
@@ -54,7 +75,7 @@ impl Forces for BodyForce {
 
     /// All at once: wrenches are passed down each tree to its root and projected on the way.
     #[inline(always)]
-    fn push<R: Real>(now: &Moment<R>, sum: &mut Sum<R>) {
+    fn push<R: Real>(now: &Moment<R>, _: &[Acts<usize>], sum: &mut Sum<R>) {
         if !now.inputs.applied() {
             return;
         }
@@ -85,7 +106,7 @@ impl Forces for BodyForce {
 
     fn power<R: Real>(
         now: &Moment<R>,
-        body: usize,
+        body: &usize,
         velocity: &impl Fn(usize) -> R,
         add: &mut impl FnMut(R),
     ) {
@@ -95,7 +116,7 @@ impl Forces for BodyForce {
     /// Of the force alone, on the body alone.
     fn strength<R: Real>(
         now: &Moment<R>,
-        index: usize,
+        &index: &usize,
         lane: usize,
         _: &dyn Fn(usize) -> f64,
     ) -> f64 {

@@ -17,7 +17,7 @@ pub(crate) trait Constraint {
     const MOST_ROWS: usize;
     const MOST_CONE_ROWS: usize = 0;
 
-    /// Whether a model has any, so that a step asks at all.
+    /// Whether a model has any that is switched on.
     fn any(model: &Model) -> bool;
 
     /// Makes the rows of all its elements that exist now.

@@ -9,6 +9,7 @@ use super::tendon_friction::TendonFriction;
 use super::tendon_limit::TendonLimit;
 use crate::detect::Contact;
 use crate::model::Model;
+use crate::plan::makers::Maker;
 use crate::real::Real;
 use crate::solve::{Part, Rows, Situation, CONE};
 use crate::warm::SLIP;
@@ -19,13 +20,21 @@ macro_rules! constraints {
         $(const _: () = assert!($kind::MOST_ROWS <= SLIP);
         const _: () = assert!($kind::MOST_CONE_ROWS <= CONE);)+
 
-        /// The model can have rows at all.
-        fn any(model: &Model) -> bool {
-            $($kind::any(model))||+
+        /// The kinds of rows that a model can have, in the order of their slots.
+        pub(crate) fn makers(model: &Model) -> Vec<Maker> {
+            let mut makers = vec![];
+            if model.features.constraint {
+                $(if $kind::any(model) {
+                    makers.push(Maker::$kind);
+                })+
+            }
+            makers
         }
 
-        fn make_all<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
-            $($kind::make(makings, rows);)+
+        fn make<R: Real>(maker: Maker, makings: &mut Makings<R>, rows: &mut Rows<R>) {
+            match maker {
+                $(Maker::$kind => $kind::make(makings, rows)),+
+            }
         }
     };
 }
@@ -36,15 +45,20 @@ constraints!(Equalities, FrictionLoss, TendonFriction, Limit, TendonLimit, Conta
 impl<R: Real> Rows<R> {
     /// Makes every row that exists now.
     pub fn make(&mut self, now: &Situation<R>, contacts: &mut [Contact<R>]) {
-        self.clear();
-        self.u.copy_from_slice(&now.placed.guess);
-        if now.model.features.constraint && any(now.model) {
-            let mut makings = Makings { now, contacts };
-            match now.part {
-                Part::Whole | Part::End => make_all(&mut makings, self),
-                Part::Start | Part::Stage => Equalities::make(&mut makings, self),
+        self.begin(&now.placed.guess);
+        let ties = matches!(now.part, Part::Start | Part::Stage);
+        let mut makings = Makings { now, contacts };
+        for maker in &now.model.makers {
+            if !ties || *maker == Maker::Equalities {
+                make(*maker, &mut makings, self);
             }
-            self.find_islands(now.model, now.dof_lists);
         }
+        self.find_islands(now.model, now.dof_lists);
+    }
+
+    /// No rows yet, from this guess.
+    pub(crate) fn begin(&mut self, guess: &[R]) {
+        self.clear();
+        self.u.copy_from_slice(guess);
     }
 }

@@ -27,7 +27,7 @@ impl Constraint for Contacts {
     const MOST_CONE_ROWS: usize = 6;
 
     fn any(model: &Model) -> bool {
-        model.heap.is_some() || !model.pairs.is_empty()
+        model.meets()
     }
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {

@@ -3,6 +3,7 @@
 use super::force::{Forces, Group, Moment, Sum};
 use super::Kind;
 use crate::model::Model;
+use crate::plan::acting::{Acts, DamperAt, Why};
 use crate::real::Real;
 use crate::scene::{Coefficients, NONE};
 
@@ -32,47 +33,45 @@ impl Forces for Damper {
     const KIND: Kind = Kind::Damper;
     const GROUP: Group = Group::Passive;
     const IN_JOINTS: bool = true;
+    type At = DamperAt;
 
-    #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, R)) {
-        let joint = &now.model.joints[joint];
-        for k in joint.dof..joint.dof + joint.dofs() {
-            add(k, pull(&joint.damping, now.qvel[k]));
-        }
-    }
-
-    /// The sum of passive forces starts with dampers: every dof has one, if only of zero.
-    #[inline(always)]
-    fn push<R: Real>(now: &Moment<R>, sum: &mut Sum<R>) {
-        for joint in &now.model.joints {
-            for k in joint.dof..joint.dof + joint.dofs() {
-                sum.force[k] = pull(&joint.damping, now.qvel[k]);
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
-        let joint = &now.model.joints[joint];
-        for k in joint.dof..joint.dof + joint.dofs() {
-            add(k, k, [R::zero(), slope(&joint.damping, now.qvel[k])]);
-        }
-    }
-
-    /// Of every dof, also one that its joint does not damp.
-    #[inline(always)]
-    fn damping<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, usize, R)) {
-        Self::slopes(now, joint, &mut |i, j, [_, damping]| add(i, j, damping));
-    }
-
-    fn sloped(model: &Model, joint: usize, each: &mut impl FnMut(usize)) {
+    fn at(model: &Model, joint: usize) -> Result<DamperAt, Why> {
         let joint = &model.joints[joint];
-        if joint.damping != NONE {
-            (joint.dof..joint.dof + joint.dofs()).for_each(each);
+        match joint.damping {
+            _ if !model.features.damper => Err(Why::Off("damper")),
+            NONE => Err(Why::Zero("damping")),
+            law => Ok(DamperAt { first: joint.dof, count: joint.dofs(), law }),
         }
     }
 
-    fn damps(model: &Model, joint: usize) -> bool {
-        model.joints[joint].damping != NONE
+    #[inline(always)]
+    fn force<R: Real>(now: &Moment<R>, at: &DamperAt, add: &mut impl FnMut(usize, R)) {
+        for k in at.first..at.first + at.count {
+            add(k, pull(&at.law, now.qvel[k]));
+        }
+    }
+
+    /// The sum of passive forces starts with dampers.
+    #[inline(always)]
+    fn push<R: Real>(now: &Moment<R>, list: &[Acts<DamperAt>], sum: &mut Sum<R>) {
+        sum.force.fill(R::zero());
+        for Acts { at, .. } in list {
+            Self::force(now, at, &mut |dof, force| sum.force[dof] = force);
+        }
+    }
+
+    #[inline(always)]
+    fn slopes<R: Real>(now: &Moment<R>, at: &DamperAt, add: &mut impl FnMut(usize, usize, [R; 2])) {
+        for k in at.first..at.first + at.count {
+            add(k, k, [R::zero(), slope(&at.law, now.qvel[k])]);
+        }
+    }
+
+    fn sloped(_: &Model, at: &DamperAt, each: &mut impl FnMut(usize)) {
+        (at.first..at.first + at.count).for_each(each);
+    }
+
+    fn damps(_: &Model, _: &DamperAt) -> bool {
+        true
     }
 }

@@ -15,14 +15,11 @@ impl Constraint for Equalities {
     const MOST_ROWS: usize = 2 * GROUP;
 
     fn any(model: &Model) -> bool {
-        !model.equalities.is_empty()
+        model.features.equality && !model.equalities.is_empty()
     }
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
         let now = makings.now;
-        if !now.model.features.equality {
-            return;
-        }
         for (index, equality) in now.model.equalities.iter().enumerate() {
             let dofs = equality.dofs.of(now.dof_lists);
             let rests = || dofs.iter().all(|k| now.rests(now.model.dofs[*k].tree));

@@ -14,10 +14,11 @@
 //! ```
 
 use super::applied::at_point;
-use super::force::{Forces, Group, Moment, Sum};
+use super::force::{Forces, Group, Moment};
 use super::Kind;
 use crate::model::fluid::{Ellipsoid, Part, Shape};
 use crate::model::{Model, NONE};
+use crate::plan::acting::Why;
 use crate::real::Real;
 use crate::spatial::{rotate, rotate_back, splat, Force, Motion, M3, V3};
 
@@ -63,7 +64,15 @@ impl Forces for Fluid {
     const KIND: Kind = Kind::Fluid;
     const GROUP: Group = Group::Passive;
 
-    fn force<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(usize, R)) {
+    /// The body.
+    type At = usize;
+
+    fn at(model: &Model, body: usize) -> Result<usize, Why> {
+        let wet = model.bodies[body].tree != NONE && model.fluid.of_body[body].len > 0;
+        wet.then_some(body).ok_or(Why::Unsaid)
+    }
+
+    fn force<R: Real>(now: &Moment<R>, &body: &usize, add: &mut impl FnMut(usize, R)) {
         for part in now.model.fluid.of_body[body].of(&now.model.fluid.parts) {
             let moving = Moving::of(now, body, part);
             let push = resistance(part, &moving.velocity);
@@ -72,17 +81,7 @@ impl Forces for Fluid {
         }
     }
 
-    #[inline(always)]
-    fn push<R: Real>(now: &Moment<R>, sum: &mut Sum<R>) {
-        if now.model.fluid.parts.is_empty() {
-            return;
-        }
-        for body in 0..now.model.bodies.len() {
-            Self::force(now, body, &mut |dof, force| sum.force[dof] += force);
-        }
-    }
-
-    fn slopes<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
+    fn slopes<R: Real>(now: &Moment<R>, &body: &usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
         let model = now.model;
         for part in model.fluid.of_body[body].of(&model.fluid.parts) {
             let moving = Moving::of(now, body, part);
@@ -98,14 +97,12 @@ impl Forces for Fluid {
         }
     }
 
-    fn sloped(model: &Model, body: usize, each: &mut impl FnMut(usize)) {
-        if Self::damps(model, body) {
-            model.bodies[body].chain.of(&model.dof_lists).iter().for_each(|k| each(*k));
-        }
+    fn sloped(model: &Model, &body: &usize, each: &mut impl FnMut(usize)) {
+        model.bodies[body].chain.of(&model.dof_lists).iter().for_each(|k| each(*k));
     }
 
-    fn damps(model: &Model, body: usize) -> bool {
-        model.bodies[body].tree != NONE && model.fluid.of_body[body].len > 0
+    fn damps(_: &Model, _: &usize) -> bool {
+        true
     }
 
     /// A fluid at rest only takes energy.
@@ -116,7 +113,7 @@ impl Forces for Fluid {
 
     fn power<R: Real>(
         now: &Moment<R>,
-        body: usize,
+        body: &usize,
         velocity: &impl Fn(usize) -> R,
         add: &mut impl FnMut(R),
     ) {

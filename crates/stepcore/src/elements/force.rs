@@ -4,6 +4,7 @@ use super::activation::Activations;
 use super::{Element, Kind};
 use crate::model::transmission::Pulls;
 use crate::model::Model;
+use crate::plan::acting::{Acts, Why};
 use crate::real::Real;
 use crate::spatial::{rotate, splat, Force, Motion, M3, V3};
 use crate::state::Inputs;
@@ -63,8 +64,12 @@ pub(crate) enum Group {
 pub(crate) trait Forces {
     const KIND: Kind;
     const GROUP: Group;
+    /// One element that acts, as numbers that never change: what its formulas read beside the state.
+    type At: Copy + std::fmt::Debug;
     /// Acts in joints themselves, each dof by itself: `euler` takes its damping too.
     const IN_JOINTS: bool = false;
+    /// Acts only where the user applies forces.
+    const APPLIED: bool = false;
 
     /// How many there are: its elements stand in some list of the model.
     #[inline(always)]
@@ -76,14 +81,17 @@ pub(crate) trait Forces {
         Element::whole(Self::KIND, index)
     }
 
-    /// Calls `add(dof, force)` for every dof that one element pushes on [N or N·m].
-    fn force<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, R));
+    /// One of these as it acts, or why it never does.
+    fn at(model: &Model, index: usize) -> Result<Self::At, Why>;
 
-    /// Adds the forces of all its elements.
+    /// Calls `add(dof, force)` for every dof that one element pushes on [N or N·m].
+    fn force<R: Real>(now: &Moment<R>, at: &Self::At, add: &mut impl FnMut(usize, R));
+
+    /// Adds the forces of all that act.
     #[inline(always)]
-    fn push<R: Real>(now: &Moment<R>, sum: &mut Sum<R>) {
-        for index in 0..Self::count(now.model) {
-            Self::force(now, index, &mut |dof, force| sum.force[dof] += force);
+    fn push<R: Real>(now: &Moment<R>, list: &[Acts<Self::At>], sum: &mut Sum<R>) {
+        for Acts { at, .. } in list {
+            Self::force(now, at, &mut |dof, force| sum.force[dof] += force);
         }
     }
 
@@ -92,44 +100,49 @@ pub(crate) trait Forces {
     /// What acts along a length has one for every pair of arms, both ways: aᵢ aⱼ times the stiffness
     /// and damping along the length (`Transmission::pairs`). Nothing where both are zero.
     #[inline(always)]
-    fn slopes<R: Real>(_: &Moment<R>, _index: usize, _add: &mut impl FnMut(usize, usize, [R; 2])) {}
+    fn slopes<R: Real>(_: &Moment<R>, _at: &Self::At, _add: &mut impl FnMut(usize, usize, [R; 2])) {
+    }
 
     /// Calls `each(dof)` for every dof on which one element can have slopes, at whatever state.
     #[inline(always)]
-    fn sloped(_: &Model, _index: usize, _each: &mut impl FnMut(usize)) {}
+    fn sloped(_: &Model, _at: &Self::At, _each: &mut impl FnMut(usize)) {}
 
     /// One element has damping, at some state.
     #[inline(always)]
-    fn damps(_: &Model, _index: usize) -> bool {
+    fn damps(_: &Model, _at: &Self::At) -> bool {
         false
     }
 
     /// Calls `add(i, j, damping)` for the entries of one element's slopes, if it damps.
     #[inline(always)]
-    fn damping<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, R)) {
-        if Self::damps(now.model, index) {
-            Self::slopes(now, index, &mut |i, j, [_, damping]| add(i, j, damping));
+    fn damping<R: Real>(now: &Moment<R>, at: &Self::At, add: &mut impl FnMut(usize, usize, R)) {
+        if Self::damps(now.model, at) {
+            Self::slopes(now, at, &mut |i, j, [_, damping]| add(i, j, damping));
         }
     }
 
     /// Calls `add` for what of one element's slopes holds back: a stiffness or a damping below zero is
     /// left out. `discrete` takes these, and its metric stays positive definite.
     #[inline(always)]
-    fn holding<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
+    fn holding<R: Real>(
+        now: &Moment<R>,
+        at: &Self::At,
+        add: &mut impl FnMut(usize, usize, [R; 2]),
+    ) {
         let zero = R::zero();
         if Self::IN_JOINTS {
-            Self::slopes(now, index, &mut |i, j, slopes| add(i, j, slopes.map(|x| x.max(zero))));
+            Self::slopes(now, at, &mut |i, j, slopes| add(i, j, slopes.map(|x| x.max(zero))));
             return;
         }
         // The sign of the sum on the diagonal is that of a stiffness along a length.
         let mut sums = [zero; 2];
-        Self::slopes(now, index, &mut |i, j, slopes| {
+        Self::slopes(now, at, &mut |i, j, slopes| {
             if i == j {
                 sums = [sums[0] + slopes[0], sums[1] + slopes[1]];
             }
         });
         let holds = sums.map(|sum| sum.gt(zero));
-        Self::slopes(now, index, &mut |i, j, [stiffness, damping]| {
+        Self::slopes(now, at, &mut |i, j, [stiffness, damping]| {
             let stiffness = R::select(holds[0], stiffness, zero);
             add(i, j, [stiffness, R::select(holds[1], damping, zero)]);
         });
@@ -137,7 +150,7 @@ pub(crate) trait Forces {
 
     /// Calls `add` for every part of what one element stores at the positions at hand [J].
     #[inline(always)]
-    fn stored<R: Real>(_: &Moment<R>, _index: usize, _add: &mut impl FnMut(R)) {}
+    fn stored<R: Real>(_: &Moment<R>, _at: &Self::At, _add: &mut impl FnMut(R)) {}
 
     /// Whether any of them can put power in.
     #[inline(always)]
@@ -150,7 +163,7 @@ pub(crate) trait Forces {
     #[inline(always)]
     fn power<R: Real>(
         _: &Moment<R>,
-        _index: usize,
+        _at: &Self::At,
         _velocity: &impl Fn(usize) -> R,
         _add: &mut impl FnMut(R),
     ) {
@@ -160,12 +173,12 @@ pub(crate) trait Forces {
     /// inertia M that it acts on [W/s], whatever its unit. `inertia`: by dof.
     fn strength<R: Real>(
         now: &Moment<R>,
-        index: usize,
+        at: &Self::At,
         lane: usize,
         inertia: &dyn Fn(usize) -> f64,
     ) -> f64 {
         let mut sum = 0.0;
-        Self::force(now, index, &mut |dof, force| {
+        Self::force(now, at, &mut |dof, force| {
             sum += force.lane(lane).powi(2) / inertia(dof);
         });
         sum

@@ -14,15 +14,40 @@ use super::tendon_spring::{TendonDamper, TendonSpring};
 use super::{Element, Kind};
 use crate::integrator::Late;
 use crate::model::{Model, NONE};
+use crate::plan::acting::{Acting, Acts, Why};
 use crate::real::Real;
 
 macro_rules! forces {
-    ($($kind:ident),+ $(,)?) => {
+    ($($list:ident: $kind:ident),+ $(,)?) => {
+        impl Acting {
+            pub fn of(model: &Model) -> Self {
+                let mut acting = Self::default();
+                $(for index in 0..$kind::count(model) {
+                    match $kind::at(model, index) {
+                        Ok(at) => acting.$list.push(Acts { index, at }),
+                        Err(Why::Unsaid) => {}
+                        Err(why) => acting.left_out.push(($kind::element(index), why)),
+                    }
+                }
+                let acts = !$kind::APPLIED && !acting.$list.is_empty();
+                acting.passive |= acts && $kind::GROUP == Group::Passive;
+                acting.driven |= acts && $kind::GROUP == Group::Driven;)+
+                acting
+            }
+
+            /// All that acts.
+            pub fn elements(&self) -> Vec<Element> {
+                let mut all = vec![];
+                $(all.extend(self.$list.iter().map(|acts| $kind::element(acts.index)));)+
+                all
+            }
+        }
+
         /// Adds up the forces of a group.
         #[inline(always)]
         pub(crate) fn push<R: Real>(now: &Moment<R>, group: Group, sum: &mut Sum<R>) {
             $(if $kind::GROUP == group {
-                $kind::push(now, sum);
+                $kind::push(now, &now.model.acting.$list, sum);
             })+
         }
 
@@ -36,9 +61,9 @@ macro_rules! forces {
             add: &mut dyn FnMut(Element, usize, usize, [R; 2]),
         ) {
             $(if $kind::GROUP == group {
-                for index in 0..$kind::count(now.model) {
-                    let element = $kind::element(index);
-                    $kind::slopes(now, index, &mut |i, j, slopes| add(element, i, j, slopes));
+                for Acts { index, at } in &now.model.acting.$list {
+                    let element = $kind::element(*index);
+                    $kind::slopes(now, at, &mut |i, j, slopes| add(element, i, j, slopes));
                 }
             })+
         }
@@ -50,18 +75,18 @@ macro_rules! forces {
             now: &Moment<R>,
             add: &mut dyn FnMut(Element, usize, usize, [R; 2]),
         ) {
-            $(for index in 0..$kind::count(now.model) {
-                let element = $kind::element(index);
-                $kind::holding(now, index, &mut |i, j, slopes| add(element, i, j, slopes));
+            $(for Acts { index, at } in &now.model.acting.$list {
+                let element = $kind::element(*index);
+                $kind::holding(now, at, &mut |i, j, slopes| add(element, i, j, slopes));
             })+
         }
 
         /// Calls `each(dofs)` for every element that can have slopes, with the dofs of these.
         pub(crate) fn sloped(model: &Model, mut each: impl FnMut(&[usize])) {
             let mut dofs = Vec::new();
-            $(for index in 0..$kind::count(model) {
+            $(for Acts { at, .. } in &model.acting.$list {
                 dofs.clear();
-                $kind::sloped(model, index, &mut |dof| dofs.push(dof));
+                $kind::sloped(model, at, &mut |dof| dofs.push(dof));
                 // A joint's dofs are each by themselves.
                 dofs.chunks(if $kind::IN_JOINTS { 1 } else { dofs.len().max(1) }).for_each(&mut each);
             })+
@@ -75,8 +100,8 @@ macro_rules! forces {
             mut add: impl FnMut(usize, usize, R),
         ) {
             $(if late == Late::All || $kind::IN_JOINTS {
-                for index in 0..$kind::count(now.model) {
-                    $kind::damping(now, index, &mut add);
+                for Acts { at, .. } in &now.model.acting.$list {
+                    $kind::damping(now, at, &mut add);
                 }
             })+
         }
@@ -88,9 +113,9 @@ macro_rules! forces {
             mut add: impl FnMut(Element, usize, usize, R),
         ) {
             $(if late == Late::All || $kind::IN_JOINTS {
-                for index in 0..$kind::count(now.model) {
-                    let element = $kind::element(index);
-                    $kind::damping(now, index, &mut |i, j, damping| add(element, i, j, damping));
+                for Acts { index, at } in &now.model.acting.$list {
+                    let element = $kind::element(*index);
+                    $kind::damping(now, at, &mut |i, j, damping| add(element, i, j, damping));
                 }
             })+
         }
@@ -99,8 +124,9 @@ macro_rules! forces {
         fn damped(model: &Model, late: Late) -> Vec<bool> {
             let mut found = vec![false; model.trees.len()];
             $(if late == Late::All || $kind::IN_JOINTS {
-                for index in (0..$kind::count(model)).filter(|index| $kind::damps(model, *index)) {
-                    $kind::sloped(model, index, &mut |dof| found[model.dofs[dof].tree] = true);
+                let all = model.acting.$list.iter();
+                for Acts { at, .. } in all.filter(|acts| $kind::damps(model, &acts.at)) {
+                    $kind::sloped(model, at, &mut |dof| found[model.dofs[dof].tree] = true);
                 }
             })+
             found
@@ -114,9 +140,9 @@ macro_rules! forces {
             mut add: impl FnMut(Element, R),
         ) {
             $(if $kind::GROUP == group {
-                for index in 0..$kind::count(now.model) {
-                    let element = $kind::element(index);
-                    $kind::stored(now, index, &mut |energy| add(element, energy));
+                for Acts { index, at } in &now.model.acting.$list {
+                    let element = $kind::element(*index);
+                    $kind::stored(now, at, &mut |energy| add(element, energy));
                 }
             })+
         }
@@ -125,8 +151,8 @@ macro_rules! forces {
         pub(crate) fn power<R: Real>(now: &Moment<R>, velocity: impl Fn(usize) -> R) -> R {
             let mut power = R::zero();
             $(if $kind::powers(now) {
-                for index in 0..$kind::count(now.model) {
-                    $kind::power(now, index, &velocity, &mut |part| power += part);
+                for Acts { at, .. } in &now.model.acting.$list {
+                    $kind::power(now, at, &velocity, &mut |part| power += part);
                 }
             })+
             power
@@ -134,9 +160,9 @@ macro_rules! forces {
 
         /// Calls `each(element, dof, force)` for every push of every element, the weight's too.
         pub(crate) fn each<R: Real>(now: &Moment<R>, mut each: impl FnMut(Element, usize, R)) {
-            $(for index in 0..$kind::count(now.model) {
-                let element = $kind::element(index);
-                $kind::force(now, index, &mut |dof, force| each(element, dof, force));
+            $(for Acts { index, at } in &now.model.acting.$list {
+                let element = $kind::element(*index);
+                $kind::force(now, at, &mut |dof, force| each(element, dof, force));
             })+
         }
 
@@ -148,8 +174,8 @@ macro_rules! forces {
         ) -> Vec<(Element, f64)> {
             let mut all = Vec::new();
             $(if $kind::GROUP != Group::Weight {
-                all.extend((0..$kind::count(now.model)).map(|index| {
-                    ($kind::element(index), $kind::strength(now, index, lane, inertia))
+                all.extend(now.model.acting.$list.iter().map(|Acts { index, at }| {
+                    ($kind::element(*index), $kind::strength(now, at, lane, inertia))
                 }));
             })+
             all
@@ -159,18 +185,18 @@ macro_rules! forces {
 
 // In the order in which they are added up.
 forces!(
-    Damper,
-    Spring,
-    TendonSpring,
-    TendonDamper,
-    Compensation,
-    Fluid,
-    Actuator,
-    DrivenCompensation,
-    JointForce,
-    BodyForce,
-    Gravity,
-    Held,
+    damper: Damper,
+    spring: Spring,
+    tendon_spring: TendonSpring,
+    tendon_damper: TendonDamper,
+    compensation: Compensation,
+    fluid: Fluid,
+    actuator: Actuator,
+    driven_compensation: DrivenCompensation,
+    joint_force: JointForce,
+    body_force: BodyForce,
+    gravity: Gravity,
+    held: Held,
 );
 
 impl Model {

@@ -16,15 +16,12 @@ impl Constraint for FrictionLoss {
     const MOST_ROWS: usize = 1;
 
     fn any(model: &Model) -> bool {
-        !model.rubbing.is_empty()
+        model.features.frictionloss && !model.rubbing.is_empty()
     }
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
         let now = makings.now;
         let model = now.model;
-        if !model.features.frictionloss {
-            return;
-        }
         for &k in &model.rubbing {
             let dof = &model.dofs[k];
             if now.rests(dof.tree) {

@@ -5,9 +5,10 @@
 //! all the same, as the weight does that it holds; what a drive withholds counts as put in.
 
 use super::applied::on_dofs;
-use super::force::{Forces, Group, Moment, Sum};
-use super::{Element, Kind};
-use crate::model::{Model, NONE};
+use super::force::{Forces, Group, Moment};
+use super::Kind;
+use crate::model::{Body, Model, NONE};
+use crate::plan::acting::{Acts, MassAt, Why};
 use crate::real::Real;
 use crate::spatial::{splat, V3};
 
@@ -15,37 +16,32 @@ use crate::spatial::{splat, V3};
 pub(super) struct Compensation;
 /// On those with it.
 pub(super) struct DrivenCompensation;
-/// Neither: the energy of both.
+/// Stores the energy of both; pushes nothing.
 pub(super) struct Held;
 
-/// The mass that is held up.
-fn share(model: &Model, body: usize) -> f64 {
-    let own = &model.bodies[body];
-    if model.compensates && own.tree != NONE {
-        own.gravcomp * own.mass
-    } else {
-        0.0
+fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
+    let Body { tree, gravcomp, mass, .. } = model.bodies[body];
+    match gravcomp * mass {
+        mass if model.compensates && tree != NONE && mass != 0.0 => Ok(MassAt { body, mass }),
+        _ => Err(Why::Unsaid),
     }
 }
 
 /// Calls `add(dof, force)` for what holds a body, whole, on dofs that drives hold or on the others.
-fn whole<R: Real>(now: &Moment<R>, body: usize, driven: bool, add: &mut impl FnMut(usize, R)) {
+fn whole<R: Real>(now: &Moment<R>, at: &MassAt, driven: bool, add: &mut impl FnMut(usize, R)) {
     let model = now.model;
-    let share = share(model, body);
-    if share != 0.0 {
-        let force = splat::<R>(&(model.gravity * -share));
-        on_dofs(now, body, &force, &V3::zeros(), &mut |k, force| {
-            if model.joints[model.dofs[k].joint].actuatorgravcomp == driven {
-                add(k, force);
-            }
-        });
-    }
+    let force = splat::<R>(&(model.gravity * -at.mass));
+    on_dofs(now, at.body, &force, &V3::zeros(), &mut |k, force| {
+        if model.joints[model.dofs[k].joint].actuatorgravcomp == driven {
+            add(k, force);
+        }
+    });
 }
 
 /// Calls `add(dof, force)` for all of it that drives are asked for.
 pub(super) fn asked_of_drives<R: Real>(now: &Moment<R>, mut add: impl FnMut(usize, R)) {
-    for body in 1..DrivenCompensation::count(now.model) {
-        whole(now, body, true, &mut add);
+    for Acts { at, .. } in &now.model.acting.driven_compensation {
+        whole(now, at, true, &mut add);
     }
 }
 
@@ -66,17 +62,14 @@ impl Forces for Compensation {
     const KIND: Kind = Kind::GravityCompensation;
     const GROUP: Group = Group::Passive;
 
-    fn force<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(usize, R)) {
-        whole(now, body, false, add);
+    type At = MassAt;
+
+    fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
+        at(model, body)
     }
 
-    #[inline(always)]
-    fn push<R: Real>(now: &Moment<R>, sum: &mut Sum<R>) {
-        if now.model.compensates {
-            for body in 1..now.model.bodies.len() {
-                whole(now, body, false, &mut |dof, force| sum.force[dof] += force);
-            }
-        }
+    fn force<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(usize, R)) {
+        whole(now, at, false, add);
     }
 }
 
@@ -84,20 +77,15 @@ impl Forces for DrivenCompensation {
     const KIND: Kind = Kind::GravityCompensation;
     const GROUP: Group = Group::Driven;
 
-    fn count(model: &Model) -> usize {
-        if model.compensates && model.joints.iter().any(|joint| joint.actuatorgravcomp) {
-            model.bodies.len()
-        } else {
-            0
-        }
+    type At = MassAt;
+
+    fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
+        let driven = model.joints.iter().any(|joint| joint.actuatorgravcomp);
+        driven.then(|| at(model, body)).unwrap_or(Err(Why::Unsaid))
     }
 
-    fn element(body: usize) -> Element {
-        Element::whole(Kind::GravityCompensation, body)
-    }
-
-    fn force<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(usize, R)) {
-        whole(now, body, true, &mut |dof, force| {
+    fn force<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(usize, R)) {
+        whole(now, at, true, &mut |dof, force| {
             add(dof, given(now, dof).map_or(force, |part| force * part));
         });
     }
@@ -109,11 +97,11 @@ impl Forces for DrivenCompensation {
 
     fn power<R: Real>(
         now: &Moment<R>,
-        body: usize,
+        at: &MassAt,
         velocity: &impl Fn(usize) -> R,
         add: &mut impl FnMut(R),
     ) {
-        whole(now, body, true, &mut |dof, force| {
+        whole(now, at, true, &mut |dof, force| {
             if let Some(part) = given(now, dof) {
                 add((part - R::one()) * force * velocity(dof));
             }
@@ -125,15 +113,17 @@ impl Forces for DrivenCompensation {
 impl Forces for Held {
     const KIND: Kind = Kind::GravityCompensation;
     const GROUP: Group = Group::Weight;
+    type At = MassAt;
 
-    fn force<R: Real>(_: &Moment<R>, _body: usize, _add: &mut impl FnMut(usize, R)) {}
+    fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
+        at(model, body)
+    }
+
+    fn force<R: Real>(_: &Moment<R>, _: &MassAt, _add: &mut impl FnMut(usize, R)) {}
 
     /// m g·c times the share: what the weight stores less.
-    fn stored<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(R)) {
-        let share = share(now.model, body);
-        if share != 0.0 {
-            let gravity = splat::<R>(&now.model.gravity);
-            add(R::of(share) * gravity.dot(&now.frames.centre(now.model, body)));
-        }
+    fn stored<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(R)) {
+        let gravity = splat::<R>(&now.model.gravity);
+        add(R::of(at.mass) * gravity.dot(&now.frames.centre(now.model, at.body)));
     }
 }

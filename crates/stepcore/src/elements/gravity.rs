@@ -7,6 +7,7 @@ use super::applied::on_dofs;
 use super::force::{Forces, Group, Moment, Sum};
 use super::{Element, Kind};
 use crate::model::Model;
+use crate::plan::acting::{Acts, MassAt, Why};
 use crate::real::Real;
 use crate::spatial::{splat, V3};
 
@@ -15,6 +16,7 @@ pub(super) struct Gravity;
 impl Forces for Gravity {
     const KIND: Kind = Kind::Gravity;
     const GROUP: Group = Group::Weight;
+    type At = MassAt;
 
     #[inline(always)]
     fn count(model: &Model) -> usize {
@@ -25,24 +27,27 @@ impl Forces for Gravity {
         Element::part(Kind::Gravity, 0, body)
     }
 
-    fn force<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(usize, R)) {
-        let mass = now.model.bodies[body].mass;
-        if now.model.features.gravity && mass > 0.0 {
-            let weight = splat::<R>(&(now.model.gravity * mass));
-            on_dofs(now, body, &weight, &V3::zeros(), add);
+    fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
+        match model.bodies[body].mass {
+            _ if !model.features.gravity => Err(Why::Off("gravity")),
+            mass if body > 0 && mass > 0.0 => Ok(MassAt { body, mass }),
+            _ => Err(Why::Zero("mass")),
         }
     }
 
+    fn force<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(usize, R)) {
+        let weight = splat::<R>(&(now.model.gravity * at.mass));
+        on_dofs(now, at.body, &weight, &V3::zeros(), add);
+    }
+
     /// The bias forces hold it.
-    fn push<R: Real>(_: &Moment<R>, _: &mut Sum<R>) {}
+    fn push<R: Real>(_: &Moment<R>, _: &[Acts<MassAt>], _: &mut Sum<R>) {}
 
     /// −m g·c, zero at the world's origin; of fixed bodies too.
     #[inline(always)]
-    fn stored<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(R)) {
-        if now.model.features.gravity && body > 0 {
-            let gravity = splat::<R>(&now.model.gravity);
-            let centre = now.frames.centre(now.model, body);
-            add(-(R::of(now.model.bodies[body].mass) * gravity.dot(&centre)));
-        }
+    fn stored<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(R)) {
+        let gravity = splat::<R>(&now.model.gravity);
+        let centre = now.frames.centre(now.model, at.body);
+        add(-(R::of(at.mass) * gravity.dot(&centre)));
     }
 }

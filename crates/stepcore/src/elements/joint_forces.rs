@@ -30,7 +30,7 @@ pub fn joint_forces(
     if model.nv == 0 {
         return Some(all);
     }
-    for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
+    for (n, (qpos, qvel)) in qpos.chunks(model.nq.max(1)).zip(qvel.chunks(model.nv)).enumerate() {
         inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
         let act = &act[n * model.na..(n + 1) * model.na];
         let act = Activations { act, history: &[], seconds: 0.0, ahead: 0.0, middle: false };
@@ -46,12 +46,11 @@ pub fn joint_forces(
         let start = all.len();
         all.resize(start + model.nv, 0.0);
         let mut add = |dof: usize, force: f64| all[start + dof] += force;
-        for index in 0..model.count(kind) {
-            match kind {
-                Kind::Spring => Spring::force(&now, index, &mut add),
-                Kind::Damper => Damper::force(&now, index, &mut add),
-                _ => Actuator::force(&now, index, &mut add),
-            }
+        let acting = &model.acting;
+        match kind {
+            Kind::Spring => acting.spring.iter().for_each(|a| Spring::force(&now, &a.at, &mut add)),
+            Kind::Damper => acting.damper.iter().for_each(|a| Damper::force(&now, &a.at, &mut add)),
+            _ => acting.actuator.iter().for_each(|a| Actuator::force(&now, &a.at, &mut add)),
         }
     }
     Some(all)

@@ -16,14 +16,11 @@ impl Constraint for Limit {
     const MOST_ROWS: usize = 1;
 
     fn any(model: &Model) -> bool {
-        !model.limited.is_empty()
+        model.features.limit && !model.limited.is_empty()
     }
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
         let now = makings.now;
-        if !now.model.features.limit {
-            return;
-        }
         let by_position = !now.settings.law.on_guess();
         for &index in &now.model.limited {
             let joint = &now.model.joints[index];

@@ -12,7 +12,7 @@ mod applied;
 mod belt;
 mod connect;
 mod constraint;
-mod constraints;
+pub(crate) mod constraints;
 mod contact;
 mod controller;
 mod coupling;

@@ -4,7 +4,8 @@
 
 use super::force::{Forces, Group, Moment};
 use super::Kind;
-use crate::model::{Joint, Model};
+use crate::model::Model;
+use crate::plan::acting::{SpringAt, Why};
 use crate::real::Real;
 use crate::scene::{Coefficients, JointType, NONE};
 use crate::spatial::Quat;
@@ -62,59 +63,59 @@ impl Forces for Spring {
     const KIND: Kind = Kind::Spring;
     const GROUP: Group = Group::Passive;
     const IN_JOINTS: bool = true;
+    type At = SpringAt;
 
-    #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, R)) {
-        let joint = &now.model.joints[joint];
-        if joint.stiffness != NONE {
-            stretches(now.model, joint, now.qpos, |first, stretch| {
-                pull(&joint.stiffness, stretch, |at, force| add(first + at, force));
-            });
+    fn at(model: &Model, joint: usize) -> Result<SpringAt, Why> {
+        let joint = &model.joints[joint];
+        match joint.stiffness {
+            _ if !model.features.spring => Err(Why::Off("spring")),
+            NONE => Err(Why::Zero("stiffness")),
+            law => Ok(SpringAt { kind: joint.kind, qpos: joint.qpos, dof: joint.dof, law }),
         }
     }
 
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
-        let joint = &now.model.joints[joint];
-        if joint.stiffness == NONE {
-            return;
-        }
-        if linear(&joint.stiffness) {
+    fn force<R: Real>(now: &Moment<R>, at: &SpringAt, add: &mut impl FnMut(usize, R)) {
+        stretches(now.model, at, now.qpos, |first, stretch| {
+            pull(&at.law, stretch, |k, force| add(first + k, force));
+        });
+    }
+
+    #[inline(always)]
+    fn slopes<R: Real>(now: &Moment<R>, at: &SpringAt, add: &mut impl FnMut(usize, usize, [R; 2])) {
+        if linear(&at.law) {
             // Wherever the joint is.
-            let slope = R::of(joint.stiffness[0]);
-            (joint.dof..joint.dof + joint.dofs()).for_each(|k| add(k, k, [slope, R::zero()]));
+            let slope = R::of(at.law[0]);
+            (at.dof..at.dof + at.kind.dofs()).for_each(|k| add(k, k, [slope, R::zero()]));
             return;
         }
-        stretches(now.model, joint, now.qpos, |first, stretch| {
-            let slope = slope(&joint.stiffness, stretch);
+        stretches(now.model, at, now.qpos, |first, stretch| {
+            let slope = slope(&at.law, stretch);
             for k in first..first + stretch.len() {
                 add(k, k, [slope, R::zero()]);
             }
         });
     }
 
-    fn sloped(model: &Model, joint: usize, each: &mut impl FnMut(usize)) {
-        let joint = &model.joints[joint];
-        if joint.stiffness != NONE {
-            (joint.dof..joint.dof + joint.dofs()).for_each(each);
-        }
+    fn sloped(_: &Model, at: &SpringAt, each: &mut impl FnMut(usize)) {
+        (at.dof..at.dof + at.kind.dofs()).for_each(each);
     }
 
     #[inline(always)]
-    fn stored<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(R)) {
-        let joint = &now.model.joints[joint];
-        if joint.stiffness != NONE {
-            stretches(now.model, joint, now.qpos, |_, stretch| {
-                energy(&joint.stiffness, stretch, &mut *add)
-            });
-        }
+    fn stored<R: Real>(now: &Moment<R>, at: &SpringAt, add: &mut impl FnMut(R)) {
+        stretches(now.model, at, now.qpos, |_, stretch| energy(&at.law, stretch, &mut *add));
     }
 }
 
 /// Calls `each(first dof, stretch)`: how far a joint is from its spring's rest [m or rad], a
 /// free joint's way and its turn apart.
 #[inline(always)]
-fn stretches<R: Real>(model: &Model, joint: &Joint, qpos: &[R], mut each: impl FnMut(usize, &[R])) {
+fn stretches<R: Real>(
+    model: &Model,
+    joint: &SpringAt,
+    qpos: &[R],
+    mut each: impl FnMut(usize, &[R]),
+) {
     let rest = |k: usize| R::of(model.qpos_spring[joint.qpos + k]);
     let turn = |at: usize| {
         let q = Quat::of(&qpos[joint.qpos + at..joint.qpos + at + 4]).normalized();

@@ -13,14 +13,11 @@ impl Constraint for TendonFriction {
     const MOST_ROWS: usize = 1;
 
     fn any(model: &Model) -> bool {
-        model.tendons.iter().any(|tendon| tendon.frictionloss > 0.0)
+        model.features.frictionloss && model.tendons.iter().any(|t| t.frictionloss > 0.0)
     }
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
         let now = makings.now;
-        if !now.model.features.frictionloss {
-            return;
-        }
         for (index, tendon) in now.model.tendons.iter().enumerate() {
             if tendon.frictionloss <= 0.0 || now.tendon_rests(index) {
                 continue;

@@ -12,14 +12,11 @@ impl Constraint for TendonLimit {
     const MOST_ROWS: usize = 1;
 
     fn any(model: &Model) -> bool {
-        model.tendons.iter().any(|tendon| tendon.range.is_some())
+        model.features.limit && model.tendons.iter().any(|tendon| tendon.range.is_some())
     }
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
         let now = makings.now;
-        if !now.model.features.limit {
-            return;
-        }
         for (index, tendon) in now.model.tendons.iter().enumerate() {
             let Some([lo, hi]) = tendon.range else { continue };
             if now.tendon_rests(index) {

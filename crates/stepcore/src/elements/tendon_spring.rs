@@ -4,6 +4,7 @@ use super::force::{Forces, Group, Moment};
 use super::{damper, spring, Kind};
 use crate::model::transmission::Transmission;
 use crate::model::Model;
+use crate::plan::acting::{TendonAt, Why};
 use crate::real::{Mask, Real};
 use crate::scene::NONE;
 
@@ -63,73 +64,73 @@ pub(crate) fn tendon_force<R: Real>(now: &Moment<R>, index: usize) -> R {
 impl Forces for TendonSpring {
     const KIND: Kind = Kind::TendonSpring;
     const GROUP: Group = Group::Passive;
+    type At = TendonAt;
+
+    fn at(model: &Model, tendon: usize) -> Result<TendonAt, Why> {
+        match model.tendons[tendon].stiffness {
+            _ if !model.features.spring => Err(Why::Off("spring")),
+            NONE => Err(Why::Zero("stiffness")),
+            law => Ok(TendonAt { tendon, law }),
+        }
+    }
 
     #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, R)) {
-        let law = &now.model.tendons[index].stiffness;
-        if *law != NONE {
-            let mut pull = R::zero();
-            spring::pull(law, &[stretch(now, index)], |_, force| pull = force);
-            along(now, index, |dof, arm| add(dof, arm * pull));
-        }
+    fn force<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(usize, R)) {
+        let mut pull = R::zero();
+        spring::pull(&at.law, &[stretch(now, at.tendon)], |_, force| pull = force);
+        along(now, at.tendon, |dof, arm| add(dof, arm * pull));
     }
 
     /// Slack, it has none.
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
-        let law = &now.model.tendons[index].stiffness;
-        if *law != NONE {
-            let (zero, by) = (R::zero(), stretch(now, index));
-            let [lo, hi] = now.model.tendons[index].springlength;
-            let slack = by.le(zero).and(by.ge(zero)).and(R::Mask::of(lo < hi));
-            let slope = R::select(slack, zero, spring::slope(law, &[by]));
-            spread(now, index, [slope, zero], add);
-        }
+    fn slopes<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(usize, usize, [R; 2])) {
+        let (zero, by) = (R::zero(), stretch(now, at.tendon));
+        let [lo, hi] = now.model.tendons[at.tendon].springlength;
+        let slack = by.le(zero).and(by.ge(zero)).and(R::Mask::of(lo < hi));
+        let slope = R::select(slack, zero, spring::slope(&at.law, &[by]));
+        spread(now, at.tendon, [slope, zero], add);
     }
 
-    fn sloped(model: &Model, index: usize, each: &mut impl FnMut(usize)) {
-        if model.tendons[index].stiffness != NONE {
-            dofs(model, index, each);
-        }
+    fn sloped(model: &Model, at: &TendonAt, each: &mut impl FnMut(usize)) {
+        dofs(model, at.tendon, each);
     }
 
     #[inline(always)]
-    fn stored<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(R)) {
-        let law = &now.model.tendons[index].stiffness;
-        if *law != NONE {
-            spring::energy(law, &[stretch(now, index)], &mut *add);
-        }
+    fn stored<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(R)) {
+        spring::energy(&at.law, &[stretch(now, at.tendon)], &mut *add);
     }
 }
 
 impl Forces for TendonDamper {
     const KIND: Kind = Kind::TendonDamper;
     const GROUP: Group = Group::Passive;
+    type At = TendonAt;
 
-    #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, R)) {
-        let law = &now.model.tendons[index].damping;
-        if *law != NONE {
-            let pull = damper::pull(law, rate(now, index));
-            along(now, index, |dof, arm| add(dof, arm * pull));
+    fn at(model: &Model, tendon: usize) -> Result<TendonAt, Why> {
+        match model.tendons[tendon].damping {
+            _ if !model.features.damper => Err(Why::Off("damper")),
+            NONE => Err(Why::Zero("damping")),
+            law => Ok(TendonAt { tendon, law }),
         }
     }
 
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
-        let law = &now.model.tendons[index].damping;
-        if *law != NONE {
-            spread(now, index, [R::zero(), damper::slope(law, rate(now, index))], add);
-        }
+    fn force<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(usize, R)) {
+        let pull = damper::pull(&at.law, rate(now, at.tendon));
+        along(now, at.tendon, |dof, arm| add(dof, arm * pull));
     }
 
-    fn sloped(model: &Model, index: usize, each: &mut impl FnMut(usize)) {
-        if Self::damps(model, index) {
-            dofs(model, index, each);
-        }
+    #[inline(always)]
+    fn slopes<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(usize, usize, [R; 2])) {
+        let slope = damper::slope(&at.law, rate(now, at.tendon));
+        spread(now, at.tendon, [R::zero(), slope], add);
     }
 
-    fn damps(model: &Model, index: usize) -> bool {
-        model.tendons[index].damping != NONE
+    fn sloped(model: &Model, at: &TendonAt, each: &mut impl FnMut(usize)) {
+        dofs(model, at.tendon, each);
+    }
+
+    fn damps(_: &Model, _: &TendonAt) -> bool {
+        true
     }
 }

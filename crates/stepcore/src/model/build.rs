@@ -5,7 +5,9 @@ use super::{
     apart, at_qpos0, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages,
     meetings, memory, meshes, pairs, plane, pose, tendons, ties, tree, Model, NONE,
 };
+use crate::elements::constraints::makers;
 use crate::error::Result;
+use crate::plan::acting::Acting;
 use crate::scene::Scene;
 
 impl Model {
@@ -56,11 +58,14 @@ impl Model {
             let still = !turns || ball && !tied[tree];
             model.trees[tree].constant = still && !weighted[tree];
         }
+        model.acting = Acting::of(&model);
         plane::fill(&mut model, &poses);
         coupling::fill(&mut model);
         model.slots = Slots::of(&model);
         apart::fill(&mut model);
         meetings::fill(&mut model);
+        model.places = model.find_places();
+        model.makers = makers(&model);
         Ok(model)
     }
 }

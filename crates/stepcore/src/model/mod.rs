@@ -20,7 +20,7 @@ mod meetings;
 pub(crate) mod memory;
 mod meshes;
 mod pairs;
-mod plan;
+mod places;
 mod plane;
 mod pose;
 mod principal;
@@ -45,7 +45,6 @@ pub use linkages::{Linkage, Moved};
 pub use material::Material;
 pub use meetings::{Meeting, Spheres};
 pub use pairs::Never;
-pub use plan::Unmet;
 pub use plane::{FlatGeom, Plane};
 pub(crate) use pose::rotation;
 pub use tally::Tally;
@@ -54,6 +53,9 @@ pub use ties::{Coupling, Ends, Equality, Tie};
 use transmission::Transmission;
 pub(crate) use union::Union;
 
+use crate::plan::acting::Acting;
+use crate::plan::makers::Maker;
+use crate::plan::places::Places;
 use crate::real::Real;
 use crate::scene::{
     Actuator, Coefficients, Features, GeomType, JointType, Key, Sensor, SleepPolicy, Softness,
@@ -364,6 +366,10 @@ pub struct Model {
     pub limited: Vec<usize>,
     pub rubbing: Vec<usize>,
     slots: slots::Slots,
+    /// What a step places, what makes rows, and what pushes.
+    pub(crate) makers: Vec<Maker>,
+    pub(crate) places: Places,
+    pub(crate) acting: Acting,
 }
 
 /// Nearer than this share of the size of what meets, a row stays: whether the guess of bodies
@@ -381,6 +387,18 @@ impl Model {
     pub(crate) fn is_mocap(&self, body: usize) -> bool {
         let body = &self.bodies[body];
         body.tree == NONE && body.carried
+    }
+
+    /// It can make rows, with so many contacts.
+    #[inline(always)]
+    pub(crate) fn makes_rows(&self, contacts: usize) -> bool {
+        self.makers.iter().any(|maker| *maker != Maker::Contacts || contacts > 0)
+    }
+
+    /// Some of its geoms can meet.
+    #[inline(always)]
+    pub(crate) fn meets(&self) -> bool {
+        self.heap.is_some() || !self.pairs.is_empty()
     }
 
     /// One free joint and nothing jointed on it, the mass a ball's about the joint's own

@@ -6,8 +6,8 @@
 //! meet if the bits of the two sorts do.
 
 use super::pairs::Never;
-use super::plan::{Unmet, EXAMPLES};
 use super::Model;
+use crate::plan::{Unmet, EXAMPLES};
 use crate::scene::GeomType;
 use std::collections::BTreeMap;
 

@@ -6,6 +6,8 @@ use super::meshes::Asset;
 use super::pose::{rotation, unit_quat};
 use super::slots::Slots;
 use super::{Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
+use crate::plan::acting::Acting;
+use crate::plan::places::Places;
 use crate::scene::{self, GeomType, JointType, Scene};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashMap;
@@ -66,6 +68,9 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         limited: vec![],
         rubbing: vec![],
         slots: Slots::default(),
+        makers: vec![],
+        places: Places::default(),
+        acting: Acting::default(),
     };
     for s in &scene.sites {
         let (name, pos) = (s.name.clone(), Vector3::from(s.pos));

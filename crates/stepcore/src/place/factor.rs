@@ -21,11 +21,16 @@ pub struct Metric<R: Real> {
     pub inv_d: Vec<R>,
     /// The pattern, packed: each dof's row, and each entry's dof and its row.
     rows: Vec<Span>,
+    /// What of each row stands left of the diagonal, without rows in which all of that is zero
+    /// throughout.
+    left: Vec<Span>,
+    /// No row has anything there.
+    diagonal: bool,
     dofs: Vec<usize>,
     above: Vec<usize>,
 }
 
-room!(Metric<R>: l, inv_d, rows, dofs, above;);
+room!(Metric<R>: l, inv_d, rows, left, dofs, above;);
 
 impl<R: Real> Metric<R> {
     pub fn new(model: &Model) -> Self {
@@ -33,6 +38,8 @@ impl<R: Real> Metric<R> {
             l: vec![R::one(); model.row_dofs.len()],
             inv_d: vec![R::one(); model.nv],
             rows: model.dofs.iter().map(|dof| dof.row).collect(),
+            left: model.dofs.iter().map(|dof| left(dof.row)).collect(),
+            diagonal: model.dofs.iter().all(|dof| dof.row.len == 1),
             dofs: model.row_dofs.clone(),
             above: model.row_dofs.iter().map(|k| model.dofs[*k].row.start).collect(),
         }
@@ -53,6 +60,8 @@ impl<R: Real> Metric<R> {
             l: vec![R::one(); dofs.len()],
             inv_d: vec![R::one(); model.nv],
             above: dofs.iter().map(|k| rows[*k].start).collect(),
+            left: rows.iter().map(|row| left(*row)).collect(),
+            diagonal: rows.iter().all(|row| row.len == 1),
             rows,
             dofs,
         }
@@ -80,16 +89,30 @@ impl<R: Real> Metric<R> {
     /// A row's entries left of the diagonal, nearest ancestor first.
     #[inline(always)]
     pub fn left_of(&self, k: usize) -> &[R] {
-        let Span { start, len } = self.rows[k];
-        &self.l[start + 1..start + len]
+        self.left[k].of(&self.l)
     }
 
     /// The same with their dofs.
     #[inline(always)]
     pub fn row(&self, k: usize) -> impl Iterator<Item = (R, usize)> + '_ {
-        let Span { start, len } = self.rows[k];
-        let (from, to) = (start + 1, start + len);
-        self.l[from..to].iter().copied().zip(self.dofs[from..to].iter().copied())
+        let left = self.left[k];
+        left.of(&self.l).iter().copied().zip(left.of(&self.dofs).iter().copied())
+    }
+
+    /// These dofs' rows never change: those that are zero left of the diagonal are passed over.
+    pub(super) fn constant(&mut self, dofs: Range<usize>) {
+        for left in &mut self.left[dofs] {
+            if left.of(&self.l).iter().all(R::is_zero) {
+                left.len = 0;
+            }
+        }
+        self.diagonal = self.left.iter().all(|left| left.len == 0);
+    }
+
+    /// L is the unit matrix.
+    #[inline(always)]
+    pub(super) fn is_diagonal(&self) -> bool {
+        self.diagonal
     }
 
     /// Copies rows of a matrix of the same layout.
@@ -133,6 +156,9 @@ impl<R: Real> Metric<R> {
 
     /// u ← L v.
     pub fn to_factored(&self, v: &[R], u: &mut [R]) {
+        if self.diagonal {
+            return u.copy_from_slice(v);
+        }
         for k in 0..v.len() {
             let mut sum = v[k];
             for (l, j) in self.row(k) {
@@ -144,6 +170,9 @@ impl<R: Real> Metric<R> {
 
     /// v ← L⁻¹ u.
     pub fn from_factored(&self, u: &[R], v: &mut [R]) {
+        if self.diagonal {
+            return v.copy_from_slice(u);
+        }
         for k in 0..u.len() {
             let mut sum = u[k];
             for (l, j) in self.row(k) {
@@ -216,6 +245,11 @@ impl<R: Real> Metric<R> {
     pub fn solve(&self, x: &mut [R]) {
         self.solve_dofs(0..x.len(), x);
     }
+}
+
+/// What of a row stands left of the diagonal.
+fn left(row: Span) -> Span {
+    Span { start: row.start + 1, len: row.len - 1 }
 }
 
 impl<R: Real> Placed<R> {

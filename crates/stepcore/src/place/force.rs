@@ -59,18 +59,25 @@ impl<R: Real> Placed<R> {
         inputs: &Inputs<R>,
     ) {
         let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
-        let changes = [&mut self.act_rate[..], &mut self.act_fading];
-        rates(model, (qpos, qvel), act, inputs, pulls, changes);
+        if model.na > 0 {
+            let changes = [&mut self.act_rate[..], &mut self.act_fading];
+            rates(model, (qpos, qvel), act, inputs, pulls, changes);
+        }
         self.tensions(model, qpos, qvel, act, inputs);
         let Self { xpos, xmat, origin, motion, actuator, passive, bias, force, wrench, .. } = self;
         let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
         let shares = &self.shares;
         let frames = Frames { xpos, xmat, origin, motion, tension: actuator, shares, pulls };
         let now = Moment { model, frames, qpos, qvel, act, inputs };
-        push(&now, Group::Passive, &mut Sum { force: passive, wrench });
+        // What adhesion pulls is added to it, for those who read it.
+        if model.acting.passive || model.sticks {
+            push(&now, Group::Passive, &mut Sum { force: passive, wrench });
+        }
         for k in 0..model.nv {
             force[k] = passive[k] - bias[k];
         }
-        push(&now, Group::Driven, &mut Sum { force, wrench });
+        if model.acting.driven || inputs.applied() {
+            push(&now, Group::Driven, &mut Sum { force, wrench });
+        }
     }
 }

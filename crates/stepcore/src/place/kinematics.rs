@@ -2,8 +2,9 @@
 
 use super::Placed;
 use crate::model::{Joint, Model, NONE};
+use crate::plan::places::{Part, Way};
 use crate::real::Real;
-use crate::scene::{GeomType, JointType};
+use crate::scene::JointType;
 use crate::spatial::{principal, rotate, splat, Motion, Quat, M3, V3};
 use nalgebra::Vector3;
 
@@ -41,33 +42,41 @@ fn turned<R: Real>(rot: &M3<R>, direction: &Vector3<f64>) -> V3<R> {
 impl<R: Real> Placed<R> {
     /// Hangs a body on its parent and moves it through its joints in order.
     pub(super) fn place_body(&mut self, model: &Model, qpos: &[R], index: usize) {
-        let body = &model.bodies[index];
-        let parent = body.parent;
-        if let Some(at) = body.mocap {
+        if let Some(at) = model.bodies[index].mocap {
             let (pos, quat) = self.mocap[at];
             (self.xpos[index], self.xquat[index], self.xmat[index]) = (pos, quat, quat.matrix());
             return;
         }
-        let joints = body.joints.of(&model.joints);
-        if let [only] = joints {
-            if only.kind == JointType::Free {
-                let q = &qpos[only.qpos..];
-                self.xpos[index] = V3::new(q[0], q[1], q[2]);
-                self.xquat[index] = Quat::of(&q[3..7]).normalized();
-                self.xmat[index] = self.xquat[index].matrix();
-                self.origin[body.tree] = self.xpos[index];
-                self.free_motion(index, only.dof);
-                return;
+        match model.way(index) {
+            Way::Sliding | Way::Planar if !self.placed => {
+                self.place_by(model, qpos, index, Way::Jointed);
             }
+            way => self.place_by(model, qpos, index, way),
         }
-        if self.placed && body.tree != NONE && !body.turns {
-            return self.slide_body(model, qpos, index);
+    }
+
+    /// Moves a body so.
+    #[inline(always)]
+    pub(super) fn place_by(&mut self, model: &Model, qpos: &[R], index: usize, way: Way) {
+        match way {
+            Way::Free { qpos: at, dof } => self.free_body(model, &qpos[at..at + 7], index, dof),
+            Way::Sliding => self.slide_body(model, qpos, index),
+            Way::Planar => self.place_body_in_plane(model, qpos, index),
+            Way::Jointed => self.joint_body(model, qpos, index),
         }
-        if self.placed && body.tree != NONE {
-            if let Some(plane) = &model.trees[body.tree].plane {
-                return self.place_body_in_plane(model, plane, qpos, index);
-            }
-        }
+    }
+
+    fn free_body(&mut self, model: &Model, q: &[R], index: usize, dof: usize) {
+        self.xpos[index] = V3::new(q[0], q[1], q[2]);
+        self.xquat[index] = Quat::of(&q[3..7]).normalized();
+        self.xmat[index] = self.xquat[index].matrix();
+        self.origin[model.bodies[index].tree] = self.xpos[index];
+        self.free_motion(index, dof);
+    }
+
+    fn joint_body(&mut self, model: &Model, qpos: &[R], index: usize) {
+        let body = &model.bodies[index];
+        let (parent, joints) = (body.parent, body.joints.of(&model.joints));
         let offset = rotate(&self.xmat[parent], &splat(&body.pos));
         self.offset[index] = offset;
         let mut pos = self.xpos[parent] + offset;
@@ -157,11 +166,12 @@ impl<R: Real> Placed<R> {
     fn free_motion(&mut self, index: usize, dof: usize) {
         let m = self.xmat[index];
         for k in 0..3 {
-            let mut unit = V3::zeros();
-            unit[k] = R::one();
-            self.motion[dof + k] = Motion { ang: V3::zeros(), lin: unit };
-            let axis = V3::new(m[(0, k)], m[(1, k)], m[(2, k)]);
-            self.motion[dof + 3 + k] = Motion { ang: axis, lin: V3::zeros() };
+            if !self.placed {
+                let mut unit = V3::zeros();
+                unit[k] = R::one();
+                self.motion[dof + k] = Motion { ang: V3::zeros(), lin: unit };
+            }
+            self.motion[dof + 3 + k].ang = V3::new(m[(0, k)], m[(1, k)], m[(2, k)]);
         }
     }
 
@@ -192,17 +202,17 @@ impl<R: Real> Placed<R> {
     }
 
     /// As much of a colliding geom's pose as its contacts need.
-    pub(super) fn place_colliding(&mut self, model: &Model, index: usize) {
-        let geom = &model.geoms[index];
-        let round = geom.kind == GeomType::Sphere && geom.belt.is_none();
-        if round || !model.bodies[geom.body].turns {
-            self.place_geom_centre(model, index);
-        } else if geom.by_axis && geom.in_plane.is_none() {
-            self.place_geom_centre(model, index);
-            let axis = turned(&self.xmat[geom.body], &geom.axis);
-            self.geom[index].rot.set_column(2, &axis);
-        } else {
-            self.place_geom(model, index);
+    #[inline(always)]
+    pub(super) fn place_part(&mut self, model: &Model, index: usize, part: Part) {
+        match part {
+            Part::Centre => self.place_geom_centre(model, index),
+            Part::Axis => {
+                let geom = &model.geoms[index];
+                self.place_geom_centre(model, index);
+                let axis = turned(&self.xmat[geom.body], &geom.axis);
+                self.geom[index].rot.set_column(2, &axis);
+            }
+            Part::Whole => self.place_geom(model, index),
         }
     }
 }

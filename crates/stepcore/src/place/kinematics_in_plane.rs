@@ -45,14 +45,9 @@ fn turn_axes<R: Real>(to: &mut M3<R>, turn: Turn<R>, rot: &Matrix3<f64>, [x, y]:
 
 impl<R: Real> Placed<R> {
     /// See `place_body`.
-    pub(super) fn place_body_in_plane(
-        &mut self,
-        model: &Model,
-        plane: &Plane,
-        qpos: &[R],
-        index: usize,
-    ) {
+    pub(super) fn place_body_in_plane(&mut self, model: &Model, qpos: &[R], index: usize) {
         let body = &model.bodies[index];
+        let Some(plane) = &model.trees[body.tree].plane else { return };
         let first = model.trees[body.tree].bodies.start;
         let flat = &plane.bodies[index - first];
         let [x, y] = plane.axes();

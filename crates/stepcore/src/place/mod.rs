@@ -27,7 +27,8 @@ use crate::elements::activation::Activations;
 use crate::elements::force::Frames;
 use crate::integrator::Turning;
 use crate::model::transmission::Pulls;
-use crate::model::{Body, Model, Tree};
+use crate::model::{Body, Model, NONE};
+use crate::plan::places::Place;
 use crate::real::{Real, Stage};
 use crate::room::room;
 use crate::settings::Settings;
@@ -179,6 +180,9 @@ impl<R: Real> Placed<R> {
             self.factor_mass(tree);
             self.velocities(model, &still, tree);
             self.bias_of_tree(model, index);
+            if tree.constant && self.effective.is_none() {
+                self.metric.constant(tree.dofs.range());
+            }
         }
         if let Some(effective) = &mut self.effective {
             effective.start(&self.mass, &mut self.metric);
@@ -188,38 +192,41 @@ impl<R: Real> Placed<R> {
     /// Positions only: bodies, geoms and the motion of every dof.
     pub fn positions(&mut self, model: &Model, qpos: &[R]) {
         self.resting.forget();
-        self.place_trees(model, qpos, |_| true);
+        R::enter(Stage::Kinematics);
+        let trees = model.trees.iter().flat_map(|tree| tree.bodies.range());
+        for body in model.carried.iter().copied().chain(trees) {
+            self.place_body(model, qpos, body);
+        }
+        for (index, geom) in model.geoms.iter().enumerate() {
+            let body = &model.bodies[geom.body];
+            if geom.collides && (body.tree != NONE || body.carried) {
+                self.place_part(model, index, model.part(index));
+            }
+        }
         self.place_tendons(model, qpos, |_| true);
         self.place_linkages(model);
     }
 
-    /// The same where a step needs it: see `Tree::seen`.
+    /// The same where a step needs it.
     pub fn positions_in_step(&mut self, model: &Model, qpos: &[R]) {
-        self.place_trees(model, qpos, |tree| tree.seen);
-        self.place_tendons(model, qpos, |tendon| tendon.used);
-        self.place_linkages(model);
-    }
-
-    fn place_trees(&mut self, model: &Model, qpos: &[R], needed: impl Fn(&Tree) -> bool) {
         R::enter(Stage::Kinematics);
         for body in &model.carried {
             self.place_body(model, qpos, *body);
         }
-        for (index, tree) in model.trees.iter().enumerate() {
-            if !needed(tree) || self.resting.skips(index) {
-                continue;
-            }
-            for body in tree.bodies.range() {
-                self.place_body(model, qpos, body);
+        for Place { index, tree, how } in &model.places.bodies {
+            if !self.resting.skips(*tree) {
+                self.place_by(model, qpos, *index, *how);
             }
         }
-        for (index, geom) in model.geoms.iter().enumerate() {
-            let body = &model.bodies[geom.body];
-            let moves = body.tree != crate::model::NONE || body.carried;
-            if geom.collides && moves && !self.resting.skips(body.tree) {
-                self.place_colliding(model, index);
+        for Place { index, tree, how } in &model.places.geoms {
+            if !self.resting.skips(*tree) {
+                self.place_part(model, *index, *how);
             }
         }
+        if !model.tendons.is_empty() {
+            self.place_tendons(model, qpos, |tendon| tendon.used);
+        }
+        self.place_linkages(model);
     }
 
     /// The poses of some bodies, each after its parent, and of some geoms on them.
@@ -273,8 +280,9 @@ impl<R: Real> Placed<R> {
         act: Activations<R>,
         inputs: &Inputs<R>,
     ) {
-        for (index, tree) in model.trees.iter().enumerate() {
-            if !tree.constant && !self.resting.skips(index) {
+        for &index in &model.places.weighed {
+            if !self.resting.skips(index) {
+                let tree = &model.trees[index];
                 let plane = tree.plane.as_ref().filter(|_| !self.in_space);
                 R::enter(Stage::Inertia);
                 match plane {
@@ -290,10 +298,14 @@ impl<R: Real> Placed<R> {
                 }
             }
         }
-        self.bias_of_tendons(model);
+        if !model.tendons.is_empty() {
+            self.bias_of_tendons(model);
+        }
         R::enter(Stage::Forces);
         self.smooth_force(model, qpos, qvel, act, inputs);
-        self.weigh_effective(model, qpos, qvel, act, inputs);
+        if self.effective.is_some() {
+            self.weigh_effective(model, qpos, qvel, act, inputs);
+        }
     }
 
     /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees whose
@@ -335,6 +347,12 @@ impl<R: Real> Placed<R> {
 
     /// û of the smooth force at hand.
     pub(crate) fn make_guess(&mut self, model: &Model, dt: R) {
+        if self.metric.is_diagonal() && self.effective.is_none() {
+            for k in 0..model.nv {
+                self.guess[k] = self.u[k] + dt * (self.force[k] * self.metric.inv_d[k]);
+            }
+            return;
+        }
         self.guess.copy_from_slice(&self.force);
         if let Some(Effective { shift, .. }) = &self.effective {
             for (guess, shift) in self.guess.iter_mut().zip(shift) {

@@ -60,18 +60,12 @@ impl<R: Real> Sim<R> {
         entries
     }
 
-    /// Whether the scene and its inputs have such an element at all: what it has not makes no
-    /// number either where nothing does.
+    /// Whether the inputs have such an element at all: what they have not makes no number either where
+    /// nothing does.
     fn is_there(&self, element: Element, lane: usize) -> bool {
         let (model, index) = (&self.model, element.index as usize);
         let acts = |forces: &[R]| forces.iter().any(|force| force.lane(lane) != 0.0);
         match element.kind {
-            Kind::Spring => model.joints[index].stiffness.iter().any(|k| *k != 0.0),
-            Kind::TendonSpring => model.tendons[index].stiffness.iter().any(|k| *k != 0.0),
-            Kind::TendonDamper => model.tendons[index].damping.iter().any(|d| *d != 0.0),
-            Kind::Damper => model.joints[index].damping.iter().any(|d| *d != 0.0),
-            Kind::Fluid => model.fluid.of_body[index].len > 0,
-            Kind::GravityCompensation => model.bodies[index].gravcomp != 0.0,
             Kind::JointForce => {
                 let joint = &model.joints[index];
                 acts(&self.inputs.qfrc_applied()[joint.dof..joint.dof + joint.dofs()])

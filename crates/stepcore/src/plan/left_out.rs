@@ -3,8 +3,7 @@
 //! Nothing is decided here: the reasons are read from the model that steps, or asked from
 //! the functions that compiled it.
 
-use super::pairs::Never;
-use super::Model;
+use crate::model::{Model, Never};
 use std::collections::BTreeMap;
 
 impl Never {
@@ -31,7 +30,7 @@ pub struct Unmet {
     pub examples: Vec<(usize, usize)>,
 }
 
-pub(super) const EXAMPLES: usize = 6;
+pub(crate) const EXAMPLES: usize = 6;
 
 impl Model {
     /// Pairs of geoms that were not made candidates, by reason. Geoms without any bit, which

@@ -1,0 +1,80 @@
+//! What pushes in a model: one list for each kind of force, and each element as numbers that never
+//! change. The formulas are those of `elements/`, whose `forces.rs` fills these lists.
+
+use crate::elements::Element;
+use crate::scene::{Coefficients, JointType};
+
+/// Why an element of a model's lists never acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Why {
+    /// This of it is zero.
+    Zero(&'static str),
+    /// This flag of the scene switches its kind off.
+    Off(&'static str),
+    /// Another entry says so.
+    Unsaid,
+}
+
+/// One element that acts.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Acts<A> {
+    /// Its place in the list that its kind belongs to.
+    pub index: usize,
+    pub at: A,
+}
+
+/// The damper of a joint: its dofs, and the polynomial.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DamperAt {
+    pub first: usize,
+    pub count: usize,
+    pub law: Coefficients,
+}
+
+/// The spring of a joint: its kind, its first places in qpos and qvel, and the polynomial.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SpringAt {
+    pub kind: JointType,
+    pub qpos: usize,
+    pub dof: usize,
+    pub law: Coefficients,
+}
+
+/// A spring or a damper of a tendon.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TendonAt {
+    pub tendon: usize,
+    pub law: Coefficients,
+}
+
+/// A mass that is pulled at, or held [kg].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MassAt {
+    pub body: usize,
+    pub mass: f64,
+}
+
+/// All that acts in a model, one list a kind; and what never does.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Acting {
+    pub damper: Vec<Acts<DamperAt>>,
+    pub spring: Vec<Acts<SpringAt>>,
+    pub tendon_spring: Vec<Acts<TendonAt>>,
+    pub tendon_damper: Vec<Acts<TendonAt>>,
+    pub compensation: Vec<Acts<MassAt>>,
+    /// By body.
+    pub fluid: Vec<Acts<usize>>,
+    /// By actuator.
+    pub actuator: Vec<Acts<usize>>,
+    pub driven_compensation: Vec<Acts<MassAt>>,
+    /// The first dof of a joint, and their number.
+    pub joint_force: Vec<Acts<(usize, usize)>>,
+    /// By body.
+    pub body_force: Vec<Acts<usize>>,
+    pub gravity: Vec<Acts<MassAt>>,
+    pub held: Vec<Acts<MassAt>>,
+    pub left_out: Vec<(Element, Why)>,
+    /// Something acts by itself that is there without anybody, and that drives.
+    pub passive: bool,
+    pub driven: bool,
+}

@@ -1,0 +1,105 @@
+//! The solver, the integrator, and what these take implicitly.
+
+use super::{split, Of, Plan};
+use crate::model::Model;
+use crate::scene::JointType;
+use crate::settings::{Integrator, Law, Settings};
+
+impl Plan {
+    pub(super) fn commit(&mut self, model: &Model, settings: &Settings) {
+        let trees = || (0..model.trees.len()).collect::<Vec<_>>();
+        let solver = settings.solver.name();
+        if model.heap.is_some() {
+            let name =
+                format!("impulses: {solver} (by island of what touches, one world at a time)");
+            self.does("solve", name, Of::Tree, trees());
+        } else {
+            let mut islands = model.islands();
+            islands.sort_unstable();
+            islands.dedup();
+            self.does("solve", format!("impulses: {solver} (by island)"), Of::Island, islands);
+        }
+        if settings.law == Law::SolRef {
+            let rubs = |pair: usize| model.material(&model.pairs[pair]).condim > 1;
+            let [rubbing, _] = split(model.pairs.len(), rubs);
+            let meet: usize = model.heap.as_ref().map_or(0, |_| model.tally().meet.values().sum());
+            let count = rubbing.len().max(meet);
+            let sweeps = settings.noslip_iterations;
+            if sweeps > 0 {
+                let plural = if sweeps > 1 { "s" } else { "" };
+                let name = format!("noslip: {sweeps} sweep{plural} over friction");
+                self.does("solve", name, Of::Pair, rubbing.clone()).counting(count);
+            }
+            if settings.stiction {
+                let name = "stiction: friction held by a spring";
+                self.does("solve", name, Of::Pair, rubbing).counting(count);
+            }
+        }
+        if settings.sleep {
+            self.does("solve", "sleep: islands at rest make no rows", Of::Tree, trees());
+        }
+        let joints = (0..model.joints.len()).collect();
+        let name = format!("integrator: {} (by joint)", settings.integrator.name());
+        self.does("commit", name, Of::Joint, joints);
+        if !settings.warm_start {
+            self.omits("solve", "warm start", Of::Tree, vec![], "switched off").counting(1);
+        }
+        self.implicit(model, settings.integrator);
+        let turns =
+            |joint: usize| matches!(model.joints[joint].kind, JointType::Ball | JointType::Free);
+        let [have, lack] = split(model.joints.len(), turns);
+        self.does("commit", "quaternions", Of::Joint, have);
+        self.omits("commit", "quaternions", Of::Joint, lack, "slides and hinges have none");
+        let sensors = (0..model.sensors.len()).collect();
+        let why = "computed when they are read, never in a step";
+        self.omits("commit", "sensors", Of::Sensor, sensors, why);
+    }
+
+    fn implicit(&mut self, model: &Model, integrator: Integrator) {
+        let on = &model.features;
+        let by_tree = |flags: Vec<bool>| split(flags.len(), |tree| flags[tree]);
+        let name = "implicit damping (by tree)";
+        match integrator {
+            Integrator::Discrete => {
+                let [have, lack] = by_tree(model.sloped());
+                let name = "implicit stiffness and damping (by tree)";
+                self.does("place", name, Of::Tree, have);
+                self.omits("place", name, Of::Tree, lack, "nothing is stiff or damped");
+            }
+            Integrator::Euler if !on.eulerdamp => {
+                let [have, _] = by_tree(model.damped());
+                self.omits("commit", name, Of::Tree, have, "switched off (eulerdamp)");
+            }
+            Integrator::Euler | Integrator::ImplicitFast | Integrator::Implicit => {
+                let euler = integrator == Integrator::Euler;
+                let damped = if euler { model.damped() } else { model.damped_by_any() };
+                let [have, lack] = by_tree(damped);
+                self.does("commit", name, Of::Tree, have);
+                self.omits("commit", name, Of::Tree, lack, "nothing is damped");
+            }
+            _ => {
+                let [have, _] = by_tree(model.damped());
+                let why = format!("{} treats damping explicitly", integrator.name());
+                self.omits("commit", name, Of::Tree, have, why);
+            }
+        }
+        let trees = &model.trees;
+        if integrator == Integrator::Implicit {
+            let changes =
+                |tree: usize| on.coriolis && !(trees[tree].slides_only || trees[tree].constant);
+            let [have, lack] = split(trees.len(), changes);
+            let name = "derivative of the bias forces (by tree)";
+            self.does("commit", name, Of::Tree, have);
+            let why = if on.coriolis { "constant" } else { "switched off" };
+            self.omits("commit", name, Of::Tree, lack, why);
+        }
+        if matches!(integrator, Integrator::ImplicitFast | Integrator::Discrete) {
+            let [free, _] = split(trees.len(), |tree| model.free_alone(&trees[tree]));
+            let (have, lack) = free.into_iter().partition(|tree| model.gyroscopic(&trees[*tree]));
+            let name = "gyroscopic derivative (by free body)";
+            self.does("commit", name, Of::Tree, have);
+            let why = if on.coriolis { "isotropic" } else { "switched off" };
+            self.omits("commit", name, Of::Tree, lack, why);
+        }
+    }
+}
