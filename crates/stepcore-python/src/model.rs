@@ -7,7 +7,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use stepcore::arrays::Array;
-use stepcore::elements::{joint_forces, ways, Kind};
+use stepcore::elements::{joint_forces, Kind};
 use stepcore::model::Model as Engine;
 use stepcore::plan::{Entry, Of, Plan};
 use stepcore::program::Program;
@@ -394,7 +394,7 @@ impl Model {
             .collect()
     }
 
-    /// What compiling decided: by pair, by tree, by body and by geom, in the model's order.
+    /// What compiling decided that `entries` does not say: by pair, tree and geom, in the model's order.
     fn plan<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &*self.0;
         let plan = PyDict::new(py);
@@ -403,34 +403,15 @@ impl Model {
         plan.set_item("unmet", unmet.collect::<Vec<_>>())?;
         let pairs = m.pairs.iter();
         plan.set_item("condim", pairs.clone().map(|p| m.material(p).condim).collect::<Vec<_>>())?;
-        plan.set_item(
-            "friction",
-            pairs.clone().map(|p| m.material(p).friction[0]).collect::<Vec<_>>(),
-        )?;
-        plan.set_item("ways", pairs.clone().map(|p| ways(m, p)).collect::<Vec<_>>())?;
-        plan.set_item("still", pairs.clone().map(|p| p.still).collect::<Vec<_>>())?;
         plan.set_item("apart", pairs.map(|p| p.apart).collect::<Vec<_>>())?;
         let guards = m.guards.iter().map(|g| (g.joint, g.low, g.high));
         plan.set_item("guards", guards.collect::<Vec<_>>())?;
         let trees = m.trees.iter();
         let spans = trees.clone().map(|t| (t.bodies.start, t.bodies.len, t.dofs.start, t.dofs.len));
         plan.set_item("trees", spans.collect::<Vec<_>>())?;
-        plan.set_item("slides", trees.clone().map(|t| t.slides_only).collect::<Vec<_>>())?;
-        let wet = m.fluid.of_body.iter().map(|parts| parts.len > 0).collect::<Vec<_>>();
-        plan.set_item("fluid", wet)?;
-        plan.set_item("constant", trees.clone().map(|t| t.constant).collect::<Vec<_>>())?;
-        let normals = trees.clone().map(|t| t.plane.as_ref().map(|plane| plane.normal));
-        plan.set_item("normals", normals.collect::<Vec<_>>())?;
-        plan.set_item("seen", trees.clone().map(|t| t.seen).collect::<Vec<_>>())?;
-        plan.set_item("damped", m.damped())?;
-        plan.set_item("sloped", m.sloped())?;
-        plan.set_item("damped_by_any", m.damped_by_any())?;
-        plan.set_item("free", trees.clone().map(|t| m.free_alone(t)).collect::<Vec<_>>())?;
-        plan.set_item("gyroscopic", trees.map(|t| m.gyroscopic(t)).collect::<Vec<_>>())?;
-        plan.set_item("turns", m.bodies.iter().map(|b| b.turns).collect::<Vec<_>>())?;
+        plan.set_item("constant", trees.map(|t| t.constant).collect::<Vec<_>>())?;
         plan.set_item("collides", m.geoms.iter().map(|g| g.collides).collect::<Vec<_>>())?;
         plan.set_item("tendons", m.tendons.iter().map(|t| t.used).collect::<Vec<_>>())?;
-        plan.set_item("armature_beyond_the_tree", m.armature_beyond_the_tree())?;
         plan.set_item("islands", m.islands())?;
         Ok(plan)
     }
