@@ -8,11 +8,9 @@ mod direct;
 pub(crate) mod dofs;
 mod dot;
 mod edges;
-mod exact;
 mod few;
 mod first;
 mod free;
-mod implicit;
 mod islands;
 pub(crate) mod law;
 mod limits;
@@ -29,7 +27,6 @@ mod solver;
 mod square;
 #[cfg(test)]
 mod tests;
-mod wide;
 
 pub(crate) use derivative::Differentiated;
 pub(crate) use direct::{Choice, GROUP};

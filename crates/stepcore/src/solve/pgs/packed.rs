@@ -6,10 +6,10 @@
 //! is read once before and written once after. Impulses stand here while sweeps go on, and are
 //! copied back where somebody else reads the rows.
 
-use super::super::exact::Convex;
+use super::super::cone::InCone;
 use super::super::free::{products, total, Free, SIX};
 use super::super::rows::{Block, Row, Rows, Set, NARROW};
-use super::cones::{Cones, Tie};
+use super::cones::{Narrow, Tie};
 use crate::real::{Mask, Real};
 use core::array::from_fn;
 
@@ -63,7 +63,7 @@ impl<R: Real> Packed<R> {
         rows: &Rows<R>,
         block: &Block<R>,
         weight: &[R],
-        cones: &mut Cones<R>,
+        cones: &mut Narrow<R>,
     ) -> Option<Self> {
         let own = &rows.rows[block.rows.range()];
         let edges = block.set == Set::Interval;
@@ -98,7 +98,7 @@ impl<R: Real> Packed<R> {
         } else {
             let [c0, c1, c2, _] = packed.c;
             packed.between = [q[0] + c0, q[1], q[2] + c1, q[3], q[4], q[5] + c2];
-            packed.tie = cones.tie(block.set, block.mu, packed.between);
+            packed.tie = cones.tie(block.set, block.mu, packed.whole());
         }
         Some(packed)
     }
@@ -157,7 +157,7 @@ impl<R: Real> Packed<R> {
     pub fn update<const GAIN: bool>(
         &mut self,
         rows: &mut [Row<R>],
-        cones: &Cones<R>,
+        cones: &Narrow<R>,
         to: &mut Target<R>,
     ) -> Updated<R> {
         if GAIN {
@@ -216,13 +216,17 @@ impl<R: Real> Packed<R> {
 
     /// The block's own minimum, in one piece.
     #[inline(always)]
-    fn convex<const GAIN: bool>(&mut self, cone: &Convex<R>, to: &mut Target<R>) -> Updated<R> {
+    fn convex<const GAIN: bool>(
+        &mut self,
+        cone: &InCone<R, NARROW>,
+        to: &mut Target<R>,
+    ) -> Updated<R> {
         let (zero, q) = (R::zero(), self.whole());
         let velocity = self.velocity(to.u);
         let w: [R; NARROW] = from_fn(|i| velocity[i] + self.c[i] * self.impulse[i] - self.t[i]);
         // The gradient at zero impulse of this block: w − Qλ.
         let b = from_fn(|i| w[i] - times(&q[i], &self.impulse));
-        let solution = cone.solve(b, to.mask);
+        let solution = cone.least(&b, to.mask);
         let mut change = [zero; EDGES];
         for i in 0..NARROW {
             change[i] = R::select(to.mask, solution[i] - self.impulse[i], zero);
@@ -238,15 +242,15 @@ impl<R: Real> Packed<R> {
 
     /// The normal as an interval, then the tangents within its friction bound.
     #[inline(always)]
-    fn coulomb(&mut self, cones: &Cones<R>, to: &mut Target<R>) -> Updated<R> {
+    fn coulomb(&mut self, cones: &Narrow<R>, to: &mut Target<R>) -> Updated<R> {
         let (zero, q, x) = (R::zero(), self.whole(), self.impulse);
         let velocity = self.velocity(to.u);
         let short: [R; NARROW] = from_fn(|i| self.t[i] - velocity[i] - self.c[i] * x[i]);
         let new = (short[0] * self.inv_s[0]).max(-x[0]);
         let normal = R::select(to.mask, new, zero);
-        let slope = |i: usize| (q[i][0] * normal - short[i]) - (q[i][1] * x[1] + q[i][2] * x[2]);
+        let slope = [1, 2].map(|i| q[i][0] * normal - short[i]);
         let bound = self.mu * (x[0] + normal);
-        let [one, two] = cones.friction(self.tie, [slope(1), slope(2)], bound, to.mask);
+        let [one, two] = cones.friction(self.tie, slope, &[x[1], x[2]], bound, to.mask);
         let friction = |new: R, old: R| R::select(to.mask, new - old, zero);
         let f = [normal, friction(one, x[1]), friction(two, x[2])];
         self.finish([f[0], f[1], f[2], zero], f, zero, to)
