@@ -9,7 +9,7 @@
 use super::cone::{times, InBall};
 use super::dot::dot;
 use super::rows::{Block, Row, Rows, Set, CONE, NARROW};
-use crate::elements::Kind;
+use crate::elements::Role;
 use crate::error::{Error, Result};
 use crate::interrupt::ends_after;
 use crate::real::{Mask, Real};
@@ -28,10 +28,10 @@ enum Friction {
 }
 
 fn friction<R: Real>(block: &Block<R>) -> Friction {
-    match (block.set, block.element.kind) {
+    match (block.set, block.role) {
         (Set::Convex, _) => Friction::Cone,
-        (Set::Interval, Kind::FrictionLoss | Kind::TendonFriction) => Friction::Loss,
-        (Set::Interval, Kind::Contact) if block.rows.len > 1 => Friction::Edges,
+        (Set::Interval, Role::Loss) => Friction::Loss,
+        (Set::Interval, Role::Contact) if block.rows.len > 1 => Friction::Edges,
         _ => Friction::None,
     }
 }
