@@ -20,7 +20,7 @@ WITHIN = {
     "place": 6,
     "real": 3,
     "shapes": 7,
-    "solve": 18,
+    "solve": 16,
 }
 # A `Sim` has the list of its steps, and the list of a step is written down by a `Sim`.
 ACROSS = {"observer", "program", "sim"}

@@ -15,7 +15,7 @@
 
 use super::advance;
 use crate::clock::Clock;
-use crate::elements::Kind;
+use crate::elements::Role;
 use crate::error::Result;
 use crate::observer::Observer;
 use crate::real::{Mask, Real, Stage};
@@ -46,7 +46,7 @@ impl<R: Real> Sim<R> {
         R::enter(Stage::Impulses);
         // Equalities that the stages held have nothing to answer to but other rows.
         let answers = self.settings.connects_inside();
-        let alone = self.rows.blocks.iter().all(|block| answers && block.element.kind.ties());
+        let alone = self.rows.blocks.iter().all(|block| answers && block.role == Role::Equality);
         if alone || !self.rows.any() {
             self.effort.rest();
             self.velocity.fill(R::zero());
@@ -146,19 +146,19 @@ impl<R: Real> Sim<R> {
         let bounces = settings.law == Law::Rigid && settings.restitution > 0.0;
         let (push, slop) = (R::of(-settings.beta / settings.dt), R::of(settings.slop));
         for b in 0..rows.blocks.len() {
-            let (kind, first) = (rows.blocks[b].element.kind, rows.blocks[b].rows.start);
-            if answers && kind.ties() {
+            let (role, first) = (rows.blocks[b].role, rows.blocks[b].rows.start);
+            if answers && role == Role::Equality {
                 for at in rows.blocks[b].rows.range() {
                     rows.rows[at].t = rows.dot(lists, &rows.rows[at], &self.placed.guess);
                 }
                 continue;
             }
-            let pushes = matches!(kind, Kind::Contact | Kind::Limit | Kind::TendonLimit);
+            let pushes = matches!(role, Role::Contact | Role::Limit);
             if pushes {
                 let gave = rows.first_impulse(first).gt(R::zero());
                 rows.blocks[b].mask = rows.blocks[b].mask.and(gave);
             }
-            if pushes && bounces && kind == Kind::Contact {
+            if pushes && bounces && role == Role::Contact {
                 let gained = rows.dot(lists, &rows.rows[first], &self.next.gained);
                 let row = &mut rows.rows[first];
                 let hold = (push * (row.gap + slop).min(R::zero())).min(row.t);

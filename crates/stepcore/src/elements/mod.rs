@@ -103,6 +103,19 @@ pub enum Kind {
     Contact,
 }
 
+/// What a block stands for, as far as solving goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Holds whatever comes.
+    Equality,
+    /// Friction within fixed bounds.
+    Loss,
+    /// Pushes one way.
+    Limit,
+    /// The same, with friction if it has more than one row.
+    Contact,
+}
+
 impl Kind {
     /// Every kind, in the order of the enum.
     pub const ALL: [Self; 29] = [
@@ -137,9 +150,16 @@ impl Kind {
         Self::Contact,
     ];
 
-    /// The rows of an equality.
-    pub(crate) fn ties(self) -> bool {
-        matches!(self, Self::Connect | Self::Weld | Self::JointEquality | Self::TendonEquality)
+    /// What its rows are to a solver.
+    pub(crate) fn role(self) -> Role {
+        match self {
+            Self::Connect | Self::Weld | Self::JointEquality | Self::TendonEquality => {
+                Role::Equality
+            }
+            Self::FrictionLoss | Self::TendonFriction => Role::Loss,
+            Self::Contact => Role::Contact,
+            _ => Role::Limit,
+        }
     }
 
     /// The word by which data outside the engine calls it.

@@ -24,13 +24,8 @@ pub fn measure_tendons(model: &mut Model) {
 }
 
 impl Model {
-    /// The arms of each actuator at qpos0, by dof.
-    pub(super) fn arms_at_qpos0(&self) -> Vec<Vec<f64>> {
-        if self.actuators.is_empty() {
-            return vec![];
-        }
-        let mut placed = Placed::<f64>::new(self);
-        placed.positions(self, &self.qpos0);
+    /// The arms of each actuator where qpos0 was placed, by dof.
+    pub(super) fn arms_at_qpos0(&self, placed: &Placed<f64>) -> Vec<Vec<f64>> {
         let arms = |along: &Transmission| {
             let mut row = vec![0.0; self.nv];
             along.arms(self, &self.qpos0, placed.pulls(), |dof, arm: f64| row[dof] += arm);

@@ -35,7 +35,7 @@ impl Model {
         at_qpos0::measure_tendons(&mut model);
         linkages::fill(scene, &mut model);
         linkages::reflect(&mut model);
-        invweight::fill(scene, &mut model, &poses, &aligned)?;
+        invweight::fill(scene, &mut model, &aligned)?;
         auto_spring::fill(scene, &mut model);
         fluid::fill(scene, &axes, &mut model);
         let mut unions = tree::Unions::default();

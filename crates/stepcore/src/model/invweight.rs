@@ -2,12 +2,11 @@
 //! regulariser R of rows. Formulas at `fill`, MuJoCo's exception at `plain`. What a servo's
 //! damping ratio means is decided by the same factors.
 
-use super::pose::Pose;
-use super::{tendons, Body, Dof, Model, Span, Tendon, Tree, NONE};
+use super::{tendons, Body, Dof, Model, Tendon, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
+use crate::place::Placed;
 use crate::scene::{JointType, Scene};
-use nalgebra::{DMatrix, DVector, Vector3};
 
 /// A pivot this small, relative to its diagonal, is rounding: a dof that adds no
 /// motion of its own.
@@ -17,94 +16,32 @@ const SINGULAR: f64 = 1e-14;
 /// inverse of its tree's mass is none.
 const WEIGHTLESS: f64 = 1e-20;
 
-/// A dof's unit motion at qpos0 in world axes: the velocity at `at`, and the turn.
-struct Motion {
-    linear: Vector3<f64>,
-    turn: Vector3<f64>,
-    at: Vector3<f64>,
-}
-
-impl Motion {
-    fn velocity(&self, point: Vector3<f64>) -> Vector3<f64> {
-        self.linear + self.turn.cross(&(point - self.at))
-    }
-}
-
-fn motions(model: &Model, poses: &[Pose]) -> Vec<Motion> {
-    let mut list = Vec::with_capacity(model.nv);
-    let mut add = |linear, turn, at| list.push(Motion { linear, turn, at });
-    let zero = Vector3::zeros();
-    for joint in &model.joints {
-        let pose = &poses[joint.body];
-        let (at, axis) = (pose.point(joint.pos), pose.rot * joint.axis);
-        match joint.kind {
-            JointType::Slide => add(axis, zero, at),
-            JointType::Hinge => add(zero, axis, at),
-            JointType::Ball => (0..3).for_each(|k| add(zero, pose.rot.column(k).into(), at)),
-            JointType::Free => {
-                (0..3).for_each(|k| add(Vector3::ith(k, 1.0), zero, pose.pos));
-                (0..3).for_each(|k| add(zero, pose.rot.column(k).into(), pose.pos));
-            }
-        }
-    }
-    list
-}
-
-/// LᵀDL of one tree's mass matrix, armature included: L below the diagonal, D on it.
-struct Factor<'a> {
-    matrix: DMatrix<f64>,
+/// The mass matrix at qpos0 and its factors, and room for a row.
+struct Factors<'a> {
     model: &'a Model,
-    tree: Span,
+    placed: Placed<f64>,
+    row: Vec<f64>,
 }
 
-impl<'a> Factor<'a> {
-    fn new(model: &'a Model, poses: &[Pose], motions: &[Motion], tree: &Tree) -> Result<Self> {
-        let (first, n) = (tree.dofs.start, tree.dofs.len);
-        let mut matrix = DMatrix::zeros(n, n);
-        for i in tree.bodies.range() {
-            let (body, pose) = (&model.bodies[i], &poses[i]);
-            let com = pose.point(body.ipos);
-            let inertia = pose.rot * body.inertia * pose.rot.transpose();
-            let chain = body.chain.of(&model.dof_lists);
-            for (k, &a) in chain.iter().enumerate() {
-                let force = motions[a].velocity(com) * body.mass;
-                let torque = inertia * motions[a].turn;
-                for &b in &chain[..=k] {
-                    matrix[(a - first, b - first)] +=
-                        force.dot(&motions[b].velocity(com)) + torque.dot(&motions[b].turn);
-                }
-            }
-        }
-        for i in 0..n {
-            matrix[(i, i)] += model.dofs[first + i].armature;
-        }
-        for tendon in model.tendons.iter().filter(|tendon| tendon.armature > 0.0) {
-            let arms = tree_arms(model, tendon, tree.dofs);
-            matrix += tendon.armature * &arms * arms.transpose();
-        }
-        let mut factor = Self { matrix, model, tree: tree.dofs };
-        factor.eliminate()?;
-        Ok(factor)
+impl<'a> Factors<'a> {
+    fn new(model: &'a Model) -> Result<Self> {
+        let mut placed = Placed::<f64>::new(model);
+        placed.masses(model, &model.qpos0);
+        let factors = Self { model, placed, row: vec![0.0; model.nv] };
+        factors.check()?;
+        Ok(factors)
     }
 
-    /// The ancestors of a local dof, nearest first.
-    fn ancestors(&self, local: usize) -> impl Iterator<Item = usize> + use<'a> {
-        let (model, first) = (self.model, self.tree.start);
-        model.dofs[first + local].row.of(&model.row_dofs)[1..].iter().map(move |d| d - first)
-    }
-
-    /// From the leaves to the root, so that only ancestors are touched.
-    fn eliminate(&mut self) -> Result<()> {
-        let diagonal = self.matrix.diagonal();
-        for k in (0..self.tree.len).rev() {
-            let pivot = self.matrix[(k, k)];
-            if pivot.is_nan() || pivot <= SINGULAR * diagonal[k] {
-                let joint = &self.model.joints[self.model.dofs[self.tree.start + k].joint];
-                let name = Text::label(
-                    Kind::Joint,
-                    &joint.name,
-                    self.model.dofs[self.tree.start + k].joint,
-                );
+    /// The pivots, from the leaves, so that the first one found is no consequence of another.
+    fn check(&self) -> Result<()> {
+        let Placed { metric, mass, composite, motion, .. } = &self.placed;
+        for k in self.model.trees.iter().flat_map(|tree| tree.dofs.range().rev()) {
+            let (dof, pivot) = (&self.model.dofs[k], metric.pivot(k));
+            // Turned about the tree's origin: what cancels is as large as this.
+            let lever = composite[dof.body].mass * motion[k].lin.norm_squared();
+            if pivot.is_nan() || pivot <= SINGULAR * (mass[dof.row.start] + lever) {
+                let joint = &self.model.joints[dof.joint];
+                let name = Text::label(Kind::Joint, &joint.name, dof.joint);
                 let body = Text::label(Kind::Body, &self.model.bodies[joint.body].name, joint.body);
                 return Err(Error::Scene(text![
                     name,
@@ -114,46 +51,29 @@ impl<'a> Factor<'a> {
                      the mass matrix has no inverse at the initial configuration"
                 ]));
             }
-            for i in self.ancestors(k) {
-                let ratio = self.matrix[(k, i)] / pivot;
-                self.matrix[(i, i)] -= ratio * self.matrix[(k, i)];
-                for j in self.ancestors(i) {
-                    self.matrix[(i, j)] -= ratio * self.matrix[(k, j)];
-                }
-                self.matrix[(k, i)] = ratio;
-            }
         }
         Ok(())
     }
 
-    /// M⁻¹ jᵀ.
-    fn answer(&self, mut j: DVector<f64>) -> DVector<f64> {
-        for k in (0..self.tree.len).rev() {
-            for i in self.ancestors(k) {
-                j[i] -= self.matrix[(k, i)] * j[k];
-            }
-        }
-        for k in 0..self.tree.len {
-            j[k] /= self.matrix[(k, k)];
-            for i in self.ancestors(k) {
-                j[k] -= self.matrix[(k, i)] * j[i];
-            }
-        }
-        j
+    /// j M⁻¹ jᵀ of a row on these dofs, each with all that move it.
+    fn weight(&mut self, dofs: &[usize], entry: impl Fn(usize, usize) -> f64) -> f64 {
+        dofs.iter().enumerate().for_each(|(at, k)| self.row[*k] = entry(at, *k));
+        self.placed.metric.lift(dofs, &mut self.row);
+        let inv_d = &self.placed.metric.inv_d;
+        dofs.iter().map(|k| std::mem::take(&mut self.row[*k]).powi(2) * inv_d[*k]).sum()
     }
 
-    /// j M⁻¹ jᵀ.
-    fn weight(&self, mut j: DVector<f64>) -> f64 {
-        let mut sum = 0.0;
-        for k in (0..self.tree.len).rev() {
-            if j[k] != 0.0 {
-                for i in self.ancestors(k) {
-                    j[i] -= self.matrix[(k, i)] * j[k];
-                }
-                sum += j[k] * j[k] / self.matrix[(k, k)];
-            }
-        }
-        sum
+    /// The mean over three directions, of a body's centre of mass and of its turning.
+    fn of_body(&mut self, body: usize) -> [f64; 2] {
+        let chain = self.model.bodies[body].chain.of(&self.model.dof_lists);
+        let Placed { origin, motion, .. } = &self.placed;
+        let arm =
+            self.placed.frames().centre(self.model, body) - origin[self.model.bodies[body].tree];
+        let moved: Vec<_> = chain.iter().map(|k| [motion[*k].at(&arm), motion[*k].ang]).collect();
+        [0, 1].map(|part| {
+            let axis = |axis| self.weight(chain, |at, _| moved[at][part][axis]);
+            [0, 1, 2].map(axis).iter().sum::<f64>() / 3.0
+        })
     }
 }
 
@@ -174,42 +94,32 @@ fn share_axes(model: &Model, pulled: &mut [[f64; 2]]) {
 /// A body: the mean over three directions of J M⁻¹ Jᵀ at its centre of mass, for
 /// translation and for rotation. A dof: its entry of M⁻¹'s diagonal, the mean over
 /// a ball's three, or a free joint's three and three.
-pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
-    let motions = motions(model, poses);
-    let mut bodies = vec![[0.0; 2]; model.bodies.len()];
-    let mut dofs = vec![0.0; model.nv];
-    let arms = model.arms_at_qpos0();
-    let mut pulled = vec![[0.0; 2]; arms.len()];
-    let mut tendons = vec![0.0; model.tendons.len()];
-    for tree in &model.trees {
-        let factor = Factor::new(model, poses, &motions, tree)?;
-        let (first, n) = (tree.dofs.start, tree.dofs.len);
-        for i in tree.bodies.range() {
-            bodies[i] = body_weight(
-                &factor,
-                &motions,
-                &model.bodies[i],
-                poses[i].point(model.bodies[i].ipos),
-            );
-            if bodies[i][0] * tree.mass < WEIGHTLESS {
-                bodies[i][0] = 0.0;
-            }
+pub fn fill(scene: &Scene, model: &mut Model, aligned: &[bool]) -> Result<()> {
+    let mut factors = Factors::new(model)?;
+    let weigh = |(index, body): (usize, &Body)| match body.tree {
+        NONE => [0.0; 2],
+        tree => {
+            let [shift, turn] = factors.of_body(index);
+            [if shift * model.trees[tree].mass < WEIGHTLESS { 0.0 } else { shift }, turn]
         }
-        for i in tree.dofs.range() {
-            let mut unit = DVector::zeros(n);
-            unit[i - first] = 1.0;
-            dofs[i] = factor.weight(unit);
-        }
-        for (sum, arms) in pulled.iter_mut().zip(&arms) {
-            let row = DVector::from_column_slice(&arms[tree.dofs.range()]);
-            let answer = factor.answer(row.clone());
-            sum[0] += row.dot(&answer);
-            sum[1] += answer.norm_squared();
-        }
-        for (weight, tendon) in tendons.iter_mut().zip(&model.tendons) {
-            *weight += tendon_weight(&factor, tendon);
-        }
-    }
+    };
+    let mut bodies: Vec<_> = model.bodies.iter().enumerate().map(weigh).collect();
+    let own = |k| {
+        factors
+            .weight(model.chain_of_dof(k).of(&model.dof_lists), |_, j| f64::from(u8::from(j == k)))
+    };
+    let mut dofs: Vec<f64> = (0..model.nv).map(own).collect();
+    let along = |tendon: &Tendon| {
+        factors.weight(tendon.dofs.of(&model.dof_lists), |at, _| tendon.arms0[at])
+    };
+    let tendons: Vec<f64> = model.tendons.iter().map(along).collect();
+    let pull = |row: Vec<f64>| {
+        let mut answer = row.clone();
+        factors.placed.metric.solve(&mut answer);
+        let products = row.iter().zip(&answer).map(|(arm, answer)| arm * answer);
+        [products.sum::<f64>(), answer.iter().map(|x| x * x).sum()]
+    };
+    let mut pulled: Vec<_> = model.arms_at_qpos0(&factors.placed).into_iter().map(pull).collect();
     share_axes(model, &mut pulled);
     for (actuator, [weight, square]) in model.actuators.iter_mut().zip(pulled) {
         if actuator.dampratio != 0.0 {
@@ -236,37 +146,6 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], aligned: &[bool]) 
     model.bodies.iter_mut().zip(bodies).for_each(|(b, x)| b.invweight = x);
     model.dofs.iter_mut().zip(dofs).for_each(|(d, x): (&mut Dof, f64)| d.invweight = x);
     Ok(())
-}
-
-/// The part of J M⁻¹ Jᵀ of a tendon that this tree gives.
-fn tendon_weight(factor: &Factor, tendon: &Tendon) -> f64 {
-    factor.weight(tree_arms(factor.model, tendon, factor.tree))
-}
-
-/// The arms of a tendon at qpos0 on the dofs of a tree.
-fn tree_arms(model: &Model, tendon: &Tendon, tree: Span) -> DVector<f64> {
-    let mut row = DVector::zeros(tree.len);
-    for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(&tendon.arms0) {
-        if tree.range().contains(dof) {
-            row[dof - tree.start] = *arm;
-        }
-    }
-    row
-}
-
-fn body_weight(factor: &Factor, motions: &[Motion], body: &Body, com: Vector3<f64>) -> [f64; 2] {
-    let chain = body.chain.of(&factor.model.dof_lists);
-    let mean = |part: &dyn Fn(&Motion) -> Vector3<f64>| {
-        let axis = |k: usize| {
-            let mut row = DVector::zeros(factor.tree.len);
-            for &d in chain {
-                row[d - factor.tree.start] = part(&motions[d])[k];
-            }
-            factor.weight(row)
-        };
-        (axis(0) + axis(1) + axis(2)) / 3.0
-    };
-    [mean(&|m| m.velocity(com)), mean(&|m| m.turn)]
 }
 
 /// Bodies that MuJoCo weighs by their mass alone, whatever the armature of their joints and the

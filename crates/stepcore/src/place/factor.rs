@@ -86,6 +86,11 @@ impl<R: Real> Metric<R> {
         Some(row.start + at)
     }
 
+    /// An entry of D.
+    pub fn pivot(&self, k: usize) -> R {
+        self.l[self.rows[k].start]
+    }
+
     /// A row's entries left of the diagonal, nearest ancestor first.
     #[inline(always)]
     pub fn left_of(&self, k: usize) -> &[R] {

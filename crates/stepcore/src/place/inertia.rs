@@ -6,6 +6,15 @@ use crate::real::Real;
 use crate::spatial::{rotate, splat, Inertia, M3, V3};
 
 impl<R: Real> Placed<R> {
+    /// Where everything is, and the mass matrix there with its factors.
+    pub(crate) fn masses(&mut self, model: &Model, qpos: &[R]) {
+        self.positions(model, qpos);
+        for tree in &model.trees {
+            self.weigh(model, tree);
+            self.factor_mass(tree);
+        }
+    }
+
     /// The mass matrix of the tree.
     pub(super) fn weigh(&mut self, model: &Model, tree: &Tree) {
         self.inertias(model, tree);

@@ -1,11 +1,34 @@
-//! Friction cones: projections onto them.
+//! Round friction cones: projections onto them, and the exact solution of one block: a cone's
+//! impulses while all other rows hold theirs.
 //!
 //! Vectors are (normal, ways of friction): two tangents, or up to five ways with torsion and
 //! rolling, each in the measure that makes its bound that of the first (`elements/friction.rs`).
 //! A block with fewer is padded with zeros, which every function here leaves at zero.
+//!
+//! Q is made diagonal once a solve. For a convex cone in the unit measure (ways over μ, so that
+//! the cone is |x_t| ≤ x_n) by a basis V that keeps the cone: VᵀSV = S = diag(1, −1, …),
+//! VᵀQV = diag(d). V is a product of rotations among the ways and hyperbolic rotations of the
+//! normal with one of them, Jacobi's method for a definite pair (Veselić 1993), which exists
+//! because Q is positive definite. On the surface (Q − κS)x = −b with κ ≥ 0, in that basis
+//! yₙ = ξₙ/(dₙ − κ), yᵢ = ξᵢ/(dᵢ + κ), ξ = −Vᵀb: one equation for κ. For a Coulomb cone, whose
+//! normal is solved by itself, the ways alone are rotated.
+//!
+//! A block is solved by iteration and through the axes of a matrix, and differentiated through
+//! the conditions that its solution meets, by one Newton step on them (`Real::implicit`): an
+//! iteration stops when its numbers stand still; their derivatives follow later, or never.
 
 use super::rows::{CONE, NARROW};
-use crate::real::Real;
+use crate::real::{Mask, Real};
+use core::array::from_fn;
+
+/// Rounds of rotations; five to eight are usual.
+const ROUNDS: usize = 16;
+/// Newton's limit for the two scalar equations here; four or five are usual.
+const STEPS: usize = 40;
+/// As many roundings off its bound is on it.
+const ROUNDINGS: f64 = 16.0;
+
+pub(super) type Matrix<R, const N: usize> = [[R; N]; N];
 
 /// The nearest point of the round cone |x_t| ≤ μ x_n.
 pub fn project_round<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
@@ -13,28 +36,15 @@ pub fn project_round<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     let inside = a.le(mu * x[0]);
     let n = ((x[0] + mu * a) / (R::one() + mu * mu)).max(R::zero());
     let k = mu * n * a.recip_or_zero();
-    core::array::from_fn(|i| R::select(inside, x[i], if i == 0 { n } else { k * x[i] }))
+    from_fn(|i| R::select(inside, x[i], if i == 0 { n } else { k * x[i] }))
 }
 
 /// The nearest point of the box cone |x_i| ≤ μ x_n.
 ///
-/// n is the root of the increasing n − x_n − μ Σ (|x_i| − μ n)₊: with no, one or
-/// two tangents at their bound.
-pub fn project_box<R: Real>(mu: R, x: [R; 3]) -> [R; 3] {
-    let (a, b) = (x[1].abs(), x[2].abs());
-    let (large, small) = (a.max(b), a.min(b));
-    let k = mu * mu;
-    let one = (x[0] + mu * large) / (R::one() + k);
-    let two = (x[0] + mu * (a + b)) / (R::one() + k + k);
-    let n = R::select(large.le(mu * x[0]), x[0], R::select(small.le(mu * one), one, two));
-    let n = n.max(R::zero());
-    let bound = mu * n;
-    [n, x[1].clamp(-bound, bound), x[2].clamp(-bound, bound)]
-}
-
-/// The same with more than two ways: n is the largest of the roots with the m largest ways at
-/// their bound, (x_n + μ Σ |x_i|)/(1 + m μ²), because what they are roots of is concave in m.
-pub fn project_box_wide<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
+/// n is the root of the increasing n − x_n − μ Σ (|x_i| − μ n)₊. It is the largest of the roots
+/// with the m largest ways at their bound, (x_n + μ Σ |x_i|)/(1 + m μ²), because what they are
+/// roots of is concave in m.
+pub fn project_box<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     let mut size: [R; N] = x.map(R::abs);
     // The largest first, by exchanges.
     for end in (2..N).rev() {
@@ -50,7 +60,7 @@ pub fn project_box_wide<R: Real, const N: usize>(mu: R, x: [R; N]) -> [R; N] {
     }
     let n = n.max(R::zero());
     let bound = mu * n;
-    core::array::from_fn(|i| if i == 0 { n } else { x[i].clamp(-bound, bound) })
+    from_fn(|i| if i == 0 { n } else { x[i].clamp(-bound, bound) })
 }
 
 /// The nearest point of the round cone, of vectors with `len` entries.
@@ -59,27 +69,354 @@ pub(super) fn project_some<R: Real>(mu: R, x: [R; CONE], len: usize) -> [R; CONE
     if len > NARROW {
         return project_round(mu, x);
     }
-    let near = project_round::<R, NARROW>(mu, core::array::from_fn(|i| x[i]));
-    core::array::from_fn(|i| if i < NARROW { near[i] } else { x[i] })
+    let near = project_round::<R, NARROW>(mu, from_fn(|i| x[i]));
+    from_fn(|i| if i < NARROW { near[i] } else { x[i] })
 }
 
 /// |x_t|.
+#[inline(always)]
 pub(super) fn across<R: Real, const N: usize>(x: &[R; N]) -> R {
-    let mut sum = x[1] * x[1];
-    for x in &x[2..] {
+    length(&x[1..])
+}
+
+#[inline(always)]
+pub(super) fn length<R: Real>(x: &[R]) -> R {
+    let mut sum = x[0] * x[0];
+    for x in &x[1..] {
         sum += *x * *x;
     }
     sum.sqrt()
 }
 
-pub(super) fn norm<R: Real>(a: R, b: R) -> R {
-    (a * a + b * b).sqrt()
+/// The quadratic ½ λᵀQλ on a round cone, prepared for many right-hand sides.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct InCone<R: Real, const N: usize> {
+    pub q: Matrix<R, N>,
+    mu: R,
+    /// Of the unit measure; and 1 / d.
+    v: Matrix<R, N>,
+    d: [R; N],
+    inv_d: [R; N],
 }
 
-pub(super) fn select2<R: Real>(mask: R::Mask, yes: [R; 2], no: [R; 2]) -> [R; 2] {
-    core::array::from_fn(|i| R::select(mask, yes[i], no[i]))
+impl<R: Real, const N: usize> InCone<R, N> {
+    /// Of a positive definite Q, by its lower half.
+    pub fn new(q: Matrix<R, N>, mu: R) -> Self {
+        let q = symmetric(&q);
+        let scale = |i: usize| if i == 0 { R::one() } else { mu };
+        let (v, d) = diagonal(from_fn(|i| from_fn(|j| q[i][j] * (scale(i) * scale(j)))), true);
+        Self { q, mu, v, d, inv_d: d.map(R::recip_or_zero) }
+    }
+
+    #[inline(always)]
+    fn in_unit(&self, x: &[R; N]) -> [R; N] {
+        from_fn(|i| if i == 0 { x[0] } else { self.mu * x[i] })
+    }
+
+    /// The minimiser of ½ λᵀQλ + b·λ over |λ_t| ≤ μ λ_n.
+    pub fn least(&self, b: &[R; N], mask: R::Mask) -> [R; N] {
+        R::implicit(self.minimiser(b, mask), |x| self.newton_step(b, &x))
+    }
+
+    fn minimiser(&self, b: &[R; N], mask: R::Mask) -> [R; N] {
+        let b = self.in_unit(b);
+        let apart = across(&b).le(b[0]);
+        let xi = back(&self.v, &b).map(|x| -x);
+        let free = times(&self.v, &from_fn(|i| xi[i] * self.inv_d[i]));
+        let inside = across(&free).le(free[0]);
+        let live = mask.and(apart.or(inside).not());
+        let closed = select::<R, N>(apart, [R::zero(); N], free);
+        let out = if live.none() {
+            closed
+        } else {
+            select::<R, N>(apart.or(inside), closed, self.surface(&xi, live))
+        };
+        self.in_unit(&out)
+    }
+
+    /// The minimiser on the surface: with N = |y_t|, for ξₙ ≥ 0 solved for κ in
+    /// κ − dₙ + ξₙ/N(κ) = 0, for ξₙ < 0 for 1/κ in the same equation over κ. Both are increasing
+    /// and concave in their unknown, and negative at 0, so Newton from there never overshoots.
+    fn surface(&self, xi: &[R; N], mut live: R::Mask) -> [R; N] {
+        let (zero, one) = (R::zero(), R::one());
+        let up = xi[0].ge(zero);
+        let r = xi[0].abs();
+        let pick = |yes: R, no: R| R::select(up, yes, no);
+        let (a, rest) = (pick(one, self.d[0]), pick(self.d[0], one));
+        // yᵢ = ξᵢ/(f + g x), times x where x is 1/κ.
+        let f: [R; N] = from_fn(|i| pick(self.d[i], one));
+        let g: [R; N] = from_fn(|i| pick(one, self.d[i]));
+        let mut x = zero;
+        for _ in 0..STEPS {
+            let (mut length2, mut bend) = (zero, zero);
+            for i in 1..N {
+                let inv = (f[i] + g[i] * x).recip_or_zero();
+                let p = xi[i] * xi[i] * inv * inv;
+                length2 += p;
+                bend += p * g[i] * inv;
+            }
+            let inv = length2.sqrt().recip_or_zero();
+            let value = a * x - rest + r * inv;
+            let slope = a + r * inv * inv * inv * bend;
+            let next = x - value / slope;
+            live = live.and(next.gt(x));
+            if live.none() {
+                break;
+            }
+            x = R::select(live, next, x);
+        }
+        let k = pick(one, x);
+        let mut y: [R; N] = from_fn(|i| k * xi[i] * (f[i] + g[i] * x).recip_or_zero());
+        y[0] = across(&y);
+        let out = times(&self.v, &y);
+        let n = out[0].max(zero);
+        let fit = n * across(&out).recip_or_zero();
+        from_fn(|i| if i == 0 { n } else { fit * out[i] })
+    }
+
+    /// One Newton step from x on the conditions that it meets. Outside: 0. Inside: Qx + b = 0. On
+    /// the surface, with r = Qx + b − κSx, which is 0: (Q − κS)dx − Sx dκ = −r and Sx·dx = 0,
+    /// which is diagonal in y but for dκ.
+    fn newton_step(&self, b: &[R; N], x: &[R; N]) -> [R; N] {
+        let (zero, d) = (R::zero(), &self.d);
+        let w = times(&self.q, x);
+        let w = self.in_unit(&from_fn(|i| w[i] + b[i]));
+        let per_mu = self.mu.recip_or_zero();
+        let z: [R; N] = from_fn(|i| if i == 0 { x[0] } else { x[i] * per_mu });
+        let some = z[0].gt(zero);
+        let inside = across(&z).lt(z[0] * R::of(1.0 - ROUNDINGS * R::epsilon()));
+        let signed = |x: &[R; N]| -> [R; N] { from_fn(|i| if i == 0 { x[0] } else { -x[i] }) };
+        let free = back(&self.v, &w);
+        let free = times(&self.v, &from_fn(|i| -free[i] * self.inv_d[i]));
+        // On the surface, in y: V⁻¹ = SVᵀS.
+        let y = signed(&back(&self.v, &signed(&z)));
+        let kappa = w[0] * z[0].recip_or_zero();
+        let bent = signed(&z);
+        let rho = back(&self.v, &from_fn(|i| w[i] - kappa * bent[i]));
+        let inv: [R; N] = from_fn(|i| (d[i] + kappa).recip_or_zero());
+        let per_y = y[0].recip_or_zero();
+        let (pull, give) = reach(&y, &rho, &inv, 1);
+        let stiff = d[0] - kappa;
+        let turn = (-pull - give * rho[0] * per_y) / (R::one() + give * stiff * per_y * per_y);
+        let first = turn * per_y;
+        let change = (stiff * first + rho[0]) * per_y;
+        let rim = |i: usize| if i == 0 { first } else { -(rho[i] + y[i] * change) * inv[i] };
+        let rim = times(&self.v, &from_fn(rim));
+        let step = self.in_unit(&select::<R, N>(inside, free, rim));
+        from_fn(|i| R::select(some, x[i] + step[i], zero))
+    }
 }
 
-pub(super) fn select3<R: Real>(mask: R::Mask, yes: [R; 3], no: [R; 3]) -> [R; 3] {
-    core::array::from_fn(|i| R::select(mask, yes[i], no[i]))
+/// The quadratic ½ xᵀQx on a ball, prepared for many right-hand sides: what the ways of a Coulomb
+/// contact can do.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct InBall<R: Real, const N: usize> {
+    pub q: Matrix<R, N>,
+    v: Matrix<R, N>,
+    d: [R; N],
+    inv_d: [R; N],
+}
+
+impl<R: Real, const N: usize> InBall<R, N> {
+    /// Of a positive semi-definite Q, by its lower half.
+    pub fn new(q: Matrix<R, N>) -> Self {
+        let q = symmetric(&q);
+        let (v, d) = diagonal(q, false);
+        // What rounding leaves of a zero eigenvalue is a direction that nothing moves.
+        let floor = R::of(ROUNDINGS * R::epsilon()) * largest(&d);
+        let d = d.map(|d| R::select(d.gt(floor), d, R::zero()));
+        Self { q, v, d, inv_d: d.map(R::recip_or_zero) }
+    }
+
+    /// The minimiser of ½ xᵀQx + g·x over the ball |x| ≤ bound.
+    pub fn least(&self, g: &[R; N], bound: R, mask: R::Mask) -> [R; N] {
+        R::implicit(self.minimiser(g, bound, mask), |x| self.newton_step(g, bound, &x))
+    }
+
+    /// Inside: −Q⁻¹g. Else −(Q + m)⁻¹g with the m ≥ 0 that brings it to the rim: 1/|x(m)| is
+    /// increasing and concave, so Newton from the left never overshoots.
+    fn minimiser(&self, g: &[R; N], bound: R, mask: R::Mask) -> [R; N] {
+        let (zero, d) = (R::zero(), &self.d);
+        let along = back(&self.v, g);
+        let g: [R; N] = from_fn(|i| R::select(d[i].gt(zero), along[i], zero));
+        let y: [R; N] = from_fn(|i| -g[i] * self.inv_d[i]);
+        let inside = length(&y).le(bound);
+        let none = bound.le(zero);
+        let free = times(&self.v, &y);
+        let mut live = mask.and(inside.or(none).not());
+        if live.none() {
+            return select::<R, N>(none, [zero; N], free);
+        }
+        // |x| ≥ |g| / (d_max + m) bounds m from below.
+        let mut m = (length(&g) / bound - largest(d)).max(zero);
+        for _ in 0..STEPS {
+            let (mut length2, mut slope) = (zero, zero);
+            for i in 0..N {
+                let inv = (d[i] + m).recip_or_zero();
+                let p = g[i] * inv;
+                length2 += p * p;
+                slope += p * p * inv;
+            }
+            let step = (length2.sqrt() / bound - R::one()) * length2 * slope.recip_or_zero();
+            let next = m + step;
+            live = live.and(next.gt(m));
+            if live.none() {
+                break;
+            }
+            m = R::select(live, next, m);
+        }
+        let p: [R; N] = from_fn(|i| -g[i] * (d[i] + m).recip_or_zero());
+        // On the rim exactly.
+        let k = bound * length(&p).recip_or_zero();
+        let rim = times(&self.v, &p.map(|p| k * p));
+        select::<R, N>(none, [zero; N], select::<R, N>(inside, free, rim))
+    }
+
+    /// One Newton step from x: inside Qx + g = 0; on the rim (Q + m)x + g = 0 and |x| = bound.
+    fn newton_step(&self, g: &[R; N], bound: R, x: &[R; N]) -> [R; N] {
+        let (zero, d) = (R::zero(), &self.d);
+        let turned = times(&self.q, x);
+        let inside = length(x).lt(bound * R::of(1.0 - ROUNDINGS * R::epsilon()));
+        let along = back(&self.v, &from_fn(|i| turned[i] + g[i]));
+        let y = back(&self.v, x);
+        let length2 = sum::<R, N>(|i| y[i] * y[i]);
+        let m = -sum::<R, N>(|i| along[i] * y[i]) * length2.recip_or_zero();
+        let m = m.max(zero);
+        let inv: [R; N] = from_fn(|i| (d[i] + m).recip_or_zero());
+        let rho: [R; N] = from_fn(|i| along[i] + m * y[i]);
+        let (pull, give) = reach(&y, &rho, &inv, 0);
+        let out = R::of(0.5) * (bound * bound - length2);
+        let change = -(out + pull) * give.recip_or_zero();
+        let step = times(
+            &self.v,
+            &from_fn(|i| {
+                let free = -along[i] * self.inv_d[i];
+                R::select(inside, free, -(rho[i] + y[i] * change) * inv[i])
+            }),
+        );
+        from_fn(|i| R::select(bound.gt(zero), x[i] + step[i], zero))
+    }
+}
+
+#[inline(always)]
+fn select<R: Real, const N: usize>(mask: R::Mask, yes: [R; N], no: [R; N]) -> [R; N] {
+    from_fn(|i| R::select(mask, yes[i], no[i]))
+}
+
+/// Mx.
+#[inline(always)]
+pub(super) fn times<R: Real, const N: usize>(m: &Matrix<R, N>, x: &[R; N]) -> [R; N] {
+    m.map(|row| sum::<R, N>(|k| row[k] * x[k]))
+}
+
+/// Mᵀx.
+#[inline(always)]
+fn back<R: Real, const N: usize>(m: &Matrix<R, N>, x: &[R; N]) -> [R; N] {
+    from_fn(|i| sum::<R, N>(|k| m[k][i] * x[k]))
+}
+
+/// Σ y ρ / e and Σ y² / e from an entry on.
+fn reach<R: Real, const N: usize>(y: &[R; N], rho: &[R; N], inv: &[R; N], first: usize) -> (R, R) {
+    let (mut pull, mut give) = (R::zero(), R::zero());
+    for i in first..N {
+        pull += y[i] * rho[i] * inv[i];
+        give += y[i] * y[i] * inv[i];
+    }
+    (pull, give)
+}
+
+#[inline(always)]
+fn sum<R: Real, const N: usize>(term: impl Fn(usize) -> R) -> R {
+    let mut sum = term(0);
+    for k in 1..N {
+        sum += term(k);
+    }
+    sum
+}
+
+fn largest<R: Real>(x: &[R]) -> R {
+    x.iter().fold(R::zero(), |most, x| most.max(*x))
+}
+
+/// The lower half for both: the other one differs by rounding.
+fn symmetric<R: Real, const N: usize>(q: &Matrix<R, N>) -> Matrix<R, N> {
+    from_fn(|i| from_fn(|j| q[i.max(j)][i.min(j)]))
+}
+
+/// V and d with VᵀQV = diag(d) and VᵀSV = S, where S is diag(1, −1, …) for a `cone`, and 1 without.
+fn diagonal<R: Real, const N: usize>(mut q: Matrix<R, N>, cone: bool) -> (Matrix<R, N>, [R; N]) {
+    let unit = |i: usize, j: usize| if i == j { R::one() } else { R::zero() };
+    let mut v: Matrix<R, N> = from_fn(|i| from_fn(|j| unit(i, j)));
+    for _ in 0..ROUNDS {
+        let mut turned = false;
+        for i in 0..N {
+            for j in i + 1..N {
+                turned |= turn(&mut q, &mut v, i, j, cone && i == 0);
+            }
+        }
+        if !turned {
+            break;
+        }
+    }
+    (v, from_fn(|i| q[i][i]))
+}
+
+/// Takes q_ij away where it is more than rounding; whether that was so in some lane.
+fn turn<R: Real, const N: usize>(
+    q: &mut Matrix<R, N>,
+    v: &mut Matrix<R, N>,
+    i: usize,
+    j: usize,
+    hyperbolic: bool,
+) -> bool {
+    let (a, b, o) = (q[i][i], q[j][j], q[i][j]);
+    let rounding = R::of(R::epsilon() * R::epsilon());
+    let large = (o * o).gt(rounding * (a * b));
+    if large.none() {
+        return false;
+    }
+    // New columns: c vᵢ − s vⱼ and s' vᵢ + c vⱼ.
+    let (c, s, t) = if hyperbolic { boost(a, o, b) } else { rotation(a, o, b) };
+    let other = if hyperbolic { -s } else { s };
+    let change = t * o;
+    q[i][i] = R::select(large, a - change, a);
+    q[j][j] = R::select(large, if hyperbolic { b - change } else { b + change }, b);
+    q[i][j] = R::select(large, R::zero(), o);
+    q[j][i] = q[i][j];
+    for k in 0..N {
+        if k != i && k != j {
+            let (p, r) = (q[k][i], q[k][j]);
+            q[k][i] = R::select(large, c * p - s * r, p);
+            q[k][j] = R::select(large, other * p + c * r, r);
+            (q[i][k], q[j][k]) = (q[k][i], q[k][j]);
+        }
+        let (p, r) = (v[k][i], v[k][j]);
+        v[k][i] = R::select(large, c * p - s * r, p);
+        v[k][j] = R::select(large, other * p + c * r, r);
+    }
+    true
+}
+
+/// Cosine, sine and tangent of the rotation that makes [[p, o], [o, q]] diagonal.
+fn rotation<R: Real>(p: R, o: R, q: R) -> (R, R, R) {
+    let zero = R::zero();
+    let theta = (q - p) / (o + o);
+    let t = R::one() / (theta.abs() + (R::one() + theta * theta).sqrt());
+    let t = R::select(theta.lt(zero), -t, t);
+    let t = R::select(o.abs().gt(zero), t, zero);
+    let c = R::one() / (R::one() + t * t).sqrt();
+    (c, t * c, t)
+}
+
+/// Cosh, sinh and tanh of the hyperbolic rotation that makes it diagonal.
+fn boost<R: Real>(p: R, o: R, q: R) -> (R, R, R) {
+    let (zero, one) = (R::zero(), R::one());
+    let zeta = (p + q) / (o + o);
+    let size = zeta.abs();
+    let t = one / (size + ((size - one) * (size + one)).max(zero).sqrt());
+    let t = t.min(R::of(1.0 - 4.0 * R::epsilon()));
+    let t = R::select(zeta.lt(zero), -t, t);
+    let t = R::select(o.abs().gt(zero), t, zero);
+    let c = one / ((one - t) * (one + t)).sqrt();
+    (c, t * c, t)
 }

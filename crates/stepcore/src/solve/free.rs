@@ -124,7 +124,7 @@ impl Free {
 }
 
 #[inline(always)]
-pub(super) fn products<R: Real>(y: &[R], x: &[R]) -> [R; SIX] {
+fn products<R: Real>(y: &[R], x: &[R]) -> [R; SIX] {
     let (mut products, x) = (six(y), &x[..SIX]);
     for a in 0..SIX {
         products[a] *= x[a];
@@ -134,14 +134,14 @@ pub(super) fn products<R: Real>(y: &[R], x: &[R]) -> [R; SIX] {
 
 /// The first six numbers.
 #[inline(always)]
-fn six<R: Real>(x: &[R]) -> [R; SIX] {
+pub(super) fn six<R: Real>(x: &[R]) -> [R; SIX] {
     let mut six = [R::zero(); SIX];
     six.copy_from_slice(&x[..SIX]);
     six
 }
 
 #[inline(always)]
-pub(super) fn total<R: Real>(p: [R; SIX]) -> R {
+fn total<R: Real>(p: [R; SIX]) -> R {
     ((p[0] + p[2]) + p[4]) + ((p[1] + p[3]) + p[5])
 }
 

@@ -8,11 +8,9 @@ mod direct;
 pub(crate) mod dofs;
 mod dot;
 mod edges;
-mod exact;
 mod few;
 mod first;
 mod free;
-mod implicit;
 mod islands;
 pub(crate) mod law;
 mod limits;
@@ -29,7 +27,6 @@ mod solver;
 mod square;
 #[cfg(test)]
 mod tests;
-mod wide;
 
 pub(crate) use derivative::Differentiated;
 pub(crate) use direct::{Choice, GROUP};
@@ -40,6 +37,7 @@ pub(crate) use rows::{Anchor, Guessed, CONE};
 pub use rows::{Block, Part, Push, Row, Rows, Set, Situation};
 pub(crate) use solver::{Solve, Solvers, Sweeper, Unconstrained};
 
+use crate::elements::Role;
 use crate::model::Span;
 use crate::real::{Mask, Real};
 use crate::spatial::{Force, Motion, V3};
@@ -164,7 +162,7 @@ impl<R: Real> Rows<R> {
     /// equalities that the stages of the step held (`inside`).
     pub fn warm_start(&mut self, dof_lists: &[usize], inv_d: &[R], warm: &[Warm<R>], inside: bool) {
         let mut at = 0;
-        let others = self.blocks.iter().filter(|block| !(inside && block.element.kind.ties()));
+        let others = self.blocks.iter().filter(|block| !(inside && block.role == Role::Equality));
         for block in others {
             while at < warm.len() && warm[at].slot < block.kin.start {
                 at += 1;
@@ -194,7 +192,7 @@ impl<R: Real> Rows<R> {
         for (index, block) in self.blocks.iter().enumerate() {
             let mut impulse = [R::zero(); WARM_ROWS];
             for (k, row) in self.rows[block.rows.range()].iter().enumerate() {
-                let held = inside && block.element.kind.ties();
+                let held = inside && block.role == Role::Equality;
                 let own = if held { row.beside } else { self.solved(block.rows.start + k) };
                 let kept = block.mask.and(own.is_finite());
                 impulse[k] = R::select(kept, own, R::zero());

@@ -6,14 +6,14 @@
 //! friction loss keeps its bounds. What comes out solves no one problem, and normals feel what
 //! friction has changed only in the next step.
 
+use super::cone::{times, InBall};
 use super::dot::dot;
-use super::exact::Tangents;
-use super::rows::{Block, Row, Rows, Set, CONE};
-use super::wide::Wide;
-use crate::elements::Kind;
+use super::rows::{Block, Row, Rows, Set, CONE, NARROW};
+use crate::elements::Role;
 use crate::error::{Error, Result};
 use crate::interrupt::ends_after;
 use crate::real::{Mask, Real};
+use core::array::from_fn;
 
 /// What friction rows hold beside others.
 #[derive(Clone, Copy, PartialEq)]
@@ -28,10 +28,10 @@ enum Friction {
 }
 
 fn friction<R: Real>(block: &Block<R>) -> Friction {
-    match (block.set, block.element.kind) {
+    match (block.set, block.role) {
         (Set::Convex, _) => Friction::Cone,
-        (Set::Interval, Kind::FrictionLoss | Kind::TendonFriction) => Friction::Loss,
-        (Set::Interval, Kind::Contact) if block.rows.len > 1 => Friction::Edges,
+        (Set::Interval, Role::Loss) => Friction::Loss,
+        (Set::Interval, Role::Contact) if block.rows.len > 1 => Friction::Edges,
         _ => Friction::None,
     }
 }
@@ -60,7 +60,10 @@ impl<R: Real> Rows<R> {
                             sweep.edges(one, other);
                         }
                     }
-                    Friction::Cone => sweep.cone(own, block.mu),
+                    Friction::Cone if own.len() > NARROW => {
+                        sweep.cone::<{ CONE - 1 }>(own, block.mu)
+                    }
+                    Friction::Cone => sweep.cone::<{ NARROW - 1 }>(own, block.mu),
                 }
             }
         }
@@ -124,32 +127,22 @@ impl<R: Real> Hard<'_, R> {
     }
 
     /// The least ½ xᵀA x + g·x with |x| ≤ μ λ_n.
-    fn cone(&mut self, own: &mut [Row<R>], mu: R) {
-        let Some((normal, tangents)) = own.split_first_mut() else { return };
+    fn cone<const N: usize>(&mut self, own: &mut [Row<R>], mu: R) {
+        let Some((normal, ways)) = own.split_first_mut() else { return };
         let bound = mu * normal.impulse;
-        let (zero, count) = (R::zero(), tangents.len() + 1);
-        let mut q = [[zero; CONE]; CONE];
-        let (mut g, mut x) = ([zero; CONE], [zero; CONE]);
-        for (i, row) in tangents.iter().enumerate() {
-            for (j, other) in tangents.iter().enumerate() {
-                q[i + 1][j + 1] = self.between(row, other);
+        let zero = R::zero();
+        let (mut q, mut g, mut x) = ([[zero; N]; N], [zero; N], [zero; N]);
+        for (i, row) in ways.iter().enumerate() {
+            for (j, other) in ways[..=i].iter().enumerate() {
+                q[i][j] = self.between(row, other);
+                q[j][i] = q[i][j];
             }
-            (g[i + 1], x[i + 1]) = (self.miss(row), row.impulse);
+            (g[i], x[i]) = (self.miss(row), row.impulse);
         }
-        for i in 1..count {
-            for j in 1..count {
-                g[i] -= q[i][j] * x[j];
-            }
-        }
-        let solved = if count > 3 {
-            Wide::coulomb(q, mu).ball(g, bound, self.mask)
-        } else {
-            let plane = Tangents::new(q[1][1], q[2][1], q[2][2]);
-            let [one, two] = plane.disc([g[1], g[2]], bound, self.mask);
-            [zero, one, two, zero, zero, zero]
-        };
-        for (row, x) in tangents.iter_mut().zip(&solved[1..]) {
-            self.set(row, *x);
+        let held = times(&q, &x);
+        let solved = InBall::new(q).least(&from_fn(|i| g[i] - held[i]), bound, self.mask);
+        for (row, x) in ways.iter_mut().zip(solved) {
+            self.set(row, x);
         }
     }
 }

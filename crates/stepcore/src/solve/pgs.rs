@@ -7,6 +7,7 @@
 mod cones;
 mod onward;
 mod packed;
+mod point;
 mod side_by_side;
 mod sweep;
 

@@ -4,7 +4,7 @@
 //! s = A + c, one a cone (its largest). δ vanishes exactly at a solution. The
 //! scalar is max |δ|√(A/m), a speed for linear and angular rows alike.
 
-use super::cone::{across, project_box, project_box_wide, project_round};
+use super::cone::{across, project_box, project_round};
 use super::dot::dot;
 use super::rows::{Block, Row, Rows, Set, CONE, NARROW};
 use crate::real::{Mask, Real};
@@ -34,9 +34,9 @@ impl<R: Real> Rows<R> {
             return;
         }
         if block.rows.len <= NARROW {
-            self.cone_map::<NARROW>(dof_lists, block, project_box, each);
+            self.cone_map::<NARROW>(dof_lists, block, each);
         } else {
-            self.cone_map::<CONE>(dof_lists, block, project_box_wide, each);
+            self.cone_map::<CONE>(dof_lists, block, each);
         }
     }
 
@@ -44,7 +44,6 @@ impl<R: Real> Rows<R> {
         &self,
         dof_lists: &[usize],
         block: &Block<R>,
-        project_box: impl Fn(R, [R; N]) -> [R; N],
         mut each: impl FnMut(usize, R, R),
     ) {
         let range = block.rows.range();
@@ -61,7 +60,7 @@ impl<R: Real> Rows<R> {
             Set::Convex | Set::Interval => R::zero(),
         };
         let inv = s.recip_or_zero();
-        let moved = core::array::from_fn(|i| impulse[i] - w[i] * inv);
+        let moved: [R; N] = core::array::from_fn(|i| impulse[i] - w[i] * inv);
         let nearest = match block.set {
             Set::CoulombBox => project_box(block.mu, moved),
             _ => project_round(block.mu, moved),

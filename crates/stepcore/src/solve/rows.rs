@@ -14,7 +14,7 @@ use super::live::Live;
 use super::relative::WIDE;
 use crate::clock::Clock;
 use crate::elements::friction::MOST_WAYS;
-use crate::elements::Element;
+use crate::elements::{Element, Role};
 use crate::model::{Model, Span, NONE};
 use crate::place::Placed;
 use crate::pool::Pool;
@@ -129,6 +129,7 @@ pub struct Block<R: Real> {
     pub mass: f64,
     /// What the block came from.
     pub element: Element,
+    pub role: Role,
     /// Its number over time, for warm starts; ascending.
     pub slot: u64,
     /// The slots in which it may have been in the step before: see `feature`.
@@ -152,7 +153,8 @@ impl<R: Real> Block<R> {
 
     /// The block of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Block<S> {
-        let Self { rows, set, mask, mu, mass, element, slot, kin, feature, island, rank } = self;
+        let Self { rows, set, mask, mu, mass, element, role, slot, kin, feature, island, rank } =
+            self;
         Block {
             rows: *rows,
             set: *set,
@@ -160,6 +162,7 @@ impl<R: Real> Block<R> {
             mu: S::of(mu.lane(lane)),
             mass: *mass,
             element: *element,
+            role: *role,
             slot: *slot,
             kin: kin.clone(),
             feature: S::of(feature.lane(lane)),
@@ -404,6 +407,7 @@ impl<R: Real> Rows<R> {
             mu,
             mass,
             element,
+            role: element.kind.role(),
             slot,
             kin: slot..slot + 1,
             feature: mu,

@@ -1,46 +1,75 @@
-//! A small quadratic over a box, by active sets: what the friction of a pyramid's ways is.
+//! A small quadratic over a box: what the friction of a pyramid's ways is.
 //!
-//! From a point of the box to the minimiser of the face that it is on, or as far as the box
-//! allows; there one more way is held. At a face's minimiser the way whose slope leads most
-//! inwards is let go, until none does (Nocedal & Wright, Numerical Optimization, 16.5). The cost
-//! falls with every step, so no face comes twice.
+//! Of two ways in closed form; of more by active sets: from a point of the box to the minimiser of
+//! the face that it is on, or as far as the box allows; there one more way is held. At a face's
+//! minimiser the way whose slope leads most inwards is let go, until none does (Nocedal & Wright,
+//! Numerical Optimization, 16.5). The cost falls with every step, so no face comes twice.
 
-use super::rows::CONE;
-use super::wide::Square6;
+use super::cone::Matrix;
 use crate::real::{Mask, Real};
+use core::array::from_fn;
 
 /// Steps after which what is left is rounding: five ways seldom need ten.
 const STEPS: usize = 40;
 /// A slope inwards of so many roundings of its terms is none.
 const ROUNDINGS: f64 = 16.0;
 
-pub(super) struct Square<'a, R: Real> {
-    pub q: &'a Square6<R>,
-    pub g: &'a [R; CONE],
-    pub bound: R,
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Square<R: Real, const N: usize> {
+    pub q: Matrix<R, N>,
+    /// Of two ways: the inverses of q₁₁, q₂₂, and of q₁₁ with x₂ at its best.
+    inv: [R; 3],
 }
 
-impl<R: Real> Square<'_, R> {
-    /// The minimiser of ½ xᵀQx + g·x over |x_i| ≤ bound, looked for from x; entry 0 is not part
-    /// of it.
-    pub fn minimiser(&self, x: &[R; CONE], mask: R::Mask) -> [R; CONE] {
-        let (zero, one, bound) = (R::zero(), R::one(), self.bound.max(R::zero()));
-        let mut x: [R; CONE] = core::array::from_fn(|i| {
-            let moves = R::Mask::of(i > 0).and(self.q[i][i].gt(zero));
-            R::select(moves, x[i].clamp(-bound, bound), zero)
-        });
+impl<R: Real, const N: usize> Square<R, N> {
+    /// Of a positive semi-definite Q.
+    pub fn new(q: Matrix<R, N>) -> Self {
+        let (i1, i2) = (q[0][0].recip_or_zero(), q[1][1].recip_or_zero());
+        let schur = q[0][0] - q[1][0] * q[1][0] * i2;
+        let moves = schur.gt(R::of(4.0 * R::epsilon()) * q[0][0]);
+        let schur = R::select(moves, schur, R::zero());
+        Self { q, inv: [i1, i2, schur.recip_or_zero()] }
+    }
+
+    /// The minimiser of ½ xᵀQx + g·x over |x_i| ≤ bound, looked for from x.
+    pub fn least(&self, g: &[R; N], bound: R, x: &[R; N], mask: R::Mask) -> [R; N] {
+        if N == 2 {
+            let both = self.of_two(g, bound);
+            return from_fn(|i| both[i]);
+        }
+        self.by_active_sets(g, bound, x, mask)
+    }
+
+    /// With x₂ at its best for a given x₁ the cost is convex in x₁ with three quadratic pieces
+    /// (x₂ free, at one bound, at the other); x₂ at the root of the free piece tells which piece
+    /// holds the minimum.
+    #[inline(always)]
+    fn of_two(&self, g: &[R; N], bound: R) -> [R; 2] {
+        let (q12, [i1, i2, inv]) = (self.q[1][0], self.inv);
+        let second = |x1: R| -(g[1] + q12 * x1) * i2;
+        let free = -(g[0] - q12 * g[1] * i2) * inv;
+        let x2 = second(free);
+        let held = -(g[0] + q12 * x2.clamp(-bound, bound)) * i1;
+        let x1 = R::select(x2.abs().le(bound), free, held).clamp(-bound, bound);
+        [x1, second(x1).clamp(-bound, bound)]
+    }
+
+    fn by_active_sets(&self, g: &[R; N], bound: R, x: &[R; N], mask: R::Mask) -> [R; N] {
+        let (zero, one, bound) = (R::zero(), R::one(), bound.max(R::zero()));
+        let mut x: [R; N] =
+            from_fn(|i| R::select(self.q[i][i].gt(zero), x[i].clamp(-bound, bound), zero));
         // Every way is let go at first; those that lead outwards come back at once.
-        let mut held = [R::Mask::of(false); CONE];
+        let mut held = [R::Mask::of(false); N];
         let mut live = mask.and(bound.gt(zero));
         for _ in 0..STEPS {
             if live.none() {
                 break;
             }
-            let aim = self.on_face(&x, &held);
+            let aim = self.on_face(g, &x, &held);
             // How far the box allows, and which way ends there.
             let mut share = one;
-            let mut stop = [one; CONE];
-            for i in 1..CONE {
+            let mut stop = [one; N];
+            for i in 0..N {
                 let end = R::select(aim[i].lt(zero), -bound, bound);
                 let over = held[i].not().and(aim[i].abs().gt(bound));
                 let part = ((end - x[i]) / (aim[i] - x[i])).max(zero);
@@ -48,7 +77,7 @@ impl<R: Real> Square<'_, R> {
                 share = share.min(stop[i]);
             }
             let whole = share.ge(one);
-            for i in 1..CONE {
+            for i in 0..N {
                 let end = R::select(aim[i].lt(zero), -bound, bound);
                 let ends = live.and(whole.not()).and(stop[i].le(share));
                 let way = R::select(whole, aim[i], x[i] + share * (aim[i] - x[i]));
@@ -58,9 +87,9 @@ impl<R: Real> Square<'_, R> {
                 held[i] = held[i].or(ends);
             }
             // At the face's minimiser: the way that leads most inwards.
-            let (mut worst, mut inwards) = (zero, [zero; CONE]);
-            for i in 1..CONE {
-                let (slope, terms) = self.slope(&x, i);
+            let (mut worst, mut inwards) = (zero, [zero; N]);
+            for i in 0..N {
+                let (slope, terms) = self.slope(g, &x, i);
                 let towards = R::select(x[i].lt(zero), -slope, slope);
                 let real = towards.gt(R::of(ROUNDINGS * R::epsilon()) * terms);
                 let per_root = self.q[i][i].recip_or_zero().sqrt();
@@ -69,18 +98,18 @@ impl<R: Real> Square<'_, R> {
             }
             live = live.and(whole.and(worst.le(zero)).not());
             let free = live.and(whole);
-            for i in 1..CONE {
+            for i in 0..N {
                 let leaves = free.and(inwards[i].ge(worst)).and(inwards[i].gt(zero));
                 held[i] = held[i].and(leaves.not());
             }
         }
-        core::array::from_fn(|i| R::select(bound.gt(zero), x[i], zero))
+        from_fn(|i| R::select(bound.gt(zero), x[i], zero))
     }
 
     /// (Qx + g)ᵢ, and the size of its terms.
-    fn slope(&self, x: &[R; CONE], i: usize) -> (R, R) {
-        let (mut sum, mut terms) = (self.g[i], self.g[i].abs());
-        for j in 1..CONE {
+    fn slope(&self, g: &[R; N], x: &[R; N], i: usize) -> (R, R) {
+        let (mut sum, mut terms) = (g[i], g[i].abs());
+        for j in 0..N {
             let part = self.q[i][j] * x[j];
             sum += part;
             terms += part.abs();
@@ -89,23 +118,23 @@ impl<R: Real> Square<'_, R> {
     }
 
     /// The minimiser with the held ways where they are; a way that nothing moves stays.
-    fn on_face(&self, x: &[R; CONE], held: &[R::Mask; CONE]) -> [R; CONE] {
+    fn on_face(&self, g: &[R; N], x: &[R; N], held: &[R::Mask; N]) -> [R; N] {
         let zero = R::zero();
-        let mut m = *self.q;
-        let mut rhs = [zero; CONE];
-        for i in 1..CONE {
-            rhs[i] = -self.g[i];
-            for j in 1..CONE {
+        let mut m = self.q;
+        let mut rhs = [zero; N];
+        for i in 0..N {
+            rhs[i] = -g[i];
+            for j in 0..N {
                 let moved = rhs[i] - self.q[i][j] * x[j];
                 rhs[i] = R::select(held[j], moved, rhs[i]);
             }
         }
-        let mut inv = [zero; CONE];
-        for k in 1..CONE {
+        let mut inv = [zero; N];
+        for k in 0..N {
             let own = self.q[k][k];
             let good = held[k].not().and(m[k][k].gt(R::of(64.0 * R::epsilon()) * own));
             inv[k] = R::select(good, m[k][k].recip_or_zero(), zero);
-            for i in k + 1..CONE {
+            for i in k + 1..N {
                 let l = m[i][k] * inv[k];
                 for j in k + 1..=i {
                     m[i][j] -= l * m[j][k];
@@ -114,9 +143,9 @@ impl<R: Real> Square<'_, R> {
             }
         }
         let mut out = *x;
-        for k in (1..CONE).rev() {
+        for k in (0..N).rev() {
             let mut sum = rhs[k] * inv[k];
-            for i in k + 1..CONE {
+            for i in k + 1..N {
                 let l = m[i][k] * inv[k];
                 sum -= R::select(held[i], zero, l * out[i]);
             }

@@ -15,7 +15,7 @@ use super::limits::Limits;
 use super::pgs::Pgs;
 use super::rows::{Block, Row, Rows, Set};
 use super::solver::Unconstrained;
-use crate::elements::{Element, Kind};
+use crate::elements::{Element, Kind, Role};
 use crate::model::Span;
 use crate::real::{Mask, Real};
 
@@ -121,6 +121,7 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
             mask: R::Mask::of(true),
             mu: R::of(*mu),
             mass: 1.0,
+            role: Role::Limit,
             element: Element::part(Kind::Contact, b, 0),
             slot: b as u64,
             kin: b as u64..b as u64 + 1,

@@ -83,7 +83,6 @@ impl<R: Real> Cone<R> {
 mod tests {
     use super::*;
     use crate::model::Span;
-    use crate::solve::cone::norm;
     use crate::solve::tests::{close, Random};
 
     fn row(c: f64) -> Row<f64> {
@@ -112,7 +111,7 @@ mod tests {
             let cone = Cone::new(&[row(r), row(r / ratio), row(r / ratio)], mu);
             let w = [0; 3].map(|_| random.next());
             let soft = mu / ratio.sqrt();
-            let (n, t) = (soft * w[0], norm(mu * w[1], mu * w[2]));
+            let (n, t) = (soft * w[0], f64::hypot(mu * w[1], mu * w[2]));
             let want = if n >= soft * t {
                 [0.0; 3]
             } else if soft * n + t <= 0.0 {

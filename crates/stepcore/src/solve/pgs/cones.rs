@@ -1,9 +1,11 @@
-//! What cones of three rows or less need for their exact solutions, made once a solve.
+//! What cones need for their exact solutions, made once a solve: of up to N rows, W of them ways.
 
-use super::super::exact::{Convex, TangentBox, Tangents};
-use super::super::rows::Set;
+use super::super::cone::{times, InBall, InCone, Matrix};
+use super::super::rows::{Set, CONE, NARROW};
+use super::super::square::Square;
 use crate::real::Real;
-use crate::room::room;
+use crate::room::{listed, Room};
+use core::array::from_fn;
 
 /// What ties the impulses of a block, and for a cone its place among those of its kind.
 #[derive(Clone, Copy)]
@@ -16,15 +18,23 @@ pub(super) enum Tie {
 }
 
 /// By the place in a `Tie`.
-pub(super) struct Cones<R: Real> {
-    pub convex: Vec<Convex<R>>,
-    disc: Vec<Tangents<R>>,
-    square: Vec<TangentBox<R>>,
+pub(super) struct Cones<R: Real, const N: usize, const W: usize> {
+    pub convex: Vec<InCone<R, N>>,
+    disc: Vec<InBall<R, W>>,
+    square: Vec<Square<R, W>>,
 }
 
-room!(Cones<R>: convex, disc, square;);
+/// Of a normal and two tangents, and of all ways there are.
+pub(super) type Narrow<R> = Cones<R, NARROW, { NARROW - 1 }>;
+pub(super) type Wide<R> = Cones<R, CONE, { CONE - 1 }>;
 
-impl<R: Real> Cones<R> {
+impl<R: Real, const N: usize, const W: usize> Room for Cones<R, N, W> {
+    fn room(&self) -> usize {
+        listed(&self.convex) + listed(&self.disc) + listed(&self.square)
+    }
+}
+
+impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
     pub fn new() -> Self {
         Self { convex: Vec::new(), disc: Vec::new(), square: Vec::new() }
     }
@@ -35,34 +45,35 @@ impl<R: Real> Cones<R> {
         self.square.clear();
     }
 
-    /// Of a block with this y D⁻¹ yᵀ + C; rows of the lower triangle.
-    pub fn tie(&mut self, set: Set, mu: R, q: [R; 6]) -> Tie {
-        let tangents = [q[2], q[4], q[5]];
+    /// Of a block with this y D⁻¹ yᵀ + C.
+    pub fn tie(&mut self, set: Set, mu: R, q: Matrix<R, N>) -> Tie {
+        let ways = from_fn(|i| from_fn(|j| q[i + 1][j + 1]));
         match set {
             Set::Interval => Tie::Bounds,
-            Set::Convex => Tie::Convex(push(&mut self.convex, Convex::new(q, mu))),
-            Set::CoulombRound => Tie::Disc(push(&mut self.disc, Tangents::new(q[2], q[4], q[5]))),
-            Set::CoulombBox => Tie::Square(push(&mut self.square, TangentBox::new(tangents))),
+            Set::Convex => Tie::Convex(push(&mut self.convex, InCone::new(q, mu))),
+            Set::CoulombRound => Tie::Disc(push(&mut self.disc, InBall::new(ways))),
+            Set::CoulombBox => Tie::Square(push(&mut self.square, Square::new(ways))),
         }
     }
 
-    /// q₁₁, q₁₂, q₂₂ of the tangents of a Coulomb cone.
+    /// The ways' impulses of a Coulomb cone that minimise its part within their bound, with their
+    /// slope where they are x.
     #[inline(always)]
-    pub fn plane(&self, tie: Tie) -> [R; 3] {
+    pub fn friction(&self, tie: Tie, slope: [R; W], x: &[R; W], bound: R, mask: R::Mask) -> [R; W] {
+        let at_zero = |q: &Matrix<R, W>| {
+            let held = times(q, x);
+            from_fn(|i| slope[i] - held[i])
+        };
         match tie {
-            Tie::Disc(at) => self.disc[at as usize].q,
-            Tie::Square(at) => self.square[at as usize].q,
-            Tie::Bounds | Tie::Convex(_) => [R::zero(); 3],
-        }
-    }
-
-    /// The tangents' impulses that minimise ½ xᵀQx + g·x within their bound.
-    #[inline(always)]
-    pub fn friction(&self, tie: Tie, g: [R; 2], bound: R, mask: R::Mask) -> [R; 2] {
-        match tie {
-            Tie::Disc(at) => self.disc[at as usize].disc(g, bound, mask),
-            Tie::Square(at) => self.square[at as usize].minimiser(g, bound),
-            Tie::Bounds | Tie::Convex(_) => [R::zero(); 2],
+            Tie::Disc(at) => {
+                let ball = &self.disc[at as usize];
+                ball.least(&at_zero(&ball.q), bound, mask)
+            }
+            Tie::Square(at) => {
+                let square = &self.square[at as usize];
+                square.least(&at_zero(&square.q), bound, x, mask)
+            }
+            Tie::Bounds | Tie::Convex(_) => [R::zero(); W],
         }
     }
 }

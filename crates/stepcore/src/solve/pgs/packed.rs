@@ -6,34 +6,23 @@
 //! is read once before and written once after. Impulses stand here while sweeps go on, and are
 //! copied back where somebody else reads the rows.
 
-use super::super::exact::Convex;
-use super::super::free::{products, total, Free, SIX};
+use super::super::cone::InCone;
+use super::super::free::{six, Free, SIX};
 use super::super::rows::{Block, Row, Rows, Set, NARROW};
-use super::cones::{Cones, Tie};
+use super::cones::{Narrow, Tie};
+use super::point::{along, gain, Point, EDGES};
 use crate::real::{Mask, Real};
 use core::array::from_fn;
 
-/// Rows of a pyramid.
-pub(super) const EDGES: usize = 4;
 /// Edges are a pyramid's when what is left of their differences is so many roundings.
 const ROUNDINGS: f64 = 8.0;
 
 /// By body and direction.
 type Ways<R> = [[[R; SIX]; NARROW]; 2];
 
-/// One contact; lists of four hold edges, or three directions and nothing.
+/// One contact.
 pub(super) struct Packed<R: Real> {
-    /// y by body and direction.
-    pub(super) y: Ways<R>,
-    /// y D⁻¹ yᵀ of edges, or of directions with c on the diagonal; rows of the lower triangle:
-    /// of edges without the diagonal.
-    pub(super) between: [R; 6],
-    pub(super) t: [R; EDGES],
-    pub(super) c: [R; EDGES],
-    pub(super) inv_s: [R; EDGES],
-    pub(super) impulse: [R; EDGES],
-    /// √(A/m).
-    pub(super) weight: [R; EDGES],
+    pub point: Point<R>,
     mu: R,
     pub mask: R::Mask,
     pub(super) free: Free,
@@ -63,7 +52,7 @@ impl<R: Real> Packed<R> {
         rows: &Rows<R>,
         block: &Block<R>,
         weight: &[R],
-        cones: &mut Cones<R>,
+        cones: &mut Narrow<R>,
     ) -> Option<Self> {
         let own = &rows.rows[block.rows.range()];
         let edges = block.set == Set::Interval;
@@ -79,7 +68,7 @@ impl<R: Real> Packed<R> {
         let y = if edges { of_edges(own, given, len)? } else { by_body(given, len) };
         let zero = R::zero();
         let list = |of: fn(&Row<R>) -> R| from_fn(|at| own.get(at).map_or(zero, of));
-        let mut packed = Self {
+        let point = Point {
             y,
             between: [zero; 6],
             t: list(|row| row.t),
@@ -87,18 +76,15 @@ impl<R: Real> Packed<R> {
             inv_s: list(|row| row.inv_s),
             impulse: list(|row| row.impulse),
             weight: from_fn(|at| weight.get(at).copied().unwrap_or(zero)),
-            mu: block.mu,
-            mask: block.mask,
-            free,
-            tie: Tie::Bounds,
         };
+        let mut packed = Self { point, mu: block.mu, mask: block.mask, free, tie: Tie::Bounds };
         let q = packed.products(inv_d);
         if edges {
-            packed.between = of_pyramid(&q);
+            packed.point.between = of_pyramid(&q);
         } else {
-            let [c0, c1, c2, _] = packed.c;
-            packed.between = [q[0] + c0, q[1], q[2] + c1, q[3], q[4], q[5] + c2];
-            packed.tie = cones.tie(block.set, block.mu, packed.between);
+            let [c0, c1, c2, _] = packed.point.c;
+            packed.point.between = [q[0] + c0, q[1], q[2] + c1, q[3], q[4], q[5] + c2];
+            packed.tie = cones.tie(block.set, block.mu, packed.whole());
         }
         Some(packed)
     }
@@ -108,7 +94,7 @@ impl<R: Real> Packed<R> {
         let mut q = [R::zero(); 6];
         for which in 0..self.free.count() {
             let inv_d = &inv_d[self.free.body(which)];
-            let [n, a, b] = &self.y[which];
+            let [n, a, b] = &self.point.y[which];
             for (sum, (x, y)) in q.iter_mut().zip([(n, n), (a, n), (a, a), (b, n), (b, a), (b, b)])
             {
                 for k in 0..SIX {
@@ -122,19 +108,9 @@ impl<R: Real> Packed<R> {
     /// y·u by direction.
     #[inline(always)]
     fn velocity(&self, u: &[R]) -> [R; NARROW] {
-        let one: &[R] = &u[self.free.body(0)];
-        let [n, a, b] = &self.y[0];
-        let [mut n, mut a, mut b] = [products(n, one), products(a, one), products(b, one)];
-        if self.free.count() == 2 {
-            let two: &[R] = &u[self.free.body(1)];
-            for (sum, y) in [&mut n, &mut a, &mut b].into_iter().zip(&self.y[1]) {
-                let more = products(y, two);
-                for k in 0..SIX {
-                    sum[k] += more[k];
-                }
-            }
-        }
-        [total(n), total(a), total(b)]
+        let six = |which: usize| six(&u[self.free.body(which)]);
+        let two = (self.free.count() == 2).then(|| six(1));
+        self.point.velocity(&six(0), two.as_ref())
     }
 
     /// u += D⁻¹ Σ y f over the directions.
@@ -144,10 +120,9 @@ impl<R: Real> Packed<R> {
             let body = self.free.body(which);
             let inv_d = &to.inv_d[body.clone()][..SIX];
             let own = &mut to.u[body][..SIX];
-            let [n, a, b] = &self.y[which];
             for k in 0..SIX {
-                let push = (n[k] * f[0] + a[k] * f[1]) + b[k] * f[2];
-                own[k] = R::select(mask, own[k] + inv_d[k] * push, own[k]);
+                let new = own[k] + inv_d[k] * self.point.push(which, k, f);
+                own[k] = R::select(mask, new, own[k]);
             }
         }
     }
@@ -157,7 +132,7 @@ impl<R: Real> Packed<R> {
     pub fn update<const GAIN: bool>(
         &mut self,
         rows: &mut [Row<R>],
-        cones: &Cones<R>,
+        cones: &Narrow<R>,
         to: &mut Target<R>,
     ) -> Updated<R> {
         if GAIN {
@@ -175,57 +150,46 @@ impl<R: Real> Packed<R> {
     }
 
     pub fn load(&mut self, rows: &[Row<R>]) {
-        for (own, row) in self.impulse.iter_mut().zip(rows) {
+        for (own, row) in self.point.impulse.iter_mut().zip(rows) {
             *own = row.impulse;
         }
     }
 
     pub fn store(&self, rows: &mut [Row<R>]) {
-        for (own, row) in self.impulse.iter().zip(rows) {
+        for (own, row) in self.point.impulse.iter().zip(rows) {
             row.impulse = *own;
         }
     }
 
-    /// Every edge in turn: λ ← max(λ + (t − Jv − cλ)/s, 0).
+    /// Every edge in turn.
     #[inline(always)]
     fn edges<const GAIN: bool>(&mut self, rows: &[Row<R>], to: &mut Target<R>) -> Updated<R> {
-        let zero = R::zero();
-        let [n, a, b] = self.velocity(to.u);
-        let velocity = [n + a, n - a, n + b, n - b];
-        let mut short: [R; EDGES] =
-            from_fn(|i| self.t[i] - velocity[i] - self.c[i] * self.impulse[i]);
-        let (mut change, mut gain) = ([zero; EDGES], zero);
-        for i in 0..EDGES {
-            let new = (short[i] * self.inv_s[i]).max(-self.impulse[i]);
-            change[i] = R::select(to.mask, new, zero);
+        let (zero, mut sum) = (R::zero(), R::zero());
+        let keep = |change: R| R::select(to.mask, change, zero);
+        let change = self.point.edges(self.velocity(to.u), keep, |i, change, short| {
             if GAIN {
-                let s = rows[i].a + rows[i].c;
-                gain += change[i] * (R::of(0.5) * s * change[i] - short[i]);
+                sum += gain(rows[i].a + rows[i].c, change, short);
             }
-            for j in i + 1..EDGES {
-                short[j] -= self.between[j * (j - 1) / 2 + i] * change[i];
-            }
-        }
-        let f = [
-            (change[0] + change[1]) + (change[2] + change[3]),
-            change[0] - change[1],
-            change[2] - change[3],
-        ];
-        self.finish(change, f, gain, to)
+        });
+        self.finish(change, along(&change), sum, to)
     }
 
     /// The block's own minimum, in one piece.
     #[inline(always)]
-    fn convex<const GAIN: bool>(&mut self, cone: &Convex<R>, to: &mut Target<R>) -> Updated<R> {
+    fn convex<const GAIN: bool>(
+        &mut self,
+        cone: &InCone<R, NARROW>,
+        to: &mut Target<R>,
+    ) -> Updated<R> {
         let (zero, q) = (R::zero(), self.whole());
         let velocity = self.velocity(to.u);
-        let w: [R; NARROW] = from_fn(|i| velocity[i] + self.c[i] * self.impulse[i] - self.t[i]);
+        let w: [R; NARROW] = from_fn(|i| -self.point.short(i, velocity[i]));
         // The gradient at zero impulse of this block: w − Qλ.
-        let b = from_fn(|i| w[i] - times(&q[i], &self.impulse));
-        let solution = cone.solve(b, to.mask);
+        let b = from_fn(|i| w[i] - times(&q[i], &self.point.impulse));
+        let solution = cone.least(&b, to.mask);
         let mut change = [zero; EDGES];
         for i in 0..NARROW {
-            change[i] = R::select(to.mask, solution[i] - self.impulse[i], zero);
+            change[i] = R::select(to.mask, solution[i] - self.point.impulse[i], zero);
         }
         let mut gain = zero;
         if GAIN {
@@ -238,15 +202,14 @@ impl<R: Real> Packed<R> {
 
     /// The normal as an interval, then the tangents within its friction bound.
     #[inline(always)]
-    fn coulomb(&mut self, cones: &Cones<R>, to: &mut Target<R>) -> Updated<R> {
-        let (zero, q, x) = (R::zero(), self.whole(), self.impulse);
+    fn coulomb(&mut self, cones: &Narrow<R>, to: &mut Target<R>) -> Updated<R> {
+        let (zero, q, x) = (R::zero(), self.whole(), self.point.impulse);
         let velocity = self.velocity(to.u);
-        let short: [R; NARROW] = from_fn(|i| self.t[i] - velocity[i] - self.c[i] * x[i]);
-        let new = (short[0] * self.inv_s[0]).max(-x[0]);
-        let normal = R::select(to.mask, new, zero);
-        let slope = |i: usize| (q[i][0] * normal - short[i]) - (q[i][1] * x[1] + q[i][2] * x[2]);
+        let short: [R; NARROW] = from_fn(|i| self.point.short(i, velocity[i]));
+        let normal = R::select(to.mask, self.point.change(0, short[0]), zero);
+        let slope = [1, 2].map(|i| q[i][0] * normal - short[i]);
         let bound = self.mu * (x[0] + normal);
-        let [one, two] = cones.friction(self.tie, [slope(1), slope(2)], bound, to.mask);
+        let [one, two] = cones.friction(self.tie, slope, &[x[1], x[2]], bound, to.mask);
         let friction = |new: R, old: R| R::select(to.mask, new - old, zero);
         let f = [normal, friction(one, x[1]), friction(two, x[2])];
         self.finish([f[0], f[1], f[2], zero], f, zero, to)
@@ -261,11 +224,7 @@ impl<R: Real> Packed<R> {
         gain: R,
         to: &mut Target<R>,
     ) -> Updated<R> {
-        let mut largest = R::zero();
-        for i in 0..EDGES {
-            self.impulse[i] += change[i];
-            largest = largest.max(change[i].abs() * self.weight[i]);
-        }
+        let largest = self.point.add(&change, R::zero());
         let moved = moves(&change);
         if moved.any() {
             self.kick(&f, to, moved);
@@ -276,7 +235,7 @@ impl<R: Real> Packed<R> {
     /// `between` of directions, in full.
     #[inline(always)]
     fn whole(&self) -> [[R; NARROW]; NARROW] {
-        let [q00, q10, q11, q20, q21, q22] = self.between;
+        let [q00, q10, q11, q20, q21, q22] = self.point.between;
         [[q00, q10, q20], [q10, q11, q21], [q20, q21, q22]]
     }
 }

@@ -9,32 +9,22 @@
 use super::super::free::SIX;
 use super::super::rows::{Rows, NARROW};
 use super::onward::{Found, Onward, Step};
-use super::packed::{Packed, EDGES};
+use super::packed::Packed;
+use super::point::{along, gain, Each, Numbers, Point, EDGES, SIDE};
 use crate::real::Real;
 use crate::room::{listed, room, Room};
 
-/// Contacts at once: as many numbers as a vector of most machines.
-const SIDE: usize = 4;
 /// Contacts of which it is clear whether they stand in a row, each on the one before; an island of
 /// fewer is not worth it.
 pub(super) const SEEN: usize = 24;
 /// A place in a four that no contact has.
 const NOBODY: u32 = u32::MAX;
 
-/// A number of each contact.
-type Each<R> = [R; SIDE];
-
-/// Four contacts; what one of them lacks is zero. See `Packed`.
+/// Four contacts; what one of them lacks is zero.
 #[repr(align(64))]
 struct Four<R> {
-    y: [[[Each<R>; SIX]; NARROW]; 2],
+    point: Point<Each<R>>,
     inv_d: [[Each<R>; SIX]; 2],
-    between: [Each<R>; 6],
-    t: [Each<R>; EDGES],
-    c: [Each<R>; EDGES],
-    inv_s: [Each<R>; EDGES],
-    impulse: [Each<R>; EDGES],
-    weight: [Each<R>; EDGES],
     /// Into `SideBySide::bodies`.
     bodies: [[u32; SIDE]; 2],
     /// The first row of each.
@@ -142,9 +132,9 @@ impl<R: Real> SideBySide<R> {
         self.step = Some(self.onward.begin(&self.bodies, by_body));
         self.moved.clear();
         self.moved.extend(self.fours.iter().map(|four| Moved {
-            s: four.inv_s.map(|each| each.map(R::recip_or_zero)),
-            from: four.impulse,
-            last: [[R::zero(); SIDE]; EDGES],
+            s: four.point.inv_s.map(|each| Each(each.0.map(R::recip_or_zero))),
+            from: four.point.impulse,
+            last: [Each::every(0.0); EDGES],
         }));
     }
 
@@ -215,8 +205,9 @@ impl<R: Real> SideBySide<R> {
         }
         for four in &self.fours {
             for (lane, row) in four.rows.iter().enumerate().filter(|(_, row)| **row != NOBODY) {
-                for (row, impulse) in rows.rows[*row as usize..].iter_mut().zip(&four.impulse) {
-                    row.impulse = impulse[lane];
+                for (row, impulse) in rows.rows[*row as usize..].iter_mut().zip(&four.point.impulse)
+                {
+                    row.impulse = impulse.0[lane];
                 }
             }
         }
@@ -224,19 +215,19 @@ impl<R: Real> SideBySide<R> {
 
     /// Updates every contact; the largest change of an impulse [m/s].
     pub fn sweep(&mut self) -> R {
-        let most = |each: Each<R>| each.into_iter().fold(R::zero(), |most, own| most.max(own));
+        let most = |each: Each<R>| each.0.into_iter().fold(R::zero(), R::max);
         let Some(step) = self.step else { return most(self.sweep_plain()) };
         let (largest, sums) = self.sweep_on(&step);
-        let [gain, own, both] = sums.map(|each| (each[0] + each[1]) + (each[2] + each[3]));
+        let [gain, own, both] = sums.map(|Each(each)| (each[0] + each[1]) + (each[2] + each[3]));
         self.found = Found { gain, own, both };
         most(largest)
     }
 
     #[inline(never)]
     fn sweep_plain(&mut self) -> Each<R> {
-        let mut largest = [R::zero(); SIDE];
+        let mut largest = Each::every(0.0);
         for four in &mut self.fours {
-            four.update(&mut self.bodies, &mut largest, |_, _, _| {});
+            largest = four.update(&mut self.bodies, largest, |_, _, _| {});
         }
         largest
     }
@@ -244,42 +235,31 @@ impl<R: Real> SideBySide<R> {
     /// With momentum; beside the largest changes the sums of `Found`.
     #[inline(never)]
     fn sweep_on(&mut self, step: &Step<R>) -> (Each<R>, [Each<R>; 3]) {
-        let none = [R::zero(); SIDE];
-        let (mut largest, mut gain, mut own, mut both) = (none, none, none, none);
+        let none = Each::every(0.0);
+        let (mut largest, mut sum, mut own, mut both) = (none, none, none, none);
         for (four, Moved { s, from, last }) in self.fours.iter_mut().zip(&mut self.moved) {
             for i in 0..EDGES {
-                step.go(&mut four.impulse[i], &mut from[i], &mut last[i]);
+                step.go(&mut four.point.impulse[i].0, &mut from[i].0, &mut last[i].0);
             }
-            four.update(&mut self.bodies, &mut largest, |i, change, short| {
-                for l in 0..SIDE {
-                    gain[l] += change[l] * (R::of(0.5) * s[i][l] * change[l] - short[l]);
-                }
+            largest = four.update(&mut self.bodies, largest, |i, change, short| {
+                sum = sum + gain(s[i], change, short);
             });
             for i in 0..EDGES {
-                for l in 0..SIDE {
-                    let p = four.impulse[i][l] - from[i][l];
-                    let weighted = four.c[i][l] * p;
-                    own[l] += weighted * p;
-                    both[l] += weighted * last[i][l];
-                }
+                let p = four.point.impulse[i] - from[i];
+                let weighted = four.point.c[i] * p;
+                own = own + weighted * p;
+                both = both + weighted * last[i];
             }
         }
-        (largest, [gain, own, both])
+        (largest, [sum, own, both])
     }
 }
 
 impl<R: Real> Four<R> {
     fn empty() -> Self {
-        let none = [R::zero(); SIDE];
         Self {
-            y: [[[none; SIX]; NARROW]; 2],
-            inv_d: [[none; SIX]; 2],
-            between: [none; 6],
-            t: [none; EDGES],
-            c: [none; EDGES],
-            inv_s: [none; EDGES],
-            impulse: [none; EDGES],
-            weight: [none; EDGES],
+            point: Point::empty(),
+            inv_d: [[Each::every(0.0); SIX]; 2],
             bodies: [[0; SIDE]; 2],
             rows: [NOBODY; SIDE],
         }
@@ -287,82 +267,32 @@ impl<R: Real> Four<R> {
 
     fn set(&mut self, lane: usize, row: u32, bodies: [u32; 2], packed: &Packed<R>, inv_d: &[R]) {
         self.rows[lane] = row;
+        self.point.set(lane, &packed.point);
         for which in 0..packed.free.count() {
             self.bodies[which][lane] = bodies[which];
             let inv_d = &inv_d[packed.free.body(which)];
             for k in 0..SIX {
-                self.inv_d[which][k][lane] = inv_d[k];
-                for way in 0..NARROW {
-                    self.y[which][way][k][lane] = packed.y[which][way][k];
-                }
+                self.inv_d[which][k].0[lane] = inv_d[k];
             }
-        }
-        for (own, given) in self.between.iter_mut().zip(packed.between) {
-            own[lane] = given;
-        }
-        for i in 0..EDGES {
-            self.t[i][lane] = packed.t[i];
-            self.c[i][lane] = packed.c[i];
-            self.inv_s[i][lane] = packed.inv_s[i];
-            self.impulse[i][lane] = packed.impulse[i];
-            self.weight[i][lane] = packed.weight[i];
         }
     }
 
-    /// As `Packed::update` of each; `note` sees edge by edge its changes and what it was short of.
+    /// Updates each; `note` sees edge by edge its changes and what it was short of.
     #[inline(always)]
     fn update(
         &mut self,
         bodies: &mut [Six<R>],
-        largest: &mut Each<R>,
-        mut note: impl FnMut(usize, &Each<R>, &Each<R>),
-    ) {
-        let one = gather(bodies, &self.bodies[0]);
-        let two = gather(bodies, &self.bodies[1]);
-        let n = velocity(&self.y[0][0], &self.y[1][0], &one, &two);
-        let a = velocity(&self.y[0][1], &self.y[1][1], &one, &two);
-        let b = velocity(&self.y[0][2], &self.y[1][2], &one, &two);
-        let mut change = [[R::zero(); SIDE]; EDGES];
-        let mut short = change;
-        for l in 0..SIDE {
-            short[0][l] = n[l] + a[l];
-            short[1][l] = n[l] - a[l];
-            short[2][l] = n[l] + b[l];
-            short[3][l] = n[l] - b[l];
-        }
-        for i in 0..EDGES {
-            for l in 0..SIDE {
-                short[i][l] = self.t[i][l] - short[i][l] - self.c[i][l] * self.impulse[i][l];
-            }
-        }
-        for i in 0..EDGES {
-            for l in 0..SIDE {
-                change[i][l] = (short[i][l] * self.inv_s[i][l]).max(-self.impulse[i][l]);
-            }
-            note(i, &change[i], &short[i]);
-            for j in i + 1..EDGES {
-                let between = &self.between[j * (j - 1) / 2 + i];
-                for l in 0..SIDE {
-                    short[j][l] -= between[l] * change[i][l];
-                }
-            }
-        }
-        for i in 0..EDGES {
-            for l in 0..SIDE {
-                self.impulse[i][l] += change[i][l];
-                largest[l] = largest[l].max(change[i][l].abs() * self.weight[i][l]);
-            }
-        }
-        let mut f = [[R::zero(); SIDE]; NARROW];
-        for l in 0..SIDE {
-            f[0][l] = (change[0][l] + change[1][l]) + (change[2][l] + change[3][l]);
-            f[1][l] = change[0][l] - change[1][l];
-            f[2][l] = change[2][l] - change[3][l];
-        }
-        let mut kicked = [[[R::zero(); SIDE]; SIX]; 2];
-        self.kick(bodies, &f, &mut kicked);
+        largest: Each<R>,
+        note: impl FnMut(usize, Each<R>, Each<R>),
+    ) -> Each<R> {
+        let [one, two] = [0, 1].map(|which| gather(bodies, &self.bodies[which]));
+        let change = self.point.edges(self.point.velocity(&one, Some(&two)), |change| change, note);
+        let largest = self.point.add(&change, largest);
+        let mut kicked = [[Each::every(0.0); SIX]; 2];
+        self.kick(bodies, &along(&change), &mut kicked);
         scatter(bodies, &self.bodies[0], &kicked[0]);
         scatter(bodies, &self.bodies[1], &kicked[1]);
+        largest
     }
 
     /// The bodies' u + D⁻¹ Σ y f. Not inlined: the products would be ordered body by body, as
@@ -370,13 +300,9 @@ impl<R: Real> Four<R> {
     #[inline(never)]
     fn kick(&self, bodies: &[Six<R>], f: &[Each<R>; NARROW], out: &mut [[Each<R>; SIX]; 2]) {
         for which in 0..2 {
-            let (y, inv_d) = (&self.y[which], &self.inv_d[which]);
             let u = gather(bodies, &self.bodies[which]);
             for k in 0..SIX {
-                for l in 0..SIDE {
-                    let push = (y[0][k][l] * f[0][l] + y[1][k][l] * f[1][l]) + y[2][k][l] * f[2][l];
-                    out[which][k][l] = u[k][l] + inv_d[k][l] * push;
-                }
+                out[which][k] = u[k] + self.inv_d[which][k] * self.point.push(which, k, f);
             }
         }
     }
@@ -385,11 +311,11 @@ impl<R: Real> Four<R> {
 /// Bodies' u, side by side.
 #[inline(always)]
 fn gather<R: Real>(bodies: &[Six<R>], at: &[u32; SIDE]) -> [Each<R>; SIX] {
-    let mut u = [[R::zero(); SIDE]; SIX];
+    let mut u = [Each::every(0.0); SIX];
     for l in 0..SIDE {
         let own = &bodies[at[l] as usize].0;
         for k in 0..SIX {
-            u[k][l] = own[k];
+            u[k].0[l] = own[k];
         }
     }
     u
@@ -400,28 +326,7 @@ fn scatter<R: Real>(bodies: &mut [Six<R>], at: &[u32; SIDE], u: &[Each<R>; SIX])
     for l in 0..SIDE {
         let own = &mut bodies[at[l] as usize].0;
         for k in 0..SIX {
-            own[k] = u[k][l];
+            own[k] = u[k].0[l];
         }
     }
-}
-
-/// y·u over two bodies, summed as `Packed` does.
-#[inline(always)]
-fn velocity<R: Real>(
-    y: &[Each<R>; SIX],
-    z: &[Each<R>; SIX],
-    one: &[Each<R>; SIX],
-    two: &[Each<R>; SIX],
-) -> Each<R> {
-    let mut p = [[R::zero(); SIDE]; SIX];
-    for k in 0..SIX {
-        for l in 0..SIDE {
-            p[k][l] = y[k][l] * one[k][l] + z[k][l] * two[k][l];
-        }
-    }
-    let mut sum = [R::zero(); SIDE];
-    for l in 0..SIDE {
-        sum[l] = ((p[0][l] + p[2][l]) + p[4][l]) + ((p[1][l] + p[3][l]) + p[5][l]);
-    }
-    sum
 }

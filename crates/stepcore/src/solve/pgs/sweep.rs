@@ -1,14 +1,14 @@
 //! One pass over blocks: each gets its own solution while all others hold theirs.
 
+use super::super::cone::{times, InCone, Matrix};
 use super::super::dot::dot;
-use super::super::exact::Convex;
-use super::super::rows::{Block, Row, Rows, Set, CONE, NARROW};
-use super::super::wide::Wide;
-use super::cones::{Cones, Tie};
+use super::super::rows::{Block, Row, Rows, Set, NARROW};
+use super::cones::{Cones, Narrow, Tie, Wide};
 use super::packed::{Packed, Target};
 use super::side_by_side::{SideBySide, SEEN};
 use crate::real::{Mask, Real};
 use crate::room::room;
+use core::array::from_fn;
 
 /// How a block is solved, and its place among those solved like it.
 #[derive(Clone, Copy)]
@@ -19,7 +19,7 @@ enum How {
     Packed(u32),
     Cone(Tie),
     /// A cone of more ways than two tangents.
-    Wide(u32),
+    Wide(Tie),
 }
 
 /// What sweeps need of the rows at hand, beside them; made once a solve.
@@ -34,11 +34,11 @@ pub(in super::super) struct Sweeps<R: Real> {
     side_by_side: SideBySide<R>,
     /// The island at hand is there.
     pub joined: bool,
-    cones: Cones<R>,
-    wide: Vec<Wide<R>>,
+    cones: Narrow<R>,
+    wide: Wide<R>,
 }
 
-room!(Sweeps<R>: z, weight, how, packed, wide; side_by_side, cones);
+room!(Sweeps<R>: z, weight, how, packed; side_by_side, cones, wide);
 
 impl<R: Real> Sweeps<R> {
     pub fn new() -> Self {
@@ -50,7 +50,7 @@ impl<R: Real> Sweeps<R> {
             side_by_side: SideBySide::new(),
             joined: false,
             cones: Cones::new(),
-            wide: Vec::new(),
+            wide: Cones::new(),
         }
     }
 
@@ -147,45 +147,38 @@ impl<R: Real> Sweeps<R> {
         if block.set == Set::Interval {
             return How::Rows;
         }
-        let own = &rows.rows[block.rows.range()];
-        let len = own.first().map_or(0, |row| row.dofs.of(dof_lists).len());
-        // The rows of a cone share their dofs. A missing tangent is one that nothing moves.
-        let entry = |i: usize, j: usize| match (own.get(i), own.get(j)) {
-            (Some(p), Some(q)) if i == j => p.a + q.c,
-            (Some(p), Some(q)) => {
-                let (y, z) = (&rows.y[p.y..p.y + len], &self.z[q.y..q.y + len]);
-                y.iter().zip(z).fold(R::zero(), |sum, (y, z)| sum + *y * *z)
-            }
-            _ => R::zero(),
-        };
-        if own.len() > NARROW {
-            let convex = block.set == Set::Convex;
-            let whole = |i: usize, j: usize| {
-                // A normal is solved by itself under Coulomb's law.
-                let apart = !convex && (i == 0 || j == 0);
-                let missing = i == j && i >= own.len();
-                match own.last() {
-                    // Something positive, which meets zeros only.
-                    Some(last) if missing && convex => last.a + last.c,
-                    _ if apart => R::zero(),
-                    _ => entry(i, j),
-                }
-            };
-            let q = core::array::from_fn(|i| core::array::from_fn(|j| whole(i, j)));
-            let wide = if convex { Wide::convex(q, block.mu) } else { Wide::coulomb(q, block.mu) };
-            self.wide.push(wide);
-            return How::Wide((self.wide.len() - 1) as u32);
+        if block.rows.len > NARROW {
+            let q = self.matrix(dof_lists, rows, block);
+            return How::Wide(self.wide.tie(block.set, block.mu, q));
         }
-        let mut q = [entry(0, 0), entry(1, 0), entry(1, 1), entry(2, 0), entry(2, 1), entry(2, 2)];
-        if block.set == Set::Convex {
-            if own.len() < 2 {
-                q[2] = q[0];
-            }
-            if own.len() < 3 {
-                q[5] = q[2];
-            }
-        }
+        let q = self.matrix(dof_lists, rows, block);
         How::Cone(self.cones.tie(block.set, block.mu, q))
+    }
+
+    /// y D⁻¹ yᵀ + C of a cone. A missing way is one that nothing moves.
+    fn matrix<const N: usize>(
+        &self,
+        dof_lists: &[usize],
+        rows: &Rows<R>,
+        block: &Block<R>,
+    ) -> Matrix<R, N> {
+        let own = &rows.rows[block.rows.range()];
+        // The rows of a cone share their dofs.
+        let len = own.first().map_or(0, |row| row.dofs.of(dof_lists).len());
+        let mut q = [[R::zero(); N]; N];
+        for (i, p) in own.iter().enumerate() {
+            for (j, r) in own[..i].iter().enumerate() {
+                let (y, z) = (&rows.y[p.y..p.y + len], &self.z[r.y..r.y + len]);
+                q[i][j] = y.iter().zip(z).fold(R::zero(), |sum, (y, z)| sum + *y * *z);
+                q[j][i] = q[i][j];
+            }
+            q[i][i] = p.a + p.c;
+        }
+        if let (Set::Convex, Some(last)) = (block.set, own.last()) {
+            // What is missing gets something positive, which meets zeros only.
+            (own.len()..N).for_each(|i| q[i][i] = last.a + last.c);
+        }
+        q
     }
 
     /// One pass over the listed blocks. Not inlined: next to each other the two kinds of
@@ -263,8 +256,8 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         block: &Block<R>,
         weight: &[R],
         how: How,
-        cones: &Cones<R>,
-        wide: &[Wide<R>],
+        cones: &Narrow<R>,
+        wide: &Wide<R>,
     ) {
         match how {
             How::Rows | How::Packed(_) => {
@@ -273,24 +266,25 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
                     self.note(&[change], &[*weight]);
                 }
             }
-            How::Cone(Tie::Convex(at)) => {
-                let change = self.convex(own, &cones.convex[at as usize]);
-                self.note(&change, weight);
-            }
-            How::Cone(tie) => {
-                let change = self.coulomb(own, block.mu, tie, cones);
-                self.note(&change, weight);
-            }
-            How::Wide(at) => {
-                let cone = &wide[at as usize];
-                let change = if block.set == Set::Convex {
-                    self.convex_wide(own, cone)
-                } else {
-                    self.coulomb_wide(own, block, cone)
-                };
-                self.note(&change, weight);
-            }
+            How::Cone(tie) => self.cone(own, block, weight, tie, cones),
+            How::Wide(tie) => self.cone(own, block, weight, tie, wide),
         }
+    }
+
+    #[inline(always)]
+    fn cone<const N: usize, const W: usize>(
+        &mut self,
+        own: &mut [Row<R>],
+        block: &Block<R>,
+        weight: &[R],
+        tie: Tie,
+        cones: &Cones<R, N, W>,
+    ) {
+        let change = match tie {
+            Tie::Convex(at) => self.convex(own, &cones.convex[at as usize]),
+            _ => self.coulomb(own, block.mu, tie, cones),
+        };
+        self.note(&change, weight);
     }
 
     #[inline(always)]
@@ -332,105 +326,50 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         change
     }
 
-    fn convex(&mut self, own: &mut [Row<R>], cone: &Convex<R>) -> [R; NARROW] {
-        let q = &cone.q;
-        let (mut w, mut impulse) = ([R::zero(); NARROW], [R::zero(); NARROW]);
+    /// The block's own minimum, in one piece.
+    fn convex<const N: usize>(&mut self, own: &mut [Row<R>], cone: &InCone<R, N>) -> [R; N] {
+        let (mut w, mut impulse) = ([R::zero(); N], [R::zero(); N]);
         for (i, row) in own.iter().enumerate() {
             w[i] = -self.short(row);
             impulse[i] = row.impulse;
         }
         // The gradient at zero impulse of this block: w − Qλ.
-        let full = [[q[0], q[1], q[3]], [q[1], q[2], q[4]], [q[3], q[4], q[5]]];
-        let mut b = w;
-        for (b, q) in b.iter_mut().zip(&full) {
-            *b -= q[0] * impulse[0] + q[1] * impulse[1] + q[2] * impulse[2];
-        }
-        let solution = cone.solve(b, self.mask);
-        let mut change = [R::zero(); NARROW];
+        let held = times(&cone.q, &impulse);
+        let solution = cone.least(&from_fn(|i| w[i] - held[i]), self.mask);
+        let mut change = [R::zero(); N];
         for (i, row) in own.iter_mut().enumerate() {
             change[i] = self.set(row, solution[i]);
         }
         if GAIN {
-            let mut gain = self.gain;
-            for (i, q) in full.iter().enumerate() {
-                let bent = q[0] * change[0] + q[1] * change[1] + q[2] * change[2];
-                gain += change[i] * (w[i] + R::of(0.5) * bent);
-            }
+            let bent = times(&cone.q, &change);
+            let each = (0..N).map(|i| change[i] * (w[i] + R::of(0.5) * bent[i]));
+            let gain = each.fold(self.gain, |gain, part| gain + part);
             self.gain = R::select(self.mask, gain, self.gain);
         }
         change
     }
 
-    /// The normal as an interval, then the tangents within its friction bound.
-    fn coulomb(&mut self, own: &mut [Row<R>], mu: R, tie: Tie, cones: &Cones<R>) -> [R; NARROW] {
-        let q = cones.plane(tie);
-        let mut change = [R::zero(); NARROW];
-        let Some((normal, tangents)) = own.split_first_mut() else { return change };
+    /// The normal as an interval, then the ways within its friction bound.
+    fn coulomb<const N: usize, const W: usize>(
+        &mut self,
+        own: &mut [Row<R>],
+        mu: R,
+        tie: Tie,
+        cones: &Cones<R, N, W>,
+    ) -> [R; N] {
+        let mut change = [R::zero(); N];
+        let Some((normal, ways)) = own.split_first_mut() else { return change };
         let impulse = (normal.impulse + self.short(normal) * normal.inv_s).max(R::zero());
         change[0] = self.set(normal, impulse);
-        let (mut g, mut x) = ([R::zero(); 2], [R::zero(); 2]);
-        for (i, row) in tangents.iter().enumerate() {
-            g[i] = -self.short(row);
+        let (mut slope, mut x) = ([R::zero(); W], [R::zero(); W]);
+        for (i, row) in ways.iter().enumerate() {
+            slope[i] = -self.short(row);
             x[i] = row.impulse;
         }
-        let g = [g[0] - (q[0] * x[0] + q[1] * x[1]), g[1] - (q[1] * x[0] + q[2] * x[1])];
-        let x = cones.friction(tie, g, mu * normal.impulse, self.mask);
-        for (i, row) in tangents.iter_mut().enumerate() {
+        let x = cones.friction(tie, slope, &x, mu * normal.impulse, self.mask);
+        for (i, row) in ways.iter_mut().enumerate() {
             change[i + 1] = self.set(row, x[i]);
         }
         change
     }
-
-    /// As `convex`, of all six rows.
-    fn convex_wide(&mut self, own: &mut [Row<R>], cone: &Wide<R>) -> [R; CONE] {
-        let (mut w, mut impulse) = ([R::zero(); CONE], [R::zero(); CONE]);
-        for (i, row) in own.iter().enumerate() {
-            w[i] = -self.short(row);
-            impulse[i] = row.impulse;
-        }
-        let b = less(&w, cone, &impulse, 0);
-        let solution = cone.solve(b, self.mask);
-        let mut change = [R::zero(); CONE];
-        for (i, row) in own.iter_mut().enumerate() {
-            change[i] = self.set(row, solution[i]);
-        }
-        if GAIN {
-            let half = change.map(|x| R::of(-0.5) * x);
-            let slope = less(&w, cone, &half, 0);
-            let gain = change.iter().zip(slope).fold(self.gain, |gain, (x, w)| gain + *x * w);
-            self.gain = R::select(self.mask, gain, self.gain);
-        }
-        change
-    }
-
-    /// As `coulomb`, of all six rows.
-    fn coulomb_wide(&mut self, own: &mut [Row<R>], block: &Block<R>, cone: &Wide<R>) -> [R; CONE] {
-        let mut change = [R::zero(); CONE];
-        let Some((normal, ways)) = own.split_first_mut() else { return change };
-        let impulse = (normal.impulse + self.short(normal) * normal.inv_s).max(R::zero());
-        change[0] = self.set(normal, impulse);
-        let (mut w, mut x) = ([R::zero(); CONE], [R::zero(); CONE]);
-        for (i, row) in ways.iter().enumerate() {
-            w[i + 1] = -self.short(row);
-            x[i + 1] = row.impulse;
-        }
-        let g = less(&w, cone, &x, 1);
-        let bound = block.mu * normal.impulse;
-        let x = match block.set {
-            Set::CoulombBox => cone.square(&g, bound, &x, self.mask),
-            _ => cone.ball(g, bound, self.mask),
-        };
-        for (i, row) in ways.iter_mut().enumerate() {
-            change[i + 1] = self.set(row, x[i + 1]);
-        }
-        change
-    }
-}
-
-/// w − Qλ: the gradient at zero impulse of the block.
-fn less<R: Real>(w: &[R; CONE], cone: &Wide<R>, x: &[R; CONE], first: usize) -> [R; CONE] {
-    core::array::from_fn(|i| {
-        let terms = cone.q[i].iter().zip(x).skip(first);
-        terms.fold(w[i], |w, (q, x)| w - *q * *x)
-    })
 }

@@ -1,8 +1,9 @@
 //! Cones against brute force.
 
 use super::{close, Random};
-use crate::solve::cone::{project_box, project_round};
-use crate::solve::exact::{Convex, TangentBox, Tangents};
+use crate::real::{Dual, Real};
+use crate::solve::cone::{project_box, project_round, InBall, InCone};
+use crate::solve::square::Square;
 
 /// min ½xᵀQx + b·x over a convex set, by accelerated projected gradients with restart.
 fn brute(q: &[[f64; 3]; 3], b: [f64; 3], project: impl Fn([f64; 3]) -> [f64; 3]) -> [f64; 3] {
@@ -38,8 +39,7 @@ fn a_convex_block_is_the_minimum() {
         let q = random_spd(&mut random, 0.02);
         let b = [0; 3].map(|_| random.next());
         let mu = [0.1, 0.6, 2.0][case % 3];
-        let lower = [q[0][0], q[1][0], q[1][1], q[2][0], q[2][1], q[2][2]];
-        let got = Convex::new(lower, mu).solve(b, true);
+        let got = InCone::new(q, mu).least(&b, true);
         let want = brute(&q, b, |x| project_round(mu, x));
         for i in 0..3 {
             close(got[i], want[i], 1e-8);
@@ -58,7 +58,8 @@ fn a_convex_block_is_the_minimum() {
 fn a_convex_block_at_the_seams() {
     // ξ₀ = 0, the axis of the cone, its surface, nearly singular, flat and steep cones.
     for mu in [1e-5, 0.3, 1.0, 50.0] {
-        let convex = Convex::new([1.0, 0.0, 1e-3, 0.0, 0.0, 1e-3], mu);
+        let q = [[1.0, 0.0, 0.0], [0.0, 1e-3, 0.0], [0.0, 0.0, 1e-3]];
+        let convex = InCone::new(q, mu);
         for b in [
             [0.0, 1.0, 0.0],
             [-1.0, 0.0, 0.0],
@@ -67,7 +68,7 @@ fn a_convex_block_at_the_seams() {
             [-1.0, mu, 0.0],
             [mu, 1.0, 0.0],
         ] {
-            let x = convex.solve(b, true);
+            let x = convex.least(&b, true);
             let w = [b[0] + x[0], b[1] + 1e-3 * x[1], b[2] + 1e-3 * x[2]];
             let back: [f64; 3] = project_round(mu, core::array::from_fn(|i| x[i] - w[i]));
             for i in 0..3 {
@@ -84,14 +85,15 @@ fn coulomb_tangents_are_the_minimum() {
         let q = random_spd(&mut random, if case % 5 == 0 { 1e-9 } else { 0.05 });
         let g = [random.next(), random.next()];
         let bound = [0.05, 0.4, 3.0][case % 3];
-        let tangents = Tangents::new(q[1][1], q[1][2], q[2][2]);
-        let square = TangentBox::new([q[1][1], q[1][2], q[2][2]]);
+        let ways = [[q[1][1], q[1][2]], [q[2][1], q[2][2]]];
+        let (round, square) = (InBall::new(ways), Square::new(ways));
         let ball = |x: [f64; 3]| {
             let k = (bound / (x[1] * x[1] + x[2] * x[2]).sqrt()).min(1.0);
             [0.0, k * x[1], k * x[2]]
         };
         let edge = |x: [f64; 3]| [0.0, x[1].clamp(-bound, bound), x[2].clamp(-bound, bound)];
-        let (disc, square) = (tangents.disc(g, bound, true), square.minimiser(g, bound));
+        let (disc, square) =
+            (round.least(&g, bound, true), square.least(&g, bound, &[0.0; 2], true));
         let b = [0.0, g[0], g[1]];
         let (want_disc, want_square) = (brute(&q, b, ball), brute(&q, b, edge));
         for i in 0..2 {
@@ -103,15 +105,16 @@ fn coulomb_tangents_are_the_minimum() {
 
 #[test]
 fn tangents_that_nothing_moves_stay_zero() {
-    let one = Tangents::new(2.0, 0.0, 0.0);
-    assert_eq!(one.disc([1.0, 0.0], 9.0, true), [-0.5, 0.0]);
-    assert_eq!(TangentBox::new([2.0, 0.0, 0.0]).minimiser([1.0, 0.0], 0.25), [-0.25, 0.0]);
-    assert_eq!(one.disc([1.0, 0.0], 0.25, true), [-0.25, 0.0]);
-    assert_eq!(one.disc([1.0, 0.0], 0.0, true), [0.0, 0.0]);
-    assert_eq!(Tangents::new(0.0, 0.0, 0.0).disc([0.0, 0.0], 1.0, true), [0.0, 0.0]);
+    let q = [[2.0, 0.0], [0.0, 0.0]];
+    let one = InBall::new(q);
+    assert_eq!(one.least(&[1.0, 0.0], 9.0, true), [-0.5, 0.0]);
+    assert_eq!(Square::new(q).least(&[1.0, 0.0], 0.25, &[0.0; 2], true), [-0.25, 0.0]);
+    assert_eq!(one.least(&[1.0, 0.0], 0.25, true), [-0.25, 0.0]);
+    assert_eq!(one.least(&[1.0, 0.0], 0.0, true), [0.0, 0.0]);
+    assert_eq!(InBall::new([[0.0; 2]; 2]).least(&[0.0; 2], 1.0, true), [0.0, 0.0]);
     // Two copies of one direction share it.
-    let twin = Tangents::new(1.0, 1.0, 1.0);
-    let x = twin.disc([1.0, 1.0], 9.0, true);
+    let twin = InBall::new([[1.0; 2]; 2]);
+    let x = twin.least(&[1.0, 1.0], 9.0, true);
     close(x[0] + x[1], -1.0, 1e-15);
 }
 
@@ -131,4 +134,89 @@ fn projections_are_nearest() {
             assert!(far([n, k * p[1], k * p[2]]) >= far(round) - 1e-12 || n == 0.0);
         }
     }
+}
+
+/// A number and its derivative along the first way.
+fn dual(pair: (f64, f64)) -> Dual {
+    let mut x = Dual::of(pair.0);
+    x.slopes[0] = pair.1;
+    x
+}
+
+fn moved(pairs: &[(f64, f64)], h: f64) -> Vec<f64> {
+    pairs.iter().map(|(x, d)| x + h * d).collect()
+}
+
+/// Central differences of a function of numbers that all move at once.
+fn slope<const N: usize>(f: impl Fn(&[f64]) -> [f64; N], at: &[(f64, f64)]) -> [f64; N] {
+    let h = 1e-6;
+    let (up, down) = (f(&moved(at, h)), f(&moved(at, -h)));
+    core::array::from_fn(|i| (up[i] - down[i]) / (2.0 * h))
+}
+
+/// A positive definite lower triangle: isotropic in every third case.
+fn matrix(random: &mut Random, case: usize) -> [f64; 6] {
+    let [a, b, c] = [0; 3].map(|_| 0.4 * random.next());
+    let (a, b, c) = if case.is_multiple_of(3) { (0.0, 0.0, 0.0) } else { (a, b, c) };
+    let tail = if case.is_multiple_of(3) { 1.5 } else { 1.2 + 0.3 * random.next() };
+    [2.0, a, 1.5, b, c, tail]
+}
+
+fn full<R: Real>(q: [R; 6]) -> [[R; 3]; 3] {
+    [[q[0], q[1], q[3]], [q[1], q[2], q[4]], [q[3], q[4], q[5]]]
+}
+
+#[test]
+fn a_cones_solution_has_its_slopes() {
+    let (mut random, mut zones) = (Random::new(5), [0; 3]);
+    for case in 0..300 {
+        let q = matrix(&mut random, case);
+        let side = if case.is_multiple_of(2) { 0.3 } else { 2.0 };
+        let b = [2.0 * random.next(), side * random.next(), side * random.next()];
+        let at: Vec<_> = q.iter().chain(&b).map(|x| (*x, random.next())).collect();
+        let mu = 0.7;
+        let solve = |x: &[f64]| {
+            let q = core::array::from_fn(|i| x[i]);
+            InCone::new(full(q), mu).least(&[x[6], x[7], x[8]], true)
+        };
+        let q = core::array::from_fn(|i| dual(at[i]));
+        let b = core::array::from_fn(|i| dual(at[6 + i]));
+        let mu = Dual::of(mu);
+        let impulse = InCone::new(full(q), mu).least(&b, true);
+        let length = impulse[1].value.hypot(impulse[2].value);
+        let zone = if impulse[0].value == 0.0 {
+            0
+        } else if length < 0.7 * impulse[0].value * (1.0 - 1e-9) {
+            1
+        } else {
+            2
+        };
+        zones[zone] += 1;
+        for (x, want) in impulse.iter().zip(slope(solve, &at)) {
+            assert!((x.slopes[0] - want).abs() < 1e-7, "{case}: {impulse:?} {want}");
+        }
+    }
+    assert!(zones.iter().all(|count| *count > 20), "{zones:?}");
+}
+
+#[test]
+fn a_discs_solution_has_its_slopes() {
+    let (mut random, mut inside) = (Random::new(6), 0);
+    for case in 0..300 {
+        let full = matrix(&mut random, case);
+        let q = [full[2], full[4], full[5]];
+        let g = [0; 2].map(|_| 2.0 * random.next());
+        let bound = 0.7 + 0.5 * random.next();
+        let numbers = [q[0], q[1], q[2], g[0], g[1], bound];
+        let at = numbers.map(|x| (x, random.next()));
+        let solve =
+            |x: &[f64]| InBall::new([[x[0], x[1]], [x[1], x[2]]]).least(&[x[3], x[4]], x[5], true);
+        let [q11, q12, q22, g1, g2, bound] = at.map(dual);
+        let x = InBall::new([[q11, q12], [q12, q22]]).least(&[g1, g2], bound, true);
+        inside += usize::from(x[0].value.hypot(x[1].value) < bound.value * (1.0 - 1e-9));
+        for (x, want) in x.iter().zip(slope(solve, &at)) {
+            assert!((x.slopes[0] - want).abs() < 1e-7, "{case}: {x:?} {want}");
+        }
+    }
+    assert!((20..280).contains(&inside), "{inside}");
 }

@@ -2,14 +2,16 @@
 
 use super::{close, Problem, Random, EVERY, INF};
 use crate::real::{Dual, Real};
-use crate::solve::cone::{across, project_box_wide, project_round};
+use crate::solve::cone::{across, project_box, project_round, InBall, InCone};
 use crate::solve::limits::Limits;
 use crate::solve::newton::Newton;
 use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Set, CONE};
 use crate::solve::solver::Unconstrained;
-use crate::solve::wide::Wide;
+use crate::solve::square::Square;
 
+/// Ways of friction.
+const WAYS: usize = CONE - 1;
 type Vector = [f64; CONE];
 type Matrix = [[f64; CONE]; CONE];
 
@@ -32,6 +34,19 @@ fn slope(q: &Matrix, b: &Vector, x: &Vector) -> Vector {
     core::array::from_fn(|i| b[i] + (0..CONE).map(|j| q[i][j] * x[j]).sum::<f64>())
 }
 
+/// The ways alone, and back.
+fn tail<R: Real>(q: [[R; CONE]; CONE]) -> [[R; WAYS]; WAYS] {
+    core::array::from_fn(|i| part(q[i + 1]))
+}
+
+fn part<R: Real>(x: [R; CONE]) -> [R; WAYS] {
+    core::array::from_fn(|i| x[i + 1])
+}
+
+fn joined<R: Real>(x: [R; WAYS]) -> [R; CONE] {
+    core::array::from_fn(|i| if i == 0 { R::zero() } else { x[i - 1] })
+}
+
 /// A wide cone's solution meets its conditions: x in the cone, w in its dual, and x·w = 0.
 #[test]
 fn a_convex_block_is_the_minimum() {
@@ -50,7 +65,7 @@ fn a_convex_block_is_the_minimum() {
             }
         });
         let mu = [0.1, 0.6, 2.0, 1e-5][case % 7 % 4];
-        let x = Wide::convex(q, mu).solve(b, true);
+        let x = InCone::new(q, mu).least(&b, true);
         let w = slope(&q, &b, &x);
         let size = b.iter().fold(0.0f64, |most, b| most.max(b.abs()));
         let (out, steep) = (across(&x) - mu * x[0], mu * across(&w) - w[0]);
@@ -88,8 +103,8 @@ fn coulomb_ways_are_the_minimum() {
         (3..CONE).for_each(|i| g[i] *= grade);
         g[0] = 0.0;
         let bound = [0.05, 0.4, 3.0, 100.0][case % 7 % 4];
-        let wide = Wide::coulomb(q, 0.5);
-        let x = wide.ball(g, bound, true);
+        let (ways, slopes) = (tail(q), part(g));
+        let x = joined(InBall::new(ways).least(&slopes, bound, true));
         let w = slope(&q, &g, &x);
         let size = 1.0 + bound * q[1][1];
         assert!(across(&x) <= bound * (1.0 + 1e-14));
@@ -101,7 +116,7 @@ fn coulomb_ways_are_the_minimum() {
             assert!(left.abs() <= 1e-9 * size, "{case}: {i} {left:e} {inside}");
         }
         let start: Vector = core::array::from_fn(|i| if i < len { random.next() } else { 0.0 });
-        let x = wide.square(&g, bound, &start, true);
+        let x = joined(Square::new(ways).least(&slopes, bound, &part(start), true));
         let w = slope(&q, &g, &x);
         for i in 1..len {
             let left = if x[i] >= bound {
@@ -123,7 +138,7 @@ fn projections_are_nearest() {
         let x: Vector = [0; CONE].map(|_| 2.0 * random.next());
         let mu = 1.0 + 0.9 * random.next();
         let far = |p: Vector| (0..CONE).map(|i| (p[i] - x[i]).powi(2)).sum::<f64>();
-        let (round, square) = (project_round(mu, x), project_box_wide(mu, x));
+        let (round, square) = (project_round(mu, x), project_box(mu, x));
         for _ in 0..40 {
             let n = (2.0 * random.next()).max(0.0);
             let mut p: Vector = [0; CONE].map(|_| mu * n * random.next());
@@ -134,9 +149,7 @@ fn projections_are_nearest() {
             assert!(far(p) >= far(round) - 1e-12 || n == 0.0);
         }
         // A projection is where it leads itself.
-        for (p, again) in
-            [(round, project_round(mu, round)), (square, project_box_wide(mu, square))]
-        {
+        for (p, again) in [(round, project_round(mu, round)), (square, project_box(mu, square))] {
             (0..CONE).for_each(|i| close(p[i], again[i], 1e-14 * (1.0 + mu)));
         }
     }
@@ -225,9 +238,9 @@ fn solve<R: Real<Mask = bool>>(
 ) -> [R; CONE] {
     let mu = R::of(mu);
     match kind {
-        0 => Wide::convex(q, mu).solve(b, true),
-        1 => Wide::coulomb(q, mu).ball(b, bound, true),
-        _ => Wide::coulomb(q, mu).square(&b, bound, &[R::of(0.0); CONE], true),
+        0 => InCone::new(q, mu).least(&b, true),
+        1 => joined(InBall::new(tail(q)).least(&part(b), bound, true)),
+        _ => joined(Square::new(tail(q)).least(&part(b), bound, &[R::zero(); WAYS], true)),
     }
 }
 
