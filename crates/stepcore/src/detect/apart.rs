@@ -70,7 +70,8 @@ pub(super) fn far<R: Real>(
 /// boxes begins with their axes itself.)
 #[inline(always)]
 fn boxed(test: ShapeTest) -> bool {
-    matches!(test, ShapeTest::Convex(..) | ShapeTest::CapsuleBox | ShapeTest::PlaneMesh)
+    use ShapeTest::{CapsuleBox, Convex, OnField, PlaneMesh};
+    matches!(test, Convex(..) | CapsuleBox | PlaneMesh | OnField(_))
 }
 
 /// What is added to a distance for rounding [m].

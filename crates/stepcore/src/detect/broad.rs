@@ -5,7 +5,8 @@
 //! of the cells from one below it to its highest corner. Grids are by powers of two of the boxes'
 //! sizes, and a box asks its own grid and the coarser ones (a hierarchical grid: Ericson 2005,
 //! ch. 7.2). Cells are numbered by a hash, as nothing bounds the world; a grid of few boxes, and
-//! boxes without end, are a list that every box is compared with.
+//! boxes without end, are a list that every box is compared with. Boxes that never move stand in a
+//! tree that is made once.
 //!
 //! What is found is every pair of boxes that overlap, whatever the grids: they change the work and
 //! not the answer. The work grows with the number of boxes and of what is found.
@@ -48,13 +49,16 @@ impl Bounds {
         Self { low: self.low.map(|x| x - more), high: self.high.map(|x| x + more), ..*self }
     }
 
+    fn finite(&self) -> bool {
+        self.low.iter().chain(&self.high).all(|x| x.is_finite())
+    }
+
     /// The exponent of its longest edge; None where that is no number, or none that a cell can have.
     fn size(&self) -> Option<usize> {
         let edge = |k: usize| self.high[k] - self.low[k];
         let longest = edge(0).max(edge(1)).max(edge(2));
-        let finite = self.low.iter().chain(&self.high).all(|x| x.is_finite());
         let size = (longest.to_bits() >> 52) as usize;
-        (finite && (1..SIZES - 3).contains(&size)).then_some(size)
+        (self.finite() && (1..SIZES - 3).contains(&size)).then_some(size)
     }
 }
 
@@ -88,12 +92,12 @@ pub struct Overlaps {
 room!(Overlaps: pairs);
 
 impl Overlaps {
-    fn clear(&mut self) {
+    pub fn clear(&mut self) {
         self.pairs.clear();
         self.full = false;
     }
 
-    fn note(&mut self, one: &Bounds, two: &Bounds) {
+    pub fn note(&mut self, one: &Bounds, two: &Bounds) {
         if !one.overlaps(two) {
             return;
         }
@@ -237,6 +241,74 @@ impl Broad {
             if takes(other as usize) {
                 self.found.note(one, &self.boxes[other as usize]);
             }
+        }
+    }
+}
+
+/// Boxes that never move, as a tree: of each range of them the one half and the other lie on two
+/// sides along the longest edge of the box about all.
+#[derive(Default)]
+pub struct Fixed {
+    /// Without end, or no numbers: in no tree.
+    endless: Vec<Bounds>,
+    boxes: Vec<Bounds>,
+    /// At the middle of each range: the box about it.
+    around: Vec<Bounds>,
+}
+
+room!(Fixed: endless, boxes, around);
+
+/// Boxes that are compared one by one.
+const LEAF: usize = 4;
+
+impl Fixed {
+    pub fn of(all: &[Bounds]) -> Self {
+        let (mut boxes, endless): (Vec<_>, _) = all.iter().partition(|bounds| bounds.finite());
+        let mut around = boxes.clone();
+        Self::split(&mut boxes, &mut around);
+        Self { endless, boxes, around }
+    }
+
+    fn split(boxes: &mut [Bounds], around: &mut [Bounds]) {
+        let Some(&first) = boxes.first() else { return };
+        let whole = boxes.iter().fold(Bounds { fixed: false, ..first }, |whole, own| Bounds {
+            low: std::array::from_fn(|k| whole.low[k].min(own.low[k])),
+            high: std::array::from_fn(|k| whole.high[k].max(own.high[k])),
+            ..whole
+        });
+        let middle = boxes.len() / 2;
+        around[middle] = whole;
+        if boxes.len() <= LEAF {
+            return;
+        }
+        let edge = |k: &usize| whole.high[*k] - whole.low[*k];
+        let axis = (0..3).max_by(|a, b| edge(a).total_cmp(&edge(b))).unwrap_or(0);
+        let centre = |bounds: &Bounds| 0.5 * bounds.low[axis] + 0.5 * bounds.high[axis];
+        boxes.select_nth_unstable_by(middle, |a, b| centre(a).total_cmp(&centre(b)));
+        let (before, after) = boxes.split_at_mut(middle);
+        let (around_before, around_after) = around.split_at_mut(middle);
+        Self::split(before, around_before);
+        Self::split(after, around_after);
+    }
+
+    /// Gives those that a box overlaps, and some others, to `take`.
+    pub fn overlapped(&self, one: &Bounds, mut take: impl FnMut(&Bounds)) {
+        if !one.fixed {
+            self.endless.iter().for_each(&mut take);
+            Self::search(&self.boxes, &self.around, one, &mut take);
+        }
+    }
+
+    fn search(boxes: &[Bounds], around: &[Bounds], one: &Bounds, take: &mut impl FnMut(&Bounds)) {
+        let middle = boxes.len() / 2;
+        if !around.get(middle).is_some_and(|around| one.overlaps(around)) {
+            return;
+        }
+        if boxes.len() <= LEAF {
+            boxes.iter().for_each(take);
+        } else {
+            Self::search(&boxes[..middle], &around[..middle], one, take);
+            Self::search(&boxes[middle..], &around[middle..], one, take);
         }
     }
 }

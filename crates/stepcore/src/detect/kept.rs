@@ -5,7 +5,7 @@
 //! molecules), and a detection asks of these alone which overlap now. So the pairs that are tested
 //! exactly are those that a search in every detection would find, in the same order.
 
-use super::broad::{Bounds, Broad};
+use super::broad::{Bounds, Broad, Fixed};
 use crate::error::{Error, Result};
 use crate::model::{Heap, Model, Pair, Span};
 use crate::room::{can_be_had, room};
@@ -14,6 +14,9 @@ use crate::room::{can_be_had, room};
 const SPARE: f64 = 1.0 / 32.0;
 /// Where things move so fast that a list served once, so many searches keep to the boxes at hand.
 const PLAIN: u32 = 8;
+/// Of the boxes that may move: where fewer than one in so many have left theirs, the others keep
+/// their pairs.
+const MANY_LEFT: usize = 4;
 /// Bytes of a near pair in these lists and of its contacts, and so many pairs that need no asking.
 const NEAR: usize = 1000;
 const FEW: usize = 50_000;
@@ -72,14 +75,21 @@ impl Lists {
 /// Pairs that are near, and the boxes that say for how long.
 #[derive(Default)]
 pub(super) struct Kept {
-    /// By place in `Heap::solid`: the boxes at hand, and those within which the pairs hold.
+    /// By place in `Heap::solid`: the boxes at hand; of those that may move also the boxes within
+    /// which the pairs hold.
     boxes: Vec<Bounds>,
     spare: Vec<Bounds>,
+    /// The law under which the boxes of what never moves were made looks at the guess.
+    guessed: bool,
+    fixed: Fixed,
+    /// Places of boxes that have left theirs, ascending.
+    left: Vec<u32>,
     /// By geom: its place there.
     places: Vec<u32>,
     broad: Broad,
-    /// Numbers and geoms of the pairs.
+    /// Numbers and geoms of the pairs, and those of the pairs before.
     numbers: Vec<(u64, u32, u32)>,
+    before: Vec<(u64, u32, u32)>,
     pub pairs: Vec<Pair>,
     /// The last search has served another detection since.
     pub served: bool,
@@ -89,35 +99,113 @@ pub(super) struct Kept {
     fitting: usize,
 }
 
-room!(Kept: boxes, spare, places, numbers, pairs; broad);
+room!(Kept: boxes, spare, left, places, numbers, before, pairs; broad, fixed);
 
 impl Kept {
-    /// Takes the boxes of all solid geoms, in their order, and brings the pairs up to date; refuses
+    /// Takes the boxes of all solid geoms, made by `bounds`, and brings the pairs up to date; refuses
     /// more pairs than the memory holds.
     pub fn refresh(
         &mut self,
         model: &Model,
         heap: &Heap,
         lists: &mut Lists,
-        boxes: impl Iterator<Item = Bounds>,
+        guessed: bool,
+        bounds: impl Fn(usize) -> Bounds,
     ) -> Result<()> {
-        self.boxes.clear();
-        self.boxes.extend(boxes);
-        let holds = |(now, spare): (&Bounds, &Bounds)| now.within(spare);
-        if self.spare.len() == self.boxes.len() && self.boxes.iter().zip(&self.spare).all(holds) {
-            self.served = true;
+        self.take_boxes(model, heap, guessed, bounds);
+        let moving = &self.boxes[..heap.moving];
+        self.left.clear();
+        if self.spare.len() == heap.moving {
+            let places = (0..).zip(moving.iter().zip(&self.spare));
+            self.left
+                .extend(places.filter(|(_, (now, spare))| !now.within(spare)).map(|own| own.0));
+            if self.left.is_empty() {
+                self.served = true;
+                return Ok(());
+            }
+        }
+        let few = !self.left.is_empty() && self.left.len() <= heap.moving / MANY_LEFT;
+        std::mem::swap(&mut self.numbers, &mut self.before);
+        self.numbers.clear();
+        if few {
+            self.search_again(model);
+        } else {
+            self.widen(model, heap);
+            self.left.clear();
+            self.left.extend(0..heap.moving as u32);
+            self.broad.find(self.spare.iter().copied());
+        }
+        let found = &mut self.broad.found;
+        for &place in &self.left {
+            let own = &self.spare[place as usize];
+            self.fixed.overlapped(own, |other| found.note(own, other));
+        }
+        self.number(model, heap)?;
+        if self.numbers == self.before {
             return Ok(());
         }
-        self.widen(model);
-        self.broad.find(self.spare.iter().copied());
-        self.numbers.clear();
         lists.clear();
         self.pairs.clear();
-        let near = self.broad.found.pairs.len();
+        for &(number, a, b) in &self.numbers {
+            let mut pair = model.near_pair(heap, number, a as usize, b as usize);
+            let bodies = [pair.geom1, pair.geom2].map(|geom| model.geoms[geom].body);
+            pair.dofs = lists.union(model, bodies);
+            self.pairs.push(pair);
+        }
+        Ok(())
+    }
+
+    /// The boxes at hand; of what never moves they are made once.
+    fn take_boxes(
+        &mut self,
+        model: &Model,
+        heap: &Heap,
+        guessed: bool,
+        bounds: impl Fn(usize) -> Bounds,
+    ) {
+        let all = heap.solid.iter().map(|&geom| bounds(geom));
+        if self.boxes.len() == heap.solid.len() && self.guessed == guessed {
+            let moving = &mut self.boxes[..heap.moving];
+            moving.iter_mut().zip(all).for_each(|(own, now)| *own = now);
+            return;
+        }
+        self.guessed = guessed;
+        self.boxes.clear();
+        self.boxes.extend(all);
+        self.fixed = Fixed::of(&self.boxes[heap.moving..]);
+        self.spare.clear();
+        self.places.resize(model.geoms.len(), 0);
+        for (place, bounds) in (0..).zip(&self.boxes) {
+            self.places[bounds.geom as usize] = place;
+        }
+    }
+
+    /// Keeps the pairs of boxes that stay within theirs, and finds those of the others.
+    fn search_again(&mut self, model: &Model) {
+        let Self { boxes, spare, left, places, broad, numbers, before, served, .. } = self;
+        *served = true;
+        for &place in &*left {
+            let bounds = &boxes[place as usize];
+            spare[place as usize] = bounds.widened(SPARE * model.geoms[bounds.geom as usize].reach);
+        }
+        let leaves = |geom: u32| left.binary_search(&places[geom as usize]).is_ok();
+        numbers.extend(before.iter().filter(|(_, a, b)| !leaves(*a) && !leaves(*b)));
+        broad.found.clear();
+        for &place in &*left {
+            let own = &spare[place as usize];
+            let others = spare.iter().filter(|other| other.geom != own.geom);
+            others.for_each(|other| broad.found.note(own, other));
+        }
+    }
+
+    /// Numbers what was found; more than the memory holds is refused, and searched for anew.
+    fn number(&mut self, model: &Model, heap: &Heap) -> Result<()> {
+        let near = self.broad.found.pairs.len() + self.numbers.len();
         let fits = near <= self.fitting.max(FEW) || can_be_had(near.saturating_mul(NEAR));
         if self.broad.found.full || !fits {
-            // The next detection searches anew.
             self.spare.clear();
+            self.numbers.clear();
+            self.pairs.clear();
             return Err(Error::value(
                 "near pairs of geoms",
                 near,
@@ -132,28 +220,16 @@ impl Kept {
         }
         self.numbers.sort_unstable();
         self.numbers.dedup();
-        for &(number, a, b) in &self.numbers {
-            let mut pair = model.near_pair(heap, number, a as usize, b as usize);
-            let bodies = [pair.geom1, pair.geom2].map(|geom| model.geoms[geom].body);
-            pair.dofs = lists.union(model, bodies);
-            self.pairs.push(pair);
-        }
         Ok(())
     }
 
     /// Makes the boxes within which a search is to hold.
-    fn widen(&mut self, model: &Model) {
-        if self.places.is_empty() {
-            self.places.resize(model.geoms.len(), 0);
-            for (place, bounds) in (0..).zip(&self.boxes) {
-                self.places[bounds.geom as usize] = place;
-            }
-        }
+    fn widen(&mut self, model: &Model, heap: &Heap) {
         let fast = !self.served && !self.spare.is_empty() && self.plain == 0;
         self.plain = if fast { PLAIN } else { self.plain.saturating_sub(1) };
         self.served = false;
         self.spare.clear();
-        for bounds in &self.boxes {
+        for bounds in &self.boxes[..heap.moving] {
             let more =
                 if self.plain > 0 { 0.0 } else { SPARE * model.geoms[bounds.geom as usize].reach };
             self.spare.push(bounds.widened(more));

@@ -154,10 +154,13 @@ impl<R: Real> Detected<R> {
         let asks = !on_guess;
         #[cfg(test)]
         let asks = asks && !self.exhaustive;
-        for meeting in &model.meetings {
+        let mut next = 0;
+        while let Some(meeting) = model.meetings.get(next) {
             if asks && meeting.spheres.far(placed, inside) {
+                next = meeting.next;
                 continue;
             }
+            next += 1;
             let own = meeting.pairs;
             for (pair, spheres) in own.of(&model.pairs).iter().zip(own.of(&model.spheres)) {
                 if asks && spheres.far(placed, inside) {

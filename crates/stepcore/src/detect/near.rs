@@ -29,13 +29,13 @@ impl<R: Real> Detected<R> {
     ) -> Result<()> {
         let on_guess = settings.law.on_guess();
         let (swept, asleep) = (&self.swept, &self.asleep);
-        let boxes = heap.solid.iter().map(|&geom| {
+        let boxes = |geom| {
             let guessed = if on_guess { swept.geom(geom).lane(0) } else { 0.0 };
             let listed = if on_guess && !model.adheres { 0.0 } else { heap.listed[geom] };
             let more = guessed.max(listed);
             Bounds { fixed: rests(model, asleep, geom), ..bounds(model, placed, geom, more) }
-        });
-        self.kept.refresh(model, heap, &mut self.lists, boxes)?;
+        };
+        self.kept.refresh(model, heap, &mut self.lists, on_guess, boxes)?;
         let Self { kept, found, contacts, grown, pool, .. } = self;
         let near = Near { model, placed, kept, swept: on_guess.then_some(swept) };
         match pool {

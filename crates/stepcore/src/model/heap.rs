@@ -38,8 +38,10 @@ const KINDS: usize = 8;
 /// What all pairs that could meet share.
 #[derive(Clone, Debug)]
 pub struct Heap {
-    /// Geoms that may meet some other, ascending.
+    /// Geoms that may meet some other: ascending those that may move, then those that never do.
     pub solid: Vec<usize>,
+    /// How many of them may move.
+    pub moving: usize,
     /// By geom: its part of the distance below which contacts are listed [m].
     pub listed: Vec<f64>,
     /// By geom: its class; and by two classes their material.
@@ -94,6 +96,7 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose]) -> Result<()> {
     let tests = kinds.map(|one| kinds.map(|two| ShapeTest::of(one, two)));
     let mut heap = Heap {
         solid: vec![],
+        moving: 0,
         listed: scene.geoms.iter().map(|geom| listed(scene, geom)).collect(),
         class,
         classes: heads.len(),
@@ -107,6 +110,12 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose]) -> Result<()> {
     heap.check_numbers(model)?;
     heap.take_explicit(scene, model);
     heap.solid = solid(model, &heap)?;
+    let stands = |geom: &usize| {
+        let body = &model.bodies[model.geoms[*geom].body];
+        body.tree == NONE && !body.carried
+    };
+    heap.solid.sort_by_key(stands);
+    heap.moving = heap.solid.partition_point(|geom| !stands(geom));
     for &geom in &heap.solid {
         model.geoms[geom].collides = true;
         model.geoms[geom].by_axis = false;
@@ -226,8 +235,9 @@ impl Heap {
 
     /// Tangents along which nothing moves, of pairs in which no part moves freely.
     fn find_still(&mut self, model: &Model, poses: &[Pose]) {
-        let bound: Vec<usize> =
-            self.solid.iter().copied().filter(|g| !loose(model, model.geoms[*g].body)).collect();
+        let mut bound = self.solid.clone();
+        bound.retain(|geom| !loose(model, model.geoms[*geom].body));
+        bound.sort_unstable();
         if bound.len() * bound.len() > MOST_STILL {
             return;
         }
@@ -259,7 +269,9 @@ impl Model {
             let moves = !self.stand_still(one, two);
             !(moves && self.features.contact && self.features.constraint)
         } else {
-            self.never_between(one, two).is_some() || self.never(a, b).is_some()
+            self.never_by_kind(a, b).is_some()
+                || self.never_between(one, two).is_some()
+                || self.never(a, b).is_some()
         };
         if never {
             return None;

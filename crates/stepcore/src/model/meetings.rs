@@ -3,8 +3,9 @@
 //!
 //! Most pairs of a robot are far apart in most steps. The numbers here are those of the spheres
 //! that hold the geoms (`detect/apart.rs` tries more), packed so that hundreds of pairs are a short
-//! loop; and of spheres that hold all geoms of a body, so that most of them are not looked at. What
-//! a step computes is the same, to the bit, with and without them.
+//! loop; and of spheres that hold all geoms of a body, so that most of them are not looked at: all
+//! of both bodies first, then one geom and all of the other body. What a step computes is the same,
+//! to the bit, with and without them.
 
 use super::{Model, Pair, Span};
 
@@ -22,32 +23,55 @@ pub struct Spheres {
     pub apart: bool,
 }
 
-/// Consecutive pairs of the same two bodies, and a sphere about what each of these has in them.
+/// So many pairs of a geom are worth a sphere of their own.
+const RUN: usize = 4;
+
+/// Consecutive pairs of the same two bodies, or those of them that share their first geom, and a
+/// sphere about what each of the two has in them.
 #[derive(Clone, Copy, Debug)]
 pub struct Meeting {
     pub spheres: Spheres,
-    /// Into `Model::pairs`.
+    /// Into `Model::pairs`; none where they are in the meetings that follow.
     pub pairs: Span,
+    /// Of the next meeting that is no part of this one.
+    pub next: usize,
 }
 
 /// Sets `Model::spheres` and `Model::meetings`.
 pub fn fill(model: &mut Model) {
-    let bodies = |pair: &Pair| [pair.geom1, pair.geom2].map(|geom| model.geoms[geom].body);
     model.spheres = model.pairs.iter().map(|pair| of_pair(model, pair)).collect();
     let mut meetings = vec![];
     let mut start = 0;
-    // Geoms stand in the order of their types: the two bodies may stand either way round.
-    let sorted = |pair: &Pair| {
-        let mut bodies = bodies(pair);
-        bodies.sort_unstable();
-        bodies
+    let mut add = |start: usize, pairs: usize, len: usize, parts: usize| {
+        let all = Span { start, len: pairs };
+        let own = all.of(&model.pairs);
+        let next = meetings.len() + 1 + parts;
+        let spheres = of_bodies(model, own, sorted(model, &own[0]));
+        meetings.push(Meeting { spheres, pairs: Span { start, len }, next });
     };
-    for own in model.pairs.chunk_by(|a, b| sorted(a) == sorted(b)) {
-        let pairs = Span { start, len: own.len() };
+    for own in model.pairs.chunk_by(|a, b| sorted(model, a) == sorted(model, b)) {
+        let runs = || own.chunk_by(|a, b| a.geom1 == b.geom1);
+        let count = runs().count();
+        if count > 1 && own.len() >= RUN * count {
+            add(start, own.len(), 0, count);
+            let mut first = start;
+            for run in runs() {
+                add(first, run.len(), run.len(), 0);
+                first += run.len();
+            }
+        } else {
+            add(start, own.len(), own.len(), 0);
+        }
         start += own.len();
-        meetings.push(Meeting { spheres: of_bodies(model, pairs, sorted(&own[0])), pairs });
     }
     model.meetings = meetings;
+}
+
+/// The two bodies of a pair, the smaller first: geoms stand in the order of their types.
+fn sorted(model: &Model, pair: &Pair) -> [usize; 2] {
+    let mut bodies = [pair.geom1, pair.geom2].map(|geom| model.geoms[geom].body);
+    bodies.sort_unstable();
+    bodies
 }
 
 fn of_pair(model: &Model, pair: &Pair) -> Spheres {
@@ -57,8 +81,7 @@ fn of_pair(model: &Model, pair: &Pair) -> Spheres {
     Spheres { geoms, square: least * least, apart: pair.apart }
 }
 
-fn of_bodies(model: &Model, pairs: Span, bodies: [usize; 2]) -> Spheres {
-    let own = pairs.of(&model.pairs);
+fn of_bodies(model: &Model, own: &[Pair], bodies: [usize; 2]) -> Spheres {
     let [one, two] = bodies.map(|body| sphere(model, own, body));
     let listed = own.iter().map(|pair| model.material(pair).listed()).fold(0.0, f64::max);
     let least = (one.1 + two.1 + listed) * (1.0 + SURE);

@@ -289,7 +289,8 @@ fn half(source: &crate::scene::Geom, asset: &Asset, reach: f64) -> [f64; 3] {
         (GeomType::Capsule, _) => [a, a, a + b],
         (GeomType::Cylinder, _) => [a, a, b],
         (GeomType::Ellipsoid | GeomType::Box, _) => [a, b, c],
-        (GeomType::Plane | GeomType::HField | GeomType::Mesh, _) => [reach; 3],
+        (GeomType::HField, _) => [a, b, asset.field.as_ref().map_or(c, |field| field.tall())],
+        (GeomType::Plane | GeomType::Mesh, _) => [reach; 3],
     }
 }
 

@@ -92,6 +92,11 @@ impl Prism {
 }
 
 impl HeightField {
+    /// How far it reaches up or down from height 0 [m].
+    pub fn tall(&self) -> f64 {
+        self.heights.iter().fold(self.base, |most, height| most.max(*height))
+    }
+
     fn node(&self, row: usize, col: usize) -> V3<f64> {
         let along = |i: usize, n: usize, half: f64| half * (2.0 * i as f64 / (n - 1) as f64 - 1.0);
         V3::new(
@@ -239,13 +244,90 @@ impl Stretch {
         self.0.is_some_and(|[rows, columns]| between(row, rows) && between(col, columns))
     }
 
-    fn prisms<'a>(&self, field: &'a HeightField) -> impl Iterator<Item = Prism> + 'a {
+    /// The prisms of its cells that may have contacts.
+    fn prisms<'a>(&self, near: &'a Near) -> impl Iterator<Item = Prism> + 'a {
         self.0.into_iter().flat_map(move |[rows, columns]| {
             (rows.0..=rows.1).flat_map(move |row| {
-                (columns.0..=columns.1)
-                    .flat_map(move |col| [false, true].map(|upper| field.prism(row, col, upper)))
+                (columns.0..=columns.1).flat_map(move |col| {
+                    [false, true].into_iter().filter_map(move |upper| near.prism(row, col, upper))
+                })
             })
         })
+    }
+}
+
+/// Which prisms may have contacts with a shape that are nearer than `within`.
+struct Near<'a> {
+    field: &'a HeightField,
+    pose: &'a Pose<f64>,
+    body: &'a Solid<'a, f64>,
+    bounds: &'a Bounds,
+    centre: V3<f64>,
+    within: f64,
+}
+
+impl<'a> Near<'a> {
+    fn new(
+        field: &'a HeightField,
+        pose: &'a Pose<f64>,
+        body: &'a Solid<'a, f64>,
+        bounds: &'a Bounds,
+        within: f64,
+    ) -> Self {
+        let centre = (bounds.low + bounds.high) * 0.5;
+        // More than rounding.
+        let far = centre.dot(&centre).sqrt() + field.half[0] + field.half[1];
+        let slack = SAME * body.extent() + 64.0 * f64::EPSILON * far;
+        Self {
+            field,
+            pose,
+            body,
+            bounds,
+            centre: pose.to_local(&(body.pose.pos - pose.pos)),
+            within: within.max(0.0) + slack,
+        }
+    }
+
+    /// A prism of a cell, unless all of its contacts are proven to be farther.
+    ///
+    /// The two places of a contact are `dist` apart along its normal. One whose normal is the top's
+    /// is as far as the shape lies above the top's plane or farther, and the shape's place stands
+    /// aside from the prism by no more than its depth times the slope of the normal; any other one
+    /// is the shortest way between the two.
+    fn prism(&self, row: usize, col: usize, upper: bool) -> Option<Prism> {
+        let Self { field, pose, body, bounds, centre, within } = *self;
+        if within.is_infinite() {
+            return Some(field.prism(row, col, upper));
+        }
+        let third = if upper { (row + 1, col) } else { (row, col + 1) };
+        let height = |(r, c): (usize, usize)| field.heights[r * field.ncol + c];
+        let top = height((row, col)).max(height(third)).max(height((row + 1, col + 1)));
+        if bounds.low.z > top + within {
+            return None;
+        }
+        let prism = field.prism(row, col, upper);
+        let within = within + SAME * prism_size(&prism);
+        // How far the shape lies beyond a corner along a direction.
+        let beyond = |way: &V3<f64>, corner: &V3<f64>| {
+            let point = pose.to_local(&body.support(&-pose.to_world(way)).0);
+            way.dot(&(centre + point - corner)) - body.radius
+        };
+        let [a, _, c, ..] = prism.corners;
+        let up = prism.normal();
+        let above = beyond(&up, &a);
+        let aside = within.max(-above * (up.x * up.x + up.y * up.y).sqrt());
+        let gap = |i: usize| (a[i].min(c[i]) - bounds.high[i]).max(bounds.low[i] - a[i].max(c[i]));
+        if above > within || gap(0) > aside || gap(1) > aside {
+            return None;
+        }
+        // The side that the two prisms share.
+        let way = if upper {
+            V3::new(c.y - a.y, a.x - c.x, 0.0)
+        } else {
+            V3::new(a.y - c.y, c.x - a.x, 0.0)
+        };
+        let across = beyond(&(way * (1.0 / way.dot(&way).sqrt())), &a);
+        (across <= aside).then_some(prism)
     }
 }
 
@@ -283,19 +365,20 @@ fn on_field<R: Real>(
         bounds.high[i] = centre[i] + axis.dot(&body.support(&axis).0) + shape.radius;
         bounds.low[i] = centre[i] + axis.dot(&body.support(&-axis).0) - shape.radius;
     }
-    let mut list = List::new([plain_pose.axis(0), plain_pose.axis(1)]);
+    let near = Near::new(field, &plain_pose, &body, &bounds, within);
     // What lies about the shape by its own extent, and then what else may be near enough.
     let extents = bounds.high - bounds.low;
     let beside = 0.25 * extents.iter().fold(0.0_f64, |most, x| most.max(*x));
     let first = field.stretch(&bounds, beside);
-    for prism in first.prisms(field) {
-        if prism.near(&bounds, beside) {
-            on_prism(field, &prism, pose, shape, &centre, &mut list);
-        }
+    let mut prisms = first.prisms(&near).filter(|prism| prism.near(&bounds, beside)).peekable();
+    if prisms.peek().is_none() && within <= beside {
+        return [empty(); MOST];
     }
+    let mut list = List::new([plain_pose.axis(0), plain_pose.axis(1)]);
+    prisms.for_each(|prism| on_prism(field, &prism, pose, shape, &centre, &mut list));
     let enough = |list: &List<R>| if within.is_finite() { within } else { list.least() };
     if enough(&list) > beside {
-        for prism in field.stretch(&bounds, enough(&list)).prisms(field) {
+        for prism in field.stretch(&bounds, enough(&list)).prisms(&near) {
             let known = first.holds(prism.nodes[0]) && prism.near(&bounds, beside);
             if !known && prism.apart(&bounds) < enough(&list) {
                 on_prism(field, &prism, pose, shape, &centre, &mut list);
