@@ -1,6 +1,6 @@
 //! What is left out must change nothing: steps with and without it are the same bits.
 
-use super::broad::{Bounds, Broad};
+use super::broad::{Bounds, Broad, Fixed};
 use super::Contact;
 use crate::assets::Mesh;
 use crate::model::Model;
@@ -156,7 +156,7 @@ fn the_broad_phase_finds_what_comparing_all_boxes_finds() {
         let room = random.between(0.5, 20.0);
         let spread = [0.0, 3.0, 12.0][case % 3];
         let scale = 2.0_f64.powf(random.between(-30.0, 30.0));
-        let boxes: Vec<Bounds> = (0..count)
+        let mut boxes: Vec<Bounds> = (0..count)
             .map(|geom| {
                 let half = 0.1 * 2.0_f64.powf(random.between(-spread, spread));
                 let mut centre = [0.0; 3].map(|_: f64| random.between(-room, room));
@@ -192,6 +192,15 @@ fn the_broad_phase_finds_what_comparing_all_boxes_finds() {
             );
         }
         assert_eq!(broad.found.pairs, all, "case {case}");
+        boxes.iter_mut().for_each(|bounds| bounds.fixed = true);
+        let fixed = Fixed::of(&boxes);
+        for one in boxes.iter().map(|bounds| Bounds { fixed: false, ..*bounds }) {
+            let mut found = vec![];
+            fixed.overlapped(&one, |two| found.extend(one.overlaps(two).then_some(two.geom)));
+            found.sort_unstable();
+            let overlapped = boxes.iter().filter(|two| one.overlaps(two)).map(|two| two.geom);
+            assert_eq!(found, overlapped.collect::<Vec<_>>(), "case {case}");
+        }
     }
 }
 
