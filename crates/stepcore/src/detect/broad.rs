@@ -301,7 +301,7 @@ impl Fixed {
 
     fn search(boxes: &[Bounds], around: &[Bounds], one: &Bounds, take: &mut impl FnMut(&Bounds)) {
         let middle = boxes.len() / 2;
-        if !around.get(middle).is_some_and(|around| one.overlaps(around)) {
+        if around.get(middle).is_none_or(|around| !one.overlaps(around)) {
             return;
         }
         if boxes.len() <= LEAF {
