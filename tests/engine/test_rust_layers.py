@@ -19,8 +19,8 @@ WITHIN = {
     "model": 20,
     "place": 6,
     "real": 3,
-    "shapes": 7,
-    "solve": 16,
+    "shapes": 9,
+    "solve": 17,
 }
 # A `Sim` has the list of its steps, and the list of a step is written down by a `Sim`.
 ACROSS = {"observer", "program", "sim"}
