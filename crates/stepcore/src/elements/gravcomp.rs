@@ -81,7 +81,11 @@ impl Forces for DrivenCompensation {
 
     fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
         let driven = model.joints.iter().any(|joint| joint.actuatorgravcomp);
-        driven.then(|| at(model, body)).unwrap_or(Err(Why::Unsaid))
+        if driven {
+            at(model, body)
+        } else {
+            Err(Why::Unsaid)
+        }
     }
 
     fn force<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(usize, R)) {

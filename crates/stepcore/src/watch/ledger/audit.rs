@@ -11,9 +11,16 @@ use crate::sim::{At, Sim};
 use crate::solve::Block;
 
 impl<R: Real> Sim<R> {
+    /// What an audit solves can be the next step's: that has one solve, and summing up energies, which
+    /// places all bodies anew, forgets no arms of what pulls at contacts.
+    pub(super) fn audit_stands(&self) -> bool {
+        self.settings.solves_once() && !self.model.adheres
+    }
+
     /// Places, detects and solves at the present state, as the next step will, and sums up.
     /// False if that failed: the step will say why.
     pub(super) fn audit(&mut self, levels: &mut [Level], work: &Work<R>) -> bool {
+        self.wake_where_off();
         if self.place_detect_solve(At::State).is_err() {
             return false;
         }

@@ -245,7 +245,7 @@ impl<R: Real> Ledger<R> {
             outcome = self.balance(sim, suspect).and_then(|(room, solved)| {
                 let portion = left.min(room);
                 left -= portion;
-                sim.stands = solved && sim.settings.solves_once();
+                sim.stands = solved && sim.audit_stands();
                 sim.step_watched(portion, &mut (&mut self.work, &mut *observer))
             });
         }
@@ -336,7 +336,7 @@ impl<R: Real> Ledger<R> {
         }
         let effort = sim.effort;
         let solved = sim.audit(&mut self.levels, &self.work);
-        if !solved || !sim.settings.solves_once() {
+        if !solved || !sim.audit_stands() {
             // The step solves again, and counts it.
             sim.effort = effort;
         }
