@@ -159,7 +159,7 @@ def test_commands_are_ones_that_the_command_line_takes(kind):
     }
     found = Finding(kind, "error", "It is so", commands=findings[kind])
     every = {"horizon": "1", "seed": "2", "key": "0", "ctrl": "a b.csv", "control_dt": "0.1"}
-    made = Check("name", sc.Settings(), sc.Motion(), [found], None, options=every)
+    made = Check(sc.Settings(), sc.Motion(), [found], None, options=every, name="name")
     assert len(made.commands) == 3
     for line, _ in made.commands:
         argv = shlex.split(line)[1:]

