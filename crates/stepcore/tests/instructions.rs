@@ -20,8 +20,9 @@ use stepcore::sim::Sim;
 const COUNTS: &str = include_str!("instructions.txt");
 /// Where someone builds with another level of optimisation.
 const LEVEL: Option<&str> = option_env!("CARGO_PROFILE_FAST_OPT_LEVEL");
-/// Compilers of other versions make somewhat other code.
-const TOLERANCE: f64 = 0.04;
+/// Other flags, compilers and units of code generation make other code of the same formulas: of two
+/// builds (64 units with AVX2, and 16 without) one took 8 % more for the chain.
+const TOLERANCE: f64 = 0.1;
 /// Before what is counted: contacts and working space have come.
 const SETTLE: u64 = 100;
 
