@@ -10,9 +10,9 @@ use std::env::{current_exe, var};
 use std::process::Command;
 use std::sync::Arc;
 
-use scenes::{body, floor, geom, heap, joint, put, runner, start, tower};
+use scenes::{body, floor, geom, heap, joint, put, runner, spring, start, tower};
 use stepcore::model::Model;
-use stepcore::scene::{GeomType, Inertial, JointType, Scene};
+use stepcore::scene::{GeomType, JointType, Scene};
 use stepcore::settings::{Acceleration, Settings, Solver};
 use stepcore::sim::Sim;
 
@@ -25,15 +25,6 @@ const LEVEL: Option<&str> = option_env!("CARGO_PROFILE_FAST_OPT_LEVEL");
 const TOLERANCE: f64 = 0.1;
 /// Before what is counted: contacts and working space have come.
 const SETTLE: u64 = 100;
-
-fn spring() -> Scene {
-    let mut scene = Scene { gravity: [0.0; 3], ..Scene::default() };
-    let mass = body(&mut scene, 0, [0.0; 3]);
-    joint(&mut scene, mass, JointType::Slide, [1.0, 0.0, 0.0]).stiffness[0] = 100.0;
-    let inertia = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
-    scene.bodies[mass].inertial = Some(Inertial { mass: 1.0, pos: [0.0; 3], inertia, axes: None });
-    scene
-}
 
 /// Free bodies in a row over the floor, so high.
 fn free(kind: GeomType, count: usize, height: f64) -> Scene {

@@ -4,25 +4,15 @@ mod scenes;
 
 use std::sync::Arc;
 
-use scenes::{body, floor, geom, joint, put, start, tower};
+use scenes::{body, floor, geom, joint, put, spring, start, tower};
 use stepcore::arrays::Array;
 use stepcore::batch::Batch;
 use stepcore::model::Model;
 use stepcore::program::Program;
 use stepcore::real::{Lanes, LanesF32, Real};
-use stepcore::scene::{GeomType, Inertial, JointType, Scene};
+use stepcore::scene::{GeomType, JointType, Scene};
 use stepcore::settings::{Integrator, Law, Settings, Solver};
 use stepcore::sim::Sim;
-
-/// A mass on a spring along x, without gravity.
-fn spring() -> Scene {
-    let mut scene = Scene { gravity: [0.0; 3], ..Scene::default() };
-    let mass = body(&mut scene, 0, [0.0; 3]);
-    joint(&mut scene, mass, JointType::Slide, [1.0, 0.0, 0.0]).stiffness[0] = 100.0;
-    let inertia = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
-    scene.bodies[mass].inertial = Some(Inertial { mass: 1.0, pos: [0.0; 3], inertia, axes: None });
-    scene
-}
 
 /// Balls on vertical slides without friction.
 fn smooth(count: usize) -> Scene {

@@ -1,6 +1,7 @@
 //! The solver, the integrator, and what these take implicitly.
 
 use super::{split, Of, Plan};
+use crate::integrator::{Late, Turning};
 use crate::model::Model;
 use crate::scene::JointType;
 use crate::settings::{Integrator, Law, Settings};
@@ -59,32 +60,28 @@ impl Plan {
         let on = &model.features;
         let by_tree = |flags: Vec<bool>| split(flags.len(), |tree| flags[tree]);
         let name = "implicit damping (by tree)";
-        match integrator {
-            Integrator::Discrete => {
-                let [have, lack] = by_tree(model.sloped());
-                let name = "implicit stiffness and damping (by tree)";
-                self.does("place", name, Of::Tree, have);
-                self.omits("place", name, Of::Tree, lack, "nothing is stiff or damped");
-            }
-            Integrator::Euler if !on.eulerdamp => {
-                let [have, _] = by_tree(model.damped());
-                self.omits("commit", name, Of::Tree, have, "switched off (eulerdamp)");
-            }
-            Integrator::Euler | Integrator::ImplicitFast | Integrator::Implicit => {
-                let euler = integrator == Integrator::Euler;
-                let damped = if euler { model.damped() } else { model.damped_by_any() };
-                let [have, lack] = by_tree(damped);
-                self.does("commit", name, Of::Tree, have);
-                self.omits("commit", name, Of::Tree, lack, "nothing is damped");
-            }
-            _ => {
-                let [have, _] = by_tree(model.damped());
-                let why = format!("{} treats damping explicitly", integrator.name());
-                self.omits("commit", name, Of::Tree, have, why);
-            }
+        let scheme = integrator.scheme();
+        if scheme.stiffness {
+            let [have, lack] = by_tree(model.sloped());
+            let name = "implicit stiffness and damping (by tree)";
+            self.does("place", name, Of::Tree, have);
+            self.omits("place", name, Of::Tree, lack, "nothing is stiff or damped");
+        } else if scheme.damping.is_none() {
+            let [have, _] = by_tree(model.damped());
+            let why = format!("{} treats damping explicitly", integrator.name());
+            self.omits("commit", name, Of::Tree, have, why);
+        } else if let Some(late) = scheme.late(on.eulerdamp) {
+            let joints = late == Late::Joints;
+            let damped = if joints { model.damped() } else { model.damped_by_any() };
+            let [have, lack] = by_tree(damped);
+            self.does("commit", name, Of::Tree, have);
+            self.omits("commit", name, Of::Tree, lack, "nothing is damped");
+        } else {
+            let [have, _] = by_tree(model.damped());
+            self.omits("commit", name, Of::Tree, have, "switched off (eulerdamp)");
         }
         let trees = &model.trees;
-        if integrator == Integrator::Implicit {
+        if scheme.turning == Some(Turning::Trees) {
             let changes =
                 |tree: usize| on.coriolis && !(trees[tree].slides_only || trees[tree].constant);
             let [have, lack] = split(trees.len(), changes);
@@ -93,7 +90,7 @@ impl Plan {
             let why = if on.coriolis { "constant" } else { "switched off" };
             self.omits("commit", name, Of::Tree, lack, why);
         }
-        if matches!(integrator, Integrator::ImplicitFast | Integrator::Discrete) {
+        if scheme.turning == Some(Turning::FreeBodies) {
             let [free, _] = split(trees.len(), |tree| model.free_alone(&trees[tree]));
             let (have, lack) = free.into_iter().partition(|tree| model.gyroscopic(&trees[*tree]));
             let name = "gyroscopic derivative (by free body)";

@@ -2,9 +2,10 @@
 
 use super::{split, Of, Plan};
 use crate::elements::Kind;
+use crate::integrator::Turning;
 use crate::model::{Model, NONE};
 use crate::plan::acting::Why;
-use crate::settings::{Integrator, Settings};
+use crate::settings::Settings;
 
 const FIXED: &str = "fixed: computed once, at compilation";
 
@@ -69,8 +70,8 @@ impl Plan {
         let why = "isotropic: constant, and no gyroscopic term";
         let [balls, _] = constant(false);
         self.omits("place", name, Of::Tree, balls, why);
-        let implicit = settings.integrator == Integrator::Implicit;
-        let forces = if implicit { "" } else { ", mass matrix and bias force" };
+        let in_space = settings.integrator.scheme().turning == Some(Turning::Trees);
+        let forces = if in_space { "" } else { ", mass matrix and bias force" };
         for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {
             let [flat, _] = split(trees.len(), |tree| {
                 trees[tree].plane.as_ref().is_some_and(|plane| plane.normal == k)

@@ -34,6 +34,16 @@ pub fn floor() -> Scene {
     scene
 }
 
+/// A mass on a spring along x, without gravity.
+pub fn spring() -> Scene {
+    let mut scene = Scene { gravity: [0.0; 3], ..Scene::default() };
+    let mass = body(&mut scene, 0, [0.0; 3]);
+    joint(&mut scene, mass, JointType::Slide, [1.0, 0.0, 0.0]).stiffness[0] = 100.0;
+    let inertia = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
+    scene.bodies[mass].inertial = Some(Inertial { mass: 1.0, pos: [0.0; 3], inertia, axes: None });
+    scene
+}
+
 /// The quaternion that turns z into the direction of `to`.
 pub fn along(to: [f64; 3]) -> [f64; 4] {
     let length = to.iter().map(|x| x * x).sum::<f64>().sqrt();
