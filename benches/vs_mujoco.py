@@ -59,12 +59,12 @@ class Case:
         return (sc.load if self.is_file else sc.loads)(self.xml).compile()
 
 
-SMALL = {"pgs": 8.0, "newton": 8.0}
 LARGE = {"pgs": 1.5, "newton": 1.0}
 CASES = [
-    Case("spring", scenes.spring(), aim=SMALL),
-    Case("ball", scenes.ball(), aim=SMALL),
-    Case("stack", scenes.stack(), aim=SMALL),
+    Case("spring", scenes.spring(), aim=dict.fromkeys(SOLVERS, 15.0)),
+    Case("ball", scenes.ball(), aim=dict.fromkeys(SOLVERS, 12.0)),
+    Case("free ball", scenes.free_ball(), aim=dict.fromkeys(SOLVERS, 10.0)),
+    Case("stack", scenes.stack(), aim=dict.fromkeys(SOLVERS, 8.0)),
     *(
         Case(name, scenes.gym_path(name), True, 20, 2, 25, settle=300, aim=LARGE)
         for name in scenes.GYM
