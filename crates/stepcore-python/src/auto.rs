@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use stepcore::arrays::{Array, Given, Givens};
-use stepcore::batch::Play;
+use stepcore::batch::Rollout;
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::WIDEST;
@@ -206,7 +206,7 @@ impl Worlds for Auto {
         self.fixed = self.fixed || outcome.is_err();
         outcome
     }
-    fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
+    fn play(&mut self, play: &mut Rollout, from: usize, n: usize) -> Result<()> {
         let mut from = from;
         self.advance(n as u64, |worlds, n| {
             worlds.play(play, from, n as usize)?;

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given, Givens};
-use stepcore::batch::{fills_lanes, gains_by_lanes, program_of, Batch, Last, Play};
+use stepcore::batch::{fills_lanes, gains_by_lanes, program_of, Batch, Last, Rollout};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::program::Program;
@@ -34,7 +34,7 @@ pub trait Worlds: Send + Sync {
     fn store(&self, array: Array, numbers: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
-    fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()>;
+    fn play(&mut self, play: &mut Rollout, from: usize, n: usize) -> Result<()>;
     /// The error of a world that failed while the others went on.
     fn failed(&self, world: usize) -> Option<&Error>;
     fn time(&self) -> f64;
@@ -176,7 +176,7 @@ impl<R: Real> Worlds for Batch<R> {
     fn forward(&mut self) -> Result<()> {
         Batch::forward(self)
     }
-    fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
+    fn play(&mut self, play: &mut Rollout, from: usize, n: usize) -> Result<()> {
         Batch::play(self, play, from, n)
     }
     fn failed(&self, world: usize) -> Option<&Error> {

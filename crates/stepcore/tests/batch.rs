@@ -7,7 +7,7 @@ use std::panic::{catch_unwind, AssertUnwindSafe};
 use std::sync::Arc;
 
 use stepcore::arrays::{Array, Given};
-use stepcore::batch::{Batch, Play};
+use stepcore::batch::{Batch, Rollout};
 use stepcore::error::Error;
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
@@ -154,7 +154,7 @@ fn a_play_in_portions_is_steps_with_its_controls() {
         (vec![0.0; worlds.len() * steps * nq], vec![0.0; worlds.len() * steps * nv]);
     let mut pack = batch_of::<Lanes>(&scene, &Settings::default(), &worlds, 2);
     let kept = [&mut qpos[..], &mut qvel[..], &mut [], &mut []];
-    let mut play = Play { steps, ctrl: &ctrl, states: kept };
+    let mut play = Rollout { steps, ctrl: &ctrl, states: kept };
     pack.play(&mut play, 0, 13).unwrap();
     pack.play(&mut play, 13, steps - 13).unwrap();
     let mut alone = batch_of::<f64>(&scene, &Settings::default(), &worlds, 1);
@@ -216,7 +216,8 @@ fn after_a_panic_the_worlds_are_still_there() {
     let mut batch = batch_of::<Lanes>(&scene, &settings, &worlds, 1);
     let (mut qpos, mut qvel) = (vec![0.0; n * nq], vec![0.0; n * nv]);
     batch.step(70).unwrap();
-    let mut play = Play { steps: 1, ctrl: &[], states: [&mut qpos, &mut qvel, &mut [], &mut []] };
+    let mut play =
+        Rollout { steps: 1, ctrl: &[], states: [&mut qpos, &mut qvel, &mut [], &mut []] };
     let outcome = catch_unwind(AssertUnwindSafe(|| batch.play(&mut play, 0, 1)));
     assert!(outcome.is_err(), "a play without its controls must not pass");
     batch.step(70).unwrap();

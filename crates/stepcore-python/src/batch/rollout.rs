@@ -4,7 +4,7 @@ use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use stepcore::arrays;
-use stepcore::batch::Play;
+use stepcore::batch::Rollout;
 
 use super::{Array, Batch};
 use crate::gil;
@@ -50,7 +50,7 @@ impl Batch {
     ) -> PyResult<()> {
         let nu = self.arrays.lengths[arrays::Array::Ctrl as usize];
         let states = states.each_mut().map(|list| &mut list[..]);
-        let mut play = Play { steps, ctrl: controls, states };
+        let mut play = Rollout { steps, ctrl: controls, states };
         let mut from = 0;
         let outcome = gil::steps_told(py, steps as u64, &self.pace, told, |count| {
             worlds.play(&mut play, from, count as usize)?;

@@ -5,25 +5,25 @@
 //! computes depends on nothing else, so results are the same bits at any number of
 //! threads, and, because a lane is a world, in lanes or one by one.
 
-mod carry;
-mod crew;
+mod compiled_steps;
 mod failed;
 mod group;
-mod listed;
-mod play;
-mod seats;
+mod lane_layout;
+mod rollout;
+mod transfer;
+mod workers;
 
 pub use failed::Failed;
 pub use group::Last;
-pub use play::Play;
+pub use rollout::Rollout;
 
 use std::sync::{Arc, Mutex};
 
-use crew::{Crew, Desk};
+use compiled_steps::{each, step_listed};
 use group::{in_batch, Group};
-use listed::{each, step_listed};
-use play::Part;
-use seats::{registers, Seats};
+use lane_layout::{registers, LaneLayout};
+use rollout::Part;
+use workers::{Workers, Workspace};
 
 use crate::arrays::{Array, Given};
 use crate::error::{Error, Result};
@@ -46,9 +46,9 @@ pub struct Batch<R: Real> {
     /// Each different one of the worlds' models.
     models: Vec<Arc<Model>>,
     dt: f64,
-    seats: Seats,
+    layout: LaneLayout,
     groups: Vec<Group<R>>,
-    crew: Crew<R>,
+    workers: Workers<R>,
     /// What makes the steps of small models.
     list: Option<Blocks<R>>,
     /// A world that fails stands still, and the others go on; else all stop with it.
@@ -131,32 +131,33 @@ impl<R: Real> Batch<R> {
             return Err(Error::value("n", worlds, "at least 1 world"));
         }
         check_threads(threads)?;
-        let seats = Seats::new(R::LANES, model_of);
-        let crew = Crew::new(&models, settings, &seats, worlds, threads)?;
+        let layout = LaneLayout::new(R::LANES, model_of);
+        let workers = Workers::new(&models, settings, &layout, worlds, threads)?;
         let group = |index: usize| {
-            let (own, worlds) = (seats.model(index), seats.worlds(index).len());
-            let watched = index.is_multiple_of(seats.groups().div_ceil(WATCHED.div_ceil(R::LANES)));
+            let (own, worlds) = (layout.model(index), layout.worlds(index).len());
+            let watched =
+                index.is_multiple_of(layout.groups().div_ceil(WATCHED.div_ceil(R::LANES)));
             let least = watched.then_some(Care::Least);
             let care = if settings.ledger { Some(Care::Full) } else { least };
-            Group::new(&models[own], crew.initial_sleep(own), worlds, care)
+            Group::new(&models[own], workers.initial_sleep(own), worlds, care)
         };
-        let groups = (0..seats.groups()).map(group).collect();
+        let groups = (0..layout.groups()).map(group).collect();
         Ok(Self {
             worlds,
-            list: list.map(|list| Blocks::new(list, crew.threads)),
+            list: list.map(|list| Blocks::new(list, workers.threads)),
             dt: settings.dt,
             groups,
-            crew,
+            workers,
             goes_on: false,
             models,
-            seats,
+            layout,
         })
     }
 
     /// Memory of all worlds and of the threads' working spaces [bytes]; models are not in it.
     pub fn bytes(&self) -> usize {
         let list = self.list.as_ref().map_or(0, Blocks::bytes);
-        size_of::<Self>() + self.seats.bytes() + self.groups.room() + self.crew.bytes() + list
+        size_of::<Self>() + self.layout.bytes() + self.groups.room() + self.workers.bytes() + list
     }
 
     pub fn time(&self) -> f64 {
@@ -170,24 +171,24 @@ impl<R: Real> Batch<R> {
 
     /// The model of a world.
     pub fn model(&self, world: usize) -> &Arc<Model> {
-        &self.models[self.seats.model(self.seats.of(world).0)]
+        &self.models[self.layout.model(self.layout.of(world).0)]
     }
 
     /// All worlds, those of one model beside each other.
     pub fn by_model(&self) -> &[usize] {
-        self.seats.all()
+        self.layout.all()
     }
 
     /// Takes a world's arrays, which were checked. Worlds come in order; lanes without a
     /// world of their own repeat the last one.
     pub fn put(&mut self, world: usize, given: &Given) {
-        let (index, own) = self.seats.of(world);
-        self.groups[index].put(own, self.seats.worlds(index).len(), given);
+        let (index, own) = self.layout.of(world);
+        self.groups[index].put(own, self.layout.worlds(index).len(), given);
     }
 
     /// Gives a world's part of an array that a step changes.
     pub fn take(&self, world: usize, array: Array, out: &mut [f64]) {
-        let (index, lane) = self.seats.of(world);
+        let (index, lane) = self.layout.of(world);
         let group = &self.groups[index];
         match &group.standing.lanes[lane] {
             None => group.state.take(lane, array, out),
@@ -197,7 +198,7 @@ impl<R: Real> Batch<R> {
 
     /// A world that failed while the others went on.
     pub fn failed(&self, world: usize) -> Option<&Failed> {
-        let (group, lane) = self.seats.of(world);
+        let (group, lane) = self.layout.of(world);
         self.groups[group].standing.lanes[lane].as_deref()
     }
 
@@ -205,8 +206,8 @@ impl<R: Real> Batch<R> {
     /// have not failed, and nothing was solved there yet. The others are as they were.
     pub fn forget(&mut self, worlds: &[usize]) {
         for world in worlds {
-            let (index, own) = self.seats.of(*world);
-            let last = if own + 1 == self.seats.worlds(index).len() { R::LANES } else { own + 1 };
+            let (index, own) = self.layout.of(*world);
+            let last = if own + 1 == self.layout.worlds(index).len() { R::LANES } else { own + 1 };
             (own..last).for_each(|lane| self.groups[index].forget(lane));
         }
     }
@@ -230,33 +231,33 @@ impl<R: Real> Batch<R> {
 
     /// A world's acceleration in its last solve.
     pub fn qacc(&self, world: usize) -> impl Iterator<Item = f64> + '_ {
-        let (group, lane) = self.seats.of(world);
+        let (group, lane) = self.layout.of(world);
         self.groups[group].qacc.iter().map(move |a| a.lane(lane))
     }
 
     /// Of a world: the state in which its last solve began, its inputs, the lane where it is in
     /// these, and what the solve belonged to.
     pub fn last(&self, world: usize) -> (&State<R>, &Inputs<R>, usize, Last) {
-        let (index, lane) = self.seats.of(world);
+        let (index, lane) = self.layout.of(world);
         let group = &self.groups[index];
         (&group.before, &group.inputs, lane, group.last[lane])
     }
 
     /// The state that holds a world, and the lane where it is.
     pub fn state(&self, world: usize) -> (&State<R>, usize) {
-        let (group, lane) = self.seats.of(world);
+        let (group, lane) = self.layout.of(world);
         (&self.groups[group].state, lane)
     }
 
     /// The states of all groups, with the worlds in their lanes.
     pub fn states_mut(&mut self) -> impl Iterator<Item = (&mut State<R>, &[usize])> {
-        let Self { groups, seats, .. } = self;
+        let Self { groups, layout, .. } = self;
         groups.iter_mut().enumerate().map(|(index, group)| {
             // Whoever writes a state starts anew.
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
             group.standing.lanes.fill(None);
             group.ended.fill(false);
-            (&mut group.state, seats.worlds(index))
+            (&mut group.state, layout.worlds(index))
         })
     }
 
@@ -269,10 +270,10 @@ impl<R: Real> Batch<R> {
     /// Without `Settings::ledger`: that a world gained more energy than can be, and where from. It is
     /// said once, and nothing is looked for after that.
     pub fn take_warning(&mut self) -> Option<String> {
-        let Self { groups, seats, .. } = self;
+        let Self { groups, layout, .. } = self;
         let said = groups.iter_mut().enumerate().find_map(|(index, group)| {
             let said = group.take_said()?;
-            let worlds = seats.worlds(index);
+            let worlds = layout.worlds(index);
             Some(format!("world {}: {}", worlds[said.world.min(worlds.len() - 1)], said.warning()))
         })?;
         self.unwatch();
@@ -286,18 +287,18 @@ impl<R: Real> Batch<R> {
 
     /// Place, detect and solve in every world. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
-        let Self { crew, groups, seats, goes_on, .. } = self;
-        crew.share(groups, 1, |desk, index, group| {
+        let Self { workers, groups, layout, goes_on, .. } = self;
+        workers.share(groups, 1, |workspace, index, group| {
             let forward = |_, watched: &mut Watched<R>| watched.forward();
-            let watched = desk.space(seats.model(index));
-            group.run(watched, seats.worlds(index), 1, Last::Forward, *goes_on, forward)
+            let watched = workspace.space(layout.model(index));
+            group.run(watched, layout.worlds(index), 1, Last::Forward, *goes_on, forward)
         });
-        first_failure(groups, seats).map_or(Ok(()), |(_, error)| Err(error))
+        first_failure(groups, layout).map_or(Ok(()), |(_, error)| Err(error))
     }
 
     /// Steps `from..from + n` of a play.
-    pub fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
-        let parts = play.parts(&self.seats, Array::counts(&self.models[0]));
+    pub fn play(&mut self, play: &mut Rollout, from: usize, n: usize) -> Result<()> {
+        let parts = play.parts(&self.layout, Array::counts(&self.models[0]));
         let parts: Vec<Mutex<Part>> = parts.into_iter().map(Mutex::new).collect();
         self.advance(n as u64, false, |index, k, watched| {
             let mut part = lock(&parts[index]);
@@ -313,7 +314,7 @@ impl<R: Real> Batch<R> {
     }
 
     /// In a play's states, worlds that failed stand where they failed.
-    fn stand(&self, play: &mut Play, from: usize, n: usize) {
+    fn stand(&self, play: &mut Rollout, from: usize, n: usize) {
         for world in 0..self.worlds {
             let Some(failed) = self.failed(world) else { continue };
             for step in from + failed.done as usize..from + n {
@@ -333,33 +334,33 @@ impl<R: Real> Batch<R> {
         plain: bool,
         one: impl Fn(usize, u64, &mut Watched<R>) -> Result<()> + Sync,
     ) -> Result<()> {
-        let Self { crew, groups, seats, goes_on, list, .. } = self;
-        let run = |desk: &mut Desk<R>, index, group: &mut Group<R>, n| {
+        let Self { workers, groups, layout, goes_on, list, .. } = self;
+        let run = |workspace: &mut Workspace<R>, index, group: &mut Group<R>, n| {
             let one = |k, watched: &mut Watched<R>| one(index, k, watched);
-            let watched = desk.space(seats.model(index));
-            group.run(watched, seats.worlds(index), n, Last::Step, *goes_on, one);
+            let watched = workspace.space(layout.model(index));
+            group.run(watched, layout.worlds(index), n, Last::Step, *goes_on, one);
         };
         let list = list.as_ref().filter(|_| plain && n > 0);
-        crew.share_portions(groups, n, list.is_some(), |desk, first, groups| {
+        workers.share_portions(groups, n, list.is_some(), |workspace, first, groups| {
             groups.iter_mut().for_each(|group| group.state.copy_to(&mut group.start));
-            let run = |index, group: &mut Group<R>, n| run(desk, first + index, group, n);
+            let run = |index, group: &mut Group<R>, n| run(workspace, first + index, group, n);
             match list {
                 Some(list) => step_listed(list, groups, n, run),
                 None => each(groups, n, run),
             }
         });
-        let Some((done, error)) = first_failure(groups, seats) else { return Ok(()) };
+        let Some((done, error)) = first_failure(groups, layout) else { return Ok(()) };
         groups.iter_mut().for_each(|group| drop(group.take_said()));
         // All worlds go back, and then on to where this one was still well.
-        crew.share(groups, done, |desk, index, group| {
+        workers.share(groups, done, |workspace, index, group| {
             group.start.copy_to(&mut group.state);
             group.start.copy_to(&mut group.before);
             group.last.fill(Last::Forward);
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
-            run(desk, index, group, done);
+            run(workspace, index, group, done);
         });
         if let Error::Diverged(divergence) = &error {
-            let (group, lane) = self.seats.of(divergence.world);
+            let (group, lane) = self.layout.of(divergence.world);
             self.groups[group].ended[lane] = true;
         }
         Err(error)
@@ -367,10 +368,10 @@ impl<R: Real> Batch<R> {
 }
 
 /// The failure after the fewest steps, with its world's place in the batch.
-fn first_failure<R: Real>(groups: &mut [Group<R>], seats: &Seats) -> Option<(u64, Error)> {
+fn first_failure<R: Real>(groups: &mut [Group<R>], layout: &LaneLayout) -> Option<(u64, Error)> {
     let failures = groups.iter_mut().enumerate().filter_map(|(index, group)| {
         let (done, mut error) = group.failed.take()?;
-        in_batch(&mut error, seats.worlds(index));
+        in_batch(&mut error, layout.worlds(index));
         Some((done, error))
     });
     let world = |error: &Error| match error {

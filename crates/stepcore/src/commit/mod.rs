@@ -5,14 +5,14 @@
 //! Everything is written to `Next` first: a state that is not finite is never committed.
 
 mod damped;
-mod halves;
+mod end_of_step_rows;
 mod implicit;
-mod inside;
 mod integrate;
 mod midpoint;
 mod next;
 mod position;
 mod rk4;
+mod stage_constraints;
 
 pub use next::Next;
 pub use position::advance;

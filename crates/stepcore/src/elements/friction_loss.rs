@@ -65,7 +65,7 @@ impl<R: Real> Rows<R> {
         arms: impl FnOnce(&mut Self),
     ) {
         let (settings, dt) = (now.settings, now.settings.dt);
-        // Half a step's for the mean velocity, and half for the last: see `commit/halves.rs`.
+        // Half a step's for the mean velocity, and half for the last: see `commit/end_of_step_rows.rs`.
         let most = if now.halves() { 0.5 * dt } else { dt };
         self.clear_scratch(loss.dofs.of(&now.model.dof_lists));
         arms(self);

@@ -2,8 +2,8 @@
 
 use super::slots::Slots;
 use super::{
-    apart, at_qpos0, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages,
-    meetings, memory, meshes, pairs, plane, pose, tendons, ties, tree, Model, NONE,
+    at_qpos0, auto_spring, check, coupling, equalities, fluid, heap, inertia, invweight, linkages,
+    meetings, memory, meshes, pairs, plane, pose, range_separation, tendons, tree, Model, NONE,
 };
 use crate::elements::constraints::makers;
 use crate::error::Result;
@@ -43,7 +43,7 @@ impl Model {
         if !pairs::fill(scene, &mut model, &poses, &mut unions, most)? {
             heap::fill(scene, &mut model, &poses)?;
         }
-        ties::fill(scene, &mut model, &poses, &mut unions);
+        equalities::fill(scene, &mut model, &poses, &mut unions);
         let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
         let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
         let (met, passed) = (trees_of(&model, met), model.passed_by_tendons());
@@ -62,7 +62,7 @@ impl Model {
         plane::fill(&mut model, &poses);
         coupling::fill(&mut model);
         model.slots = Slots::of(&model);
-        apart::fill(&mut model);
+        range_separation::fill(&mut model);
         meetings::fill(&mut model);
         model.places = model.find_places();
         model.makers = makers(&model);

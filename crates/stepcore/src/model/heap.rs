@@ -8,9 +8,9 @@
 //! by two classes of geoms. A pair is known by a number that counts up in the order of the list: by
 //! the two bodies, then by the geoms.
 
+use super::fixed_tangents::{loose, still};
 use super::pairs::explicit;
 use super::pose::Pose;
-use super::still::{loose, still};
 use super::{Material, Model, Pair, Span, NONE};
 use crate::elements::text;
 use crate::error::{Error, Result};

@@ -1,6 +1,6 @@
 //! Geoms of meshes: each in the frame of its mesh's principal axes, or as the primitive that fits.
 
-use super::kept;
+use super::mesh_cache;
 use super::pose::{rotation, unit_quat};
 use super::principal::product;
 use super::solid::{Solid, Unsolid};
@@ -54,7 +54,7 @@ pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
         let mesh = &scene.meshes[index];
         let known = match &mut measured[index] {
             Some(known) => known,
-            empty => empty.insert(match kept::recalled(mesh) {
+            empty => empty.insert(match mesh_cache::recalled(mesh) {
                 Some(known) => known,
                 None => measure(mesh, index).map_err(named)?,
             }),
@@ -78,7 +78,7 @@ pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
         }
     }
     for (mesh, known) in scene.meshes.iter().zip(&measured) {
-        known.iter().for_each(|known| kept::keep(mesh, known));
+        known.iter().for_each(|known| mesh_cache::keep(mesh, known));
     }
     Ok((geoms, assets))
 }

@@ -3,53 +3,53 @@
 //! Numbers are `f64` in SI units; a stage turns them into its own number with `Real::of`.
 //! Fields that a `Scene` has too mean here what they mean there.
 
-mod apart;
 mod at_qpos0;
 mod auto_spring;
 mod build;
 mod check;
 mod coupling;
+mod equalities;
+mod fixed_tangents;
 pub(crate) mod fluid;
 mod heap;
 mod inertia;
 mod invweight;
-mod kept;
 mod linkages;
+mod lru;
 mod material;
 mod meetings;
 pub(crate) mod memory;
+mod mesh_cache;
 mod meshes;
+mod pair_counts;
 mod pairs;
 mod places;
 mod plane;
 mod pose;
 mod principal;
 mod proofs;
-mod recent;
+mod range_separation;
 mod shape;
 mod slots;
 mod solid;
-mod still;
-mod tally;
 mod tendons;
 #[cfg(test)]
 mod tests;
-mod ties;
 pub mod transmission;
 mod tree;
 mod union;
 
+pub use equalities::{Coupling, Ends, Equality, Tie};
 pub use heap::Heap;
 pub(crate) use heap::MANY as MANY_TREES;
 pub use linkages::{Linkage, Moved};
 pub use material::Material;
 pub use meetings::{Meeting, Spheres};
+pub use pair_counts::Tally;
 pub use pairs::Never;
 pub use plane::{FlatGeom, Plane};
 pub(crate) use pose::rotation;
-pub use tally::Tally;
 pub use tendons::{Course, Mover, Point, Round, Stretch, Tendon};
-pub use ties::{Coupling, Ends, Equality, Tie};
 use transmission::Transmission;
 pub(crate) use union::Union;
 
@@ -275,10 +275,10 @@ pub struct Pair {
     pub dofs: Span,
     /// Mass of the trees that the contact touches, for residuals.
     pub mass: f64,
-    /// Tangents along which nothing can move, known when compiled (see `model/still.rs`).
+    /// Tangents along which nothing can move, known when compiled (see `model/fixed_tangents.rs`).
     pub still: [bool; 2],
     /// The ranges of joints keep the two apart: it is tested only while one of `Model::guards`
-    /// is left (see `model/apart.rs`).
+    /// is left (see `model/range_separation.rs`).
     pub apart: bool,
 }
 

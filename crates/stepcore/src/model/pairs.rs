@@ -1,8 +1,8 @@
 //! Which geoms can ever meet, and what their contacts share. MuJoCo's filter and
 //! mixing rules; the filter is applied once, here, and never during a step.
 
+use super::fixed_tangents::still;
 use super::pose::Pose;
-use super::still::still;
 use super::tree::Unions;
 use super::{Material, Model, Pair, NONE};
 use crate::elements::{text, Kind, Text};

@@ -4,7 +4,7 @@
 //! of these moves a geom. A question is known again by all that the proof reads, to the bit, so what
 //! is recalled is what would be proved anew.
 
-use super::recent::Recent;
+use super::lru::Lru;
 use super::{Guard, Model};
 use crate::pool::lock;
 use crate::shapes::height_field::HeightField;
@@ -15,8 +15,8 @@ use std::sync::{Arc, Mutex, Weak};
 /// 2 MB.
 const MOST: usize = 1 << 18;
 
-static KEPT: Mutex<Recent<Question, Proof>> =
-    Mutex::new(Recent::new(MOST, |question| question.words.len()));
+static KEPT: Mutex<Lru<Question, Proof>> =
+    Mutex::new(Lru::new(MOST, |question| question.words.len()));
 
 /// By pair whether its geoms never meet, and the positions of joints for which that holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,7 +92,7 @@ impl Question {
     }
 }
 
-/// Equal hulls are one hull where meshes are recalled (`kept.rs`); two of equal content count as
+/// Equal hulls are one hull where meshes are recalled (`mesh_cache.rs`); two of equal content count as
 /// different here, which costs a proof and no more.
 fn are_one<T>(a: &[Option<Weak<T>>], b: &[Option<Weak<T>>]) -> bool {
     let one = |(x, y): (&Option<Weak<T>>, &Option<Weak<T>>)| match (x, y) {

@@ -91,7 +91,7 @@ pub enum Part {
     Start,
     /// Equalities alone, on the acceleration of a stage.
     Stage,
-    /// All, after a smooth motion: see `commit/halves.rs`. Equalities that its stages held answer
+    /// All, after a smooth motion: see `commit/end_of_step_rows.rs`. Equalities that its stages held answer
     /// to the others only.
     End,
 }

@@ -1,8 +1,8 @@
 //! The builder against closed forms and MuJoCo's rules; here what the tests share.
 
-mod apart;
 mod coupling;
 mod pairs;
+mod range_separation;
 mod refused;
 mod weights;
 

@@ -13,17 +13,17 @@ impl<R: Real> Batch<R> {
     /// Takes the arrays of all worlds; of those that cannot be stepped the first is refused, and
     /// nothing is taken.
     pub fn load(&mut self, given: &Givens) -> Result<()> {
-        let Self { worlds, crew, groups, seats, models, .. } = self;
+        let Self { worlds, workers, groups, layout, models, .. } = self;
         let refused = Mutex::new(None::<(usize, Error)>);
         let forms = models[0].has_forms();
-        crew.carry(*worlds, groups, 1, |first, portion| {
-            let own = seats.of_groups(first..first + portion.len());
+        workers.transfer(*worlds, groups, 1, |first, portion| {
+            let own = layout.of_groups(first..first + portion.len());
             let finite = given.all_finite::<R>(span(own));
             if finite && !forms {
                 return;
             }
-            for (index, world) in own.iter().map(|world| (seats.of(*world).0, *world)) {
-                let model = &models[seats.model(index)];
+            for (index, world) in own.iter().map(|world| (layout.of(*world).0, *world)) {
+                let model = &models[layout.model(index)];
                 let given = given.of(world);
                 let outcome = match finite {
                     true => given.check_forms::<R>(model, Some(world)),
@@ -40,10 +40,10 @@ impl<R: Real> Batch<R> {
         if let Some((_, error)) = refused {
             return Err(error);
         }
-        crew.carry(*worlds, groups, 1, |first, portion| {
-            let idle = given.no_forces(span(seats.of_groups(first..first + portion.len())));
+        workers.transfer(*worlds, groups, 1, |first, portion| {
+            let idle = given.no_forces(span(layout.of_groups(first..first + portion.len())));
             for (index, group) in (first..).zip(portion) {
-                group.put_all(seats.worlds(index), given, idle);
+                group.put_all(layout.worlds(index), given, idle);
             }
         });
         Ok(())
@@ -52,7 +52,7 @@ impl<R: Real> Batch<R> {
     /// Gives an array that a step changes, of all worlds one after the other.
     pub fn store(&self, array: Array, numbers: &mut [f64]) {
         let length = numbers.len() / self.worlds;
-        self.crew.carry(self.worlds, numbers, length, |first, portion| {
+        self.workers.transfer(self.worlds, numbers, length, |first, portion| {
             for (world, out) in (first..).zip(portion.chunks_exact_mut(length)) {
                 self.take(world, array, out);
             }

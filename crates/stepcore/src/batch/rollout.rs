@@ -1,6 +1,6 @@
 //! Steps of a batch under given controls, with the states after each.
 
-use super::seats::Seats;
+use super::lane_layout::LaneLayout;
 use crate::arrays::Array;
 use crate::real::Real;
 use crate::state::State;
@@ -8,14 +8,14 @@ use crate::watch::Watched;
 
 /// Controls for every world and step, and room for the states after each step: world,
 /// then step, then entry.
-pub struct Play<'a> {
+pub struct Rollout<'a> {
     pub steps: usize,
     pub ctrl: &'a [f64],
     /// In the order of `Array`.
     pub states: [&'a mut [f64]; Array::CHANGED],
 }
 
-/// A group's part of a `Play`, by lane.
+/// A group's part of a `Rollout`, by lane.
 pub(super) struct Part<'a> {
     /// Entries of every array in one world.
     counts: [usize; Array::COUNT],
@@ -23,12 +23,16 @@ pub(super) struct Part<'a> {
     states: Vec<[&'a mut [f64]; Array::CHANGED]>,
 }
 
-impl Play<'_> {
+impl Rollout<'_> {
     /// The parts of the groups.
-    pub(super) fn parts(&mut self, seats: &Seats, counts: [usize; Array::COUNT]) -> Vec<Part<'_>> {
+    pub(super) fn parts(
+        &mut self,
+        layout: &LaneLayout,
+        counts: [usize; Array::COUNT],
+    ) -> Vec<Part<'_>> {
         let (steps, ctrl) = (self.steps, self.ctrl);
         let mut states = self.states.each_mut().map(|list| &mut **list);
-        let mut by_world: Vec<_> = (0..seats.all().len())
+        let mut by_world: Vec<_> = (0..layout.all().len())
             .map(|_| {
                 let mut own = counts.iter().map(|count| count * steps);
                 Some(states.each_mut().map(|list| cut_mut(list, own.next().unwrap_or(0))))
@@ -36,12 +40,12 @@ impl Play<'_> {
             .collect();
         let size = counts[Array::Ctrl as usize] * steps;
         let part = |group| {
-            let own = seats.worlds(group);
+            let own = layout.worlds(group);
             let ctrl = own.iter().map(|world| &ctrl[world * size..(world + 1) * size]).collect();
             let states = own.iter().filter_map(|world| by_world[*world].take()).collect();
             Part { counts, ctrl, states }
         };
-        (0..seats.groups()).map(part).collect()
+        (0..layout.groups()).map(part).collect()
     }
 }
 

@@ -6,18 +6,18 @@ use crate::room::listed;
 
 /// Worlds of one model sit beside each other, in their own order; the last group of a model may
 /// have lanes to spare.
-pub(super) struct Seats {
+pub(super) struct LaneLayout {
     /// The lanes of a group are two to this power.
     power: u32,
     /// By world: group · lanes + lane.
     seat: Vec<usize>,
-    /// All worlds in the order of their seats.
+    /// All worlds in the order of their places.
     worlds: Vec<usize>,
     /// By group: its model, and its worlds' range in `worlds`.
     groups: Vec<(usize, Range<usize>)>,
 }
 
-impl Seats {
+impl LaneLayout {
     /// `lanes`: a power of two; `model_of`: the model of each world.
     pub fn new(lanes: usize, model_of: &[usize]) -> Self {
         let mut worlds: Vec<usize> = (0..model_of.len()).collect();
@@ -56,7 +56,7 @@ impl Seats {
         &self.worlds[self.groups[groups.start].1.start..self.groups[groups.end - 1].1.end]
     }
 
-    /// All worlds in the order of their seats.
+    /// All worlds in the order of their places.
     pub fn all(&self) -> &[usize] {
         &self.worlds
     }
@@ -89,15 +89,15 @@ mod tests {
 
     #[test]
     fn worlds_of_a_model_sit_together() {
-        let seats = Seats::new(2, &[0, 1, 0, 1, 0]);
-        assert_eq!(seats.groups(), 3);
-        assert_eq!(seats.worlds(0), [0, 2]);
-        assert_eq!(seats.worlds(1), [4]);
-        assert_eq!(seats.worlds(2), [1, 3]);
-        assert_eq!((0..3).map(|group| seats.model(group)).collect::<Vec<_>>(), [0, 0, 1]);
+        let layout = LaneLayout::new(2, &[0, 1, 0, 1, 0]);
+        assert_eq!(layout.groups(), 3);
+        assert_eq!(layout.worlds(0), [0, 2]);
+        assert_eq!(layout.worlds(1), [4]);
+        assert_eq!(layout.worlds(2), [1, 3]);
+        assert_eq!((0..3).map(|group| layout.model(group)).collect::<Vec<_>>(), [0, 0, 1]);
         for world in 0..5 {
-            let (group, lane) = seats.of(world);
-            assert_eq!(seats.worlds(group)[lane], world);
+            let (group, lane) = layout.of(world);
+            assert_eq!(layout.worlds(group)[lane], world);
         }
         assert_eq!(registers(2, &[0, 1, 0, 1, 0]), 3);
     }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 /// Questions with their answers, the last one used at the back; those used longest ago make room.
-pub(super) struct Recent<K, V> {
+pub(super) struct Lru<K, V> {
     entries: VecDeque<(K, V)>,
     /// Of all entries together, and the most that it may be.
     size: usize,
@@ -11,7 +11,7 @@ pub(super) struct Recent<K, V> {
     size_of: fn(&K) -> usize,
 }
 
-impl<K, V: Clone> Recent<K, V> {
+impl<K, V: Clone> Lru<K, V> {
     pub const fn new(most: usize, size_of: fn(&K) -> usize) -> Self {
         Self { entries: VecDeque::new(), size: 0, most, size_of }
     }
@@ -53,7 +53,7 @@ mod tests {
 
     #[test]
     fn what_was_used_longest_ago_makes_room() {
-        let mut recent = Recent::new(10, |size: &usize| *size);
+        let mut recent = Lru::new(10, |size: &usize| *size);
         let same = |a: &usize, b: &usize| a == b;
         recent.keep(4, "four", same);
         recent.keep(5, "five", same);

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use super::group::Group;
-use super::seats::Seats;
+use super::lane_layout::LaneLayout;
 use crate::error::Result;
 use crate::model::memory::check_spaces;
 use crate::model::Model;
@@ -21,7 +21,7 @@ const WORTH_WAKING: u64 = 60_000;
 /// Groups are handed out in portions, so many a thread, so that all end together.
 const PORTIONS: usize = 16;
 
-pub(super) struct Crew<R: Real> {
+pub(super) struct Workers<R: Real> {
     pool: Option<Arc<Pool>>,
     /// No more than can have work.
     pub threads: usize,
@@ -31,17 +31,17 @@ pub(super) struct Crew<R: Real> {
     cost: AtomicU64,
 }
 
-impl<R: Real> Crew<R> {
+impl<R: Real> Workers<R> {
     pub fn new(
         models: &[Arc<Model>],
         settings: &Settings,
-        seats: &Seats,
+        layout: &LaneLayout,
         worlds: usize,
         threads: usize,
     ) -> Result<Self> {
-        let threads = threads.min(seats.groups());
+        let threads = threads.min(layout.groups());
         let mut groups = vec![0; models.len()];
-        (0..seats.groups()).for_each(|group| groups[seats.model(group)] += 1);
+        (0..layout.groups()).for_each(|group| groups[layout.model(group)] += 1);
         let space =
             |model: &Arc<Model>| Ok(Watched::new(model.clone(), settings.clone())?.among(worlds));
         for (model, groups) in models.iter().zip(&groups) {
@@ -77,11 +77,11 @@ impl<R: Real> Crew<R> {
         &self,
         groups: &mut [Group<R>],
         steps: u64,
-        work: impl Fn(&mut Desk<R>, usize, &mut Group<R>) + Sync,
+        work: impl Fn(&mut Workspace<R>, usize, &mut Group<R>) + Sync,
     ) {
-        self.share_portions(groups, steps, false, |desk, first, portion| {
+        self.share_portions(groups, steps, false, |workspace, first, portion| {
             for (k, group) in portion.iter_mut().enumerate() {
-                work(desk, first + k, group);
+                work(workspace, first + k, group);
             }
         });
     }
@@ -93,7 +93,7 @@ impl<R: Real> Crew<R> {
         groups: &mut [Group<R>],
         steps: u64,
         blocks: bool,
-        work: impl Fn(&mut Desk<R>, usize, &mut [Group<R>]) + Sync,
+        work: impl Fn(&mut Workspace<R>, usize, &mut [Group<R>]) + Sync,
     ) {
         let started = Instant::now();
         let count = groups.len();
@@ -105,12 +105,12 @@ impl<R: Real> Crew<R> {
         };
         let left = Mutex::new(groups.chunks_mut(portion).enumerate());
         let take_all = |_: usize| {
-            let mut desk = Desk { crew: self, held: None };
+            let mut workspace = Workspace { workers: self, held: None };
             loop {
                 // The lock is open again before the work begins.
                 let next = lock(&left).next();
                 let Some((index, portion_of_groups)) = next else { return };
-                work(&mut desk, index * portion, portion_of_groups);
+                work(&mut workspace, index * portion, portion_of_groups);
             }
         };
         let expected = self.cost.load(Ordering::Relaxed).saturating_mul(steps);
@@ -128,10 +128,10 @@ impl<R: Real> Crew<R> {
 /// Worlds below which it costs more to wake threads than to carry all arrays in one.
 const WORTH_CARRYING: usize = 1024;
 
-impl<R: Real> Crew<R> {
+impl<R: Real> Workers<R> {
     /// Lets `work` go through items, so many of them a unit, in portions: what takes little time a
     /// world, and no working space. It is told the unit that each portion begins with.
-    pub fn carry<T: Send>(
+    pub fn transfer<T: Send>(
         &self,
         worlds: usize,
         items: &mut [T],
@@ -158,18 +158,18 @@ impl<R: Real> Crew<R> {
 
 /// Where a thread works: the space of one model at a time, which goes back to the others when it is
 /// done with it.
-pub(super) struct Desk<'a, R: Real> {
-    crew: &'a Crew<R>,
+pub(super) struct Workspace<'a, R: Real> {
+    workers: &'a Workers<R>,
     held: Option<(usize, Watched<R>)>,
 }
 
-impl<R: Real> Desk<'_, R> {
+impl<R: Real> Workspace<'_, R> {
     /// The space of a model.
     pub fn space(&mut self, model: usize) -> &mut Watched<R> {
         if self.held.as_ref().is_none_or(|(held, _)| *held != model) {
             self.put_back();
             // There is one for every thread, or for every group of the model.
-            self.held = lock(&self.crew.spaces[model]).pop().map(|space| (model, space));
+            self.held = lock(&self.workers.spaces[model]).pop().map(|space| (model, space));
         }
         match &mut self.held {
             Some((_, space)) => space,
@@ -179,12 +179,12 @@ impl<R: Real> Desk<'_, R> {
 
     fn put_back(&mut self) {
         if let Some((model, space)) = self.held.take() {
-            lock(&self.crew.spaces[model]).push(space);
+            lock(&self.workers.spaces[model]).push(space);
         }
     }
 }
 
-impl<R: Real> Drop for Desk<'_, R> {
+impl<R: Real> Drop for Workspace<'_, R> {
     fn drop(&mut self) {
         self.put_back();
     }

@@ -4,8 +4,8 @@
 //! other numbers some hundred times. A mesh is known again by its content, so what is kept is to
 //! the bit what would be measured anew.
 
+use super::lru::Lru;
 use super::meshes::Measured;
-use super::recent::Recent;
 use crate::pool::lock;
 use crate::scene::Mesh;
 use std::sync::Mutex;
@@ -13,7 +13,7 @@ use std::sync::Mutex;
 /// The most vertices and faces that are kept of all meshes together: some 100 MB with their hulls.
 const MOST: usize = 1 << 20;
 
-static KEPT: Mutex<Recent<Mesh, Measured>> = Mutex::new(Recent::new(MOST, size));
+static KEPT: Mutex<Lru<Mesh, Measured>> = Mutex::new(Lru::new(MOST, size));
 
 /// What was measured of a mesh with this content, if it is still kept.
 pub fn recalled(mesh: &Mesh) -> Option<Measured> {
