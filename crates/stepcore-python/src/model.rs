@@ -332,7 +332,7 @@ impl Model {
 
     /// Of a heap, how many pairs can meet, by the two kinds of geoms; else None.
     fn heap(&self) -> Option<Vec<(&'static str, &'static str, usize)>> {
-        self.0.heap.as_ref()?;
+        self.0.dynamic_pairs.as_ref()?;
         let meet = self.0.tally().meet;
         Some(meet.into_iter().map(|((a, b), count)| (a.word(), b.word(), count)).collect())
     }

@@ -161,7 +161,7 @@ pub struct Settings {
     /// `noslip_iterations`.
     pub noslip_iterations: u32,
     /// Friction under `solref` holds a contact that sticks by a spring, without creep: see
-    /// `elements/anchor.rs`.
+    /// `elements/stiction.rs`.
     pub stiction: bool,
     /// Islands at rest sleep: see `sleep/`.
     pub sleep: bool,

@@ -132,7 +132,7 @@ impl<R: Real> Sim<R> {
                 "solref or penalty: under the others contacts that adhere are not built yet";
             return Err(Error::value("law", settings.law.name(), limit));
         }
-        if R::LANES > 1 && model.heap.is_some() {
+        if R::LANES > 1 && model.dynamic_pairs.is_some() {
             let limit = "1: the pairs of a heap are found one world at a time";
             return Err(Error::value("lanes", R::LANES, limit));
         }

@@ -4,7 +4,7 @@ use crate::real::Real;
 use crate::room::room;
 
 /// The most rows of a block, which `elements/constraints.rs` sees to: after their impulses stands the
-/// slip of friction that holds (`elements/anchor.rs`).
+/// slip of friction that holds (`elements/stiction.rs`).
 pub const SLIP: usize = 10;
 /// What is kept of a contact's slip: as vectors, by which and about which geom 2 moved [m, rad].
 pub const SLIPS: usize = 6;

@@ -48,7 +48,7 @@ fn run(model: &Arc<Model>, settings: &Settings, threads: usize) -> (Vec<u64>, us
 
 fn same_bits(settings: Settings) {
     let model = Arc::new(Model::compile(&columns()).unwrap());
-    assert!(model.heap.is_some());
+    assert!(model.dynamic_pairs.is_some());
     let (alone, rows, contacts) = run(&model, &settings, 1);
     assert!(rows >= 4096 && contacts >= 1024, "{rows} rows, {contacts} contacts: nothing to share");
     for threads in [2, 3, 5] {

@@ -59,7 +59,7 @@ pub struct Batch<R: Real> {
 /// found one world at a time, so are those who sleep; and Newton's method solves a heap so too.
 pub fn gains_by_lanes(model: &Model, settings: &Settings) -> bool {
     let by_lane = settings.solver == Solver::Newton && any_heap(&model.islands());
-    model.heap.is_none() && !settings.sleep && !by_lane
+    model.dynamic_pairs.is_none() && !settings.sleep && !by_lane
 }
 
 /// Whether worlds of several models fill lanes well enough: those of a model share a register, and

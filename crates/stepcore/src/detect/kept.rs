@@ -7,7 +7,7 @@
 
 use super::broad::{Bounds, Broad, Fixed};
 use crate::error::{Error, Result};
-use crate::model::{Heap, Model, Pair, Span};
+use crate::model::{DynamicPairs, Model, Pair, Span};
 use crate::room::{can_be_had, room};
 
 /// Of a geom's reach: by how much its box is larger on each side.
@@ -34,12 +34,12 @@ room!(Lists: own);
 
 impl Lists {
     pub fn new(model: &Model) -> Self {
-        let own = if model.heap.is_some() { model.dof_lists.clone() } else { vec![] };
+        let own = if model.dynamic_pairs.is_some() { model.dof_lists.clone() } else { vec![] };
         Self { fixed: own.len(), own }
     }
 
     pub fn of<'a>(&'a self, model: &'a Model) -> &'a [usize] {
-        if model.heap.is_some() {
+        if model.dynamic_pairs.is_some() {
             &self.own
         } else {
             &model.dof_lists
@@ -75,7 +75,7 @@ impl Lists {
 /// Pairs that are near, and the boxes that say for how long.
 #[derive(Default)]
 pub(super) struct Kept {
-    /// By place in `Heap::solid`: the boxes at hand; of those that may move also the boxes within
+    /// By place in `DynamicPairs::solid`: the boxes at hand; of those that may move also the boxes within
     /// which the pairs hold.
     boxes: Vec<Bounds>,
     spare: Vec<Bounds>,
@@ -107,7 +107,7 @@ impl Kept {
     pub fn refresh(
         &mut self,
         model: &Model,
-        heap: &Heap,
+        heap: &DynamicPairs,
         lists: &mut Lists,
         guessed: bool,
         bounds: impl Fn(usize) -> Bounds,
@@ -159,7 +159,7 @@ impl Kept {
     fn take_boxes(
         &mut self,
         model: &Model,
-        heap: &Heap,
+        heap: &DynamicPairs,
         guessed: bool,
         bounds: impl Fn(usize) -> Bounds,
     ) {
@@ -199,7 +199,7 @@ impl Kept {
     }
 
     /// Numbers what was found; more than the memory holds is refused, and searched for anew.
-    fn number(&mut self, model: &Model, heap: &Heap) -> Result<()> {
+    fn number(&mut self, model: &Model, heap: &DynamicPairs) -> Result<()> {
         let near = self.broad.found.pairs.len() + self.numbers.len();
         let fits = near <= self.fitting.max(FEW) || can_be_had(near.saturating_mul(NEAR));
         if self.broad.found.full || !fits {
@@ -224,7 +224,7 @@ impl Kept {
     }
 
     /// Makes the boxes within which a search is to hold.
-    fn widen(&mut self, model: &Model, heap: &Heap) {
+    fn widen(&mut self, model: &Model, heap: &DynamicPairs) {
         let fast = !self.served && !self.spare.is_empty() && self.plain == 0;
         self.plain = if fast { PLAIN } else { self.plain.saturating_sub(1) };
         self.served = false;

@@ -126,7 +126,7 @@ impl<R: Real> Detected<R> {
         if on_guess {
             self.swept.sweep(model, placed, settings.dt);
         }
-        if let Some(heap) = &model.heap {
+        if let Some(heap) = &model.dynamic_pairs {
             self.detect_near(model, heap, placed, settings)?;
         } else {
             self.detect_fixed(model, placed, qpos, on_guess);
@@ -155,13 +155,13 @@ impl<R: Real> Detected<R> {
         #[cfg(test)]
         let asks = asks && !self.exhaustive;
         let mut next = 0;
-        while let Some(meeting) = model.meetings.get(next) {
-            if asks && meeting.spheres.far(placed, inside) {
-                next = meeting.next;
+        while let Some(bodies) = model.body_pairs.get(next) {
+            if asks && bodies.spheres.far(placed, inside) {
+                next = bodies.next;
                 continue;
             }
             next += 1;
-            let own = meeting.pairs;
+            let own = bodies.pairs;
             for (pair, spheres) in own.of(&model.pairs).iter().zip(own.of(&model.spheres)) {
                 if asks && spheres.far(placed, inside) {
                     continue;

@@ -6,7 +6,7 @@ use super::kept::Kept;
 use super::swept::Swept;
 use super::{listed, meet, push, rests, Contact, Detected};
 use crate::error::Result;
-use crate::model::{Heap, Model, Pair};
+use crate::model::{DynamicPairs, Model, Pair};
 use crate::place::Placed;
 use crate::pool::{inside, lock, Pool, WORTH_SHARING};
 use crate::real::{Mask, Real};
@@ -23,7 +23,7 @@ impl<R: Real> Detected<R> {
     pub(super) fn detect_near(
         &mut self,
         model: &Model,
-        heap: &Heap,
+        heap: &DynamicPairs,
         placed: &Placed<R>,
         settings: &Settings,
     ) -> Result<()> {

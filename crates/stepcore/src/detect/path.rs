@@ -18,7 +18,7 @@ const PLANES: usize = 32;
 const TURNED: f64 = 0.999;
 
 /// What a way ends at.
-pub(crate) struct Meeting<R: Real> {
+pub(crate) struct TimeOfImpact<R: Real> {
     /// Lanes in which the shapes meet.
     pub met: R::Mask,
     /// Of these, where the normal there is another than the present one.
@@ -61,16 +61,16 @@ fn same<R: Real>(
 
 /// Moves geom 2 of a contact's pair along `way` [m], as geom 1 sees it, in the lanes of `open`,
 /// until they are `near` [m].
-pub(crate) fn meeting<R: Real>(
+pub(crate) fn time_of_impact<R: Real>(
     model: &Model,
     placed: &Placed<R>,
     contact: &Contact<R>,
     way: &V3<R>,
     near: R,
     open: R::Mask,
-) -> Meeting<R> {
+) -> TimeOfImpact<R> {
     let pair = &contact.pair;
-    let mut now = Meeting {
+    let mut now = TimeOfImpact {
         met: open,
         turned: R::Mask::of(false),
         share: R::zero(),

@@ -208,7 +208,7 @@ fn the_broad_phase_finds_what_comparing_all_boxes_finds() {
 fn two_ways<R: Real>(scene: &Scene, settings: &Settings) -> [Sim<R>; 2] {
     [usize::MAX, 0].map(|most| {
         let model = Arc::new(Model::compile_with(scene, most).unwrap());
-        assert_eq!(model.heap.is_some(), most == 0);
+        assert_eq!(model.dynamic_pairs.is_some(), most == 0);
         let mut sim = Sim::new(model, settings.clone()).unwrap();
         sim.rows.live = Some(Live::default());
         sim
@@ -308,7 +308,7 @@ fn numbers_of_pairs_count_up_as_the_list_does() {
     scene.excludes.push([1, 3]);
     scene.pairs.push(ExplicitPair { geom1: 5, geom2: 2, ..ExplicitPair::default() });
     let [list, heap] = [usize::MAX, 0].map(|most| Model::compile_with(&scene, most).unwrap());
-    let numbers = heap.heap.as_ref().unwrap();
+    let numbers = heap.dynamic_pairs.as_ref().unwrap();
     let mut last = None;
     for pair in &list.pairs {
         let number = heap.number(numbers, pair.geom1, pair.geom2);

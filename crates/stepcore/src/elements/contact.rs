@@ -6,11 +6,11 @@
 //! half the regulariser (all four, where neither tangent moves, into one with a quarter),
 //! never dropped, because they carry stiffness.
 
-use super::belt::drift;
+use super::adhesion::Normal;
 use super::constraint::{Constraint, Makings};
 use super::friction::{Axis, Way, Ways, MOST_WAYS};
-use super::sticky::Normal;
-use crate::detect::path::meeting;
+use super::surface_velocity::drift;
+use crate::detect::path::time_of_impact;
 use crate::detect::Contact;
 use crate::model::{Model, Pair, NEAR, NONE};
 use crate::real::{Mask, Real};
@@ -150,7 +150,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// A contact leaves so much of its overlap to later steps [m].
-    fn leave(&mut self, mask: R::Mask, left: R) {
+    fn note_unrecovered(&mut self, mask: R::Mask, left: R) {
         self.unrecovered = R::select(mask, self.unrecovered.max(left), self.unrecovered);
     }
 
@@ -195,14 +195,14 @@ impl<R: Real> Rows<R> {
             let limited = law.at_most(row.velocity, r, most, dt);
             let left = (limited.kd - law.kd) * r * dt * dt;
             law = limited;
-            self.leave(mask, left);
+            self.note_unrecovered(mask, left);
         }
         let (a, velocity) = (self.rows[first].a, self.rows[first].velocity);
         let normal = |least| Normal { law, weight: R::of(weight), least, a, velocity };
         if material.condim == 1 {
             let least = self.least_softness(first, pair);
             law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
-            self.stick(now, contact, pair, (&ways, Set::Interval, first), normal(least));
+            self.apply_adhesion(now, contact, pair, (&ways, Set::Interval, first), normal(least));
             return self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
         }
         if settings.cone == Cone::Elliptic {
@@ -216,19 +216,19 @@ impl<R: Real> Rows<R> {
                 row.lo = R::of(f64::NEG_INFINITY);
             }
             let drift = drift(now, contact, pair, &ways);
-            self.follow(drift.as_ref(), &ways, dt * across.b, (first, false));
+            self.apply_surface_velocity(drift.as_ref(), &ways, dt * across.b, (first, false));
             self.anchor(now, contact, pair, &ways, drift.as_ref(), (first, false));
-            self.stick(now, contact, pair, (&ways, Set::Convex, first), normal(least));
+            self.apply_adhesion(now, contact, pair, (&ways, Set::Convex, first), normal(least));
             return self.close(now, contact, pair, (first, Set::Convex, ways.mu), mask);
         }
         let unmoved = R::Mask::of(weight == 0.0).and(self.rows[first].a.le(R::zero()));
         self.pyramid(now, &ways, first);
-        self.soften(now, contact, (first, &ways), (law, r, unmoved, [a, velocity]), mask);
+        self.fill_pyramid(now, contact, (first, &ways), (law, r, unmoved, [a, velocity]), mask);
     }
 
     /// Fills in the edges from `first` on, at the violation r. `unmoved`: nothing moves the normal,
     /// and its load has no end; [a, velocity]: of the normal, where contacts adhere.
-    pub(super) fn soften(
+    pub(super) fn fill_pyramid(
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
@@ -248,20 +248,27 @@ impl<R: Real> Rows<R> {
             law.fill(row, r, R::of(weight), least, dt);
         }
         if mask.and(unmoved).any() {
-            self.unfold(law, first, edges - edges % 2, unmoved, dt);
+            self.split_unmoved_edges(law, first, edges - edges % 2, unmoved, dt);
         }
         let drift = drift(now, contact, pair, ways);
-        self.follow(drift.as_ref(), ways, dt * law.b, (first, true));
+        self.apply_surface_velocity(drift.as_ref(), ways, dt * law.b, (first, true));
         self.anchor(now, contact, pair, ways, drift.as_ref(), (first, true));
         let normal = Normal { law, weight: R::of(pair.invweight), least, a, velocity };
-        self.stick(now, contact, pair, (ways, Set::Interval, first), normal);
+        self.apply_adhesion(now, contact, pair, (ways, Set::Interval, first), normal);
         self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
     }
 
     /// Makes each pair of edges ±μ J_t, where the normal moves nothing and its load has no end, into
     /// a tangent without bounds and a row that carries the load: as a pair they would be solved by
     /// differences of loads, which leave no digits, and which sweeps never reach.
-    fn unfold(&mut self, law: SolRef<R>, first: usize, edges: usize, unmoved: R::Mask, dt: R) {
+    fn split_unmoved_edges(
+        &mut self,
+        law: SolRef<R>,
+        first: usize,
+        edges: usize,
+        unmoved: R::Mask,
+        dt: R,
+    ) {
         let zero = R::zero();
         let set = |x: &mut R, new: R| *x = R::select(unmoved, new, *x);
         for at in (first..first + edges).step_by(2) {
@@ -337,7 +344,7 @@ impl<R: Real> Rows<R> {
                 let row = &self.rows[first];
                 let guess = self.dot(now.dof_lists, row, &now.placed.guess);
                 let most = push.min(target_at(row, law.regulariser(), guess, most));
-                self.leave(over, (push - most) * R::of(now.settings.dt));
+                self.note_unrecovered(over, (push - most) * R::of(now.settings.dt));
                 push = R::select(over, most, push);
             }
         }
@@ -355,7 +362,7 @@ impl<R: Real> Rows<R> {
             row.lo = R::of(f64::NEG_INFINITY);
         }
         let drift = drift(now, contact, pair, &ways);
-        self.follow(drift.as_ref(), &ways, R::one(), (first, false));
+        self.apply_surface_velocity(drift.as_ref(), &ways, R::one(), (first, false));
         let set = match now.settings.cone {
             Cone::Elliptic => Set::CoulombRound,
             Cone::Pyramidal => Set::CoulombBox,
@@ -374,7 +381,7 @@ impl<R: Real> Rows<R> {
         open: R::Mask,
     ) -> Ahead<R> {
         let way = self.way(now, contact, pair);
-        let met = meeting(now.model, now.placed, contact, &way, R::of(NEAR * size), open);
+        let met = time_of_impact(now.model, now.placed, contact, &way, R::of(NEAR * size), open);
         if met.turned.any() {
             for k in 0..3 {
                 contact.pos[k] = R::select(met.turned, met.pos[k], contact.pos[k]);

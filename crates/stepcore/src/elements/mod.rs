@@ -7,9 +7,8 @@
 
 pub(crate) mod activation;
 pub(crate) mod actuator;
-mod anchor;
+mod adhesion;
 mod applied;
-mod belt;
 mod connect;
 mod constraint;
 pub(crate) mod constraints;
@@ -36,7 +35,8 @@ mod pyramids;
 mod shared_contacts;
 pub(crate) mod spin;
 mod spring;
-mod sticky;
+mod stiction;
+mod surface_velocity;
 mod tendon_friction;
 mod tendon_limit;
 pub(crate) mod tendon_spring;
@@ -98,7 +98,7 @@ pub enum Kind {
     JointEquality,
     /// A tendon's length that follows another's, or stays.
     TendonEquality,
-    /// By the index of its pair of geoms, in a heap by their number (`model/heap.rs`). Part: which of
+    /// By the index of its pair of geoms, in a heap by their number (`model/dynamic_pairs.rs`). Part: which of
     /// the pair's contacts.
     Contact,
 }

@@ -187,7 +187,9 @@ impl Model {
             Kind::Actuator => self.actuators.len(),
             Kind::Sensor => self.sensors.len(),
             Kind::Gravity => 1,
-            Kind::Contact => self.heap.as_ref().map_or(self.pairs.len(), |heap| heap.numbers()),
+            Kind::Contact => {
+                self.dynamic_pairs.as_ref().map_or(self.pairs.len(), |heap| heap.numbers())
+            }
         }
     }
 

@@ -8,8 +8,8 @@
 //! velocities and forces of the same kind in their measure (`friction.rs`), so that one bound holds
 //! for all ways together, Σ (f_j/μ_j)² ≤ f_n²; each has the damper that ends it as fast, γ A_t/A_j.
 
-use super::belt::drift;
 use super::friction::{Way, Ways};
+use super::surface_velocity::drift;
 use crate::detect::Contact;
 use crate::model::{Pair, Span};
 use crate::real::{Mask, Real};

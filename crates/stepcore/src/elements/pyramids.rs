@@ -70,7 +70,7 @@ impl<R: Real> Rows<R> {
             let (row, r) = (self.rows.len(), contact.dist - R::of(material.margin));
             self.push_pyramid(&made, which, pair, mu);
             let law = (spring.at(r), r, nothing.0, nothing.1);
-            self.soften(now, contact, (row, &ways), law, mask);
+            self.fill_pyramid(now, contact, (row, &ways), law, mask);
         }
         true
     }

@@ -14,7 +14,9 @@ impl<R: Real> Rows<R> {
     /// Threads share the rows of so many contacts. Under other laws, and of geoms that adhere, a
     /// contact changes a list, or what the next one reads.
     pub(super) fn shares(&self, now: &Situation<R>, contacts: usize) -> bool {
-        let heap = now.model.heap.is_some() && now.settings.law == Law::SolRef && !now.model.sticks;
+        let heap = now.model.dynamic_pairs.is_some()
+            && now.settings.law == Law::SolRef
+            && !now.model.sticks;
         heap && self.pool.is_some() && contacts >= WORTH_SHARING
     }
 

@@ -2,8 +2,9 @@
 
 use super::slots::Slots;
 use super::{
-    at_qpos0, auto_spring, check, coupling, equalities, fluid, heap, inertia, invweight, linkages,
-    meetings, memory, meshes, pairs, plane, pose, range_separation, tendons, tree, Model, NONE,
+    at_qpos0, auto_spring, body_pairs, check, coupling, dynamic_pairs, equalities, fluid, inertia,
+    invweight, linkages, memory, meshes, pairs, plane, pose, range_separation, tendons, tree,
+    Model, NONE,
 };
 use crate::elements::constraints::makers;
 use crate::error::Result;
@@ -13,10 +14,10 @@ use crate::scene::Scene;
 impl Model {
     /// Compiles a scene, or says which element cannot be compiled and why.
     pub fn compile(scene: &Scene) -> Result<Self> {
-        Self::compiled(scene, heap::most_fixed)
+        Self::compiled(scene, dynamic_pairs::most_fixed)
     }
 
-    /// The same, where up to so many pairs are listed: see `heap.rs`.
+    /// The same, where up to so many pairs are listed: see `dynamic_pairs.rs`.
     pub fn compile_with(scene: &Scene, most_fixed: usize) -> Result<Self> {
         Self::compiled(scene, |_| most_fixed)
     }
@@ -41,7 +42,7 @@ impl Model {
         let mut unions = tree::Unions::default();
         let most = most_fixed(&model);
         if !pairs::fill(scene, &mut model, &poses, &mut unions, most)? {
-            heap::fill(scene, &mut model, &poses)?;
+            dynamic_pairs::fill(scene, &mut model, &poses)?;
         }
         equalities::fill(scene, &mut model, &poses, &mut unions);
         let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
@@ -63,7 +64,7 @@ impl Model {
         coupling::fill(&mut model);
         model.slots = Slots::of(&model);
         range_separation::fill(&mut model);
-        meetings::fill(&mut model);
+        body_pairs::fill(&mut model);
         model.places = model.find_places();
         model.makers = makers(&model);
         Ok(model)

@@ -5,19 +5,19 @@
 
 mod at_qpos0;
 mod auto_spring;
+mod body_pairs;
 mod build;
 mod check;
 mod coupling;
+mod dynamic_pairs;
 mod equalities;
 mod fixed_tangents;
 pub(crate) mod fluid;
-mod heap;
 mod inertia;
 mod invweight;
 mod linkages;
 mod lru;
 mod material;
-mod meetings;
 pub(crate) mod memory;
 mod mesh_cache;
 mod meshes;
@@ -39,12 +39,12 @@ pub mod transmission;
 mod tree;
 mod union;
 
+pub use body_pairs::{BodyPair, Spheres};
+pub use dynamic_pairs::DynamicPairs;
+pub(crate) use dynamic_pairs::MANY as MANY_TREES;
 pub use equalities::{Coupling, Ends, Equality, Tie};
-pub use heap::Heap;
-pub(crate) use heap::MANY as MANY_TREES;
 pub use linkages::{Linkage, Moved};
 pub use material::Material;
-pub use meetings::{Meeting, Spheres};
 pub use pair_counts::Tally;
 pub use pairs::Never;
 pub use plane::{FlatGeom, Plane};
@@ -271,7 +271,7 @@ pub struct Pair {
     pub slot: usize,
     /// Sum of both bodies' translational invweight.
     pub invweight: f64,
-    /// Into `Model::dof_lists`: union of both bodies' chains, ascending. In a heap: see `Heap`.
+    /// Into `Model::dof_lists`: union of both bodies' chains, ascending. In a heap: see `DynamicPairs`.
     pub dofs: Span,
     /// Mass of the trees that the contact touches, for residuals.
     pub mass: f64,
@@ -340,9 +340,9 @@ pub struct Model {
     pub pairs: Vec<Pair>,
     /// By pair, and by two bodies: what a step asks of them first.
     pub spheres: Vec<Spheres>,
-    pub meetings: Vec<Meeting>,
+    pub body_pairs: Vec<BodyPair>,
     /// There are too many pairs that could meet for a list of them.
-    pub heap: Option<Heap>,
+    pub dynamic_pairs: Option<DynamicPairs>,
     pub materials: Vec<Material>,
     /// Geoms of explicit pairs, the smaller index first: they are no candidates beside that.
     pub explicit: HashSet<(usize, usize)>,
@@ -398,7 +398,7 @@ impl Model {
     /// Some of its geoms can meet.
     #[inline(always)]
     pub(crate) fn meets(&self) -> bool {
-        self.heap.is_some() || !self.pairs.is_empty()
+        self.dynamic_pairs.is_some() || !self.pairs.is_empty()
     }
 
     /// One free joint and nothing jointed on it, the mass a ball's about the joint's own

@@ -1,7 +1,7 @@
 //! The numbers by which whatever can have rows is known from step to step: one slot each,
 //! in the order in which their rows are made.
 
-use super::heap::MOST_TOUCHES;
+use super::dynamic_pairs::MOST_TOUCHES;
 use super::{Model, Pair, Span, NONE};
 use crate::elements::{Element, Kind};
 use std::ops::Range;

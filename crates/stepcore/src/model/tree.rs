@@ -46,7 +46,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         fluid: Fluid::default(),
         sensors: scene.sensors.clone(),
         pairs: vec![],
-        heap: None,
+        dynamic_pairs: None,
         materials: vec![],
         explicit: scene
             .pairs
@@ -56,7 +56,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         excludes: scene.excludes.iter().map(|[a, b]| (*a.min(b), *a.max(b))).collect(),
         guards: vec![],
         spheres: vec![],
-        meetings: vec![],
+        body_pairs: vec![],
         equalities: vec![],
         actuators: scene.actuators.clone(),
         keys: scene.keys.clone(),

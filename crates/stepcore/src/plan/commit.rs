@@ -10,7 +10,7 @@ impl Plan {
     pub(super) fn commit(&mut self, model: &Model, settings: &Settings) {
         let trees = || (0..model.trees.len()).collect::<Vec<_>>();
         let solver = settings.solver.name();
-        if model.heap.is_some() {
+        if model.dynamic_pairs.is_some() {
             let name =
                 format!("impulses: {solver} (by island of what touches, one world at a time)");
             self.does("solve", name, Of::Tree, trees());
@@ -23,7 +23,8 @@ impl Plan {
         if settings.law == Law::SolRef {
             let rubs = |pair: usize| model.material(&model.pairs[pair]).condim > 1;
             let [rubbing, _] = split(model.pairs.len(), rubs);
-            let meet: usize = model.heap.as_ref().map_or(0, |_| model.tally().meet.values().sum());
+            let meet: usize =
+                model.dynamic_pairs.as_ref().map_or(0, |_| model.tally().meet.values().sum());
             let count = rubbing.len().max(meet);
             let sweeps = settings.noslip_iterations;
             if sweeps > 0 {

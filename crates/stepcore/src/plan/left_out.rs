@@ -36,7 +36,7 @@ impl Model {
     /// Pairs of geoms that were not made candidates, by reason. Geoms without any bit, which
     /// only draw or weigh, are not looked at.
     pub fn unmet(&self) -> BTreeMap<Never, Unmet> {
-        if self.heap.is_some() {
+        if self.dynamic_pairs.is_some() {
             return self.tally().never;
         }
         let mut found: BTreeMap<Never, Unmet> = BTreeMap::new();

@@ -8,7 +8,7 @@ use crate::settings::{Law, Settings};
 
 impl Plan {
     pub(super) fn pairs(&mut self, model: &Model, settings: &Settings) {
-        if model.heap.is_some() {
+        if model.dynamic_pairs.is_some() {
             for ((one, two), count) in model.tally().meet {
                 let name = format!("{}-{} pairs, found as they come near", one.word(), two.word());
                 let why = "a heap: too many pairs could meet for a list of them".into();

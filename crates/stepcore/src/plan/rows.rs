@@ -75,7 +75,7 @@ impl Plan {
 
     fn contacts(&mut self, model: &Model, settings: &Settings) {
         let (law, cone) = (settings.law, settings.cone);
-        if model.heap.is_some() && law != Law::Penalty {
+        if model.dynamic_pairs.is_some() && law != Law::Penalty {
             // The contacts of a heap, and their rows, are known only during the run.
             let name = format!("contacts of what touches ({} cone)", cone.name());
             let count = model.tally().meet.values().sum();

@@ -89,7 +89,8 @@ pub(super) fn trace(
 fn plain(model: &Model, settings: &Settings) -> bool {
     let kinds =
         |joint: &crate::model::Joint| matches!(joint.kind, JointType::Slide | JointType::Hinge);
-    let small = model.nv <= MOST_DOFS && model.pairs.len() <= MOST_PAIRS && model.heap.is_none();
+    let small =
+        model.nv <= MOST_DOFS && model.pairs.len() <= MOST_PAIRS && model.dynamic_pairs.is_none();
     let alone = model.actuators.is_empty()
         && model.tendons.is_empty()
         && model.linkages.is_empty()

@@ -1,7 +1,7 @@
 //! Any convex shape against any other: the pairs that have no closed form.
 
 use super::by_lane::{empty, OneWorld};
-use super::manifold::{Meeting, MOST};
+use super::manifold::{ContactPatch, MOST};
 use super::separation::{normal, Pairing, Separation};
 use super::solid::{plain, Core, Solid};
 use super::touch::{Touch, Touches};
@@ -86,7 +86,7 @@ pub fn contacts<R: Real, const N: usize>(
     let between = two.pose.pos - one.pose.pos;
     let normal = normal(found, one, two, &between);
     let size = one.extent() + two.extent();
-    let manifold = Meeting { one: *one, two: *two, between, normal, size }.manifold(found, N);
+    let manifold = ContactPatch { one: *one, two: *two, between, normal, size }.manifold(found, N);
     let (near, far) = (R::of(one.radius), R::of(two.radius));
     let mut out = [empty(); N];
     for (to, point) in out.iter_mut().zip(&manifold.points[..manifold.count]) {

@@ -39,7 +39,7 @@ pub struct Manifold<R: Real> {
 }
 
 /// What two shapes see of each other.
-pub struct Meeting<'a, R: Real> {
+pub struct ContactPatch<'a, R: Real> {
     pub one: Solid<'a, R>,
     pub two: Solid<'a, R>,
     /// From one's centre to two's.
@@ -89,7 +89,7 @@ fn name(kind: u32, one: usize, two: usize) -> u32 {
     (mixed ^ mixed >> 13) & 0x00FF_FFFF
 }
 
-impl<R: Real> Meeting<'_, R> {
+impl<R: Real> ContactPatch<'_, R> {
     /// The contacts: at most `most`.
     pub fn manifold(&self, found: &Separation, most: usize) -> Manifold<R> {
         let mut deepest = self.deepest(found);

@@ -9,7 +9,6 @@ pub(crate) mod dofs;
 mod dot;
 mod edges;
 mod few;
-mod first;
 mod free;
 mod islands;
 pub(crate) mod law;
@@ -23,6 +22,7 @@ mod proximal;
 mod relative;
 mod residual;
 pub(crate) mod rows;
+mod saved_solve;
 mod solver;
 mod square;
 #[cfg(test)]

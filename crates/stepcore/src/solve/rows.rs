@@ -8,10 +8,10 @@
 use super::direct::Direct;
 use super::dofs::{any_heap, island_dofs};
 use super::dot::dot;
-use super::first::First;
 use super::free::Free;
 use super::live::Live;
 use super::relative::WIDE;
+use super::saved_solve::SavedSolve;
 use crate::clock::Clock;
 use crate::elements::friction::MOST_WAYS;
 use crate::elements::{Element, Role};
@@ -216,7 +216,7 @@ pub struct Rows<R: Real> {
     /// v̂, while rows are made.
     pub(crate) guess: Vec<R>,
     pub(crate) direct: Direct<R>,
-    pub(crate) first: First<R>,
+    pub(crate) saved_solve: SavedSolve<R>,
     /// Some island may hold so many trees that the order of elimination matters.
     pub(super) heap: bool,
     /// By tree: see `Model::islands`.
@@ -234,7 +234,7 @@ pub struct Rows<R: Real> {
 
 room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, ways, guess, islands, island_dofs,
     ranks;
-    direct, first, live, parts);
+    direct, saved_solve, live, parts);
 
 /// The guess, along a row.
 pub(crate) struct Guessed<R: Real> {
@@ -279,7 +279,7 @@ impl<R: Real> Situation<'_, R> {
 impl<R: Real> Rows<R> {
     pub fn new(model: &Model) -> Self {
         let islands = model.islands();
-        let heap = model.heap.is_some() || any_heap(&islands);
+        let heap = model.dynamic_pairs.is_some() || any_heap(&islands);
         Self {
             rows: Vec::new(),
             blocks: Vec::new(),
@@ -293,10 +293,10 @@ impl<R: Real> Rows<R> {
             ways: Vec::new(),
             guess: vec![R::zero(); model.nv],
             direct: Direct::new(model.nv),
-            first: First::new(model.nv),
+            saved_solve: SavedSolve::new(model.nv),
             ranks: model.ranks(&islands),
             heap,
-            live: model.heap.is_some().then(Live::default),
+            live: model.dynamic_pairs.is_some().then(Live::default),
             island_dofs: if heap { Vec::new() } else { island_dofs(model, &islands) },
             islands,
             parts: Vec::new(),
@@ -319,7 +319,7 @@ impl<R: Real> Rows<R> {
             guess: u.clone(),
             unrecovered: R::zero(),
             direct: Direct::new(nv),
-            first: First::new(nv),
+            saved_solve: SavedSolve::new(nv),
             heap: false,
             u,
             islands: Vec::new(),

@@ -89,7 +89,7 @@ impl<R: Real> Sim<R> {
 impl<R: Real> Rows<R> {
     /// Friction targets of the block that is next follow the surfaces: rate × drift less. Rows from
     /// `first` on are edges in pairs, or else a normal and its ways.
-    pub(super) fn follow(
+    pub(super) fn apply_surface_velocity(
         &mut self,
         drift: Option<&Drift<R>>,
         ways: &Ways,
@@ -99,12 +99,12 @@ impl<R: Real> Rows<R> {
         let Some(drift) = drift else { return };
         let measure = if edges { rate * R::of(ways.mu) } else { rate };
         for (way, drift) in drift.iter().enumerate().take(ways.list().len()) {
-            self.lean(way, measure * *drift, (first, edges));
+            self.shift_target(way, measure * *drift, (first, edges));
         }
     }
 
     /// Takes `by` from the target of a way of friction: from its row, or from its two edges.
-    pub(super) fn lean(&mut self, way: usize, by: R, (first, edges): (usize, bool)) {
+    pub(super) fn shift_target(&mut self, way: usize, by: R, (first, edges): (usize, bool)) {
         if !edges {
             self.rows[first + 1 + way].t -= by;
             return;

@@ -15,15 +15,15 @@ struct Held<R: Real> {
 }
 
 /// The first solve.
-pub struct First<R: Real> {
+pub struct SavedSolve<R: Real> {
     rows: Vec<Held<R>>,
     masks: Vec<R::Mask>,
     u: Vec<R>,
 }
 
-room!(First<R>: rows, masks, u;);
+room!(SavedSolve<R>: rows, masks, u;);
 
-impl<R: Real> First<R> {
+impl<R: Real> SavedSolve<R> {
     pub fn new(nv: usize) -> Self {
         Self { rows: Vec::new(), masks: Vec::new(), u: vec![R::zero(); nv] }
     }
@@ -32,24 +32,24 @@ impl<R: Real> First<R> {
 impl<R: Real> Rows<R> {
     /// Before the first solve, with the impulses that it starts from.
     pub(crate) fn begin_first(&mut self) {
-        self.first.rows.clear();
-        self.first.rows.extend(self.rows.iter().map(|row| Held {
+        self.saved_solve.rows.clear();
+        self.saved_solve.rows.extend(self.rows.iter().map(|row| Held {
             t: row.t,
             c: row.c,
             inv_s: row.inv_s,
             start: row.impulse,
             impulse: row.impulse,
         }));
-        self.first.masks.clear();
-        self.first.masks.extend(self.blocks.iter().map(|block| block.mask));
+        self.saved_solve.masks.clear();
+        self.saved_solve.masks.extend(self.blocks.iter().map(|block| block.mask));
     }
 
     /// After the first solve: every row starts again, from û = `guess` and from what of its
     /// impulse lasted from the step before; an impact's did not.
     pub(crate) fn begin_second(&mut self, dof_lists: &[usize], inv_d: &[R], guess: &[R]) {
-        self.first.u.copy_from_slice(&self.u);
+        self.saved_solve.u.copy_from_slice(&self.u);
         self.u.copy_from_slice(guess);
-        for (row, held) in self.rows.iter_mut().zip(&mut self.first.rows) {
+        for (row, held) in self.rows.iter_mut().zip(&mut self.saved_solve.rows) {
             held.impulse = row.impulse;
             let lasting = R::select(
                 held.start.lt(R::zero()),
@@ -68,13 +68,13 @@ impl<R: Real> Rows<R> {
 
     /// What a row gave in the first solve.
     pub(crate) fn first_impulse(&self, row: usize) -> R {
-        self.first.rows[row].impulse
+        self.saved_solve.rows[row].impulse
     }
 
     /// A regulariser goes by the sum of both impulses: J v + c (λ₁ + λ₂) = t. The first solve had
     /// 2c, as both halves of a lasting force are equal.
     pub(crate) fn soften_second(&mut self, row: usize) {
-        let given = self.first.rows[row].impulse;
+        let given = self.saved_solve.rows[row].impulse;
         let row = &mut self.rows[row];
         let soft = row.c.gt(R::zero());
         let c = R::of(0.5) * row.c;
@@ -85,16 +85,16 @@ impl<R: Real> Rows<R> {
 
     /// After the second solve: rows are the first's again, and keep the second's impulse beside.
     pub(crate) fn end_second(&mut self) {
-        for (block, mask) in self.blocks.iter_mut().zip(&self.first.masks) {
+        for (block, mask) in self.blocks.iter_mut().zip(&self.saved_solve.masks) {
             for row in &mut self.rows[block.rows.range()] {
                 row.beside += R::select(block.mask, row.impulse, R::zero());
             }
             block.mask = *mask;
         }
-        for (row, held) in self.rows.iter_mut().zip(&self.first.rows) {
+        for (row, held) in self.rows.iter_mut().zip(&self.saved_solve.rows) {
             (row.t, row.c, row.inv_s) = (held.t, held.c, held.inv_s);
             row.impulse = held.impulse;
         }
-        self.u.copy_from_slice(&self.first.u);
+        self.u.copy_from_slice(&self.saved_solve.u);
     }
 }

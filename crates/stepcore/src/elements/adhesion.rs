@@ -68,7 +68,7 @@ impl<R: Real> Placed<R> {
 
 impl<R: Real> Rows<R> {
     /// Lets the contact whose rows begin at `first` and are made pull.
-    pub(super) fn stick(
+    pub(super) fn apply_adhesion(
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,

@@ -29,25 +29,25 @@ const RUN: usize = 4;
 /// Consecutive pairs of the same two bodies, or those of them that share their first geom, and a
 /// sphere about what each of the two has in them.
 #[derive(Clone, Copy, Debug)]
-pub struct Meeting {
+pub struct BodyPair {
     pub spheres: Spheres,
-    /// Into `Model::pairs`; none where they are in the meetings that follow.
+    /// Into `Model::pairs`; none where they are in the body_pairs that follow.
     pub pairs: Span,
-    /// Of the next meeting that is no part of this one.
+    /// Of the next pair that is no part of this one.
     pub next: usize,
 }
 
-/// Sets `Model::spheres` and `Model::meetings`.
+/// Sets `Model::spheres` and `Model::body_pairs`.
 pub fn fill(model: &mut Model) {
     model.spheres = model.pairs.iter().map(|pair| of_pair(model, pair)).collect();
-    let mut meetings = vec![];
+    let mut body_pairs = vec![];
     let mut start = 0;
     let mut add = |start: usize, pairs: usize, len: usize, parts: usize| {
         let all = Span { start, len: pairs };
         let own = all.of(&model.pairs);
-        let next = meetings.len() + 1 + parts;
+        let next = body_pairs.len() + 1 + parts;
         let spheres = of_bodies(model, own, sorted(model, &own[0]));
-        meetings.push(Meeting { spheres, pairs: Span { start, len }, next });
+        body_pairs.push(BodyPair { spheres, pairs: Span { start, len }, next });
     };
     for own in model.pairs.chunk_by(|a, b| sorted(model, a) == sorted(model, b)) {
         let runs = || own.chunk_by(|a, b| a.geom1 == b.geom1);
@@ -64,7 +64,7 @@ pub fn fill(model: &mut Model) {
         }
         start += own.len();
     }
-    model.meetings = meetings;
+    model.body_pairs = body_pairs;
 }
 
 /// The two bodies of a pair, the smaller first: geoms stand in the order of their types.

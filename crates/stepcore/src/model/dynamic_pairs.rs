@@ -21,7 +21,7 @@ use std::collections::{HashMap, HashSet};
 /// Pairs up to which all are listed.
 const MOST_FIXED: usize = 2000;
 /// The same where fewer than `MANY` trees move: a body of theirs is near few others, and most pairs
-/// are passed over by twos of bodies (`meetings.rs`).
+/// are passed over by twos of bodies (`body_pairs.rs`).
 const MOST_OF_FEW: usize = 20_000;
 /// So many trees that the contacts between them decide what is solved together.
 pub const MANY: usize = 8;
@@ -37,7 +37,7 @@ const KINDS: usize = 8;
 
 /// What all pairs that could meet share.
 #[derive(Clone, Debug)]
-pub struct Heap {
+pub struct DynamicPairs {
     /// Geoms that may meet some other: ascending those that may move, then those that never do.
     pub solid: Vec<usize>,
     /// How many of them may move.
@@ -94,7 +94,7 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose]) -> Result<()> {
     }
     let kinds: [_; KINDS] = KIND;
     let tests = kinds.map(|one| kinds.map(|two| ShapeTest::of(one, two)));
-    let mut heap = Heap {
+    let mut heap = DynamicPairs {
         solid: vec![],
         moving: 0,
         listed: scene.geoms.iter().map(|geom| listed(scene, geom)).collect(),
@@ -121,7 +121,7 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose]) -> Result<()> {
         model.geoms[geom].by_axis = false;
     }
     heap.find_still(model, poses);
-    model.heap = Some(heap);
+    model.dynamic_pairs = Some(heap);
     Ok(())
 }
 
@@ -165,7 +165,7 @@ fn listed(scene: &Scene, geom: &Geom) -> f64 {
 
 /// Geoms that share a bit with a geom of another body, unless both are of bodies that never move;
 /// every two kinds that can meet have a test.
-fn solid(model: &Model, heap: &Heap) -> Result<Vec<usize>> {
+fn solid(model: &Model, heap: &DynamicPairs) -> Result<Vec<usize>> {
     // One geom for each kind and set of bits, of what moves and of what does not, stands for all of
     // them.
     let mut groups: HashMap<(GeomType, u32, u32, bool), (usize, bool)> = HashMap::new();
@@ -201,7 +201,7 @@ fn solid(model: &Model, heap: &Heap) -> Result<Vec<usize>> {
     Ok((0..model.geoms.len()).filter(solid).collect())
 }
 
-impl Heap {
+impl DynamicPairs {
     /// Slots are counted in 64 bits.
     fn check_numbers(&self, model: &Model) -> Result<()> {
         let (bodies, most) = (model.bodies.len() as u128, self.most as u128);
@@ -261,7 +261,7 @@ impl Heap {
 
 impl Model {
     /// The number of a pair of a heap; None where the two never meet.
-    pub(crate) fn number(&self, heap: &Heap, a: usize, b: usize) -> Option<u64> {
+    pub(crate) fn number(&self, heap: &DynamicPairs, a: usize, b: usize) -> Option<u64> {
         let (one, two) = (self.geoms[a].body, self.geoms[b].body);
         let own = !heap.explicit.is_empty() && self.explicit.contains(&(a.min(b), a.max(b)));
         let never = if own {
@@ -285,7 +285,7 @@ impl Model {
     }
 
     /// A pair of a heap by its number, without its dofs.
-    pub(crate) fn near_pair(&self, heap: &Heap, number: u64, a: usize, b: usize) -> Pair {
+    pub(crate) fn near_pair(&self, heap: &DynamicPairs, number: u64, a: usize, b: usize) -> Pair {
         let (a, b) = self.ordered(a, b);
         let (x, y) = (&self.geoms[a], &self.geoms[b]);
         let classes = [a, b].map(|geom| heap.class[geom] as usize);
@@ -313,7 +313,7 @@ impl Model {
 
     /// The two geoms of a contact's element; None: there is no such pair.
     pub fn contact_geoms(&self, index: usize) -> Option<(usize, usize)> {
-        let Some(heap) = &self.heap else {
+        let Some(heap) = &self.dynamic_pairs else {
             return self.pairs.get(index).map(|pair| (pair.geom1, pair.geom2));
         };
         let square = heap.most * heap.most;
@@ -331,7 +331,7 @@ impl Model {
     /// A pair that could meet, by the index of its contacts' element; None: there is no such pair.
     /// In a heap it has no dofs.
     pub fn pair(&self, index: usize) -> Option<Pair> {
-        match &self.heap {
+        match &self.dynamic_pairs {
             None => self.pairs.get(index).copied(),
             Some(heap) => {
                 let (a, b) = self.contact_geoms(index)?;

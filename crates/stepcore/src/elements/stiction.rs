@@ -15,8 +15,8 @@
 //! length, and turns about the normal with the flatter of the two geoms: a ball that spins on a table
 //! does not wind it up.
 
-use super::belt::Drift;
 use super::friction::{Axis, Way, Ways, MOST_WAYS};
+use super::surface_velocity::Drift;
 use crate::detect::Contact;
 use crate::model::{Pair, NONE};
 use crate::real::{Mask, Real};
@@ -62,7 +62,7 @@ impl<R: Real> Rows<R> {
         let mu = R::of(ways.mu);
         for (k, slip) in anchor.along.iter().enumerate().take(ways.list().len()) {
             let by = if edges { pull * (mu * *slip) } else { pull * *slip };
-            self.lean(k, by, (first, edges));
+            self.shift_target(k, by, (first, edges));
         }
         self.anchors.push(anchor);
     }
