@@ -110,6 +110,7 @@ class Settings:
         acceleration: _Acceleration = "none",
         sweeps: int | Literal["auto"] = 100,
         tolerance: float = 1e-10,
+        cost_tolerance: float = 0.0,
         warm_start: bool = True,
         precision: _Precision = "f64",
         max_contacts: int = 0,
@@ -125,6 +126,7 @@ class Settings:
         cone: _Cone = "pyramidal",
         impratio: float = 1.0,
         noslip_iterations: int = 0,
+        noslip_tolerance: float = 0.0,
         stiction: bool = False,
         sleep: bool = False,
         sleep_tolerance: float = 1e-3,
@@ -170,6 +172,12 @@ class Settings:
     @property
     def tolerance(self) -> float:
         """Residual at which a solve stops [m/s], >= 0; 0 always takes all sweeps."""
+
+    @property
+    def cost_tolerance(self) -> float:
+        """MuJoCo's tolerance: projected Gauss-Seidel under "solref" with a number of sweeps stops
+        after a sweep that lowers the cost by less than this share of the trace of the mass matrix
+        [m²/s⁴], >= 0; 0 for none, as in scenes that are not MJCF files."""
 
     @property
     def warm_start(self) -> bool:
@@ -236,6 +244,12 @@ class Settings:
         """Sweeps over friction rows alone, with a regulariser of 0, after each solve under
         "solref": MuJoCo's noslip. 0 for none.
         """
+
+    @property
+    def noslip_tolerance(self) -> float:
+        """MuJoCo's noslip_tolerance: noslip stops after a sweep that lowers the cost by less than
+        this share of the trace of the mass matrix [m²/s⁴], >= 0; 0 for none, as in scenes that are
+        not MJCF files."""
 
     @property
     def stiction(self) -> bool:

@@ -20,6 +20,7 @@ class SettingsFields(TypedDict, total=False):
     acceleration: str
     sweeps: int | str
     tolerance: float
+    cost_tolerance: float
     warm_start: bool
     precision: str
     max_contacts: int
@@ -35,6 +36,7 @@ class SettingsFields(TypedDict, total=False):
     cone: str
     impratio: float
     noslip_iterations: int
+    noslip_tolerance: float
     stiction: bool
     sleep: bool
     sleep_tolerance: float

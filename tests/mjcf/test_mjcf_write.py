@@ -171,7 +171,8 @@ def test_every_setting_comes_back() -> None:
         **{"sweeps": 7, "tolerance": 1e-7, "warm_start": False, "precision": "f32", "beta": 0.3},
         **{"max_contacts": 9, "law": "penalty", "softness": 0.5, "restitution": 0.1, "slop": 1e-4},
         **{"penalty_stiffness": 1e3, "penalty_damping_ratio": 0.7, "cone": "elliptic"},
-        **{"impratio": 3.0, "refsafe": False, "noslip_iterations": 5},
+        **{"impratio": 3.0, "refsafe": False, "noslip_iterations": 5, "noslip_tolerance": 1e-4},
+        **{"cost_tolerance": 1e-6},
     }
     for name, value in Settings().as_dict().items():
         changed = Settings(**{name: other.get(name, not value if value in (0, 1) else value)})

@@ -128,16 +128,19 @@ def test_the_override_is_mujocos(seed, cone):
         assert_forces_are(sim, data)
 
 
-@pytest.mark.parametrize("iterations", [1, 3, 20])
+@pytest.mark.parametrize(
+    ("iterations", "tolerance"), [(1, 0), (3, 0), (20, 0), (60, 1e-3), (60, 1e-6)]
+)
 @pytest.mark.parametrize("cone", CONES)
 @pytest.mark.parametrize("seed", range(10))
-def test_noslip_is_mujocos(seed, cone, iterations):
-    """After the same number of sweeps over friction.
+def test_noslip_is_mujocos(seed, cone, iterations, tolerance):
+    """After the same number of sweeps over friction, given or as many as the tolerance asks.
 
     Without the pair between which a hinge lets nothing move along one tangent: there MuJoCo keeps
     the friction of the main solve (a determinant below 1e-10), and noslip here solves the rest.
     """
-    option = f'noslip_iterations="{iterations}" noslip_tolerance="0"'
+    option = f'noslip_iterations="{iterations}" noslip_tolerance="{tolerance}"'
     sim, _, data = both(scene_text(seed, cone, option, kin=False), seed)
     assert sim.settings.noslip_iterations == iterations
+    assert sim.settings.noslip_tolerance == tolerance
     assert_forces_are(sim, data, rel=1e-8)

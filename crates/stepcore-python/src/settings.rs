@@ -187,6 +187,10 @@ settings! {
     sweeps: Sweeps,
     /// Residual at which a solve stops [m/s], >= 0; 0 always takes all sweeps.
     tolerance: f64,
+    /// MuJoCo's tolerance: projected Gauss-Seidel under "solref" with a number of sweeps stops after
+    /// a sweep that lowers the cost by less than this share of the trace of the mass matrix
+    /// [m²/s⁴], >= 0; 0 for none, as in scenes that are not MJCF files.
+    cost_tolerance: f64,
     /// Whether a solve starts from the impulses of the last step.
     warm_start: bool,
     /// Precision of the computation: "f64" or "f32".
@@ -220,6 +224,10 @@ settings! {
     /// Sweeps over friction rows alone, with a regulariser of 0, after each solve under "solref":
     /// MuJoCo's noslip. 0 for none.
     noslip_iterations: u32,
+    /// MuJoCo's noslip_tolerance: noslip stops after a sweep that lowers the cost by less than this
+    /// share of the trace of the mass matrix [m²/s⁴], >= 0; 0 for none, as in scenes that are not
+    /// MJCF files.
+    noslip_tolerance: f64,
     /// Whether friction under "solref" holds a contact that sticks by a tangential spring as
     /// stiff as the contact's solref, instead of letting it creep. Other laws have no creep.
     stiction: bool,

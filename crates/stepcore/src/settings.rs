@@ -129,6 +129,9 @@ pub struct Settings {
     pub sweeps: Sweeps,
     /// A solve stops at this residual [m/s]; 0: after all sweeps.
     pub tolerance: f64,
+    /// Projected Gauss-Seidel under `solref` stops where a sweep lowers the cost by less: MuJoCo's
+    /// `tolerance`, a share of the trace of the mass matrix [m²/s⁴]; 0: never.
+    pub cost_tolerance: f64,
     /// Start from the last step's impulses.
     pub warm_start: bool,
     /// What the face chooses the engine's `Real` by.
@@ -160,6 +163,9 @@ pub struct Settings {
     /// Sweeps over friction alone, without a regulariser, after each solve under `solref`: MuJoCo's
     /// `noslip_iterations`.
     pub noslip_iterations: u32,
+    /// They end where one of them lowers the cost by less, as `cost_tolerance`: MuJoCo's
+    /// `noslip_tolerance`; 0: never.
+    pub noslip_tolerance: f64,
     /// Friction under `solref` holds a contact that sticks by a spring, without creep: see
     /// `elements/stiction.rs`.
     pub stiction: bool,
@@ -182,6 +188,7 @@ impl Default for Settings {
             acceleration: Acceleration::None,
             sweeps: Sweeps::AtMost(100),
             tolerance: 1e-10,
+            cost_tolerance: 0.0,
             warm_start: true,
             precision: Precision::F64,
             max_contacts: 0,
@@ -197,6 +204,7 @@ impl Default for Settings {
             cone: Cone::Pyramidal,
             impratio: 1.0,
             noslip_iterations: 0,
+            noslip_tolerance: 0.0,
             stiction: false,
             sleep: false,
             sleep_tolerance: 1e-3,
@@ -238,6 +246,15 @@ impl Settings {
         self.warm_start || self.stiction
     }
 
+    /// A tolerance on the cost of accelerations, on that of the impulses of a step [m²/s²].
+    pub(crate) fn cost_floor(&self, tolerance: f64) -> f64 {
+        if self.law == Law::SolRef {
+            tolerance * self.dt * self.dt
+        } else {
+            0.0
+        }
+    }
+
     /// Checks every field against its limit.
     pub fn check(&self) -> Result<()> {
         let number = |field: &str, value: f64, ok: bool, limit: &str| {
@@ -256,6 +273,11 @@ impl Settings {
         if self.sweeps == Sweeps::Auto {
             let limit = "> 0 m/s with sweeps = 'auto', which stops on it";
             number("tolerance", self.tolerance, self.tolerance > 0.0, limit)?;
+        }
+        for (field, value) in
+            [("cost_tolerance", self.cost_tolerance), ("noslip_tolerance", self.noslip_tolerance)]
+        {
+            number(field, value, value >= 0.0, "finite and >= 0 m²/s⁴")?;
         }
         if self.max_contacts > MOST_CONTACTS {
             let limit = format!("at most {MOST_CONTACTS} (it reserves memory)");

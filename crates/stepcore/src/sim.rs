@@ -20,7 +20,7 @@ use crate::program::Listed;
 use crate::real::{Mask, Real};
 use crate::settings::{Law, Settings, Solver};
 use crate::sleep::Sleeper;
-use crate::solve::{Report, Rows, Solve, Solvers, Unconstrained};
+use crate::solve::{Noslip, Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
 
 /// How the last solve went.
@@ -67,6 +67,7 @@ pub struct Sim<R: Real> {
     /// The next step has been placed, detected and solved already: see `ledger/audit.rs`.
     pub(crate) stands: bool,
     pub(crate) solver: Box<dyn Solve<R>>,
+    noslip: Noslip<R>,
     pub(crate) sleeper: Sleeper<R>,
     /// What makes steps that nobody looks at.
     pub(crate) list: Option<Box<Mutex<Listed<R>>>>,
@@ -111,7 +112,7 @@ impl At {
     }
 }
 
-room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, solver, sleeper, list);
+room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, solver, noslip, sleeper, list);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
@@ -153,6 +154,7 @@ impl<R: Real> Sim<R> {
             next: Next::new(&model, settings.integrator.scheme()),
             stands: false,
             solver,
+            noslip: Noslip::new(),
             sleeper: if settings.sleep { Sleeper::new(&model) } else { Sleeper::off() },
             clock: Clock::new(settings.dt),
             list: None,
@@ -198,6 +200,10 @@ impl<R: Real> Sim<R> {
     pub(crate) fn solve(&mut self) -> Result<()> {
         let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
         let dof_lists = self.detected.dof_lists(model);
+        let slip = self.settings.noslip_tolerance;
+        if self.settings.cost_tolerance + slip > 0.0 {
+            self.rows.weigh_islands(model, &self.placed.mass);
+        }
         let free = Unconstrained { dof_lists, inv_d, guess: &self.placed.guess };
         let report = self.solver.solve(&self.settings, free, &mut self.rows)?;
         if report.interrupted {
@@ -206,7 +212,8 @@ impl<R: Real> Sim<R> {
         self.effort.note(&report, self.rows.rows.len());
         let sweeps = self.settings.noslip_iterations;
         if sweeps > 0 && self.settings.law == Law::SolRef {
-            self.rows.noslip(dof_lists, inv_d, sweeps)?;
+            let cost = self.settings.cost_floor(slip);
+            self.noslip.solve(free, &mut self.rows, sweeps, cost)?;
         }
         Ok(())
     }

@@ -34,7 +34,7 @@ Ref = tuple[float, ...]
 # laws, to laws other than solref, to solref, to scenes with sleep, and to penalty.
 ALWAYS = ("law", "cone", "sleep", "max_recovery_speed")
 VELOCITY_LEVEL = ("beta", "softness", "restitution", "slop")
-SOFT = ("impratio", "noslip_iterations", "stiction")
+SOFT = ("impratio", "noslip_iterations", "noslip_tolerance", "stiction")
 SLEEPING = ("sleep_tolerance", "sleep_time")
 PENALTY = ("penalty_stiffness", "penalty_damping_ratio")
 # Divisors of the solref time constants, in successive steps towards a rigid scene.

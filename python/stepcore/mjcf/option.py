@@ -22,13 +22,14 @@ INTEGRATORS = {
 }
 SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}
 
-# Ignored attributes, which do not change the converged motion.
+# Ignored attributes, which do not change the converged motion; PGS honours its tolerance.
 IGNORED = {
     "tolerance": "MJCF's tolerance is not a residual in m/s, as that of Settings is",
     "ls_tolerance": "the line search is exact",
     "ls_iterations": "the line search is exact",
-    "noslip_tolerance": "noslip always makes all its iterations",
 }
+# The settings of MuJoCo's tolerances, and their MJCF names.
+TOLERANCES = {"cost_tolerance": "tolerance", "noslip_tolerance": "noslip_tolerance"}
 # Flags without effect in stepcore, with the reason.
 FLAG_NOTES = {
     "midphase": "it decides how pairs are found, not which",
@@ -91,19 +92,27 @@ def read(scene: Contents, node: Node) -> None:
             raise bad(node, "sleep_tolerance", values["sleep_tolerance"], ">= 0 m/s")
         options["sleep_tolerance"] = values["sleep_tolerance"]
     _override(scene, values)
-    for name, why in IGNORED.items():
+    for setting, name in TOLERANCES.items():
         if name in values:
+            if values[name] < 0:
+                raise bad(node, name, values[name], ">= 0")
+            options[setting] = values[name]
+    for name, why in IGNORED.items():
+        if name in values and (name, options.get("solver")) != ("tolerance", "pgs"):
             _note(scene, node, f"{name} is ignored: {why}")
     _refuse(node)
     for child in node.children:
         _flags(scene, child)
 
 
-def settle_sleep(scene: Contents, nodes: list[Node]) -> None:
-    """Convert MuJoCo's sleep rule, which counts steps, to time after all sections are read.
+def settle(scene: Contents, nodes: list[Node]) -> None:
+    """Convert what depends on several options after all sections are read.
+
+    These are what MuJoCo's PGS and noslip have by default, and its sleep rule, which counts steps.
 
     nodes: the option sections.
     """
+    scene.options = {**implied(scene.options), **scene.options}
     if not scene.options.get("sleep"):
         return
     flags = [child for node in nodes for child in node.children if "sleep" in child.values]
@@ -113,6 +122,16 @@ def settle_sleep(scene: Contents, nodes: list[Node]) -> None:
         return
     scene.options["sleep_time"] = sleep_time(scene.options.get("dt", Settings().dt))
     _note(scene, flags[-1], SLEEP_NOTE)
+
+
+def implied(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of MuJoCo's PGS and noslip, if asked for, where a file says nothing."""
+    values: dict[str, Any] = {}
+    if options.get("solver") == "pgs":
+        values |= {"acceleration": "momentum", "cost_tolerance": 1e-8}
+    if options.get("noslip_iterations", 0) > 0:
+        values["noslip_tolerance"] = 1e-6
+    return values
 
 
 def sleep_time(dt: float) -> float:
@@ -171,13 +190,15 @@ _WRITTEN: dict[str, tuple[str, dict[str, str]]] = {
 _NUMBERS = {
     **{name: name for name in ("impratio", "noslip_iterations", "sleep_tolerance")},
     **{"dt": "timestep", "sweeps": "iterations"},
+    **TOLERANCES,
 }
 _FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe", "sleep": "sleep"}
 
 
 def to_say(settings: Settings) -> dict[str, Any]:
     """Return the settings that differ from those of a file without settings."""
-    values, unsaid = settings.as_dict(), Settings().as_dict()
+    values = settings.as_dict()
+    unsaid = {**Settings().as_dict(), **implied(values)}
     if settings.sleep:
         unsaid["sleep_time"] = sleep_time(settings.dt)
     return {name: value for name, value in values.items() if value != unsaid[name]}

@@ -198,7 +198,7 @@ def read_sections(
     scene.lengthrange = compiler.lengthrange()
     for node in sections(root, "option"):
         refusals.at(node, lambda node: option.read(scene, node))
-    option.settle_sleep(scene, sections(root, "option"))
+    option.settle(scene, sections(root, "option"))
     for node in sections(root, "worldbody"):
         world.read(node)
     for section, read in SECTIONS.items():

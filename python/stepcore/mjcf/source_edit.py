@@ -16,7 +16,7 @@ from xml.parsers import expat
 from stepcore import files
 from stepcore._core import Settings
 from stepcore.mjcf import custom
-from stepcore.mjcf.option import said, to_say
+from stepcore.mjcf.option import implied, said, to_say
 from stepcore.mjcf.reader import read_text
 from stepcore.mjcf.tags import Tag, escaped
 from stepcore.mjcf.writer import written
@@ -130,7 +130,12 @@ def _edited(
     if root.closed:
         return None
     before, after = original.settings.as_dict(), scene.settings.as_dict()
-    changed = {name: value for name, value in after.items() if value != before[name]}
+    implications = implied(before).keys() ^ implied(after).keys()
+    changed = {
+        name: value
+        for name, value in after.items()
+        if value != before[name] or name in implications
+    }
     attributes, flags, _ = said(changed)
     edits: list[_Edit] = []
     added: list[Tag] = []

@@ -1,6 +1,7 @@
 //! The blocks of each island: what can be solved by itself.
 
 use super::rows::{Block, Rows};
+use crate::model::Model;
 use crate::real::{Count, Mask, Real};
 use crate::room::room;
 
@@ -47,6 +48,21 @@ impl Islands {
 
     pub fn count(&self) -> usize {
         self.ends.len()
+    }
+}
+
+impl<R: Real> Rows<R> {
+    /// Measures the islands of the rows at hand; `mass` in the layout of `Model::row_dofs`.
+    pub(crate) fn weigh_islands(&mut self, model: &Model, mass: &[R]) {
+        let Self { islands, live, inertia, .. } = self;
+        inertia.clear();
+        inertia.resize(model.trees.len(), R::zero());
+        for (tree, own) in model.trees.iter().enumerate() {
+            let island = live.as_mut().map_or_else(|| islands[tree], |live| live.union.of(tree));
+            for dof in &model.dofs[own.dofs.range()] {
+                inertia[island] += mass[dof.row.start];
+            }
+        }
     }
 }
 

@@ -9,6 +9,9 @@ pub struct Limits {
     pub sweeps: u32,
     /// On the scalar residual [m/s]; 0 runs every sweep.
     pub tolerance: f64,
+    /// Sweeps over convex rows end where one lowers what they minimise by less, as a share of
+    /// `Rows::inertia` [m²/s²]; 0: never.
+    pub cost: f64,
     /// Accelerate: see `momentum.rs`. For laws whose rows are all convex; an island
     /// with a Coulomb block runs plain.
     pub momentum: bool,
@@ -24,6 +27,10 @@ impl Limits {
         Self {
             sweeps,
             tolerance: settings.tolerance,
+            cost: match settings.sweeps {
+                Sweeps::AtMost(_) => settings.cost_floor(settings.cost_tolerance),
+                Sweeps::Auto => 0.0,
+            },
             // By the law and not by the rows at hand, so that a lane equals its world alone.
             momentum: settings.acceleration == Acceleration::Momentum && !settings.law.on_guess(),
             exact: sweeps > 0 && settings.tolerance > 0.0 && settings.law != Law::Relaxed,

@@ -12,7 +12,7 @@ use crate::room::{listed, Room};
 /// Working space.
 #[derive(Default)]
 pub(crate) struct Live {
-    union: Union,
+    pub(super) union: Union,
     /// By island: how many blocks it has so far.
     blocks: Vec<u32>,
 }

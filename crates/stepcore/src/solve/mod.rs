@@ -16,7 +16,6 @@ mod limits;
 mod live;
 mod momentum;
 mod newton;
-mod noslip;
 mod pgs;
 mod proximal;
 mod relative;
@@ -33,6 +32,7 @@ pub(crate) use direct::{Choice, GROUP};
 pub(crate) use limits::Report;
 #[cfg(test)]
 pub(crate) use live::Live;
+pub(crate) use pgs::Noslip;
 pub(crate) use rows::{Anchor, Guessed, CONE};
 pub use rows::{Block, Part, Push, Row, Rows, Set, Situation};
 pub(crate) use solver::{Solve, Solvers, Sweeper, Unconstrained};

@@ -5,6 +5,7 @@
 //! block. A sweep touches y and u only, never a matrix of rows.
 
 mod cones;
+mod noslip;
 mod onward;
 mod packed;
 mod point;
@@ -18,6 +19,7 @@ use super::rows::{Rows, Set};
 use crate::interrupt::ends_after;
 use crate::real::{Count, Mask, Real};
 use crate::room::room;
+pub(crate) use noslip::Noslip;
 use sweep::Sweeps;
 
 /// What rounding leaves of a residual: this many units in the last place of its terms.
@@ -90,11 +92,16 @@ impl<R: Real> Pgs<R> {
             let accelerated = limits.momentum && blocks.iter().all(convex);
             // Lanes have no sides, and must do as each world alone: heaps found pair by pair have none.
             sweeps.join(inv_d, rows, blocks, !accelerated || rows.live.is_some());
+            // A sweep that lowers f by less is the last.
+            let asked = limits.cost > 0.0 && blocks.iter().all(convex);
+            let inertia = rows.inertia.get(island).filter(|_| asked);
+            let floor = inertia.map(|inertia| R::of(limits.cost) * *inertia);
+            let measured = accelerated || floor.is_some();
             let mut momentum = (accelerated && !sweeps.joined).then_some(&mut *momentum);
             if let Some(momentum) = &mut momentum {
                 momentum.begin(dof_lists, inv_d, rows, blocks);
-            } else if accelerated {
-                sweeps.accelerate(inv_d);
+            } else if measured {
+                sweeps.measure(inv_d, accelerated);
             }
             let mut live = alive(rows, blocks);
             let single = if limits.exact { rows.alone(blocks) } else { R::Mask::of(false) };
@@ -105,15 +112,18 @@ impl<R: Real> Pgs<R> {
                 if live.none() {
                     break;
                 }
-                let swept = if let Some(momentum) = &mut momentum {
-                    let order = momentum.order(sweep);
+                let order = momentum.as_mut().map_or(blocks, |momentum| momentum.order(sweep));
+                let swept = if measured {
                     sweeps.sweep::<true>(dof_lists, inv_d, rows, order, live)
                 } else {
-                    sweeps.sweep::<false>(dof_lists, inv_d, rows, blocks, live)
+                    sweeps.sweep::<false>(dof_lists, inv_d, rows, order, live)
                 };
                 done.add(live, 1);
                 report.updates.add_each(live, &count);
                 live = live.and(single.not());
+                if let Some(floor) = floor {
+                    live = live.and((swept.gain + floor).gt(R::zero()).not());
+                }
                 if live.none() {
                     break;
                 }

@@ -220,9 +220,11 @@ pub struct Rows<R: Real> {
     /// Some island may hold so many trees that the order of elimination matters.
     pub(super) heap: bool,
     /// By tree: see `Model::islands`.
-    islands: Vec<usize>,
+    pub(super) islands: Vec<usize>,
     /// By island; none in a heap, where they say nothing of the islands of a step.
     pub(super) island_dofs: Vec<usize>,
+    /// By island: the trace of the mass matrix, where a tolerance is a share of it.
+    pub(super) inertia: Vec<R>,
     /// By slot: see `Model::ranks`.
     ranks: Vec<u32>,
     /// Islands of the rows at hand take the place of both.
@@ -233,7 +235,7 @@ pub struct Rows<R: Real> {
 }
 
 room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, ways, guess, islands, island_dofs,
-    ranks;
+    inertia, ranks;
     direct, saved_solve, live, parts);
 
 /// The guess, along a row.
@@ -299,6 +301,7 @@ impl<R: Real> Rows<R> {
             live: model.dynamic_pairs.is_some().then(Live::default),
             island_dofs: if heap { Vec::new() } else { island_dofs(model, &islands) },
             islands,
+            inertia: Vec::new(),
             parts: Vec::new(),
             pool: None,
         }
@@ -324,6 +327,7 @@ impl<R: Real> Rows<R> {
             u,
             islands: Vec::new(),
             island_dofs: Vec::new(),
+            inertia: Vec::new(),
             ranks: Vec::new(),
             live: None,
             parts: Vec::new(),

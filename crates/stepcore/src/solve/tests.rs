@@ -133,11 +133,18 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
     for k in 0..nv {
         rows.u[k] = of(&|p| p.guess[k]);
     }
+    rows.inertia.push(R::one());
     rows
 }
 
-pub(super) const EVERY: Limits =
-    Limits { sweeps: 20_000, tolerance: 1e-14, momentum: false, exact: false, rounding: false };
+pub(super) const EVERY: Limits = Limits {
+    sweeps: 20_000,
+    tolerance: 1e-14,
+    momentum: false,
+    cost: 0.0,
+    exact: false,
+    rounding: false,
+};
 
 /// Converged PGS: impulses by row.
 pub(super) fn converged(problem: &Problem) -> Vec<f64> {
@@ -177,13 +184,7 @@ fn s1_one_contact_in_closed_form() {
             let list = (0..3).map(|k| (unit(k), 0.0, 0.0, 0.0, INF)).collect();
             problem.blocks.push((set, mu, list));
             let mut rows = problem.rows::<f64>();
-            let limits = Limits {
-                sweeps: 50,
-                tolerance: 1e-14,
-                momentum: false,
-                exact: false,
-                rounding: false,
-            };
+            let limits = Limits { sweeps: 50, tolerance: 1e-14, ..EVERY };
             let report = Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, limits);
             assert!(report.sweeps.lane(0) <= 3);
             for k in 0..3 {
@@ -302,8 +303,7 @@ fn c6_contraction_of_a_stack() {
         let mut rows = problem.rows::<f64>();
         let (mut pgs, lists) = (Pgs::new(), problem.dof_lists());
         let mut after = |rows: &mut Rows<f64>, sweeps| {
-            let limits =
-                Limits { sweeps, tolerance: 0.0, momentum: false, exact: false, rounding: false };
+            let limits = Limits { sweeps, tolerance: 0.0, ..EVERY };
             pgs.solve(&lists, &problem.inv_d, rows, limits);
             rows.residual(&lists)
         };
@@ -322,7 +322,7 @@ fn momentum_beats_the_contraction_of_a_stack() {
     let mut residual = [0.0; 2];
     for (at, momentum) in [false, true].into_iter().enumerate() {
         let mut rows = problem.rows::<f64>();
-        let limits = Limits { sweeps: 25, tolerance: 0.0, momentum, exact: false, rounding: false };
+        let limits = Limits { sweeps: 25, tolerance: 0.0, momentum, ..EVERY };
         Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, limits);
         residual[at] = rows.residual(&problem.dof_lists());
     }

@@ -105,14 +105,14 @@ def candidates(shipped: Settings, period: float | None, horizon: float) -> Candi
     else:
         frame = period / max(1, round(period / frame))
     dts = [shipped if f == 1 else shipped.replace(dt=shipped.dt * f) for f in FACTORS]
-    plain = shipped.replace(solver="pgs", tolerance=0.0, sweeps=1)
+    plain = shipped.replace(solver="pgs", tolerance=0.0, cost_tolerance=0.0, sweeps=1)
     fixed = shipped.solver == "pgs" and shipped.sweeps != "auto" and shipped.sweeps > 0
     return Candidates(
         shipped=shipped,
         period=period,
         dts=[s for s in dts if s.dt <= period * (1 + 1e-9) and divides(s.dt, period)],
         splits=[Split(n, k, plain.replace(dt=frame / n, sweeps=k)) for n, k in SPLITS],
-        more=shipped.replace(sweeps=4 * shipped.sweeps) if fixed else None,
+        more=shipped.replace(sweeps=4 * shipped.sweeps, cost_tolerance=0.0) if fixed else None,
         solved=converged_settings(shipped, warm_start=True),
     )
 

@@ -134,7 +134,12 @@ def residual_history(
     if not len(shipped.rows):
         return history
     plain = settings.replace(
-        solver="pgs", sweeps=1, tolerance=0.0, warm_start=False, precision="f64"
+        solver="pgs",
+        sweeps=1,
+        tolerance=0.0,
+        cost_tolerance=0.0,
+        warm_start=False,
+        precision="f64",
     )
     speed = _speed(shipped)
     tolerance = 0.0 if settings.law == "solref" else ROUNDING * speed

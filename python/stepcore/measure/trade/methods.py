@@ -236,6 +236,8 @@ def _moves(s: Settings, kind: Kind) -> Iterator[Settings]:
     if s.solver == "pgs" and rows > 1:
         for sweeps in _near(SWEEPS, 20 if s.sweeps == "auto" else s.sweeps, 2):
             yield s.replace(sweeps=sweeps)
+        if s.cost_tolerance > 0:
+            yield s.replace(cost_tolerance=0.0)
         yield s.replace(acceleration="none" if s.acceleration == "momentum" else "momentum")
     if s.solver == "newton":
         for sweeps in _near(ITERATIONS, 100 if s.sweeps == "auto" else s.sweeps, 2):

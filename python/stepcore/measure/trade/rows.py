@@ -32,6 +32,7 @@ CLOSE = 0.15
 
 FIELDS = (
     *("dt", "integrator", "solver", "sweeps", "precision", "tolerance", "warm_start"),
+    "cost_tolerance",
     *("acceleration", "cone"),
 )
 # Fields of `Errors`, with their units.

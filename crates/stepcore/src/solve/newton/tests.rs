@@ -1,5 +1,6 @@
 //! Factors of heaps against dense elimination, and what of them is made again.
 
+use super::super::tests::EVERY;
 use super::bundles::Bundles;
 use super::columns::{Columns, Curved};
 use super::nodes::{Nodes, NOWHERE};
@@ -192,13 +193,7 @@ fn heaps_equal_converged_pgs() {
         (want.rows, want.blocks) = (heap.rows.rows.clone(), heap.rows.blocks.clone());
         (want.y, want.u) = (heap.rows.y.clone(), heap.rows.u.clone());
         let guess = heap.rows.u.clone();
-        let limits = Limits {
-            sweeps: 20_000,
-            tolerance: 1e-14,
-            momentum: true,
-            exact: false,
-            rounding: false,
-        };
+        let limits = Limits { momentum: true, ..EVERY };
         Pgs::new().solve(&heap.lists, &heap.inv_d, &mut want, limits);
         let newton = Limits { sweeps: 50, tolerance: 0.0, ..limits };
         let free = Unconstrained { dof_lists: &heap.lists, inv_d: &heap.inv_d, guess: &guess };

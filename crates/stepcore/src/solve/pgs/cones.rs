@@ -76,6 +76,14 @@ impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
             Tie::Bounds | Tie::Convex(_) => [R::zero(); W],
         }
     }
+
+    /// Q between the ways of a round Coulomb cone, times x.
+    pub fn bent(&self, tie: Tie, x: &[R; W]) -> [R; W] {
+        match tie {
+            Tie::Disc(at) => times(&self.disc[at as usize].q, x),
+            _ => [R::zero(); W],
+        }
+    }
 }
 
 fn push<T>(list: &mut Vec<T>, item: T) -> u32 {

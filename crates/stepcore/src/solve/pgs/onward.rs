@@ -57,7 +57,7 @@ pub(super) struct Onward<R> {
 room!(Onward<R>: ; d, from, last);
 
 impl<R: Real> Step<R> {
-    fn none() -> Self {
+    pub fn none() -> Self {
         Self { along: [R::zero(); 2], keep: [R::zero(); 2] }
     }
 

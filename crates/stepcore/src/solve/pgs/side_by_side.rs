@@ -11,6 +11,7 @@ use super::super::rows::{Rows, NARROW};
 use super::onward::{Found, Onward, Step};
 use super::packed::Packed;
 use super::point::{along, gain, Each, Numbers, Point, EDGES, SIDE};
+use super::sweep::Swept;
 use crate::real::Real;
 use crate::room::{listed, room, Room};
 
@@ -53,7 +54,7 @@ impl<R: Real> Six<R> {
 /// An island of pyramids.
 pub(super) struct SideBySide<R> {
     fours: Vec<Four<R>>,
-    /// By four, with momentum.
+    /// By four, where sweeps are measured.
     moved: Vec<Moved<R>>,
     /// The first stands for what no contact moves.
     bodies: Vec<Six<R>>,
@@ -120,17 +121,17 @@ impl<R: Real> SideBySide<R> {
             *lane += 1;
         }
         self.step = None;
+        self.moved.clear();
         true
     }
 
-    /// Sweeps of the island at hand will have momentum.
-    pub fn accelerate(&mut self, inv_d: &[R]) {
+    /// Sweeps of the island at hand will be measured, and `on`: have momentum.
+    pub fn measure(&mut self, inv_d: &[R], on: bool) {
         let by_body = self.dofs.iter().map(|dof| match inv_d.get(*dof as usize..) {
             Some(own) => Six(core::array::from_fn(|k| R::one() / own[k])),
             None => Six::zero(),
         });
-        self.step = Some(self.onward.begin(&self.bodies, by_body));
-        self.moved.clear();
+        self.step = on.then(|| self.onward.begin(&self.bodies, by_body));
         self.moved.extend(self.fours.iter().map(|four| Moved {
             s: four.point.inv_s.map(|each| Each(each.0.map(R::recip_or_zero))),
             from: four.point.impulse,
@@ -213,14 +214,16 @@ impl<R: Real> SideBySide<R> {
         }
     }
 
-    /// Updates every contact; the largest change of an impulse [m/s].
-    pub fn sweep(&mut self) -> R {
+    /// Updates every contact.
+    pub fn sweep(&mut self) -> Swept<R> {
         let most = |each: Each<R>| each.0.into_iter().fold(R::zero(), R::max);
-        let Some(step) = self.step else { return most(self.sweep_plain()) };
-        let (largest, sums) = self.sweep_on(&step);
+        if self.moved.is_empty() {
+            return Swept { change: most(self.sweep_plain()), gain: R::zero() };
+        }
+        let (largest, sums) = self.sweep_on(&self.step.unwrap_or(Step::none()));
         let [gain, own, both] = sums.map(|Each(each)| (each[0] + each[1]) + (each[2] + each[3]));
         self.found = Found { gain, own, both };
-        most(largest)
+        Swept { change: most(largest), gain }
     }
 
     #[inline(never)]

@@ -118,9 +118,11 @@ impl<R: Real> Sweeps<R> {
         self.joined = self.side_by_side.take(inv_d, &rows.u, contacts);
     }
 
-    /// Contacts that stand side by side are swept with momentum.
-    pub fn accelerate(&mut self, inv_d: &[R]) {
-        self.side_by_side.accelerate(inv_d);
+    /// What contacts side by side gain will be asked; `on`: they are swept with momentum.
+    pub fn measure(&mut self, inv_d: &[R], on: bool) {
+        if self.joined {
+            self.side_by_side.measure(inv_d, on);
+        }
     }
 
     /// The next sweep begins where momentum leads, if what stands side by side has any.
@@ -192,8 +194,8 @@ impl<R: Real> Sweeps<R> {
         list: &[usize],
         live: R::Mask,
     ) -> Swept<R> {
-        if self.joined && !GAIN {
-            return Swept { change: self.side_by_side.sweep(), gain: R::zero() };
+        if self.joined {
+            return self.side_by_side.sweep();
         }
         let Rows { rows, blocks, y, u, .. } = rows;
         let (mut largest, mut gain) = (R::zero(), R::zero());

@@ -39,8 +39,7 @@ fn few_rows_equal_converged_pgs() {
                 }
             }
         }
-        let limits =
-            Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: true, rounding: false };
+        let limits = Limits { sweeps: 50, tolerance: 0.0, exact: true, ..EVERY };
         let report = Newton::new().solve(problem.free(&lists), &mut rows, limits).unwrap();
         assert!(report.sweeps.lane(0) < 25, "{:?} guesses in case {case}", report.sweeps);
         assert!(rows.residual(&lists) < 1e-12, "{} in case {case}", rows.residual(&lists));

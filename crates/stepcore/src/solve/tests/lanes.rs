@@ -4,7 +4,7 @@ use super::few::intervals;
 use super::newton::mixed;
 use super::proximal::stack;
 use super::wide_cones::wide_contacts;
-use super::{contacts, pack, Problem, Random, INF};
+use super::{contacts, pack, Problem, Random, EVERY, INF};
 use crate::model::Span;
 use crate::real::{Lanes, Mask, Real, WIDTH};
 use crate::solve::limits::{Limits, Report};
@@ -123,10 +123,17 @@ fn under_pgs() {
         base.limit(&[1.0, 0.0, 0.5, 0.0, 0.0, -0.25], 0.1, 0.01);
         base.blocks.push((Set::Interval, 0.0, vec![(vec![0.3; 6], 0.0, 0.02, -0.1, 0.1)]));
         base.blocks.push((Set::Interval, 0.0, vec![(vec![0.2; 6], 0.0, 0.0, -INF, INF)]));
-        let cases = [(300, 1e-6, false), (3, 0.0, false), (300, 1e-6, true), (9, 0.0, true)];
+        let cases = [
+            (300, 1e-6, false, 0.0),
+            (3, 0.0, false, 0.0),
+            (300, 0.0, false, 1e-3),
+            (300, 1e-6, true, 0.0),
+            (9, 0.0, true, 0.0),
+            (300, 0.0, true, 1e-4),
+        ];
         let convex = matches!(set, Set::Interval | Set::Convex);
-        for (sweeps, tolerance, momentum) in cases.into_iter().filter(|c| convex || !c.2) {
-            let by = By::Pgs(Limits { sweeps, tolerance, momentum, exact: false, rounding: false });
+        for (sweeps, tolerance, momentum, cost) in cases.into_iter().filter(|c| convex || !c.2) {
+            let by = By::Pgs(Limits { sweeps, tolerance, momentum, cost, ..EVERY });
             compare(&base, by, &mut random, |_, _| true);
             compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
             compare(&base, by, &mut random, |b, lane| b == lane);
@@ -138,8 +145,7 @@ fn under_pgs() {
 #[test]
 fn beyond_sweeps() {
     let mut random = Random::new(44);
-    let limits =
-        Limits { sweeps: 3, tolerance: 1e-10, momentum: false, exact: true, rounding: true };
+    let limits = Limits { sweeps: 3, tolerance: 1e-10, exact: true, rounding: true, ..EVERY };
     for set in [Set::Interval, Set::CoulombRound, Set::CoulombBox] {
         for masses in [[1e-3, 1e3], [1.0, 0.5]] {
             let base = stack(set, &masses, 0.3, 2);
@@ -164,7 +170,7 @@ fn with_torsion_and_rolling() {
         let cases = [(300, 1e-6, false), (3, 0.0, false), (300, 1e-6, true), (9, 0.0, true)];
         let convex = set == Set::Convex;
         for (sweeps, tolerance, momentum) in cases.into_iter().filter(|c| convex || !c.2) {
-            let limits = Limits { sweeps, tolerance, momentum, exact: false, rounding: false };
+            let limits = Limits { sweeps, tolerance, momentum, ..EVERY };
             for by in [By::Pgs(limits), By::Newton(limits)] {
                 if matches!(by, By::Pgs(_)) || convex && !momentum {
                     compare(&base, by, &mut random, |_, _| true);
@@ -182,13 +188,7 @@ fn under_newton() {
     for _ in 0..20 {
         for tolerance in [0.0, 1e-6] {
             let base = mixed(&mut random);
-            let by = By::Newton(Limits {
-                sweeps: 50,
-                tolerance,
-                momentum: false,
-                exact: false,
-                rounding: false,
-            });
+            let by = By::Newton(Limits { sweeps: 50, tolerance, ..EVERY });
             compare(&base, by, &mut random, |_, _| true);
             compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
             compare(&base, by, &mut random, |b, lane| b == lane);
@@ -203,13 +203,7 @@ fn under_newton_with_few_rows() {
     for count in [1, 2, 5, 16, 20] {
         for tolerance in [0.0, 1e-6] {
             let base = intervals(count, &mut random);
-            let by = By::Newton(Limits {
-                sweeps: 50,
-                tolerance,
-                momentum: false,
-                exact: true,
-                rounding: false,
-            });
+            let by = By::Newton(Limits { sweeps: 50, tolerance, exact: true, ..EVERY });
             compare(&base, by, &mut random, |_, _| true);
             compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
             compare(&base, by, &mut random, |b, lane| b <= 3 * lane);

@@ -1,7 +1,7 @@
 //! Opposed rows with loads far beyond what moves the dof, as the edges of a pyramid under a wheel whose
 //! axle is nearly through its centre.
 
-use super::{pack, Problem};
+use super::{pack, Problem, EVERY};
 use crate::real::{Lanes, Real};
 use crate::solve::limits::Limits;
 use crate::solve::newton::Newton;
@@ -41,8 +41,7 @@ fn solved<R: Real>(worlds: &[Vec<Edge>]) -> R {
     for (row, (_, _, c)) in rows.rows.iter_mut().zip(&worlds[0]) {
         row.c = R::of(*c);
     }
-    let limits =
-        Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: false, rounding: false };
+    let limits = Limits { sweeps: 50, tolerance: 0.0, ..EVERY };
     let (inv_d, guess) = ([R::of(1.0 / INERTIA)], [R::of(GUESS)]);
     let free = Unconstrained { dof_lists: &[0], inv_d: &inv_d, guess: &guess };
     Newton::new().solve(free, &mut rows, limits).unwrap();

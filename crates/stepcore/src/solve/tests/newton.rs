@@ -44,8 +44,7 @@ fn newton_equals_converged_pgs() {
                 }
             }
         }
-        let limits =
-            Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: false, rounding: false };
+        let limits = Limits { sweeps: 50, tolerance: 0.0, ..EVERY };
         let report = Newton::new().solve(problem.free(&lists), &mut rows, limits).unwrap();
         assert!(report.sweeps.lane(0) < 15);
         assert!(rows.residual(&lists) < 1e-14, "{}", rows.residual(&lists));
@@ -66,8 +65,7 @@ fn newton_stops_at_its_tolerance() {
         let lists = problem.dof_lists();
         for tolerance in [1e-2, 1e-5, 1e-9] {
             let mut rows = problem.rows::<f64>();
-            let limits =
-                Limits { sweeps: 50, tolerance, momentum: false, exact: false, rounding: false };
+            let limits = Limits { sweeps: 50, tolerance, ..EVERY };
             Newton::new().solve(problem.free(&lists), &mut rows, limits).unwrap();
             assert!(rows.residual(&lists) <= tolerance);
         }
@@ -94,8 +92,7 @@ fn newton_needs_softness() {
 fn the_first_step_goes_by_the_zones_of_the_last() {
     const DOFS: usize = 30;
     let mut random = Random::new(29);
-    let limits =
-        Limits { sweeps: 500, tolerance: 0.0, momentum: false, exact: false, rounding: false };
+    let limits = Limits { sweeps: 500, tolerance: 0.0, ..EVERY };
     let (mut cold, mut warm) = (0, 0);
     for _ in 0..40 {
         let guess: Vec<f64> = (0..DOFS).map(|_| random.next()).collect();

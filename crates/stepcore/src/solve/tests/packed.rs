@@ -1,6 +1,6 @@
 //! Contacts that are packed for sweeps, against the same rows one by one.
 
-use super::{close, contacts, pack, Problem, Random, INF};
+use super::{close, contacts, pack, Problem, Random, EVERY, INF};
 use crate::model::Span;
 use crate::real::{Lanes, Real, WIDTH};
 use crate::solve::limits::Limits;
@@ -33,8 +33,7 @@ const SETS: [Set; 4] = [Set::Interval, Set::Convex, Set::CoulombRound, Set::Coul
 /// Nine sweeps; where rows allow it, with momentum too.
 fn each_way(set: Set) -> impl Iterator<Item = Limits> {
     let convex = matches!(set, Set::Interval | Set::Convex);
-    let way =
-        |momentum| Limits { sweeps: 9, tolerance: 1e-9, momentum, exact: false, rounding: false };
+    let way = |momentum| Limits { sweeps: 9, tolerance: 1e-9, momentum, ..EVERY };
     [false, true].into_iter().filter(move |momentum| convex || !momentum).map(way)
 }
 
@@ -139,8 +138,7 @@ fn side_by_side_is_one_after_another() {
     let worlds: Vec<Problem> =
         (0..WIDTH).map(|_| ring_problem(BODIES, &inv_d, &mut random)).collect();
     for tolerance in [0.0, 1e-3] {
-        let limits =
-            Limits { sweeps: 9, tolerance, momentum: false, exact: false, rounding: false };
+        let limits = Limits { sweeps: 9, tolerance, ..EVERY };
         let (mut lanes, lists) = ring::<Lanes>(&worlds, BODIES);
         lanes.heap = true;
         let inverse: Vec<Lanes> = inv_d.iter().map(|x| Lanes::of(*x)).collect();
@@ -180,7 +178,7 @@ fn momentum_side_by_side() {
             let (mut rows, lists) = ring::<f64>(std::slice::from_ref(&world), BODIES);
             rows.heap = true;
             rows.live = Some(Live::default());
-            let limits = Limits { sweeps, tolerance, momentum, exact: false, rounding: false };
+            let limits = Limits { sweeps, tolerance, momentum, ..EVERY };
             let mut pgs = Pgs::new();
             let report = pgs.solve(&lists, &inv_d, &mut rows, limits);
             assert!(pgs.side_by_side());

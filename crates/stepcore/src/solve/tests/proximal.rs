@@ -1,6 +1,6 @@
 //! What sweeps cannot reach is reached, in closed form and bit for bit in lanes.
 
-use super::{close, Line, Problem, INF};
+use super::{close, Line, Problem, EVERY, INF};
 use crate::solve::limits::Limits;
 use crate::solve::rows::Set;
 use crate::solve::solver::Solvers;
@@ -8,7 +8,7 @@ use crate::solve::solver::Solvers;
 /// Gravity in a step [m/s].
 const FALL: f64 = 0.02;
 const LIMITS: Limits =
-    Limits { sweeps: 50, tolerance: 1e-10, momentum: false, exact: true, rounding: true };
+    Limits { sweeps: 50, tolerance: 1e-10, exact: true, rounding: true, ..EVERY };
 
 /// Bodies of these masses that may slide and fall on each other, the first on a floor; `count`
 /// contacts in each place.
