@@ -122,7 +122,7 @@ impl<R: Real> Pgs<R> {
                 report.updates.add_each(live, &count);
                 live = live.and(single.not());
                 if let Some(floor) = floor {
-                    live = live.and((swept.gain + floor).gt(R::zero()).not());
+                    live = live.and(swept.gain.abs().lt(floor).not());
                 }
                 if live.none() {
                     break;

@@ -99,6 +99,11 @@ impl<R: Real> Onward<R> {
         Step::none()
     }
 
+    /// How much f changed in the step before the sweep.
+    pub fn fall(&self) -> R {
+        self.fall
+    }
+
     /// After a sweep: moves the bodies on, and says how their contacts are to follow.
     pub fn step(&mut self, bodies: &mut [Six<R>], found: Found<R>) -> Step<R> {
         let step = self.best(bodies, found);

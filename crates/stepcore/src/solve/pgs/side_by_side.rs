@@ -223,7 +223,8 @@ impl<R: Real> SideBySide<R> {
         let (largest, sums) = self.sweep_on(&self.step.unwrap_or(Step::none()));
         let [gain, own, both] = sums.map(|Each(each)| (each[0] + each[1]) + (each[2] + each[3]));
         self.found = Found { gain, own, both };
-        Swept { change: most(largest), gain }
+        let fall = if self.step.is_some() { self.onward.fall() } else { R::zero() };
+        Swept { change: most(largest), gain: fall + gain }
     }
 
     #[inline(never)]

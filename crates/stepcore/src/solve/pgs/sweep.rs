@@ -235,7 +235,8 @@ impl<R: Real> Sweeps<R> {
 pub(in super::super) struct Swept<R> {
     /// The largest change of an impulse [m/s].
     pub change: R,
-    /// With GAIN: the change of what convex rows minimise (see `momentum.rs`).
+    /// With GAIN: the change of what convex rows minimise (see `momentum.rs`); side by side since the
+    /// sweep before.
     pub gain: R,
 }
 
