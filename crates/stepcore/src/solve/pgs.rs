@@ -93,8 +93,7 @@ impl<R: Real> Pgs<R> {
             // Lanes have no sides, and must do as each world alone: heaps found pair by pair have none.
             sweeps.join(inv_d, rows, blocks, !accelerated || rows.live.is_some());
             // A sweep that lowers f by less is the last.
-            let asked = limits.cost > 0.0 && blocks.iter().all(convex);
-            let inertia = rows.inertia.get(island).filter(|_| asked);
+            let inertia = rows.inertia.get(island).filter(|_| limits.cost > 0.0);
             let floor = inertia.map(|inertia| R::of(limits.cost) * *inertia);
             let measured = accelerated || floor.is_some();
             let mut momentum = (accelerated && !sweeps.joined).then_some(&mut *momentum);
