@@ -2,8 +2,9 @@
 
 use std::cell::{Cell, RefCell};
 use std::panic::{catch_unwind, AssertUnwindSafe};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, TryLockError};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use pyo3::exceptions::PyRuntimeError;
@@ -56,8 +57,48 @@ pub fn release<T: Send>(
     py: Python<'_>,
     run: impl FnOnce() -> Result<T, Error> + Send,
 ) -> PyResult<T> {
-    let run = || catch_unwind(AssertUnwindSafe(|| while_asking(interrupted, run)));
-    let done = py.detach(run);
+    finish(py, py.detach(|| guard(run)))
+}
+
+/// Single steps, of which the short ones keep the GIL: giving it up and taking it back takes as long
+/// as a small model's step, and no other thread gets far meanwhile.
+#[derive(Default)]
+pub struct Singles {
+    calls: AtomicU64,
+    short: AtomicBool,
+}
+
+/// A step as long as this is made without the GIL: ten times what giving it up takes.
+const SHORT: Duration = Duration::from_micros(10);
+/// Calls of which one is timed.
+const TIMED: u64 = 32;
+
+impl Singles {
+    pub fn step(
+        &self,
+        py: Python<'_>,
+        step: impl FnOnce() -> Result<(), Error> + Send,
+    ) -> PyResult<()> {
+        let calls = self.calls.load(Ordering::Relaxed);
+        self.calls.store(calls + 1, Ordering::Relaxed);
+        if calls.is_multiple_of(TIMED) {
+            let start = Instant::now();
+            let outcome = release(py, step);
+            self.short.store(start.elapsed() < SHORT, Ordering::Relaxed);
+            outcome
+        } else if self.short.load(Ordering::Relaxed) {
+            finish(py, guard(step))
+        } else {
+            release(py, step)
+        }
+    }
+}
+
+fn guard<T>(run: impl FnOnce() -> Result<T, Error>) -> thread::Result<Result<T, Error>> {
+    catch_unwind(AssertUnwindSafe(|| while_asking(interrupted, run)))
+}
+
+fn finish<T>(py: Python<'_>, done: thread::Result<Result<T, Error>>) -> PyResult<T> {
     if let Some(raised) = RAISED.take() {
         return Err(raised);
     }

@@ -110,6 +110,9 @@ impl Arrays {
         let mut own = self.memory.get().own();
         for array in &Array::ALL[..Array::CHANGED] {
             let numbers = self.range(*array);
+            if numbers.is_empty() {
+                continue;
+            }
             take(*array, &mut own.numbers[numbers.clone()]);
             self.memory.get().show(&own, numbers);
         }
@@ -192,13 +195,16 @@ impl Memory {
     ) -> T {
         let Own { numbers, news } = &mut *self.own();
         for array in Array::ALL {
-            let (range, mut differ) = (range(array), 0);
-            for (to, from) in numbers[range.clone()].iter_mut().zip(self.cells(range)) {
-                let now = from.load(Ordering::Relaxed);
-                differ |= to.to_bits() ^ now;
-                *to = f64::from_bits(now);
-            }
+            let range = range(array);
+            let own = &mut numbers[range.clone()];
+            // Most of the time nobody has written: that is found out first, without writing.
+            let both = own.iter().zip(self.cells(range.clone()));
+            let differ = both
+                .fold(0, |differ, (own, now)| differ | own.to_bits() ^ now.load(Ordering::Relaxed));
             if differ != 0 {
+                for (own, now) in own.iter_mut().zip(self.cells(range)) {
+                    *own = f64::from_bits(now.load(Ordering::Relaxed));
+                }
                 news.insert(array);
             }
         }

@@ -376,7 +376,7 @@ impl Model {
             Of::Island => "island",
             Of::Pair => "pair",
         };
-        let entries = Plan::of(&self.0, &settings.0).entries.into_iter();
+        let entries = Plan::of(&self.0, &settings.0).entries(&self.0, &settings.0).into_iter();
         entries
             .map(|e| {
                 (

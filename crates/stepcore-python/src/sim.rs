@@ -37,6 +37,7 @@ pub struct Sim {
     model: Arc<EngineModel>,
     arrays: Arrays,
     world: Mutex<Box<dyn World>>,
+    singles: gil::Singles,
 }
 
 impl Sim {
@@ -87,7 +88,7 @@ impl Sim {
             Ok(world)
         })?;
         let arrays = Arrays::new(py, &model, 1)?;
-        Ok(Self { model, arrays, world: Mutex::new(world) })
+        Ok(Self { model, arrays, world: Mutex::new(world), singles: gil::Singles::default() })
     }
 
     /// The arrays that are the user's to write, each with its name.
@@ -121,7 +122,10 @@ impl Sim {
             return self.load_beside(py, world);
         }
         self.load(py, world)?;
-        let mut outcome = gil::steps(py, n, |n| world.step(n));
+        let mut outcome = match n {
+            1 => self.singles.step(py, || world.step(1)),
+            _ => gil::steps(py, n, |n| world.step(n)),
+        };
         if n > 1 && outcome.is_ok() {
             // Not in each portion: how many there are depends on the machine.
             outcome = gil::release(py, || world.balance_at_end(n));

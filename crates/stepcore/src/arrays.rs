@@ -303,7 +303,18 @@ pub struct Plain {
 impl Plain {
     /// The world in numbers as accurate as `f64`: the same model, settings, state and inputs.
     pub fn sim<R: Real>(&self) -> Result<Sim<R>> {
-        let mut sim = Sim::<R>::new(self.model.clone(), self.settings.clone())?;
+        self.under(self.settings.clone())
+    }
+
+    /// The same with everybody awake.
+    pub fn awake<R: Real>(&self) -> Result<Sim<R>> {
+        let mut sim = self.under(Settings { sleep: false, ..self.settings.clone() })?;
+        sim.state.wake();
+        Ok(sim)
+    }
+
+    fn under<R: Real>(&self, settings: Settings) -> Result<Sim<R>> {
+        let mut sim = Sim::<R>::new(self.model.clone(), settings)?;
         sim.put(0, &Given::new(|array| &self.lists[array as usize]));
         sim.state.warm.extend(self.warm.iter().map(Warm::of));
         sim.state.sleep = self.sleep.cast();

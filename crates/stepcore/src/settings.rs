@@ -236,16 +236,6 @@ impl Settings {
         self.inside() == Inside::Equalities
     }
 
-    /// A step makes one solve, at the state from which it starts, and all that is in it is awake.
-    pub(crate) fn solves_once(&self) -> bool {
-        !self.sleep && self.integrator.scheme().stages == Stages::Start
-    }
-
-    /// A step hands something of its rows to the next.
-    pub(crate) fn keeps(&self) -> bool {
-        self.warm_start || self.stiction
-    }
-
     /// A tolerance on the cost of accelerations, on that of the impulses of a step [m²/s²].
     pub(crate) fn cost_floor(&self, tolerance: f64) -> f64 {
         if self.law == Law::SolRef {

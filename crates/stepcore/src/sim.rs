@@ -15,10 +15,11 @@ use crate::error::{Divergence, Error, Fault, Result};
 use crate::model::memory::check_spaces;
 use crate::model::Model;
 use crate::place::Placed;
+use crate::plan::Plan;
 use crate::pool::Pool;
 use crate::program::Listed;
 use crate::real::{Mask, Real};
-use crate::settings::{Law, Settings, Solver};
+use crate::settings::{Settings, Solver};
 use crate::sleep::Sleeper;
 use crate::solve::{Noslip, Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
@@ -52,6 +53,8 @@ pub struct Effort {
 pub struct Sim<R: Real> {
     pub(crate) model: Arc<Model>,
     pub(crate) settings: Settings,
+    /// What a step does under these settings.
+    pub(crate) plan: Plan,
     pub(crate) clock: Clock<R>,
     pub state: State<R>,
     pub inputs: Inputs<R>,
@@ -112,7 +115,7 @@ impl At {
     }
 }
 
-room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, solver, noslip, sleeper, list);
+room!(Sim<R>: velocity, qacc; plan, state, inputs, placed, detected, rows, next, solver, noslip, sleeper, list);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
@@ -142,6 +145,7 @@ impl<R: Real> Sim<R> {
             return Err(Error::value("lanes", R::LANES, limit));
         }
         check_spaces(&model, R::LANES, "lanes")?;
+        let plan = Plan::of(&model, &settings);
         let mut sim = Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
@@ -151,7 +155,8 @@ impl<R: Real> Sim<R> {
             velocity: vec![R::zero(); model.nv],
             qacc: vec![R::zero(); model.nv],
             effort: Effort::default(),
-            next: Next::new(&model, settings.integrator.scheme()),
+            next: Next::new(&model, &plan),
+            plan,
             stands: false,
             solver,
             noslip: Noslip::new(),
@@ -189,7 +194,7 @@ impl<R: Real> Sim<R> {
     /// Starts the rows that were made from the last step's impulses if they are kept, but for
     /// equalities that the stages held (`inside`).
     pub(crate) fn warm_start(&mut self, inside: bool) {
-        if self.settings.warm_start {
+        if self.plan.warm_start {
             let last = self.next.last_impulses(&self.state);
             let lists = self.detected.dof_lists(&self.model);
             self.rows.warm_start(lists, &self.placed.metric.inv_d, last, inside);
@@ -210,10 +215,9 @@ impl<R: Real> Sim<R> {
             return Err(Error::Interrupted);
         }
         self.effort.note(&report, self.rows.rows.len());
-        let sweeps = self.settings.noslip_iterations;
-        if sweeps > 0 && self.settings.law == Law::SolRef {
+        if self.plan.noslip > 0 {
             let cost = self.settings.cost_floor(slip);
-            self.noslip.solve(free, &mut self.rows, sweeps, cost)?;
+            self.noslip.solve(free, &mut self.rows, self.plan.noslip, cost)?;
         }
         Ok(())
     }

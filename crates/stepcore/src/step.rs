@@ -5,7 +5,6 @@
 
 use crate::commit::Next;
 use crate::detect::Detected;
-use crate::elements::activation::remember;
 use crate::elements::force::Moment;
 use crate::error::Result;
 use crate::observer::Observer;
@@ -30,11 +29,6 @@ impl<R: Real> Sim<R> {
             }
             R::enter(Stage::Commit);
             self.integrate(observer)?;
-            let (history, next) = (&self.state.ctrl_history, &mut self.next.ctrl_history);
-            remember(&self.model, history, &self.inputs.ctrl, next);
-            if self.settings.sleep {
-                self.settle();
-            }
             self.check_next()?;
             observer.committing(self);
             self.swap_states();
@@ -57,7 +51,7 @@ impl<R: Real> Sim<R> {
         }
         // What is restored may hold impulses that these settings do not keep.
         std::mem::swap(&mut state.warm, &mut next.warm);
-        if self.settings.sleep {
+        if self.plan.sleeps {
             std::mem::swap(&mut state.sleep, &mut next.sleep);
         }
     }
@@ -87,7 +81,7 @@ impl<R: Real> Sim<R> {
         if std::mem::take(&mut self.stands) {
             return Ok(());
         }
-        if !self.settings.sleep {
+        if !self.plan.sleeps {
             self.place_and_make_rows(at)?;
             return self.solve_placed(at);
         }
@@ -101,13 +95,13 @@ impl<R: Real> Sim<R> {
     }
 
     pub(crate) fn place_and_make_rows(&mut self, at: At) -> Result<()> {
-        if self.settings.sleep {
+        if self.plan.sleeps {
             self.rest_asleep(at);
         }
         let (qpos, qvel) = at.of(&self.state, &self.next);
         let act = at.activations(&self.state, &self.next, self.clock);
         self.placed.place(&self.model, qpos, qvel, act, &self.inputs, self.clock.dt);
-        if self.settings.sleep {
+        if self.plan.sleeps {
             self.hold_asleep();
         }
         let before = searched();
@@ -183,7 +177,7 @@ impl<R: Real> Sim<R> {
         } else {
             self.effort.rest();
         }
-        if self.settings.keeps() {
+        if self.plan.keeps {
             self.rows.store_warm(&mut self.next.warm, false);
         }
         self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);

@@ -124,8 +124,9 @@ fn each_force_adds_its_own_operations() {
         let own = of(&scene) - none;
         assert!(own > 0, "{name}");
         sum += own;
-        let plan = Plan::of(&Model::compile(&scene).unwrap(), &Settings::default());
-        let entry = plan.entries.iter().find(|entry| entry.used && entry.name == name);
+        let (model, settings) = (Model::compile(&scene).unwrap(), Settings::default());
+        let entries = Plan::of(&model, &settings).entries(&model, &settings);
+        let entry = entries.iter().find(|entry| entry.used && entry.name == name);
         assert_eq!(entry.unwrap().count, 1, "{name}");
     }
     assert_eq!(of(&all), sum);

@@ -15,63 +15,39 @@
 
 use crate::elements::force::Moment;
 use crate::elements::forces::damping;
-use crate::integrator::{Late, Scheme, Stages};
+use crate::integrator::Late;
 use crate::model::Model;
 use crate::place::{Metric, Placed};
+use crate::plan::LateTrees;
 use crate::real::Real;
 use crate::room::room;
 use crate::spatial::{rotate, rotate_back, M3, V3};
 
 /// Factors of M + dt·D, and the impulse of the step.
 pub struct Damped<R: Real> {
-    pub(super) metric: Metric<R>,
-    /// Where each entry of M stands in it.
-    pub(super) places: Vec<usize>,
-    pub(super) impulse: Vec<R>,
-    pub(super) change: Vec<R>,
-    /// Stiffness and damping, by dof.
-    pub(super) slopes: Vec<[R; 2]>,
-    /// Trees that `euler` damps, and those under `implicitfast`.
-    damped: Vec<usize>,
-    damped_fast: Vec<usize>,
-    /// Whether a tree is among the former, and among the latter.
-    late: Vec<[bool; 2]>,
-    /// Single free bodies whose bias has a derivative.
-    gyroscopic: Vec<usize>,
-    /// M + dt·D of each of them.
+    metric: Metric<R>,
+    impulse: Vec<R>,
+    change: Vec<R>,
+    /// By tree: its damping is taken, and in which of `blocks`.
+    damped: Vec<bool>,
+    block: Vec<Option<usize>>,
+    /// M + dt·D of each single free body whose bias has a derivative.
     blocks: Vec<[[R; 6]; 6]>,
-    /// Those of them that no element couples to another tree.
-    gyroscopic_alone: Vec<usize>,
 }
 
-room!(Damped<R>: places, impulse, change, slopes, damped, damped_fast, late, gyroscopic, blocks, gyroscopic_alone; metric);
+room!(Damped<R>: impulse, change, damped, block, blocks; metric);
 
 impl<R: Real> Damped<R> {
-    pub fn new(model: &Model, scheme: &Scheme) -> Self {
-        let (damped, by_any) = (model.damped(), model.damped_by_any());
-        let spins: Vec<bool> = model.trees.iter().map(|tree| model.gyroscopic(tree)).collect();
-        let coupled = model.coupled();
-        // `midpoint` takes every stiffness whole: see `model/coupling.rs`.
-        let metric = match scheme.stages {
-            Stages::Middle => Metric::coupled(model),
-            _ => Metric::new(model),
-        };
-        let has = |test: &dyn Fn(usize) -> bool| {
-            (0..model.trees.len()).filter(|tree| test(*tree)).collect::<Vec<_>>()
-        };
-        let late = |tree: usize| [damped[tree], by_any[tree] || spins[tree]];
+    pub fn new(model: &Model, late: &LateTrees) -> Self {
+        let place = |tree: &usize| late.spinning.binary_search(tree).ok();
+        let trees = 0..model.trees.len();
         Self {
-            places: metric.places(model),
-            metric,
+            metric: Metric::new(model),
             impulse: vec![R::zero(); model.nv],
             change: vec![R::zero(); model.nv],
-            late: (0..model.trees.len()).map(late).collect(),
-            slopes: vec![[R::zero(); 2]; model.nv],
-            damped: has(&|tree| damped[tree]),
-            damped_fast: has(&|tree| by_any[tree] && !spins[tree]),
-            blocks: vec![[[R::zero(); 6]; 6]; has(&|tree| spins[tree]).len()],
-            gyroscopic: has(&|tree| spins[tree]),
-            gyroscopic_alone: has(&|tree| spins[tree] && !coupled[tree]),
+            damped: trees.clone().map(|tree| late.damped.contains(&tree)).collect(),
+            block: trees.map(|tree| place(&tree)).collect(),
+            blocks: vec![[[R::zero(); 6]; 6]; late.spinning.len()],
         }
     }
 }
@@ -97,48 +73,31 @@ impl<R: Real> Solved<'_, R> {
 }
 
 impl<R: Real> Damped<R> {
-    /// Rewrites the solved velocities in `out` with damping (and under `fast` servos and the
+    /// Rewrites the solved velocities in `out` with damping (and under `implicitfast` servos and the
     /// gyroscopic forces of free bodies) treated implicitly.
-    pub(super) fn damp(&mut self, solved: &Solved<R>, fast: bool, out: &mut [R]) {
+    pub fn damp(&mut self, solved: &Solved<R>, late: &LateTrees, out: &mut [R]) {
         let &Solved { ref now, placed, dt, .. } = solved;
         let &Moment { model, qvel, .. } = now;
-        let (trees, gyroscopic) = if fast {
-            (&self.damped_fast, self.gyroscopic.as_slice())
-        } else {
-            (&self.damped, [].as_slice())
-        };
-        if trees.is_empty() && gyroscopic.is_empty() {
-            return;
-        }
         solved.impulse(&mut self.impulse);
         self.change.copy_from_slice(&self.impulse);
-        for &tree in trees {
+        for &tree in &late.damped {
             self.metric.refill(model.trees[tree].dofs.range(), &placed.mass);
         }
         let mass = |i, j| model.entry(i, j).map_or(R::zero(), |at| placed.mass[at]);
-        for (block, &tree) in self.blocks.iter_mut().zip(gyroscopic) {
+        for (block, &tree) in self.blocks.iter_mut().zip(&late.spinning) {
             *block = free_block(model.trees[tree].dofs.start, mass);
         }
-        let (late, l, blocks) = (&self.late, &mut self.metric.l, &mut self.blocks);
-        damping(now, if fast { Late::All } else { Late::Joints }, |i, j, damping| {
+        let Self { metric, blocks, damped, block, .. } = self;
+        damping(now, late.of.unwrap_or(Late::Joints), |i, j, damping| {
             let tree = model.dofs[i].tree;
-            if !late[tree][usize::from(fast)] {
-                return;
-            }
-            if let Ok(at) = gyroscopic.binary_search(&tree) {
+            if damped[tree] {
+                metric.add(i, j, dt * damping);
+            } else if let Some(at) = block[tree].filter(|_| model.dofs[j].tree == tree) {
                 let first = model.trees[tree].dofs.start;
-                if model.dofs[j].tree == tree {
-                    blocks[at][i - first][j - first] += dt * damping;
-                }
-                return;
-            }
-            if i == j {
-                l[model.dofs[i].row.start] += dt * damping;
-            } else if let Some(at) = model.entry(i, j) {
-                l[at] += R::of(0.5) * dt * damping;
+                blocks[at][i - first][j - first] += dt * damping;
             }
         });
-        for &tree in trees {
+        for &tree in &late.damped {
             let dofs = model.trees[tree].dofs.range();
             self.metric.factor(dofs.clone());
             self.metric.solve_dofs(dofs.clone(), &mut self.change);
@@ -146,19 +105,17 @@ impl<R: Real> Damped<R> {
                 out[k] = qvel[k] + self.change[k];
             }
         }
-        for (block, &tree) in self.blocks.iter().zip(gyroscopic) {
+        for (block, &tree) in self.blocks.iter().zip(&late.spinning) {
             self.spin(solved, tree, *block, out);
         }
     }
 
     /// The same for the gyroscopic forces alone, of free bodies that nothing couples to others, after
     /// rows were solved in M̂.
-    pub(super) fn spin_all(&mut self, solved: &Solved<R>, out: &mut [R]) {
+    pub fn spin_all(&mut self, solved: &Solved<R>, late: &LateTrees, out: &mut [R]) {
         let Some(effective) = &solved.placed.effective else { return };
-        if !self.gyroscopic_alone.is_empty() {
-            solved.impulse(&mut self.impulse);
-        }
-        for &tree in &self.gyroscopic_alone {
+        solved.impulse(&mut self.impulse);
+        for &tree in &late.spinning {
             let first = solved.now.model.trees[tree].dofs.start;
             let entry = |i, j| effective.entry(&solved.placed.metric, i, j);
             self.spin(solved, tree, free_block(first, entry), out);

@@ -17,6 +17,7 @@ use super::advance;
 use crate::clock::Clock;
 use crate::elements::Role;
 use crate::error::Result;
+use crate::integrator::Inside;
 use crate::observer::Observer;
 use crate::real::{Mask, Real, Stage};
 use crate::settings::Law;
@@ -45,7 +46,7 @@ impl<R: Real> Sim<R> {
         }
         R::enter(Stage::Impulses);
         // Equalities that the stages held have nothing to answer to but other rows.
-        let answers = self.settings.connects_inside();
+        let answers = self.plan.inside == Inside::Equalities;
         let alone = self.rows.blocks.iter().all(|block| answers && block.role == Role::Equality);
         if alone || !self.rows.any() {
             self.effort.rest();
@@ -64,7 +65,7 @@ impl<R: Real> Sim<R> {
         for (row, held) in self.rows.rows.iter_mut().zip(&self.next.held) {
             row.beside += *held;
         }
-        if self.settings.keeps() {
+        if self.plan.keeps {
             self.rows.store_warm(&mut self.next.warm, answers);
         }
         R::enter(Stage::Commit);

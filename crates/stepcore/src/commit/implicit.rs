@@ -11,6 +11,7 @@ use crate::elements::forces::damping;
 use crate::integrator::Late;
 use crate::model::Model;
 use crate::place::bias_slopes::BiasSlopes;
+use crate::plan::LateTrees;
 use crate::real::Real;
 use crate::room::room;
 use std::ops::Range;
@@ -20,48 +21,33 @@ pub(super) struct Implicit<R: Real> {
     matrix: Unsymmetric<R>,
     change: Vec<R>,
     bias: BiasSlopes<R>,
-    /// Trees that are damped or have bias forces that change with velocities; and by tree whether it
-    /// is one, and whether its bias forces do.
-    trees: Vec<usize>,
+    /// By tree: it is damped or has bias forces that change with velocities; and the latter.
     late: Vec<bool>,
     turns: Vec<bool>,
 }
 
-room!(Implicit<R>: change, trees, late, turns; matrix, bias);
+room!(Implicit<R>: change, late, turns; matrix, bias);
 
 impl<R: Real> Implicit<R> {
-    pub fn new(model: &Model) -> Self {
-        let turns: Vec<bool> = model
-            .trees
-            .iter()
-            .map(|tree| model.features.coriolis && !tree.slides_only && !model.free_ball(tree))
-            .collect();
-        let late: Vec<bool> = model
-            .damped_by_any()
-            .iter()
-            .zip(&turns)
-            .map(|(damped, turns)| *damped || *turns)
-            .collect();
+    pub fn new(model: &Model, late: &LateTrees) -> Self {
+        let has =
+            |list: &[usize]| (0..model.trees.len()).map(|tree| list.contains(&tree)).collect();
         Self {
             matrix: Unsymmetric::new(model),
             change: vec![R::zero(); model.nv],
             bias: BiasSlopes::new(model),
-            trees: (0..late.len()).filter(|tree| late[*tree]).collect(),
-            late,
-            turns,
+            late: has(&late.damped),
+            turns: has(&late.turning),
         }
     }
 
     /// Rewrites the solved velocities in `out`.
-    pub fn damp(&mut self, solved: &Solved<R>, out: &mut [R]) {
-        let Self { matrix, change, bias, trees, late, turns } = self;
+    pub fn damp(&mut self, solved: &Solved<R>, trees: &[usize], out: &mut [R]) {
+        let Self { matrix, change, bias, late, turns } = self;
         let &Solved { ref now, placed, dt, .. } = solved;
         let &Moment { model, qvel, .. } = now;
-        if trees.is_empty() {
-            return;
-        }
         solved.impulse(change);
-        for &tree in &*trees {
+        for &tree in trees {
             matrix.fill(model, model.trees[tree].dofs.range(), &placed.mass);
         }
         damping(now, Late::All, |i, j, damping| {
@@ -69,7 +55,7 @@ impl<R: Real> Implicit<R> {
                 matrix.add(model, i, j, dt * damping);
             }
         });
-        for &tree in &*trees {
+        for &tree in trees {
             let own = &model.trees[tree];
             if turns[tree] {
                 bias.of_tree(placed, model, own, qvel, |at, [up, low]| {

@@ -5,63 +5,73 @@ use super::{advance, Next};
 use crate::elements::activation;
 use crate::elements::force::Moment;
 use crate::error::Result;
-use crate::integrator::{Late, Stages};
+use crate::integrator::Stages;
 use crate::observer::Observer;
+use crate::plan::Commit;
 use crate::real::Real;
 use crate::sim::{At, Sim};
 
 impl<R: Real> Sim<R> {
     /// One step of the integrator, into `next`.
     pub(crate) fn integrate<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
-        match self.settings.integrator.scheme().stages {
-            Stages::Start => self.in_one_stage(observer),
-            Stages::Middle => self.after_stages(Self::midpoint, observer),
-            Stages::Four => self.after_stages(Self::rk4, observer),
+        match self.plan.scheme.stages {
+            Stages::Start => {
+                self.place_detect_solve(At::State)?;
+                observer.placed(self, At::State, 1.0);
+                observer.solved(self, At::State, 1.0);
+                self.next.qvel.copy_from_slice(&self.velocity);
+            }
+            Stages::Middle => self.after_stages(Self::midpoint, observer)?,
+            Stages::Four => self.after_stages(Self::rk4, observer)?,
         }
-    }
-
-    /// The same of integrators that evaluate forces once.
-    pub(crate) fn in_one_stage<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
-        self.place_detect_solve(At::State)?;
-        observer.placed(self, At::State, 1.0);
-        observer.solved(self, At::State, 1.0);
-        self.commit();
+        for nth in 0..self.plan.commit.len() {
+            self.commit(self.plan.commit[nth]);
+        }
         Ok(())
     }
 
-    /// From u⁺ to the next state, for integrators of one stage.
-    fn commit(&mut self) {
-        self.next.qvel.copy_from_slice(&self.velocity);
-        let scheme = self.settings.integrator.scheme();
-        if let Some(late) = scheme.late(self.model.features.eulerdamp) {
-            self.damp(late, scheme.stiffness);
+    fn commit(&mut self, commit: Commit) {
+        let Self { model, state, inputs, placed, next, .. } = self;
+        match commit {
+            Commit::Damped | Commit::Spinning | Commit::Turning => self.damp(commit),
+            Commit::Positions { first } => {
+                let moving = if first { &state.qvel } else { &next.qvel };
+                advance(model, &state.qpos, moving, self.clock.dt, &mut next.qpos);
+            }
+            Commit::Activations => {
+                let (rates, seconds) = (placed.act_rates(), self.clock.seconds);
+                activation::advance(model, &state.act, rates, seconds, &mut next.act);
+                activation::centres(model, &state.qpos, placed.pulls(), &mut next.centres);
+                activation::unwind(model, &next.centres, &mut next.act);
+            }
+            Commit::History => {
+                let history = &mut next.ctrl_history;
+                activation::remember(model, &state.ctrl_history, &inputs.ctrl, history);
+            }
+            Commit::Sleep => self.settle(),
         }
-        let moving = if scheme.moves_first { &self.state.qvel } else { &self.next.qvel };
-        advance(&self.model, &self.state.qpos, moving, self.clock.dt, &mut self.next.qpos);
-        let (rates, seconds) = (self.placed.act_rates(), self.clock.seconds);
-        activation::advance(&self.model, &self.state.act, rates, seconds, &mut self.next.act);
-        let (pulls, centres) = (self.placed.pulls(), &mut self.next.centres);
-        activation::centres(&self.model, &self.state.qpos, pulls, centres);
-        activation::unwind(&self.model, centres, &mut self.next.act);
     }
 
     /// What is implicit beside the rows: see `damped.rs`, `implicit.rs`.
-    fn damp(&mut self, late: Late, in_metric: bool) {
+    fn damp(&mut self, commit: Commit) {
+        let (placed, u, late) = (&self.placed, &self.rows.u, &self.plan.late);
         let now = Moment {
             model: &self.model,
-            frames: self.placed.frames(),
+            frames: placed.frames(),
             qpos: &self.state.qpos,
             qvel: &self.state.qvel,
             act: self.state.activations(self.clock),
             inputs: &self.inputs,
         };
-        let (placed, u) = (&self.placed, &self.rows.u);
         let solved = Solved { now, placed, u, dt: self.clock.dt };
         let Next { damped, implicit, qvel, .. } = &mut self.next;
-        match implicit {
-            Some(implicit) => implicit.damp(&solved, qvel),
-            None if in_metric => damped.spin_all(&solved, qvel),
-            None => damped.damp(&solved, late == Late::All, qvel),
+        if let Some(implicit) = implicit {
+            implicit.damp(&solved, &late.damped, qvel);
+        } else if let Some(damped) = damped {
+            match commit {
+                Commit::Spinning => damped.spin_all(&solved, late, qvel),
+                _ => damped.damp(&solved, late, qvel),
+            }
         }
     }
 }

@@ -11,7 +11,9 @@ use crate::error::{Fault, Result};
 use crate::integrator::Inside;
 use crate::model::Model;
 use crate::observer::Observer;
+use crate::place::{spread, Metric};
 use crate::real::{Mask, Real};
+use crate::room::room;
 use crate::sim::{At, Sim};
 use crate::solve::Choice;
 
@@ -24,6 +26,32 @@ const LONG: usize = 20;
 /// in which they say the same, these are quotients of small numbers and do not come to rest. What they
 /// lack, the start of the next step gives.
 const PATIENCE: usize = 16;
+
+/// Working space of the iteration: M + dt/2·D + dt²/4·K, by dof the slopes of what acts by itself, and
+/// the change that a correction makes.
+pub(super) struct Iteration<R: Real> {
+    metric: Metric<R>,
+    /// Where each entry of M stands in it.
+    places: Vec<usize>,
+    slopes: Vec<[R; 2]>,
+    change: Vec<R>,
+    correction: Vec<R>,
+}
+
+room!(Iteration<R>: places, slopes, change, correction; metric);
+
+impl<R: Real> Iteration<R> {
+    pub fn new(model: &Model) -> Self {
+        let (zero, metric) = (R::zero(), Metric::coupled(model));
+        Self {
+            places: metric.places(model),
+            metric,
+            slopes: vec![[zero; 2]; model.nv],
+            change: vec![zero; model.nv],
+            correction: vec![zero; model.nv],
+        }
+    }
+}
 
 impl<R: Real> Sim<R> {
     /// One step from `next.start` into `next`.
@@ -105,7 +133,7 @@ impl<R: Real> Sim<R> {
     /// By how much the last correction changed derivatives, beside the largest.
     fn last_slope(&self) -> f64 {
         let most = |list: &[R]| list.iter().map(|x| x.steepness()).fold(0.0, f64::max);
-        let change = most(&self.next.damped.impulse);
+        let change = self.next.iteration.as_ref().map_or(0.0, |space| most(&space.correction));
         if change > 0.0 {
             change / most(&self.next.qvel)
         } else {
@@ -126,41 +154,40 @@ impl<R: Real> Sim<R> {
     /// size beside the velocities of the step.
     fn correct_midpoint(&mut self, model: &Model, dt: R, open: R::Mask, rows: bool) -> R {
         let mut scale = if rows { self.smooth_gain() } else { R::zero() };
-        let damped = &mut self.next.damped;
+        let Next { iteration, trial, start, qvel, ahead, .. } = &mut self.next;
+        let Some(Iteration { metric, places, slopes: own, change, correction }) = iteration else {
+            return R::zero();
+        };
         for k in 0..model.nv {
             let gained = dt * self.qacc[k];
-            let (start, last) = (self.next.start[k], self.next.qvel[k]);
-            damped.change[k] = start + gained - last;
-            scale = scale.max(last.abs()).max(start.abs()).max(gained.abs());
+            change[k] = start[k] + gained - qvel[k];
+            scale = scale.max(qvel[k].abs()).max(start[k].abs()).max(gained.abs());
         }
-        self.placed.mul_mass(model, &damped.change, &mut damped.impulse);
-        damped.metric.l.fill(R::zero());
-        for (at, mass) in damped.places.iter().zip(&self.placed.mass) {
-            damped.metric.l[*at] = *mass;
-        }
+        self.placed.mul_mass(model, change, correction);
+        spread(&self.placed.mass, places, &mut metric.l);
         let now = Moment {
             model,
             frames: self.placed.frames(),
-            qpos: &self.next.trial.qpos,
-            qvel: &self.next.trial.qvel,
+            qpos: &trial.qpos,
+            qvel: &trial.qvel,
             act: Activations {
-                act: &self.next.trial.act,
-                ahead: self.next.ahead,
+                act: &trial.act,
+                ahead: *ahead,
                 middle: true,
                 ..self.state.activations(self.clock)
             },
             inputs: &self.inputs,
         };
         let half = R::of(0.5 * self.clock.seconds);
-        damped.slopes.fill([R::zero(); 2]);
+        own.fill([R::zero(); 2]);
         let quarter = R::of(0.25);
         let implicit =
             |[stiffness, damping]: [R; 2]| half * damping + quarter * dt * dt * stiffness;
         slopes(&now, Group::Passive, &mut |_, i, j, slopes| {
             if i != j {
-                return damped.metric.add_pair(i, j, implicit(slopes));
+                return metric.add(i, j, implicit(slopes));
             }
-            for (sum, slope) in damped.slopes[i].iter_mut().zip(slopes) {
+            for (sum, slope) in own[i].iter_mut().zip(slopes) {
                 // A sum of one term is that term: nothing is added to it.
                 *sum = match (sum.is_zero(), slope.is_zero()) {
                     (true, _) => slope,
@@ -169,25 +196,19 @@ impl<R: Real> Sim<R> {
                 };
             }
         });
-        for (k, [stiffness, damping]) in damped.slopes.iter().enumerate() {
-            damped.metric.add_own(k, half * *damping + *stiffness * half * half);
+        for (k, [stiffness, damping]) in own.iter().enumerate() {
+            metric.add(k, k, half * *damping + *stiffness * half * half);
         }
-        slopes(&now, Group::Driven, &mut |_, i, j, slopes| {
-            if i == j {
-                damped.metric.add_own(i, implicit(slopes));
-            } else {
-                damped.metric.add_pair(i, j, implicit(slopes));
-            }
-        });
-        damped.metric.factor(0..model.nv);
-        damped.metric.solve(&mut damped.impulse);
+        slopes(&now, Group::Driven, &mut |_, i, j, slopes| metric.add(i, j, implicit(slopes)));
+        metric.factor(0..model.nv);
+        metric.solve(correction);
         let mut miss = R::zero();
         for k in 0..model.nv {
-            let change = damped.impulse[k];
-            let new = self.next.qvel[k] + change;
-            let kept = R::select(open, new, self.next.qvel[k]);
+            let change = correction[k];
+            let new = qvel[k] + change;
+            let kept = R::select(open, new, qvel[k]);
             // Derivatives go on until they stand still as well.
-            self.next.qvel[k] = kept.with_slopes_of(open.not(), || new);
+            qvel[k] = kept.with_slopes_of(open.not(), || new);
             miss = R::select(change.is_finite(), miss.max(change.abs()), change);
         }
         // Below this, rounding is no longer in proportion.

@@ -2,8 +2,10 @@
 
 use super::damped::Damped;
 use super::implicit::Implicit;
-use crate::integrator::{Scheme, Stages, Turning};
+use super::midpoint::Iteration;
+use crate::integrator::Stages;
 use crate::model::Model;
+use crate::plan::{Commit, Plan};
 use crate::real::Real;
 use crate::room::room;
 use crate::state::State;
@@ -41,12 +43,13 @@ pub struct Next<R: Real> {
     pub(crate) ahead: f64,
     /// That is the middle of a step: `Activations::middle`.
     pub(crate) middle: bool,
-    pub(super) damped: Damped<R>,
+    pub(super) damped: Option<Damped<R>>,
     pub(super) implicit: Option<Implicit<R>>,
+    pub(super) iteration: Option<Iteration<R>>,
     pub(super) sums: Sums<R>,
 }
 
-room!(Next<R>: qpos, qvel, act, centres, ctrl_history, start, held, change, smooth, gained, mean, warm, woken; sleep, trial, damped, implicit, sums);
+room!(Next<R>: qpos, qvel, act, centres, ctrl_history, start, held, change, smooth, gained, mean, warm, woken; sleep, trial, damped, implicit, iteration, sums);
 
 /// Positions and velocities within a step.
 pub(crate) struct Trial<R: Real> {
@@ -84,7 +87,9 @@ impl<R: Real> Next<R> {
         }
     }
 
-    pub fn new(model: &Model, scheme: &Scheme) -> Self {
+    pub fn new(model: &Model, plan: &Plan) -> Self {
+        let does = |commit: Commit| plan.commit.contains(&commit);
+        let middle = plan.scheme.stages == Stages::Middle;
         let zeros = |n| vec![R::zero(); n];
         let (nq, nv) = (model.nq, model.nv);
         Self {
@@ -105,9 +110,11 @@ impl<R: Real> Next<R> {
             stage: 0,
             trial: Trial { qpos: zeros(nq), qvel: zeros(nv), act: zeros(model.na) },
             ahead: 0.5,
-            middle: scheme.stages == Stages::Middle,
-            damped: Damped::new(model, scheme),
-            implicit: (scheme.turning == Some(Turning::Trees)).then(|| Implicit::new(model)),
+            middle,
+            damped: (does(Commit::Damped) || does(Commit::Spinning))
+                .then(|| Damped::new(model, &plan.late)),
+            implicit: does(Commit::Turning).then(|| Implicit::new(model, &plan.late)),
+            iteration: middle.then(|| Iteration::new(model)),
             sums: Sums {
                 rate: zeros(nv),
                 turned: zeros(nv),

@@ -8,21 +8,13 @@ use crate::sim::{At, Sim};
 use crate::solve::{Choice, Part};
 
 impl<R: Real> Sim<R> {
-    /// What acts at the stages of this model's steps.
-    fn inside(&self) -> Inside {
-        match self.settings.inside() {
-            Inside::Equalities if self.next.held.is_empty() => Inside::Nothing,
-            inside => inside,
-        }
-    }
-
     /// One step: `stages`, and the rows that do not act within them.
     pub(super) fn after_stages<O: Observer<R>>(
         &mut self,
         stages: impl FnOnce(&mut Self, Inside, &mut O) -> Result<()>,
         observer: &mut O,
     ) -> Result<()> {
-        let inside = self.inside();
+        let inside = self.plan.inside;
         self.next.start.copy_from_slice(&self.state.qvel);
         self.next.held.fill(R::zero());
         if inside == Inside::Equalities && self.settings.law.on_guess() {

@@ -18,7 +18,7 @@ use super::orientation::turn;
 use super::Kind;
 use crate::model::transmission::Pulls;
 use crate::model::Model;
-use crate::plan::acting::Why;
+use crate::plan::acting::{Acts, ActuatorAt, Drive, Why};
 use crate::real::{Mask, Real};
 use crate::scene::{self, Target};
 use crate::state::Inputs;
@@ -46,10 +46,6 @@ impl scene::Actuator {
         self.forcerange.filter(|_| !self.drives_motor() && self.orientation.is_none())
     }
 
-    fn bounded<R: Real>(&self, force: R) -> R {
-        self.bounds().map_or(force, |[lo, hi]| force.clamp(R::of(lo), R::of(hi)))
-    }
-
     /// Its gain depends on length or velocity.
     fn gain_varies(&self) -> bool {
         self.gain[1] != 0.0 || self.gain[2] != 0.0 || self.muscle_gain.is_some()
@@ -72,12 +68,21 @@ impl scene::Actuator {
     }
 }
 
-/// What an actuator is to an account of energy.
-#[derive(Clone, Copy, PartialEq)]
-enum Drive {
-    Motor,
-    Spring,
-    Damped,
+/// What steps ask of an actuator.
+pub(crate) fn drive(model: &Model, own: &scene::Actuator) -> ActuatorAt {
+    ActuatorAt {
+        drive: own.drive(),
+        feeds_back: own.feeds_back(),
+        gain_varies: own.gain_varies(),
+        biased: own.bias != [0.0; 3] || own.muscle_bias.is_some(),
+        elsewhere: own.controller.is_some() || own.orientation.is_some(),
+        ctrlrange: own.ctrlrange.filter(|_| model.features.clampctrl),
+        bounds: own.bounds(),
+    }
+}
+
+fn within<R: Real>(x: R, bounds: Option<[f64; 2]>) -> R {
+    bounds.map_or(x, |[lo, hi]| x.clamp(R::of(lo), R::of(hi)))
 }
 
 /// What an actuator reads: its length and the rate of that; zeros where nothing depends on them.
@@ -90,7 +95,7 @@ struct Along<R: Real> {
 impl<R: Real> Along<R> {
     #[inline(always)]
     fn of(model: &Model, index: usize, qpos: &[R], qvel: &[R], pulls: Pulls<R>) -> Self {
-        if !model.actuators[index].feeds_back() {
+        if !model.drives[index].feeds_back {
             return Self { length: R::zero(), velocity: R::zero() };
         }
         let along = model.along[index];
@@ -105,7 +110,7 @@ impl<R: Real> Along<R> {
 /// of those that are the same which is nearest.
 #[inline(always)]
 fn input<R: Real>(model: &Model, index: usize, act: Activations<R>, ctrl: R, length: R) -> R {
-    let u = signal(model, index, act, || model.actuators[index].held(model, ctrl));
+    let u = signal(model, index, act, || within(ctrl, model.drives[index].ctrlrange));
     nearest(u, length, model.circles[index])
 }
 
@@ -117,7 +122,7 @@ fn asked<R: Real>(model: &Model, index: usize, at: Along<R>, u: R) -> R {
         return muscle.gain(at.length, at.velocity, actuator.lengthrange)[0] * u;
     }
     let [constant, length, velocity] = actuator.gain.map(R::of);
-    if !actuator.gain_varies() {
+    if !model.drives[index].gain_varies {
         return constant * u;
     }
     (constant + length * at.length + velocity * at.velocity) * u
@@ -146,24 +151,24 @@ pub(crate) fn tensions<R: Real>(
     pulls: Pulls<R>,
     tensions: &mut [R],
 ) {
-    if !model.features.actuation {
-        return;
-    }
-    for (index, actuator) in model.actuators.iter().enumerate().filter(|(_, a)| a.enabled) {
-        if let Some(work) = work(model, index, (qpos, qvel), act, inputs, pulls) {
-            let bounded = model.actuators[index].drives_motor() && on_bounded_tendon(model, index);
-            tensions[index] = if bounded { work.driven } else { work.force };
-            continue;
-        }
-        if let Some(turn) = turn(model, index, (qpos, qvel), act, inputs) {
-            tensions[index] = turn.force;
+    for &Acts { index, .. } in &model.acting.actuator {
+        let own = &model.drives[index];
+        if own.elsewhere {
+            let at = (qpos, qvel);
+            if let Some(work) = work(model, index, at, act, inputs, pulls) {
+                let motor = model.actuators[index].drives_motor();
+                let bounded = motor && on_bounded_tendon(model, index);
+                tensions[index] = if bounded { work.driven } else { work.force };
+            } else if let Some(turn) = turn(model, index, at, act, inputs) {
+                tensions[index] = turn.force;
+            }
             continue;
         }
         let at = Along::of(model, index, qpos, qvel, pulls);
         let u = input(model, index, act, act.ctrl(model, index, inputs), at.length);
         let mut force = asked(model, index, at, u);
-        if actuator.bias != [0.0; 3] || actuator.muscle_bias.is_some() {
-            force += bias(actuator, at);
+        if own.biased {
+            force += bias(&model.actuators[index], at);
         }
         tensions[index] = force;
     }
@@ -171,12 +176,8 @@ pub(crate) fn tensions<R: Real>(
 
 /// Every force within the bounds of its own actuator; those of a tendon come first.
 pub(crate) fn bound<R: Real>(model: &Model, tensions: &mut [R]) {
-    if !model.features.actuation {
-        return;
-    }
-    let own = tensions.iter_mut().zip(&model.actuators);
-    for (tension, actuator) in own.filter(|(_, actuator)| actuator.enabled) {
-        *tension = actuator.bounded(*tension);
+    for &Acts { index, .. } in &model.acting.actuator {
+        tensions[index] = within(tensions[index], model.drives[index].bounds);
     }
 }
 
@@ -296,7 +297,7 @@ pub(crate) fn let_through<R: Real>(total: R, range: [f64; 2]) -> [R; 2] {
 
 /// It is a position servo, which stores energy.
 pub(crate) fn stores(model: &Model, index: usize) -> bool {
-    model.acts(index) && model.actuators[index].drive() == Drive::Spring
+    model.acts(index) && model.drives[index].drive == Drive::Spring
 }
 
 /// What a position servo stores under a control [J]; 0 of other actuators.
@@ -328,21 +329,24 @@ impl Model {
     /// Servos whose force is bounded. Where it reaches its bound they do not damp, and swing about
     /// their target with all the energy that the bound gives.
     pub(crate) fn bounded_servos(&self) -> impl Iterator<Item = usize> + '_ {
-        let bounded = |a: &scene::Actuator| a.feeds_back() && a.bounds().is_some();
-        let all = self.actuators.iter().enumerate();
-        all.filter(move |(_, actuator)| bounded(actuator)).map(|(index, _)| index)
+        let bounded = |own: &ActuatorAt| own.feeds_back && own.bounds.is_some();
+        let all = self.drives.iter().enumerate();
+        all.filter(move |(_, own)| bounded(own)).map(|(index, _)| index)
     }
 }
 
 /// Where no bound holds the force of an actuator; None: it has no bound.
 fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
     let (model, actuator) = (now.model, &now.model.actuators[index]);
-    let own = actuator.bounds().map(|[lo, hi]| {
+    let own = model.drives[index].bounds.map(|[lo, hi]| {
         let force = now.frames.tension[index];
         force.gt(R::of(lo)).and(force.lt(R::of(hi)))
     });
-    let turn = turn(model, index, (now.qpos, now.qvel), now.act, now.inputs);
-    let own = turn.map_or(own, |turn| Some(turn.free));
+    let own = match actuator.orientation {
+        None => own,
+        Some(_) => turn(model, index, (now.qpos, now.qvel), now.act, now.inputs)
+            .map_or(own, |turn| Some(turn.free)),
+    };
     let within = match actuator.target {
         _ if now.frames.shares.is_empty() => return own,
         Target::Joint(joint) | Target::InParent(joint) => {
@@ -358,7 +362,7 @@ fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
 /// The force of a servo is at its bound.
 pub(crate) fn saturated<R: Real>(now: &Moment<R>, index: usize) -> R::Mask {
     let tension = now.frames.tension[index];
-    let range = now.model.actuators[index].bounds();
+    let range = now.model.drives[index].bounds;
     range.map_or(R::Mask::of(false), |[lo, hi]| tension.le(R::of(lo)).or(R::of(hi).le(tension)))
 }
 
@@ -413,7 +417,8 @@ impl Forces for Actuator {
         add: &mut impl FnMut(usize, usize, [R; 2]),
     ) {
         let (model, actuator) = (now.model, &now.model.actuators[index]);
-        if !actuator.feeds_back() {
+        let own = &model.drives[index];
+        if !own.feeds_back {
             return;
         }
         let (along, pulls) = (model.along[index], now.frames.pulls);
@@ -423,15 +428,15 @@ impl Forces for Actuator {
         if let Some(work) = work(model, index, at, now.act, now.inputs, pulls) {
             by = work.slopes.map(|slope| -slope);
             beside = work.slopes_beside.map(|slope| -slope);
-        } else if actuator.gain_varies() {
+        } else if own.gain_varies {
             let at = Along::of(model, index, now.qpos, now.qvel, pulls);
             let ctrl = now.act.ctrl(model, index, now.inputs);
             let u = input(model, index, now.act, ctrl, at.length);
-            let own = actuator.muscle_gain.map_or_else(
+            let slopes = actuator.muscle_gain.map_or_else(
                 || [R::of(actuator.gain[1]), R::of(actuator.gain[2])],
                 |muscle| [R::zero(), muscle.gain(at.length, at.velocity, actuator.lengthrange)[1]],
             );
-            by = [by[0] + own[0] * u, by[1] + own[1] * u];
+            by = [by[0] + slopes[0] * u, by[1] + slopes[1] * u];
         }
         if let Some(free) = free(now, index) {
             let held = |slope: R| R::select(free, slope, R::zero());
@@ -449,7 +454,7 @@ impl Forces for Actuator {
 
     #[inline(always)]
     fn sloped(model: &Model, &index: &usize, each: &mut impl FnMut(usize)) {
-        if model.actuators[index].feeds_back() {
+        if model.drives[index].feeds_back {
             let dofs = model.along[index].dofs(model);
             dofs.of(&model.dof_lists).iter().for_each(|dof| each(*dof));
         }
@@ -474,7 +479,8 @@ impl Forces for Actuator {
         add: &mut impl FnMut(R),
     ) {
         let (model, actuator) = (now.model, &now.model.actuators[index]);
-        let force = match actuator.drive() {
+        let own = &model.drives[index];
+        let force = match own.drive {
             _ if !model.acts(index) => return,
             Drive::Spring => return,
             Drive::Motor => now.frames.tension[index],
@@ -482,7 +488,7 @@ impl Forces for Actuator {
                 let none = Along { length: R::zero(), velocity: R::zero() };
                 let ctrl = now.act.ctrl(model, index, now.inputs);
                 let u = input(model, index, now.act, ctrl, R::zero());
-                actuator.bounded(asked(model, index, none, u) + R::of(actuator.bias[0]))
+                within(asked(model, index, none, u) + R::of(actuator.bias[0]), own.bounds)
             }
         };
         let mut work = |dof, arm: R| add(force * (arm * velocity(dof)));

@@ -5,8 +5,6 @@ use super::contact::Contacts;
 use super::equality::Equalities;
 use super::friction_loss::FrictionLoss;
 use super::limit::Limit;
-use super::tendon_friction::TendonFriction;
-use super::tendon_limit::TendonLimit;
 use crate::detect::Contact;
 use crate::model::Model;
 use crate::plan::makers::Maker;
@@ -40,7 +38,7 @@ macro_rules! constraints {
 }
 
 // In the order of their slots: see `model/slots.rs`.
-constraints!(Equalities, FrictionLoss, TendonFriction, Limit, TendonLimit, Contacts);
+constraints!(Equalities, FrictionLoss, Limit, Contacts);
 
 impl<R: Real> Rows<R> {
     /// Makes every row that exists now.

@@ -214,13 +214,8 @@ impl Model {
         element.kind != Kind::Gravity || self.bodies[element.part as usize].tree != NONE
     }
 
-    /// By tree: a joint of it is damped.
-    pub fn damped(&self) -> Vec<bool> {
-        damped(self, Late::Joints)
-    }
-
-    /// By tree: any element damps it.
-    pub fn damped_by_any(&self) -> Vec<bool> {
-        damped(self, Late::All)
+    /// By tree: it has a damping that an integrator takes late.
+    pub(crate) fn damped(&self, late: Late) -> Vec<bool> {
+        damped(self, late)
     }
 }

@@ -6,7 +6,10 @@ use super::{
     invweight, linkages, memory, meshes, pairs, plane, pose, range_separation, tendons, tree,
     Model, NONE,
 };
+use crate::elements::actuator::drive;
 use crate::elements::constraints::makers;
+use crate::elements::friction_loss::rubbing;
+use crate::elements::limit::limited;
 use crate::error::Result;
 use crate::plan::acting::Acting;
 use crate::scene::Scene;
@@ -59,6 +62,7 @@ impl Model {
             let still = !turns || ball && !tied[tree];
             model.trees[tree].constant = still && !weighted[tree];
         }
+        model.drives = model.actuators.iter().map(|own| drive(&model, own)).collect();
         model.acting = Acting::of(&model);
         plane::fill(&mut model, &poses);
         coupling::fill(&mut model);
@@ -66,6 +70,8 @@ impl Model {
         range_separation::fill(&mut model);
         body_pairs::fill(&mut model);
         model.places = model.find_places();
+        model.limited = limited(&model);
+        model.rubbing = rubbing(&model);
         model.makers = makers(&model);
         Ok(model)
     }

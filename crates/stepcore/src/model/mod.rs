@@ -50,10 +50,10 @@ pub use pairs::Never;
 pub use plane::{FlatGeom, Plane};
 pub(crate) use pose::rotation;
 pub use tendons::{Course, Mover, Point, Round, Stretch, Tendon};
-use transmission::Transmission;
+use transmission::{Limited, Rubbing, Transmission};
 pub(crate) use union::Union;
 
-use crate::plan::acting::Acting;
+use crate::plan::acting::{Acting, ActuatorAt};
 use crate::plan::makers::Maker;
 use crate::plan::places::Places;
 use crate::real::Real;
@@ -362,14 +362,16 @@ pub struct Model {
     pub row_dofs: Vec<usize>,
     /// An element couples dofs of different branches or trees: see `model/coupling.rs`.
     pub couples: bool,
-    /// Joints that have a range, and dofs that have friction loss.
-    pub limited: Vec<usize>,
-    pub rubbing: Vec<usize>,
+    /// What has a range, and what has friction loss.
+    pub(crate) limited: Vec<Limited>,
+    pub(crate) rubbing: Vec<Rubbing>,
     slots: slots::Slots,
     /// What a step places, what makes rows, and what pushes.
     pub(crate) makers: Vec<Maker>,
     pub(crate) places: Places,
     pub(crate) acting: Acting,
+    /// By actuator.
+    pub(crate) drives: Vec<ActuatorAt>,
 }
 
 /// Nearer than this share of the size of what meets, a row stays: whether the guess of bodies
@@ -421,6 +423,11 @@ impl Model {
     /// Single free bodies whose bias force has a derivative that `implicitfast` takes.
     pub fn gyroscopic(&self, tree: &Tree) -> bool {
         self.features.coriolis && self.free_alone(tree) && !self.free_ball(tree)
+    }
+
+    /// Trees whose bias force changes with velocities.
+    pub fn turns(&self, tree: &Tree) -> bool {
+        self.features.coriolis && !tree.slides_only && !self.free_ball(tree)
     }
 
     /// A dof and its ancestors, ascending, closed as `Dof::closed`.

@@ -4,9 +4,11 @@
 //! joint nor path. The lengths and arms of tendons are made in `place/tendon.rs`.
 
 use super::{Linkage, Model, Span};
+use crate::elements::{Element, Kind};
 use crate::real::Real;
-use crate::scene::JointType;
+use crate::scene::{JointType, Softness};
 use crate::spatial::{Quat, V3};
+use std::ops::Range;
 
 /// Whose length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,6 +25,39 @@ pub enum Transmission {
     Tendon(usize, f64),
     /// A linkage, whose arms hold its gear.
     Linkage(usize),
+    /// One dof, of which only the rate matters.
+    Dof(usize),
+}
+
+/// A length that goes no further than its range.
+#[derive(Clone, Debug)]
+pub(crate) struct Limited {
+    pub along: Transmission,
+    pub kind: Kind,
+    pub index: usize,
+    pub range: [f64; 2],
+    /// 0: there is a lower bound, 1: an upper one.
+    pub sides: Range<usize>,
+    pub margin: f64,
+    pub soft: Softness,
+    /// Into `Model::dof_lists`.
+    pub dofs: Span,
+    pub invweight: f64,
+    pub mass: f64,
+}
+
+/// A length with dry friction.
+#[derive(Clone, Debug)]
+pub(crate) struct Rubbing {
+    pub along: Transmission,
+    pub element: Element,
+    /// The largest force.
+    pub most: f64,
+    pub soft: Softness,
+    /// Into `Model::dof_lists`.
+    pub dofs: Span,
+    pub invweight: f64,
+    pub mass: f64,
 }
 
 /// Lengths that were placed: by tendon, and their arms (see `Tendon::arms`).
@@ -60,6 +95,7 @@ impl Transmission {
             }
             Self::Tendon(tendon, _) => model.tendons[tendon].dofs,
             Self::Linkage(linkage) => model.linkages[linkage].dofs,
+            Self::Dof(k) => model.chain_of_dof(k),
         }
     }
 
@@ -79,6 +115,7 @@ impl Transmission {
             }
             Self::Tendon(tendon, gear) => R::of(gear) * pulls.length[tendon],
             Self::Linkage(linkage) => pulls.length[model.linkages[linkage].length],
+            Self::Dof(_) => R::zero(),
         }
     }
 
@@ -94,6 +131,7 @@ impl Transmission {
         };
         match self {
             Self::Joint(joint) => qvel[model.joints[joint].dof],
+            Self::Dof(k) => qvel[k],
             Self::Geared(joint, gear) if model.joints[joint].dofs() == 1 => {
                 R::of(gear[0]) * qvel[model.joints[joint].dof]
             }
@@ -151,6 +189,7 @@ impl Transmission {
                     each(*dof, *arm);
                 }
             }
+            Self::Dof(k) => each(k, R::one()),
         }
     }
 
@@ -162,6 +201,7 @@ impl Transmission {
                 (joint.dof..joint.dof + joint.dofs()).for_each(each);
             }
             Self::Tendon(..) => self.dofs(model).of(&model.dof_lists).iter().for_each(|k| each(*k)),
+            Self::Dof(k) => each(k),
             Self::Linkage(linkage) => {
                 model.linkages[linkage].movers.iter().for_each(|moved| each(moved.dof));
             }

@@ -71,6 +71,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         makers: vec![],
         places: Places::default(),
         acting: Acting::default(),
+        drives: vec![],
     };
     for s in &scene.sites {
         let (name, pos) = (s.name.clone(), Vector3::from(s.pos));
@@ -89,9 +90,6 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         row(&mut model, i);
     }
     close_lists(&mut model);
-    let all = |count: usize, has: &dyn Fn(usize) -> bool| (0..count).filter(|i| has(*i)).collect();
-    model.limited = all(model.joints.len(), &|i| model.joints[i].range.is_some());
-    model.rubbing = all(model.nv, &|i| model.dofs[i].frictionloss > 0.0);
     model
 }
 

@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-use super::{Metric, Placed};
+use super::{spread, Metric, Placed};
 use crate::elements::activation::Activations;
 use crate::elements::force::{Frames, Moment};
 use crate::elements::forces::holding;
@@ -51,28 +51,21 @@ impl<R: Real> Effective<R> {
 
     /// M alone, of all dofs: what stands of it where no step changes it.
     pub(super) fn start(&mut self, mass: &[R], metric: &mut Metric<R>) {
-        self.matrix.fill(R::zero());
-        for (at, mass) in self.places.iter().zip(mass) {
-            self.matrix[*at] = *mass;
-        }
+        spread(mass, &self.places, &mut self.matrix);
         metric.l.copy_from_slice(&self.matrix);
         metric.factor(0..self.shift.len());
     }
 
     fn assemble(&mut self, now: &Moment<R>, mass: &[R], metric: &Metric<R>) {
         let Self { dt, matrix, places, shift, .. } = self;
-        let (dt, half) = (*dt, R::of(0.5));
-        matrix.fill(R::zero());
+        let dt = *dt;
+        spread(mass, places, matrix);
         shift.fill(R::zero());
-        for (at, mass) in places.iter().zip(mass) {
-            matrix[*at] = *mass;
-        }
         holding(now, &mut |_, i, j, [stiffness, damping]| {
-            let Some(at) = metric.place(i, j) else { return };
-            let extra = dt * (damping + dt * stiffness);
-            // Each pair of dofs comes twice.
-            matrix[at] += if i == j { extra } else { half * extra };
-            shift[i] += dt * stiffness * now.qvel[j];
+            if let Some((at, x)) = metric.share(i, j, dt * (damping + dt * stiffness)) {
+                matrix[at] += x;
+                shift[i] += dt * stiffness * now.qvel[j];
+            }
         });
     }
 

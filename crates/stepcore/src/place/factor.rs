@@ -127,17 +127,18 @@ impl<R: Real> Metric<R> {
         self.l[own.clone()].copy_from_slice(&matrix[own]);
     }
 
-    /// Adds to an entry on the diagonal of a matrix that was copied into `l`.
+    /// Where an entry of another matrix, made symmetric, is added to one of this pattern, if there is a
+    /// place for it, and how much of it: that of two dofs has half of each of the other's two.
     #[inline(always)]
-    pub fn add_own(&mut self, dof: usize, x: R) {
-        self.l[self.rows[dof].start] += x;
+    pub fn share(&self, i: usize, j: usize, x: R) -> Option<(usize, R)> {
+        self.place(i, j).map(|at| (at, if i == j { x } else { R::of(0.5) * x }))
     }
 
-    /// Adds one half of a symmetric matrix's two entries of these dofs, if there is a place for it.
+    /// Adds such an entry to a matrix that was copied into `l`.
     #[inline(always)]
-    pub fn add_pair(&mut self, i: usize, j: usize, x: R) {
-        if let Some(at) = self.place(i, j) {
-            self.l[at] += R::of(0.5) * x;
+    pub fn add(&mut self, i: usize, j: usize, x: R) {
+        if let Some((at, x)) = self.share(i, j, x) {
+            self.l[at] += x;
         }
     }
 
@@ -249,6 +250,14 @@ impl<R: Real> Metric<R> {
     /// x ← H⁻¹ x.
     pub fn solve(&self, x: &mut [R]) {
         self.solve_dofs(0..x.len(), x);
+    }
+}
+
+/// M alone, each entry in its place: see `Metric::places`.
+pub fn spread<R: Real>(mass: &[R], places: &[usize], out: &mut [R]) {
+    out.fill(R::zero());
+    for (at, mass) in places.iter().zip(mass) {
+        out[*at] = *mass;
     }
 }
 

@@ -20,7 +20,7 @@ mod tendon_inertia;
 mod wrap;
 
 pub use effective::Effective;
-pub use factor::Metric;
+pub use factor::{spread, Metric};
 pub(crate) use wrap::{wrap, Obstacle};
 
 use crate::elements::activation::Activations;

@@ -54,6 +54,30 @@ pub(crate) struct MassAt {
     pub mass: f64,
 }
 
+/// What an actuator is to an account of energy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Drive {
+    Motor,
+    Spring,
+    Damped,
+}
+
+/// What there is of an actuator's formula.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ActuatorAt {
+    pub drive: Drive,
+    /// Its force depends on its length or on the rate of that; and its gain does.
+    pub feeds_back: bool,
+    pub gain_varies: bool,
+    /// It has a force beside gain·u.
+    pub biased: bool,
+    /// A controller, or a servo of orientations, says what its force is.
+    pub elsewhere: bool,
+    /// Bounds of its control, and of its force.
+    pub ctrlrange: Option<[f64; 2]>,
+    pub bounds: Option<[f64; 2]>,
+}
+
 /// All that acts in a model, one list a kind; and what never does.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Acting {

@@ -1,13 +1,91 @@
 //! The solver, the integrator, and what these take implicitly.
 
-use super::{split, Of, Plan};
-use crate::integrator::{Late, Turning};
+use super::{split, Of, Plan, Print};
+use crate::integrator::{Late, Scheme, Stages, Turning};
 use crate::model::Model;
+use crate::room::room;
 use crate::scene::JointType;
-use crate::settings::{Integrator, Law, Settings};
+use crate::settings::{Law, Settings};
 
-impl Plan {
-    pub(super) fn commit(&mut self, model: &Model, settings: &Settings) {
+/// What a step does after its stages, in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Commit {
+    /// Damping, at the end of the step: `commit/damped.rs`.
+    Damped,
+    /// The gyroscopic forces of free bodies alone, there.
+    Spinning,
+    /// Damping, and what bias forces change with all velocities: `commit/implicit.rs`.
+    Turning,
+    /// Positions, by the velocities after the step or before it.
+    Positions {
+        first: bool,
+    },
+    Activations,
+    /// Past controls.
+    History,
+    Sleep,
+}
+
+impl Commit {
+    pub fn list(model: &Model, settings: &Settings, late: &LateTrees) -> Vec<Self> {
+        let scheme = settings.integrator.scheme();
+        let once = scheme.stages == Stages::Start;
+        let some = !(late.damped.is_empty() && late.spinning.is_empty());
+        let late = match scheme.turning {
+            Some(Turning::Trees) => Self::Turning,
+            _ if scheme.stiffness => Self::Spinning,
+            _ => Self::Damped,
+        };
+        let all = [
+            (once && some, late),
+            (once, Self::Positions { first: scheme.moves_first }),
+            (once && model.na > 0, Self::Activations),
+            (model.nhistory > 0, Self::History),
+            (settings.sleep, Self::Sleep),
+        ];
+        all.into_iter().filter_map(|(does, commit)| does.then_some(commit)).collect()
+    }
+}
+
+/// Trees whose velocities are solved for once more at the end of a step.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LateTrees {
+    /// The elements whose damping is taken there.
+    pub of: Option<Late>,
+    /// Those that are damped, or whose bias forces are taken.
+    pub damped: Vec<usize>,
+    /// Single free bodies, of which the gyroscopic force is taken.
+    pub spinning: Vec<usize>,
+    /// Those of `damped` whose bias forces are taken.
+    pub turning: Vec<usize>,
+}
+
+room!(LateTrees: damped, spinning, turning);
+
+impl LateTrees {
+    pub fn of(model: &Model, scheme: &Scheme) -> Self {
+        let Some(late) = scheme.late(model.features.eulerdamp) else { return Self::default() };
+        let trees = &model.trees;
+        let damped = model.damped(late);
+        let coupled = model.coupled();
+        let turns = |tree: usize| match scheme.turning {
+            Some(Turning::Trees) => model.turns(&trees[tree]),
+            _ => false,
+        };
+        let spins = |tree: usize| {
+            scheme.turning == Some(Turning::FreeBodies)
+                && model.gyroscopic(&trees[tree])
+                && !(scheme.stiffness && coupled[tree])
+        };
+        let of = |test: &dyn Fn(usize) -> bool| split(trees.len(), test)[0].clone();
+        let taken =
+            |tree: usize| !scheme.stiffness && (damped[tree] || turns(tree)) && !spins(tree);
+        Self { of: Some(late), damped: of(&taken), spinning: of(&spins), turning: of(&turns) }
+    }
+}
+
+impl Print {
+    pub(super) fn commit(&mut self, plan: &Plan, model: &Model, settings: &Settings) {
         let trees = || (0..model.trees.len()).collect::<Vec<_>>();
         let solver = settings.solver.name();
         if model.dynamic_pairs.is_some() {
@@ -26,7 +104,7 @@ impl Plan {
             let meet: usize =
                 model.dynamic_pairs.as_ref().map_or(0, |_| model.tally().meet.values().sum());
             let count = rubbing.len().max(meet);
-            let sweeps = settings.noslip_iterations;
+            let sweeps = plan.noslip;
             if sweeps > 0 {
                 let plural = if sweeps > 1 { "s" } else { "" };
                 let name = format!("noslip: {sweeps} sweep{plural} over friction");
@@ -37,16 +115,16 @@ impl Plan {
                 self.does("solve", name, Of::Pair, rubbing).counting(count);
             }
         }
-        if settings.sleep {
+        if plan.sleeps {
             self.does("solve", "sleep: islands at rest make no rows", Of::Tree, trees());
         }
         let joints = (0..model.joints.len()).collect();
         let name = format!("integrator: {} (by joint)", settings.integrator.name());
         self.does("commit", name, Of::Joint, joints);
-        if !settings.warm_start {
+        if !plan.warm_start {
             self.omits("solve", "warm start", Of::Tree, vec![], "switched off").counting(1);
         }
-        self.implicit(model, settings.integrator);
+        self.implicit(plan, model, settings.integrator.name());
         let turns =
             |joint: usize| matches!(model.joints[joint].kind, JointType::Ball | JointType::Free);
         let [have, lack] = split(model.joints.len(), turns);
@@ -57,35 +135,30 @@ impl Plan {
         self.omits("commit", "sensors", Of::Sensor, sensors, why);
     }
 
-    fn implicit(&mut self, model: &Model, integrator: Integrator) {
+    fn implicit(&mut self, Plan { scheme, late, .. }: &Plan, model: &Model, integrator: &str) {
         let on = &model.features;
         let by_tree = |flags: Vec<bool>| split(flags.len(), |tree| flags[tree]);
         let name = "implicit damping (by tree)";
-        let scheme = integrator.scheme();
         if scheme.stiffness {
             let [have, lack] = by_tree(model.sloped());
             let name = "implicit stiffness and damping (by tree)";
             self.does("place", name, Of::Tree, have);
             self.omits("place", name, Of::Tree, lack, "nothing is stiff or damped");
-        } else if scheme.damping.is_none() {
-            let [have, _] = by_tree(model.damped());
-            let why = format!("{} treats damping explicitly", integrator.name());
-            self.omits("commit", name, Of::Tree, have, why);
-        } else if let Some(late) = scheme.late(on.eulerdamp) {
-            let joints = late == Late::Joints;
-            let damped = if joints { model.damped() } else { model.damped_by_any() };
-            let [have, lack] = by_tree(damped);
+        } else if let Some(of) = late.of {
+            let [have, lack] = by_tree(model.damped(of));
             self.does("commit", name, Of::Tree, have);
             self.omits("commit", name, Of::Tree, lack, "nothing is damped");
         } else {
-            let [have, _] = by_tree(model.damped());
-            self.omits("commit", name, Of::Tree, have, "switched off (eulerdamp)");
+            let [have, _] = by_tree(model.damped(Late::Joints));
+            let why = match scheme.damping {
+                None => format!("{integrator} treats damping explicitly"),
+                Some(_) => "switched off (eulerdamp)".into(),
+            };
+            self.omits("commit", name, Of::Tree, have, why);
         }
         let trees = &model.trees;
         if scheme.turning == Some(Turning::Trees) {
-            let changes =
-                |tree: usize| on.coriolis && !(trees[tree].slides_only || trees[tree].constant);
-            let [have, lack] = split(trees.len(), changes);
+            let [have, lack] = split(trees.len(), |tree| model.turns(&trees[tree]));
             let name = "derivative of the bias forces (by tree)";
             self.does("commit", name, Of::Tree, have);
             let why = if on.coriolis { "constant" } else { "switched off" };
@@ -93,9 +166,12 @@ impl Plan {
         }
         if scheme.turning == Some(Turning::FreeBodies) {
             let [free, _] = split(trees.len(), |tree| model.free_alone(&trees[tree]));
-            let (have, lack) = free.into_iter().partition(|tree| model.gyroscopic(&trees[*tree]));
+            let (turns, lack): (Vec<usize>, Vec<usize>) =
+                free.into_iter().partition(|tree| model.gyroscopic(&trees[*tree]));
             let name = "gyroscopic derivative (by free body)";
-            self.does("commit", name, Of::Tree, have);
+            let tied = turns.into_iter().filter(|tree| !late.spinning.contains(tree)).collect();
+            self.does("commit", name, Of::Tree, late.spinning.clone());
+            self.omits("commit", name, Of::Tree, tied, "coupled to other trees");
             let why = if on.coriolis { "isotropic" } else { "switched off" };
             self.omits("commit", name, Of::Tree, lack, why);
         }

@@ -5,8 +5,6 @@
 pub(crate) enum Maker {
     Equalities,
     FrictionLoss,
-    TendonFriction,
     Limit,
-    TendonLimit,
     Contacts,
 }

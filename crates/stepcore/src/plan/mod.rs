@@ -1,8 +1,7 @@
 //! What a step of a model does, as lists that it walks; and what it leaves out, and why.
 //!
 //! Lists that depend on the scene alone stand in the `Model`: what is placed (`places.rs`), what makes
-//! rows (`makers.rs`), and what pushes (`acting.rs`). `Plan` reads those lists, and what the settings
-//! choose.
+//! rows (`makers.rs`), and what pushes (`acting.rs`). `Plan` is what the settings choose beside them.
 
 pub(crate) mod acting;
 mod commit;
@@ -13,9 +12,12 @@ pub(crate) mod places;
 mod rows;
 mod terms;
 
+use crate::integrator::{Inside, Scheme, Stages};
 use crate::model::Model;
-use crate::settings::Settings;
+use crate::room::room;
+use crate::settings::{Law, Settings};
 
+pub(crate) use commit::{Commit, LateTrees};
 pub use left_out::Unmet;
 pub(crate) use left_out::EXAMPLES;
 
@@ -54,25 +56,71 @@ pub struct Entry {
     pub rows: Option<&'static str>,
 }
 
-/// What a step of a model under its settings does, and what it leaves out: one entry for each
-/// kind of work and reason, in the order of the stages.
-#[derive(Clone, Debug, Default)]
+/// What a step of a model does under its settings, beside the lists of the model. A `Sim` holds it:
+/// no step asks these settings again.
+#[derive(Clone, Debug)]
 pub struct Plan {
-    pub entries: Vec<Entry>,
+    pub(crate) scheme: &'static Scheme,
+    /// What of the rows acts at the stages of a step.
+    pub(crate) inside: Inside,
+    /// A step makes one solve, at the state from which it starts, and all that is in it is awake.
+    pub(crate) solves_once: bool,
+    pub(crate) sleeps: bool,
+    /// Impulses start from the last step's; and something of them is handed to the next.
+    pub(crate) warm_start: bool,
+    pub(crate) keeps: bool,
+    /// Sweeps over friction alone after each solve.
+    pub(crate) noslip: u32,
+    pub(crate) late: LateTrees,
+    pub(crate) commit: Vec<Commit>,
 }
+
+room!(Plan: commit; late);
 
 impl Plan {
     pub fn of(model: &Model, settings: &Settings) -> Self {
-        let mut plan = Self::default();
-        plan.places(model);
-        plan.terms(model, settings);
-        plan.pairs(model, settings);
-        plan.rows(model, settings);
-        plan.commit(model, settings);
-        plan.entries.retain(|entry| entry.count > 0);
-        plan
+        let scheme = settings.integrator.scheme();
+        let late = LateTrees::of(model, scheme);
+        let equalities = model.equalities.is_empty();
+        Self {
+            scheme,
+            inside: match settings.inside() {
+                Inside::Equalities if equalities => Inside::Nothing,
+                inside => inside,
+            },
+            solves_once: !settings.sleep && scheme.stages == Stages::Start,
+            sleeps: settings.sleep,
+            warm_start: settings.warm_start,
+            keeps: settings.warm_start || settings.stiction,
+            noslip: match settings.law {
+                Law::SolRef => settings.noslip_iterations,
+                _ => 0,
+            },
+            commit: Commit::list(model, settings, &late),
+            late,
+        }
     }
 
+    /// What it does and what it leaves out: one entry for each kind of work and reason, in the order of
+    /// the stages.
+    pub fn entries(&self, model: &Model, settings: &Settings) -> Vec<Entry> {
+        let mut print = Print { entries: vec![] };
+        print.places(model);
+        print.terms(model, settings);
+        print.pairs(model, settings);
+        print.rows(model, settings);
+        print.commit(self, model, settings);
+        print.entries.retain(|entry| entry.count > 0);
+        print.entries
+    }
+}
+
+/// Entries as they are found.
+struct Print {
+    entries: Vec<Entry>,
+}
+
+impl Print {
     /// Work on these elements.
     fn does(
         &mut self,

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use super::{split, Of, Plan};
+use super::{split, Of, Print};
 use crate::model::Model;
 use crate::settings::{Law, Settings};
 
-impl Plan {
+impl Print {
     pub(super) fn pairs(&mut self, model: &Model, settings: &Settings) {
         if model.dynamic_pairs.is_some() {
             for ((one, two), count) in model.tally().meet {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{split, Of, Plan};
+use super::{split, Of, Print};
 use crate::elements::ways;
 use crate::model::Model;
 use crate::scene::JointType;
@@ -16,7 +16,7 @@ const EQUALITIES: [(&str, &str, &str); 4] = [
     ("tendon equalities", "1 row", "tendon equality"),
 ];
 
-impl Plan {
+impl Print {
     pub(super) fn rows(&mut self, model: &Model, settings: &Settings) {
         let on = &model.features;
         for (name, per, word) in EQUALITIES {

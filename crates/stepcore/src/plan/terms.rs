@@ -1,6 +1,6 @@
 //! Poses, inertia and the smooth forces.
 
-use super::{split, Of, Plan};
+use super::{split, Of, Print};
 use crate::elements::Kind;
 use crate::integrator::Turning;
 use crate::model::{Model, NONE};
@@ -19,7 +19,7 @@ const FORCES: [(Kind, &str, Of); 6] = [
     (Kind::Actuator, "actuators", Of::Actuator),
 ];
 
-impl Plan {
+impl Print {
     /// The poses of bodies and geoms, and the lengths of tendons.
     pub(super) fn places(&mut self, model: &Model) {
         let name = "poses of bodies";

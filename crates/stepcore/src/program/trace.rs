@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::integrator::Stages;
 use crate::model::Model;
+use crate::plan::Plan;
 use crate::real::traced::{Arg, Node, Recorder, Traced};
 use crate::real::Real;
 use crate::scene::JointType;
@@ -49,22 +50,22 @@ pub(super) fn trace(
     let single = epsilon > f64::EPSILON;
     let (limit, largest) = if single { (1e9, 1e38) } else { (1e60, 1e300) };
     let solver = Box::new(Sweeper::new());
-    let mut sim = Sim::<Traced>::solved_by(solver, model.clone(), settings.clone()).ok()?;
-    let swept = settings.solver == Solver::Pgs && settings.tolerance == 0.0 && !settings.keeps();
-    if !swept {
-        // Such a list is of use only if there is nothing to sweep over.
-        sim.settings.sweeps = 1.into();
-    }
+    let keeps = Plan::of(model, settings).keeps;
+    let swept = settings.solver == Solver::Pgs && settings.tolerance == 0.0 && !keeps;
+    // Where rows are not swept over, such a list is of use only if there is nothing to sweep over.
+    let sweeps = if swept { settings.sweeps } else { 1.into() };
+    let settings = Settings { sweeps, ..settings.clone() };
+    let mut sim = Sim::<Traced>::solved_by(solver, model.clone(), settings).ok()?;
     Recorder::begin(largest, most);
     for (at, q) in sim.state.qpos.iter_mut().enumerate() {
         *q = Traced::Node(Recorder::input(at, limit));
     }
     // Whoever moves faster is beyond the limit after a step.
-    let fastest = 4.0 * limit / settings.dt;
+    let fastest = 4.0 * limit / sim.settings.dt;
     for (at, v) in sim.state.qvel.iter_mut().enumerate() {
         *v = Traced::Node(Recorder::input(model.nq + at, fastest));
     }
-    let outcome = sim.in_one_stage(&mut ());
+    let outcome = sim.integrate(&mut ());
     let rows = count(&sim);
     let list = Recorder::end();
     if outcome.is_err() || list.given_up {

@@ -71,7 +71,7 @@ impl<R: Real> Sim<R> {
 
     /// Nobody sleeps under settings without sleep.
     pub(crate) fn wake_where_off(&mut self) {
-        if !self.settings.sleep && !self.state.sleep.slow.is_empty() {
+        if !self.plan.sleeps && !self.state.sleep.slow.is_empty() {
             self.state.wake();
         }
     }
@@ -80,7 +80,7 @@ impl<R: Real> Sim<R> {
     /// start. Those that touch others are awake.
     pub(crate) fn sleep_from_start(&mut self) -> Result<()> {
         let starts = |tree: &Tree| tree.sleep == SleepPolicy::Init;
-        if !self.settings.sleep || !self.model.trees.iter().any(starts) {
+        if !self.plan.sleeps || !self.model.trees.iter().any(starts) {
             return Ok(());
         }
         self.place_and_make_rows(At::State)?;
@@ -204,7 +204,7 @@ impl<R: Real> Sim<R> {
     /// The end of a step that is to be committed: who sleeps stays, and who has been slow for long
     /// enough when the step began falls asleep there.
     pub(crate) fn settle(&mut self) {
-        let Self { model, state, next, rows, detected, sleeper, settings, inputs, .. } = self;
+        let Self { model, state, next, rows, detected, sleeper, settings, plan, inputs, .. } = self;
         let lists = detected.lists.of(model);
         next.sleep.fill(model);
         let Sleeper { never, length, qpos, union, ready, .. } = sleeper;
@@ -265,7 +265,7 @@ impl<R: Real> Sim<R> {
                 }
             }
         }
-        if settings.keeps() {
+        if plan.keeps {
             // One for each block, in order.
             let mut blocks = rows.blocks.iter();
             let kept = &mut next.sleep;

@@ -114,8 +114,8 @@ impl<R: Real> LastSolve<R> {
         read: impl FnOnce(&mut Sim<R>) -> T,
     ) -> Result<T> {
         match self.at {
-            At::Here if !sim.settings.sleep => return Ok(read(sim)),
-            At::Before if sim.settings.solves_once() => {
+            At::Here if !sim.plan.sleeps => return Ok(read(sim)),
+            At::Before if sim.plan.solves_once => {
                 sim.swap_states();
                 sim.state.steps -= 1;
                 let value = read(sim);

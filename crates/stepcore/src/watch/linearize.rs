@@ -156,10 +156,8 @@ impl Linearizer {
 
 /// The same world in numbers that carry derivatives, its rows solved and differentiated.
 pub(super) fn differentiated(from: &Plain) -> Result<Sim<Dual>> {
-    let mut sim = from.sim::<Dual>()?;
     // Asleep nothing answers: what is differentiated is the world awake.
-    sim.state.wake();
-    sim.settings.sleep = false;
+    let mut sim = from.awake::<Dual>()?;
     sim.solver = Box::new(Differentiated::new());
     Ok(sim)
 }

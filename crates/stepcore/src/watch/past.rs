@@ -47,7 +47,8 @@ impl<R: Real> Ring<R> {
 
     /// Keeps a state in the place of the oldest.
     fn keep(&mut self, state: &State<R>) {
-        for (to, from) in self.states[self.at].iter_mut().zip(state.lists()) {
+        let lists = self.states[self.at].iter_mut().zip(state.lists());
+        for (to, from) in lists.filter(|(to, _)| !to.is_empty()) {
             to.copy_from_slice(from);
         }
         self.at = (self.at + 1) % MEMORY;

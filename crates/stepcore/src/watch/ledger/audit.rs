@@ -14,7 +14,7 @@ impl<R: Real> Sim<R> {
     /// What an audit solves can be the next step's: that has one solve, and summing up energies, which
     /// places all bodies anew, forgets no arms of what pulls at contacts.
     pub(super) fn audit_stands(&self) -> bool {
-        self.settings.solves_once() && !self.model.adheres
+        self.plan.solves_once && !self.model.adheres
     }
 
     /// Places, detects and solves at the present state, as the next step will, and sums up.
