@@ -110,7 +110,7 @@ impl<R: Real> Sim<R> {
             let act = at.activations(&self.state, &self.next, self.clock);
             let (at, contacts) = (at.of(&self.state, &self.next), &self.detected.contacts);
             self.placed.place_adhesion(&self.model, at, act, &self.inputs, contacts);
-            self.placed.make_guess(&self.model, self.clock.dt);
+            self.placed.make_guess(self.clock.dt);
         }
         self.make_rows(at, Part::Whole);
         self.effort.separations += searched() - before;
@@ -182,8 +182,8 @@ impl<R: Real> Sim<R> {
         }
         self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);
         let (_, qvel) = at.of(&self.state, &self.next);
-        for k in 0..self.model.nv {
-            self.qacc[k] = (self.velocity[k] - qvel[k]) * self.clock.rate;
+        for (qacc, (new, old)) in self.qacc.iter_mut().zip(self.velocity.iter().zip(qvel)) {
+            *qacc = (*new - *old) * self.clock.rate;
         }
         R::enter(Stage::Commit);
         Ok(())

@@ -107,7 +107,7 @@ class Sim(World):
     # Stepping.
 
     def step(self, n: int = 1) -> None:
-        """Take n steps, with the GIL released.
+        """Take n steps, with the GIL released (a single step of a few microseconds keeps it).
 
         Raises ValueError if a state or input is not finite; no step is taken then. Raises
         SimulationError if the motion becomes non-finite or, with the setting ``ledger``, has more

@@ -39,45 +39,29 @@ impl scene::Actuator {
             _ => ctrl,
         }
     }
-
-    /// A motor's bounds are those of its current, which its controller keeps; those of a servo of
-    /// orientations bound the length of its torque.
-    fn bounds(&self) -> Option<[f64; 2]> {
-        self.forcerange.filter(|_| !self.drives_motor() && self.orientation.is_none())
-    }
-
-    /// Its gain depends on length or velocity.
-    fn gain_varies(&self) -> bool {
-        self.gain[1] != 0.0 || self.gain[2] != 0.0 || self.muscle_gain.is_some()
-    }
-
-    fn drive(&self) -> Drive {
-        let [_, length, velocity] = self.bias;
-        let pulls_both_ways = self.forcerange.is_none_or(|[lo, hi]| lo < 0.0 && hi > 0.0);
-        let plain = !self.gain_varies() && self.muscle_bias.is_none() && self.controller.is_none();
-        let plain = plain && self.orientation.is_none();
-        if !plain || velocity > 0.0 || length > 0.0 || !pulls_both_ways {
-            Drive::Motor
-        } else if length < 0.0 {
-            Drive::Spring
-        } else if velocity < 0.0 {
-            Drive::Damped
-        } else {
-            Drive::Motor
-        }
-    }
 }
 
 /// What steps ask of an actuator.
 pub(crate) fn drive(model: &Model, own: &scene::Actuator) -> ActuatorAt {
+    let gain_varies = own.gain[1] != 0.0 || own.gain[2] != 0.0 || own.muscle_gain.is_some();
+    let elsewhere = own.controller.is_some() || own.orientation.is_some();
+    let both_ways = own.forcerange.is_none_or(|[lo, hi]| lo < 0.0 && hi > 0.0);
+    let plain = !gain_varies && own.muscle_bias.is_none() && !elsewhere && both_ways;
+    let [_, length, velocity] = own.bias;
     ActuatorAt {
-        drive: own.drive(),
+        drive: match plain && length <= 0.0 && velocity <= 0.0 {
+            true if length < 0.0 => Drive::Spring,
+            true if velocity < 0.0 => Drive::Damped,
+            _ => Drive::Motor,
+        },
         feeds_back: own.feeds_back(),
-        gain_varies: own.gain_varies(),
+        gain_varies,
         biased: own.bias != [0.0; 3] || own.muscle_bias.is_some(),
-        elsewhere: own.controller.is_some() || own.orientation.is_some(),
+        elsewhere,
         ctrlrange: own.ctrlrange.filter(|_| model.features.clampctrl),
-        bounds: own.bounds(),
+        // A motor's bounds are those of its current, which its controller keeps; those of a servo of
+        // orientations bound the length of its torque.
+        bounds: own.forcerange.filter(|_| !own.drives_motor() && own.orientation.is_none()),
     }
 }
 

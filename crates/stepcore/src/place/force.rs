@@ -73,8 +73,8 @@ impl<R: Real> Placed<R> {
         if model.acting.passive || model.sticks {
             push(&now, Group::Passive, &mut Sum { force: passive, wrench });
         }
-        for k in 0..model.nv {
-            force[k] = passive[k] - bias[k];
+        for (force, (passive, bias)) in force.iter_mut().zip(passive.iter().zip(&*bias)) {
+            *force = *passive - *bias;
         }
         if model.acting.driven || inputs.applied() {
             push(&now, Group::Driven, &mut Sum { force, wrench });

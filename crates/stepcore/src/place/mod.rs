@@ -341,15 +341,16 @@ impl<R: Real> Placed<R> {
         self.dynamics(model, qpos, qvel, act, inputs);
         R::enter(Stage::Guess);
         self.metric.to_factored(qvel, &mut self.u);
-        self.make_guess(model, dt);
+        self.make_guess(dt);
         self.resting.end();
     }
 
     /// û of the smooth force at hand.
-    pub(crate) fn make_guess(&mut self, model: &Model, dt: R) {
+    pub(crate) fn make_guess(&mut self, dt: R) {
         if self.metric.is_diagonal() && self.effective.is_none() {
-            for k in 0..model.nv {
-                self.guess[k] = self.u[k] + dt * (self.force[k] * self.metric.inv_d[k]);
+            let each = self.u.iter().zip(&self.force).zip(&self.metric.inv_d);
+            for (guess, ((u, force), inv_d)) in self.guess.iter_mut().zip(each) {
+                *guess = *u + dt * (*force * *inv_d);
             }
             return;
         }
@@ -360,8 +361,8 @@ impl<R: Real> Placed<R> {
             }
         }
         self.metric.half_solve(&mut self.guess);
-        for k in 0..model.nv {
-            self.guess[k] = self.u[k] + dt * self.guess[k];
+        for (guess, u) in self.guess.iter_mut().zip(&self.u) {
+            *guess = *u + dt * *guess;
         }
     }
 }
