@@ -3,6 +3,7 @@
 //! matrix M + dt/2·D + dt²/4·K holds the joint springs, dampers and servos, so that a
 //! linear spring converges at once however stiff it is.
 
+use super::next::Iteration;
 use super::{advance, Next};
 use crate::elements::activation::{self, Activations};
 use crate::elements::force::{Group, Moment};
@@ -11,9 +12,8 @@ use crate::error::{Fault, Result};
 use crate::integrator::Inside;
 use crate::model::Model;
 use crate::observer::Observer;
-use crate::place::{spread, Metric};
+use crate::place::spread;
 use crate::real::{Mask, Real};
-use crate::room::room;
 use crate::sim::{At, Sim};
 use crate::solve::Choice;
 
@@ -26,32 +26,6 @@ const LONG: usize = 20;
 /// in which they say the same, these are quotients of small numbers and do not come to rest. What they
 /// lack, the start of the next step gives.
 const PATIENCE: usize = 16;
-
-/// Working space of the iteration: M + dt/2·D + dt²/4·K, by dof the slopes of what acts by itself, and
-/// the change that a correction makes.
-pub(super) struct Iteration<R: Real> {
-    metric: Metric<R>,
-    /// Where each entry of M stands in it.
-    places: Vec<usize>,
-    slopes: Vec<[R; 2]>,
-    change: Vec<R>,
-    correction: Vec<R>,
-}
-
-room!(Iteration<R>: places, slopes, change, correction; metric);
-
-impl<R: Real> Iteration<R> {
-    pub fn new(model: &Model) -> Self {
-        let (zero, metric) = (R::zero(), Metric::coupled(model));
-        Self {
-            places: metric.places(model),
-            metric,
-            slopes: vec![[zero; 2]; model.nv],
-            change: vec![zero; model.nv],
-            correction: vec![zero; model.nv],
-        }
-    }
-}
 
 impl<R: Real> Sim<R> {
     /// One step from `next.start` into `next`.

@@ -2,9 +2,9 @@
 
 use super::damped::Damped;
 use super::implicit::Implicit;
-use super::midpoint::Iteration;
 use crate::integrator::Stages;
 use crate::model::Model;
+use crate::place::Metric;
 use crate::plan::{Commit, Plan};
 use crate::real::Real;
 use crate::room::room;
@@ -74,6 +74,32 @@ pub(super) struct Sums<R: Real> {
 }
 
 room!(Sums<R>: rate, turned, moved, gained, act_rate, act_first, act_fading;);
+
+/// Working space of `midpoint`: M + dt/2·D + dt²/4·K, by dof the slopes of what acts by itself, and
+/// the change that a correction makes.
+pub(super) struct Iteration<R: Real> {
+    pub metric: Metric<R>,
+    /// Where each entry of M stands in it.
+    pub places: Vec<usize>,
+    pub slopes: Vec<[R; 2]>,
+    pub change: Vec<R>,
+    pub correction: Vec<R>,
+}
+
+room!(Iteration<R>: places, slopes, change, correction; metric);
+
+impl<R: Real> Iteration<R> {
+    pub fn new(model: &Model) -> Self {
+        let (zero, metric) = (R::zero(), Metric::coupled(model));
+        Self {
+            places: metric.places(model),
+            metric,
+            slopes: vec![[zero; 2]; model.nv],
+            change: vec![zero; model.nv],
+            correction: vec![zero; model.nv],
+        }
+    }
+}
 
 impl<R: Real> Next<R> {
     /// The impulses from which rows start.

@@ -27,7 +27,7 @@ impl Constraint for FrictionLoss {
     }
 }
 
-/// What has friction loss, dofs before tendons.
+/// What has friction loss and moves, dofs before tendons.
 pub(crate) fn rubbing(model: &Model) -> Vec<Rubbing> {
     if !model.features.frictionloss {
         return vec![];
@@ -53,7 +53,7 @@ pub(crate) fn rubbing(model: &Model) -> Vec<Rubbing> {
         invweight: tendon.invweight,
         mass: tendon.mass,
     });
-    dofs.chain(tendons).filter(|loss| loss.most > 0.0).collect()
+    dofs.chain(tendons).filter(|loss| loss.most > 0.0 && loss.dofs.len > 0).collect()
 }
 
 impl<R: Real> Rows<R> {

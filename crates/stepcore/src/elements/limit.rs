@@ -37,7 +37,7 @@ impl Constraint for Limit {
     }
 }
 
-/// What has a range, joints before tendons.
+/// What has a range and moves, joints before tendons.
 pub(crate) fn limited(model: &Model) -> Vec<Limited> {
     if !model.features.limit {
         return vec![];
@@ -73,12 +73,16 @@ pub(crate) fn limited(model: &Model) -> Vec<Limited> {
             mass: tendon.mass,
         })
     });
-    joints.chain(tendons).collect()
+    joints.chain(tendons).filter(|bound| bound.dofs.len > 0).collect()
 }
 
 impl<R: Real> Situation<'_, R> {
-    /// Everything that moves a length sleeps, or nothing does.
+    /// Everything that moves a length sleeps.
+    #[inline(always)]
     pub(super) fn all_rest(&self, along: Transmission) -> bool {
+        if self.asleep.is_empty() {
+            return false;
+        }
         let mut all = true;
         along.movers(self.model, |dof| all &= self.rests(self.model.dofs[dof].tree));
         all

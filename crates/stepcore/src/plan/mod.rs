@@ -4,6 +4,7 @@
 //! rows (`makers.rs`), and what pushes (`acting.rs`). `Plan` is what the settings choose beside them.
 
 pub(crate) mod acting;
+mod after_stages;
 mod commit;
 mod left_out;
 pub(crate) mod makers;
@@ -17,7 +18,7 @@ use crate::model::Model;
 use crate::room::room;
 use crate::settings::{Law, Settings};
 
-pub(crate) use commit::{Commit, LateTrees};
+pub(crate) use after_stages::{Commit, LateTrees};
 pub use left_out::Unmet;
 pub(crate) use left_out::EXAMPLES;
 

@@ -1,0 +1,84 @@
+//! What a step does after its stages: positions, and what is taken implicitly.
+
+use crate::integrator::{Late, Scheme, Stages, Turning};
+use crate::model::Model;
+use crate::room::room;
+use crate::settings::Settings;
+
+/// What a step does after its stages, in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Commit {
+    /// Damping, at the end of the step: `commit/damped.rs`.
+    Damped,
+    /// The gyroscopic forces of free bodies alone, there.
+    Spinning,
+    /// Damping, and what bias forces change with all velocities: `commit/implicit.rs`.
+    Turning,
+    /// Positions, by the velocities after the step or before it.
+    Positions {
+        first: bool,
+    },
+    Activations,
+    /// Past controls.
+    History,
+    Sleep,
+}
+
+impl Commit {
+    pub fn list(model: &Model, settings: &Settings, late: &LateTrees) -> Vec<Self> {
+        let scheme = settings.integrator.scheme();
+        let once = scheme.stages == Stages::Start;
+        let some = !(late.damped.is_empty() && late.spinning.is_empty());
+        let late = match scheme.turning {
+            Some(Turning::Trees) => Self::Turning,
+            _ if scheme.stiffness => Self::Spinning,
+            _ => Self::Damped,
+        };
+        let all = [
+            (once && some, late),
+            (once, Self::Positions { first: scheme.moves_first }),
+            (once && model.na > 0, Self::Activations),
+            (model.nhistory > 0, Self::History),
+            (settings.sleep, Self::Sleep),
+        ];
+        all.into_iter().filter_map(|(does, commit)| does.then_some(commit)).collect()
+    }
+}
+
+/// Trees whose velocities are solved for once more at the end of a step.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LateTrees {
+    /// The elements whose damping is taken there.
+    pub of: Option<Late>,
+    /// Those that are damped, or whose bias forces are taken.
+    pub damped: Vec<usize>,
+    /// Single free bodies, of which the gyroscopic force is taken.
+    pub spinning: Vec<usize>,
+    /// Those of `damped` whose bias forces are taken.
+    pub turning: Vec<usize>,
+}
+
+room!(LateTrees: damped, spinning, turning);
+
+impl LateTrees {
+    pub fn of(model: &Model, scheme: &Scheme) -> Self {
+        let Some(late) = scheme.late(model.features.eulerdamp) else { return Self::default() };
+        let trees = &model.trees;
+        let damped = model.damped(late);
+        let coupled = model.coupled();
+        let turns = |tree: usize| match scheme.turning {
+            Some(Turning::Trees) => model.turns(&trees[tree]),
+            _ => false,
+        };
+        let spins = |tree: usize| {
+            scheme.turning == Some(Turning::FreeBodies)
+                && model.gyroscopic(&trees[tree])
+                && !(scheme.stiffness && coupled[tree])
+        };
+        let of =
+            |test: &dyn Fn(usize) -> bool| (0..trees.len()).filter(|tree| test(*tree)).collect();
+        let taken =
+            |tree: usize| !scheme.stiffness && (damped[tree] || turns(tree)) && !spins(tree);
+        Self { of: Some(late), damped: of(&taken), spinning: of(&spins), turning: of(&turns) }
+    }
+}
