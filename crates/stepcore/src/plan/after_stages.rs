@@ -82,3 +82,39 @@ impl LateTrees {
         Self { of: Some(late), damped: of(&taken), spinning: of(&spins), turning: of(&turns) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Body, Geom, Joint, Scene};
+    use crate::settings::Integrator;
+
+    /// What a step does after its stages is what the scene and the settings have of it.
+    #[test]
+    fn what_is_absent_is_not_in_the_list() {
+        let mut scene = Scene::default();
+        scene.bodies.push(Body::default());
+        scene.joints.push(Joint { body: 1, ..Joint::default() });
+        scene.geoms.push(Geom { body: 1, size: [0.1, 0.0, 0.0], ..Geom::default() });
+        let list = |scene: &Scene, integrator, sleep| {
+            let model = Model::compile(scene).unwrap();
+            let settings = Settings { integrator, sleep, ..Settings::default() };
+            let late = LateTrees::of(&model, integrator.scheme());
+            Commit::list(&model, &settings, &late)
+        };
+        let moves = Commit::Positions { first: false };
+        assert_eq!(list(&scene, Integrator::Euler, false), [moves]);
+        assert!(list(&scene, Integrator::Rk4, false).is_empty());
+        assert_eq!(
+            list(&scene, Integrator::Implicit, true),
+            [Commit::Turning, moves, Commit::Sleep]
+        );
+        scene.joints[0].damping[0] = 1.0;
+        assert_eq!(list(&scene, Integrator::Euler, false), [Commit::Damped, moves]);
+        assert_eq!(list(&scene, Integrator::Discrete, false), [moves]);
+        let first = Commit::Positions { first: true };
+        assert_eq!(list(&scene, Integrator::Explicit, false), [first]);
+        scene.features.eulerdamp = false;
+        assert_eq!(list(&scene, Integrator::Euler, false), [moves]);
+    }
+}
