@@ -48,6 +48,8 @@
 //! assert!((sim.state.qvel[0] + 9.81 * 0.2).abs() < 1e-12);
 //! ```
 
+#[macro_use]
+mod room;
 pub mod arrays;
 pub mod assets;
 pub mod batch;
@@ -68,7 +70,6 @@ mod pool;
 pub mod post_mortem;
 pub mod program;
 pub mod real;
-mod room;
 pub mod scene;
 pub mod sensors;
 pub mod settings;

@@ -2,6 +2,7 @@
 //! there is as much.
 
 use std::hint::black_box;
+use std::sync::Arc;
 
 /// Whether the memory has so many bytes. The black box has them used: the optimiser may leave out
 /// memory that nobody uses, and then never asks for it.
@@ -15,14 +16,15 @@ pub(crate) trait Room {
     fn room(&self) -> usize;
 }
 
-/// Of a list of plain numbers.
+/// Of a list whose items hold nothing there.
 pub(crate) fn listed<T>(list: &Vec<T>) -> usize {
+    const { assert!(!std::mem::needs_drop::<T>()) }
     list.capacity() * size_of::<T>()
 }
 
 impl<T: Room> Room for Vec<T> {
     fn room(&self) -> usize {
-        listed(self) + self.iter().map(Room::room).sum::<usize>()
+        self.capacity() * size_of::<T>() + self.iter().map(Room::room).sum::<usize>()
     }
 }
 
@@ -38,21 +40,64 @@ impl<T: Room> Room for Option<T> {
     }
 }
 
-/// `Room` of a struct: its lists of plain numbers; then what has a `Room` of its own.
+impl<T, const N: usize> Room for [Vec<T>; N] {
+    fn room(&self) -> usize {
+        self.iter().map(listed).sum()
+    }
+}
+
+/// Shared: counted by whoever made it.
+impl<T: ?Sized> Room for Arc<T> {
+    fn room(&self) -> usize {
+        0
+    }
+}
+
+/// What a field of a struct holds on the heap, by the first of three ways that its type has: its
+/// own `Room`; the places of a list whose items hold nothing; nothing, where nothing is to drop.
+pub(crate) trait Bytes {
+    fn bytes(self) -> usize;
+}
+
+pub(crate) struct Field<'a, T>(pub &'a T);
+
+impl<T: Room> Bytes for &&&Field<'_, T> {
+    fn bytes(self) -> usize {
+        self.0.room()
+    }
+}
+
+impl<T> Bytes for &&Field<'_, Vec<T>> {
+    fn bytes(self) -> usize {
+        listed(self.0)
+    }
+}
+
+impl<T> Bytes for &Field<'_, T> {
+    fn bytes(self) -> usize {
+        const { assert!(!std::mem::needs_drop::<T>()) }
+        0
+    }
+}
+
+/// `Room` of a struct, whose every field is named: those counted; then those that are not. One
+/// that is left out does not compile, nor does one that may hold what nobody counts.
 macro_rules! room {
-    ($type:ident<R>: $($list:ident),*; $($part:ident),*) => {
-        impl<R: crate::real::Real> crate::room::Room for $type<R> {
-            fn room(&self) -> usize {
-                0 $(+ crate::room::listed(&self.$list))* $(+ self.$part.room())*
-            }
+    ($type:ident<R $(, $n:ident)*>: $($field:ident),* $(; $($(#[$a:meta])? $not:ident),*)?) => {
+        impl<R: crate::real::Real $(, const $n: usize)*> crate::room::Room for $type<R $(, $n)*> {
+            room!(@ $($field)*; $($($(#[$a])? $not)*)?);
         }
     };
-    ($type:ident: $($list:ident),* $(; $($part:ident),*)?) => {
+    ($type:ident: $($field:ident),* $(; $($(#[$a:meta])? $not:ident),*)?) => {
         impl crate::room::Room for $type {
-            fn room(&self) -> usize {
-                0 $(+ crate::room::listed(&self.$list))* $($(+ self.$part.room())*)?
-            }
+            room!(@ $($field)*; $($($(#[$a])? $not)*)?);
+        }
+    };
+    (@ $($field:ident)*; $($(#[$a:meta])? $not:ident)*) => {
+        fn room(&self) -> usize {
+            use crate::room::Bytes;
+            let Self { $($field,)* $($(#[$a])? $not: _,)* } = self;
+            0 $(+ (&&&crate::room::Field($field)).bytes())*
         }
     };
 }
-pub(crate) use room;

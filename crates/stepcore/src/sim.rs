@@ -2,7 +2,7 @@
 //!
 //! It steps, and knows nothing of who watches: see `observer.rs` and `watch/`.
 
-use crate::room::{room, Room};
+use crate::room::Room;
 use std::sync::{Arc, Mutex};
 
 use crate::arrays::array::Array;
@@ -115,7 +115,8 @@ impl At {
     }
 }
 
-room!(Sim<R>: velocity, qacc; plan, state, inputs, placed, detected, rows, next, solver, noslip, sleeper, list);
+room!(Sim<R>: model, plan, clock, state, inputs, placed, detected, rows, velocity, qacc, effort,
+    next, stands, solver, noslip, sleeper, list; settings);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.

@@ -3,7 +3,6 @@
 use crate::arrays::array::{Array, ArraySet};
 use crate::model::Model;
 use crate::real::{Mask, Real};
-use crate::room::room;
 use crate::spatial::{Quat, V3};
 use crate::warm::{Sleep, Warm};
 
@@ -26,7 +25,7 @@ pub struct State<R: Real> {
     pub sleep: Sleep<R>,
 }
 
-room!(State<R>: qpos, qvel, act, ctrl_history, warm; sleep);
+room!(State<R>: steps, start, qpos, qvel, act, ctrl_history, warm, sleep);
 
 impl<R: Real> State<R> {
     /// At qpos0 and at rest.
@@ -99,7 +98,7 @@ pub struct Inputs<R: Real> {
     applied: bool,
 }
 
-room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat;);
+room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat, applied);
 
 impl<R: Real> Inputs<R> {
     /// No control, no force; equalities and mocap bodies as the scene has them.

@@ -1,7 +1,6 @@
 //! What a step hands to the next beside positions and velocities: impulses to start from, and who sleeps.
 
 use crate::real::Real;
-use crate::room::room;
 
 /// The most rows of a block, which `elements/constraints.rs` sees to: after their impulses stands the
 /// slip of friction that holds (`elements/stiction.rs`).
@@ -59,7 +58,7 @@ pub struct Sleep<R: Real> {
     pub kept: Vec<(usize, Warm<R>)>,
 }
 
-room!(Sleep<R>: slow, island, qpos, kept;);
+room!(Sleep<R>: slow, island, qpos, kept);
 
 impl<R: Real> Default for Sleep<R> {
     fn default() -> Self {

@@ -7,7 +7,6 @@
 use crate::arrays::{Array, Given};
 use crate::error::Error;
 use crate::real::Real;
-use crate::room::{listed, room, Room};
 use crate::state::{Inputs, State};
 use crate::watch::Watched;
 
@@ -28,18 +27,14 @@ impl Failed {
     }
 }
 
-impl Room for Failed {
-    fn room(&self) -> usize {
-        self.state.iter().map(listed).sum()
-    }
-}
+room!(Failed: state, done; error);
 
 /// By lane of a group: those that failed.
 pub(super) struct Standing {
     pub lanes: Vec<Option<Box<Failed>>>,
 }
 
-room!(Standing: ; lanes);
+room!(Standing: lanes);
 
 impl Standing {
     pub fn new(worlds: usize) -> Self {

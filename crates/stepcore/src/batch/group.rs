@@ -6,7 +6,6 @@ use crate::error::{Divergence, Error, Result};
 use crate::model::Model;
 use crate::program::{Holds, Place};
 use crate::real::Real;
-use crate::room::room;
 use crate::state::{Inputs, State};
 use crate::warm::Sleep;
 use crate::watch::{Care, Ledger, Watched};
@@ -44,7 +43,7 @@ pub(super) struct Group<R: Real> {
     pub ledger: Option<Box<Ledger<R>>>,
 }
 
-room!(Group<R>: qacc, last, ended; state, inputs, start, before, standing, ledger);
+room!(Group<R>: state, inputs, initial, qacc, start, before, last, standing, ended, ledger; failed);
 
 impl<R: Real> Group<R> {
     /// A lane's next step starts without impulses, and nothing is known of its last solve; a world

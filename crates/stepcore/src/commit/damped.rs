@@ -20,7 +20,6 @@ use crate::model::Model;
 use crate::place::{Metric, Placed};
 use crate::plan::LateTrees;
 use crate::real::Real;
-use crate::room::room;
 use crate::spatial::{rotate, rotate_back, M3, V3};
 
 /// Factors of M + dt·D, and the impulse of the step.
@@ -35,7 +34,7 @@ pub struct Damped<R: Real> {
     blocks: Vec<[[R; 6]; 6]>,
 }
 
-room!(Damped<R>: impulse, change, damped, block, blocks; metric);
+room!(Damped<R>: metric, impulse, change, damped, block, blocks);
 
 impl<R: Real> Damped<R> {
     pub fn new(model: &Model, late: &LateTrees) -> Self {

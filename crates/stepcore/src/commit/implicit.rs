@@ -13,7 +13,6 @@ use crate::model::Model;
 use crate::place::bias_slopes::BiasSlopes;
 use crate::plan::LateTrees;
 use crate::real::Real;
-use crate::room::room;
 use std::ops::Range;
 
 /// M + dt·D, and working space.
@@ -26,7 +25,7 @@ pub(super) struct Implicit<R: Real> {
     turns: Vec<bool>,
 }
 
-room!(Implicit<R>: change, late, turns; matrix, bias);
+room!(Implicit<R>: matrix, change, bias, late, turns);
 
 impl<R: Real> Implicit<R> {
     pub fn new(model: &Model, late: &LateTrees) -> Self {
@@ -82,7 +81,7 @@ struct Unsymmetric<R: Real> {
     inv_d: Vec<R>,
 }
 
-room!(Unsymmetric<R>: lower, upper, inv_d;);
+room!(Unsymmetric<R>: lower, upper, inv_d);
 
 impl<R: Real> Unsymmetric<R> {
     fn new(model: &Model) -> Self {

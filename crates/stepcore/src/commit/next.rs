@@ -7,7 +7,6 @@ use crate::model::Model;
 use crate::place::Metric;
 use crate::plan::{Commit, Plan};
 use crate::real::Real;
-use crate::room::room;
 use crate::state::State;
 use crate::warm::{Sleep, Warm};
 
@@ -49,7 +48,8 @@ pub struct Next<R: Real> {
     pub(super) sums: Sums<R>,
 }
 
-room!(Next<R>: qpos, qvel, act, centres, ctrl_history, start, held, change, smooth, gained, mean, warm, woken; sleep, trial, damped, implicit, iteration, sums);
+room!(Next<R>: qpos, qvel, act, centres, ctrl_history, start, held, change, smooth, gained, mean,
+    warm, sleep, woken, stage, trial, ahead, middle, damped, implicit, iteration, sums);
 
 /// Positions and velocities within a step.
 pub(crate) struct Trial<R: Real> {
@@ -58,7 +58,7 @@ pub(crate) struct Trial<R: Real> {
     pub act: Vec<R>,
 }
 
-room!(Trial<R>: qpos, qvel, act;);
+room!(Trial<R>: qpos, qvel, act);
 
 /// The weighted sums of the stages of `rk4`.
 pub(super) struct Sums<R: Real> {
@@ -73,7 +73,7 @@ pub(super) struct Sums<R: Real> {
     pub act_fading: Vec<R>,
 }
 
-room!(Sums<R>: rate, turned, moved, gained, act_rate, act_first, act_fading;);
+room!(Sums<R>: rate, turned, moved, gained, act_rate, act_first, act_fading);
 
 /// Working space of `midpoint`: M + dt/2·D + dt²/4·K, by dof the slopes of what acts by itself, and
 /// the change that a correction makes.
@@ -86,7 +86,7 @@ pub(super) struct Iteration<R: Real> {
     pub correction: Vec<R>,
 }
 
-room!(Iteration<R>: places, slopes, change, correction; metric);
+room!(Iteration<R>: metric, places, slopes, change, correction);
 
 impl<R: Real> Iteration<R> {
     pub fn new(model: &Model) -> Self {

@@ -11,8 +11,6 @@
 //! What is found is every pair of boxes that overlap, whatever the grids: they change the work and
 //! not the answer. The work grows with the number of boxes and of what is found.
 
-use crate::room::room;
-
 /// Boxes of one size up to which a list is quicker than a grid.
 const LISTED: usize = 32;
 /// The bits of a double's exponent: one size for each.
@@ -79,7 +77,7 @@ pub struct Broad {
     pub found: Overlaps,
 }
 
-room!(Broad: boxes, sizes, grids, size, cells, inside, listed; found);
+room!(Broad: boxes, sizes, grids, size, cells, inside, listed, found);
 
 /// Pairs of geoms, the smaller one first; in no order, and one may be there twice.
 #[derive(Default)]
@@ -89,7 +87,7 @@ pub struct Overlaps {
     pub full: bool,
 }
 
-room!(Overlaps: pairs);
+room!(Overlaps: pairs, full);
 
 impl Overlaps {
     pub fn clear(&mut self) {

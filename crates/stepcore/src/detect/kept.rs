@@ -8,7 +8,7 @@
 use super::broad::{Bounds, Broad, Fixed};
 use crate::error::{Error, Result};
 use crate::model::{DynamicPairs, Model, Pair, Span};
-use crate::room::{can_be_had, room};
+use crate::room::can_be_had;
 
 /// Of a geom's reach: by how much its box is larger on each side.
 const SPARE: f64 = 1.0 / 32.0;
@@ -30,7 +30,7 @@ pub(crate) struct Lists {
     fixed: usize,
 }
 
-room!(Lists: own);
+room!(Lists: own, fixed);
 
 impl Lists {
     pub fn new(model: &Model) -> Self {
@@ -99,7 +99,8 @@ pub(super) struct Kept {
     fitting: usize,
 }
 
-room!(Kept: boxes, spare, left, places, numbers, before, pairs; broad, fixed);
+room!(Kept: boxes, spare, guessed, fixed, left, places, broad, numbers, before, pairs, served,
+    plain, fitting);
 
 impl Kept {
     /// Takes the boxes of all solid geoms, made by `bounds`, and brings the pairs up to date; refuses

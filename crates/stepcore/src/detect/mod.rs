@@ -27,7 +27,7 @@ use crate::model::{Model, Pair, NONE};
 use crate::place::Placed;
 use crate::pool::Pool;
 use crate::real::{Mask, Real};
-use crate::room::{can_be_had, room};
+use crate::room::can_be_had;
 use crate::settings::Settings;
 use crate::shapes::{self, Hint, Hints, ShapeTest, Touch};
 use crate::spatial::{Pose, V3};
@@ -86,7 +86,8 @@ pub struct Detected<R: Real> {
     pub(crate) exhaustive: bool,
 }
 
-room!(Detected<R>: contacts, asleep, hints; swept, lists, kept, found);
+room!(Detected<R>: contacts, grown, swept, lists, asleep, fitting, hints, kept, found,
+    pool; #[cfg(test)] exhaustive);
 
 impl<R: Real> Detected<R> {
     pub fn new(model: &Model, max_contacts: usize) -> Self {

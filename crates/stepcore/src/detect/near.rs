@@ -10,7 +10,6 @@ use crate::model::{DynamicPairs, Model, Pair};
 use crate::place::Placed;
 use crate::pool::{inside, lock, Pool, WORTH_SHARING};
 use crate::real::{Mask, Real};
-use crate::room::room;
 use crate::settings::Settings;
 use std::sync::Mutex;
 
@@ -106,7 +105,7 @@ pub(super) struct Found<R: Real> {
     contacts: Vec<Contact<R>>,
 }
 
-room!(Found<R>: contacts;);
+room!(Found<R>: contacts);
 
 /// The box that a geom stays in: its own, and `more` on each side.
 fn bounds<R: Real>(model: &Model, placed: &Placed<R>, index: usize, more: f64) -> Bounds {

@@ -14,7 +14,6 @@
 use crate::model::{Geom, Model, Pair, NEAR, NONE};
 use crate::place::Placed;
 use crate::real::Real;
-use crate::room::room;
 use crate::spatial::Motion;
 
 /// Of a geom's size, and of its way: what rounding, in single precision too, cannot bridge.
@@ -34,7 +33,7 @@ pub(super) struct Swept<R: Real> {
     more: Vec<R>,
 }
 
-room!(Swept<R>: velocity, motion, turn, more;);
+room!(Swept<R>: velocity, motion, turn, more);
 
 impl<R: Real> Swept<R> {
     pub fn new() -> Self {

@@ -1,8 +1,6 @@
 //! Which things are tied together: sets that grow into one another, each known by its lowest
 //! member (union-find: Tarjan 1975).
 
-use crate::room::room;
-
 /// By member: one of its set that is no higher, at last the lowest.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Union {

@@ -17,7 +17,6 @@
 use super::Placed;
 use crate::model::{Model, Tree};
 use crate::real::Real;
-use crate::room::room;
 use crate::spatial::{Force, Motion, V3};
 
 /// Working space.
@@ -28,7 +27,7 @@ pub(crate) struct BiasSlopes<R: Real> {
     carried: Vec<Motion<R>>,
 }
 
-room!(BiasSlopes<R>: maps, carried;);
+room!(BiasSlopes<R>: maps, carried);
 
 impl<R: Real> BiasSlopes<R> {
     pub fn new(model: &Model) -> Self {

@@ -14,7 +14,6 @@ use crate::elements::forces::holding;
 use crate::model::transmission::Pulls;
 use crate::model::Model;
 use crate::real::{Real, Stage};
-use crate::room::room;
 use crate::state::Inputs;
 
 /// M̂ and what goes with it.
@@ -30,7 +29,7 @@ pub struct Effective<R: Real> {
     parts: Vec<Range<usize>>,
 }
 
-room!(Effective<R>: matrix, places, shift, parts;);
+room!(Effective<R>: dt, matrix, places, shift, parts);
 
 impl<R: Real> Effective<R> {
     pub(super) fn new(model: &Model, metric: &Metric<R>, dt: R) -> Self {

@@ -5,7 +5,6 @@
 //! on the same dofs: J v = y·u, and H⁻¹Jᵀλ becomes D⁻¹ y λ.
 
 use super::Placed;
-use crate::room::room;
 use std::ops::Range;
 
 use crate::model::{Model, Span, Tree};
@@ -30,7 +29,7 @@ pub struct Metric<R: Real> {
     above: Vec<usize>,
 }
 
-room!(Metric<R>: l, inv_d, rows, left, dofs, above;);
+room!(Metric<R>: l, inv_d, rows, left, diagonal, dofs, above);
 
 impl<R: Real> Metric<R> {
     pub fn new(model: &Model) -> Self {

@@ -30,7 +30,6 @@ use crate::model::transmission::Pulls;
 use crate::model::{Body, Model, NONE};
 use crate::plan::places::Place;
 use crate::real::{Real, Stage};
-use crate::room::room;
 use crate::settings::Settings;
 use crate::spatial::{splat, Force, Inertia, Motion, Pose, Quat, M3, V3};
 use crate::state::Inputs;
@@ -98,9 +97,9 @@ pub struct Placed<R: Real> {
     pub guess: Vec<R>,
 }
 
-room!(Placed<R>: mocap, xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, in_plane, mass,
-    velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, act_fading, shares, force,
-    u, guess; metric, effective, resting);
+room!(Placed<R>: xpos, xquat, xmat, offset, mocap, placed, resting, geom, origin, motion, inertia,
+    composite, in_plane, in_space, mass, metric, effective, velocity, acceleration, wrench, bias,
+    passive, tendon_length, tendon_arms, actuator, act_rate, act_fading, shares, force, u, guess);
 
 impl<R: Real> Placed<R> {
     /// For those who place, and do not step.

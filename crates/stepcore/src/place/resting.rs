@@ -4,7 +4,6 @@
 use super::Placed;
 use crate::model::Model;
 use crate::real::Real;
-use crate::room::room;
 
 /// Who was placed asleep.
 pub(super) struct Resting<R: Real> {
@@ -15,7 +14,7 @@ pub(super) struct Resting<R: Real> {
     skipped: Vec<bool>,
 }
 
-room!(Resting<R>: asleep, qpos, skipped;);
+room!(Resting<R>: asleep, qpos, skipped);
 
 impl<R: Real> Resting<R> {
     pub fn new() -> Self {

@@ -2,7 +2,6 @@
 
 use crate::integrator::{Late, Scheme, Stages, Turning};
 use crate::model::Model;
-use crate::room::room;
 use crate::settings::Settings;
 
 /// What a step does after its stages, in order.
@@ -58,7 +57,7 @@ pub(crate) struct LateTrees {
     pub turning: Vec<usize>,
 }
 
-room!(LateTrees: damped, spinning, turning);
+room!(LateTrees: of, damped, spinning, turning);
 
 impl LateTrees {
     pub fn of(model: &Model, scheme: &Scheme) -> Self {

@@ -15,7 +15,6 @@ mod terms;
 
 use crate::integrator::{Inside, Scheme, Stages};
 use crate::model::Model;
-use crate::room::room;
 use crate::settings::{Law, Settings};
 
 pub(crate) use after_stages::{Commit, LateTrees};
@@ -76,7 +75,7 @@ pub struct Plan {
     pub(crate) commit: Vec<Commit>,
 }
 
-room!(Plan: commit; late);
+room!(Plan: scheme, inside, solves_once, sleeps, warm_start, keeps, noslip, late, commit);
 
 impl Plan {
     pub fn of(model: &Model, settings: &Settings) -> Self {

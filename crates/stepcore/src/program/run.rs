@@ -4,7 +4,6 @@ use core::cell::Cell;
 
 use super::order::{Do, Ordered};
 use crate::real::{Mask, Real};
-use crate::room::{listed, Room};
 
 /// The registers of a block: C times as many worlds as a number has lanes.
 pub(super) struct Space<R: Real, const C: usize> {
@@ -15,11 +14,7 @@ pub(super) struct Space<R: Real, const C: usize> {
     right: [Cell<R::Mask>; C],
 }
 
-impl<R: Real, const C: usize> Room for Space<R, C> {
-    fn room(&self) -> usize {
-        listed(&self.numbers) + listed(&self.masks) + listed(&self.known)
-    }
-}
+room!(Space<R, C>: numbers, masks, known, right);
 
 fn all<T: Copy, const C: usize>(value: T) -> [Cell<T>; C] {
     core::array::from_fn(|_| Cell::new(value))

@@ -9,7 +9,6 @@ use crate::model::Model;
 use crate::observer::Observer;
 use crate::pool::inside;
 use crate::real::Real;
-use crate::room::Room;
 use crate::settings::Settings;
 use crate::sim::Sim;
 
@@ -25,11 +24,7 @@ pub(crate) struct Listed<R: Real> {
     sweeps: u64,
 }
 
-impl<R: Real> Room for Listed<R> {
-    fn room(&self) -> usize {
-        self.space.room()
-    }
-}
+room!(Listed<R>: space, limits, sweeps; list);
 
 impl<R: Real> Listed<R> {
     /// That of a model, if it has one that is quicker than the stages.

@@ -25,7 +25,7 @@ use super::solver::{Solve, Solvers, Unconstrained};
 use crate::elements::Element;
 use crate::error::Result;
 use crate::real::{Dual, Real, WAYS};
-use crate::room::{listed, room, Room};
+use crate::room::{listed, Room};
 use crate::settings::{Settings, Solver};
 use active::{Direction, Matrix};
 use corners::{corners, Corner};
@@ -75,29 +75,17 @@ struct Solution {
     corners: Vec<Corner>,
 }
 
-impl Room for Differentiated {
+room!(Differentiated: plain, given, solutions, next, carried, force, rhs, degenerate);
+
+room!(Given: inv_d, guess, rows, blocks, y, u, heap);
+
+impl Room for (Vec<Direction>, Factors) {
     fn room(&self) -> usize {
-        let islands = self.solutions.iter().flat_map(|solution| &solution.islands);
-        let islands = islands.map(|(list, factors)| listed(list) + factors.room());
-        self.plain.room()
-            + self.given.room()
-            + self.carried.room()
-            + listed(&self.force)
-            + listed(&self.rhs)
-            + listed(&self.degenerate)
-            + self.solutions.room()
-            + islands.sum::<usize>()
+        listed(&self.0) + self.1.room()
     }
 }
 
-room!(Given: inv_d, guess, rows, blocks, y, u);
-
-impl Room for Solution {
-    fn room(&self) -> usize {
-        let lists = listed(&self.impulse) + listed(&self.u) + listed(&self.islands);
-        self.given.room() + lists + listed(&self.corners)
-    }
-}
+room!(Solution: given, report, impulse, u, islands, corners);
 
 impl Solve<Dual> for Differentiated {
     fn solve(

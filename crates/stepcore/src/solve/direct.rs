@@ -9,7 +9,6 @@
 
 use super::rows::{Row, Rows};
 use crate::real::{Mask, Real};
-use crate::room::room;
 
 /// The most products of an elimination; of more the sweeps have to do. 384 rows that all touch each
 /// other are as many, and take 10 ms.
@@ -51,7 +50,7 @@ pub struct Direct<R: Real> {
     z: Vec<R>,
 }
 
-room!(Direct<R>: l, inv, counts, x, begun, z; envelope);
+room!(Direct<R>: envelope, l, inv, counts, x, begun, z);
 
 impl<R: Real> Direct<R> {
     pub fn new(nv: usize) -> Self {

@@ -14,7 +14,6 @@ use super::islands::row_count;
 use super::limits::Report;
 use super::rows::{Rows, Set};
 use crate::real::{Count, Mask, Real};
-use crate::room::room;
 use crate::spatial::subtract_scaled;
 use gather::Gathered;
 
@@ -58,7 +57,8 @@ pub(super) struct Few<R: Real> {
     l: Vec<R>,
 }
 
-room!(Few<R>: masks, lo, hi, inv_s, a, b, impulse, w, free, high, rest, some, m, inv, x, l; gathered);
+room!(Few<R>: gathered, masks, lo, hi, inv_s, a, b, impulse, w, free, high, rest, some, m, inv, x,
+    l);
 
 /// What one solve reads.
 #[derive(Clone, Copy)]

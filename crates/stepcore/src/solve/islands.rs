@@ -3,7 +3,6 @@
 use super::rows::{Block, Rows};
 use crate::model::Model;
 use crate::real::{Count, Mask, Real};
-use crate::room::room;
 
 /// Blocks, island after island.
 #[derive(Default)]

@@ -7,7 +7,6 @@
 use super::rows::Rows;
 use crate::model::{Model, Span, Union};
 use crate::real::Real;
-use crate::room::{listed, Room};
 
 /// Working space.
 #[derive(Default)]
@@ -17,11 +16,7 @@ pub(crate) struct Live {
     blocks: Vec<u32>,
 }
 
-impl Room for Live {
-    fn room(&self) -> usize {
-        self.union.room() + listed(&self.blocks)
-    }
-}
+room!(Live: union, blocks);
 
 impl<R: Real> Rows<R> {
     /// Sets the island of every block, and its place there.

@@ -26,7 +26,7 @@ use super::cone::project_some;
 use super::dot::dot;
 use super::rows::{Row, Rows, Set, CONE};
 use crate::real::{Mask, Real};
-use crate::room::{listed, room, Room};
+use crate::room::{listed, Room};
 
 /// Directions of a step: this sweep's move and the moves before it.
 const DEPTH: usize = 4;
@@ -91,7 +91,8 @@ pub(super) struct Momentum<R: Real> {
     visit: Vec<usize>,
 }
 
-room!(Momentum<R>: rows, dofs, d, seen, ranked, hashed, heaps, visit; moves, before, after);
+room!(Momentum<R>: moves, gram, slopes, errors, before, after, rows, dofs, d, seen, ranked, hashed,
+    heaps, visit);
 
 impl<R> Point<R> {
     fn new() -> Self {

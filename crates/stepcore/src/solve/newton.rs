@@ -32,7 +32,6 @@ use super::solver::Unconstrained;
 use crate::error::{Error, Result};
 use crate::pool::{inside, ROWS_WORTH_SHARING};
 use crate::real::{Count, Mask, Real};
-use crate::room::room;
 use by_lane::ByLane;
 use hessian::Pattern;
 use std::sync::Mutex;
@@ -61,7 +60,7 @@ struct Primal<'a, R: Real> {
     live: R::Mask,
 }
 
-room!(Newton<R>: queue; islands, patterns, own, workers, few, by_lane);
+room!(Newton<R>: islands, patterns, own, workers, queue, few, by_lane);
 
 impl<R: Real> Default for Newton<R> {
     fn default() -> Self {

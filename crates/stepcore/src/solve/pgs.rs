@@ -18,7 +18,6 @@ use super::momentum::Momentum;
 use super::rows::{Rows, Set};
 use crate::interrupt::ends_after;
 use crate::real::{Count, Mask, Real};
-use crate::room::room;
 pub(crate) use noslip::Noslip;
 use sweep::Sweeps;
 
@@ -34,7 +33,7 @@ pub struct Pgs<R: Real> {
     pub(super) open: Vec<(usize, R::Mask)>,
 }
 
-room!(Pgs<R>: open; islands, sweeps, momentum);
+room!(Pgs<R>: islands, sweeps, momentum, open);
 
 impl<R: Real> Default for Pgs<R> {
     fn default() -> Self {

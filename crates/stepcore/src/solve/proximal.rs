@@ -26,7 +26,6 @@ use super::rows::{Block, Row, Rows, Set, CONE};
 use super::solver::Unconstrained;
 use crate::model::Span;
 use crate::real::{Mask, Real};
-use crate::room::room;
 
 /// r beside A: 2⁻²³, and 2⁻¹¹ in f32. A smaller one converges in fewer rounds, of which each loses
 /// more digits: of r = 1e-5, 1e-7 and 1e-8 the second solved most stacks of 1 g under 1 t.
@@ -51,7 +50,7 @@ pub(super) struct Proximal<R: Real> {
     best: Vec<R>,
 }
 
-room!(Proximal<R>: of, best; convex);
+room!(Proximal<R>: convex, of, best);
 
 impl<R: Real> Proximal<R> {
     pub fn new() -> Self {

@@ -19,7 +19,6 @@ use crate::model::{Model, Span, NONE};
 use crate::place::Placed;
 use crate::pool::Pool;
 use crate::real::{Mask, Real};
-use crate::room::room;
 use crate::spatial::V3;
 use crate::state::Inputs;
 use crate::warm::Warm;
@@ -234,9 +233,9 @@ pub struct Rows<R: Real> {
     pub(crate) pool: Option<Arc<Pool>>,
 }
 
-room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, ways, guess, islands, island_dofs,
-    inertia, ranks;
-    direct, saved_solve, live, parts);
+room!(Rows<R>: rows, blocks, pushes, y, u, main, anchors, unrecovered, scratch, ways, guess, direct,
+    saved_solve, heap, islands, island_dofs, inertia, ranks, live, parts,
+    pool);
 
 /// The guess, along a row.
 pub(crate) struct Guessed<R: Real> {

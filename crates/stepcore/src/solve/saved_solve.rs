@@ -2,7 +2,6 @@
 
 use super::rows::Rows;
 use crate::real::Real;
-use crate::room::room;
 
 /// A row's numbers of the first solve.
 struct Held<R: Real> {
@@ -21,7 +20,7 @@ pub struct SavedSolve<R: Real> {
     u: Vec<R>,
 }
 
-room!(SavedSolve<R>: rows, masks, u;);
+room!(SavedSolve<R>: rows, masks, u);
 
 impl<R: Real> SavedSolve<R> {
     pub fn new(nv: usize) -> Self {

@@ -8,7 +8,7 @@ use super::rows::Rows;
 use crate::elements::Element;
 use crate::error::Result;
 use crate::real::{Mask, Real};
-use crate::room::{room, Room};
+use crate::room::Room;
 use crate::settings::{Settings, Solver, Sweeps};
 
 /// The motion without rows, in factored coordinates.
@@ -46,7 +46,7 @@ pub(crate) struct Solvers<R: Real> {
     proximal: Proximal<R>,
 }
 
-room!(Solvers<R>: ; pgs, newton, proximal);
+room!(Solvers<R>: pgs, newton, proximal);
 
 impl<R: Real> Solvers<R> {
     pub fn new() -> Self {

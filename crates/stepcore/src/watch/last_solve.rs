@@ -11,7 +11,6 @@ use crate::arrays::{ArraySet, Given};
 use crate::error::Result;
 use crate::model::Model;
 use crate::real::Real;
-use crate::room::room;
 use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
@@ -48,7 +47,7 @@ enum There {
     Solved,
 }
 
-room!(LastSolve<R>: ; start, inputs, aside);
+room!(LastSolve<R>: at, start, inputs, aside, there);
 
 impl<R: Real> LastSolve<R> {
     pub fn new(model: &Model) -> Self {

@@ -4,7 +4,6 @@ use crate::arrays::Array;
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::Real;
-use crate::room::{listed, room, Room};
 use crate::sim::Sim;
 use crate::state::State;
 
@@ -20,7 +19,7 @@ pub(crate) struct Past<R: Real> {
     steps: u64,
 }
 
-room!(Past<R>: ; recent, milestones);
+room!(Past<R>: recent, milestones, steps);
 
 /// What of a state is kept: its lists, in the order of `arrays::Array`.
 pub(crate) type Kept<R> = [Vec<R>; Array::CHANGED];
@@ -31,12 +30,7 @@ struct Ring<R: Real> {
     len: usize,
 }
 
-impl<R: Real> Room for Ring<R> {
-    fn room(&self) -> usize {
-        let each = self.states.iter().flatten().map(listed);
-        listed(&self.states) + each.sum::<usize>()
-    }
-}
+room!(Ring<R>: states, at, len);
 
 impl<R: Real> Ring<R> {
     fn new(model: &Model) -> Self {

@@ -1,7 +1,6 @@
 //! P M Q = L U with complete pivoting, for systems in which some rows may repeat others.
 
 use crate::real::WAYS;
-use crate::room::room;
 
 /// What rounding leaves of a diagonal of 1 when a row only repeats others.
 const NOTHING: f64 = 1e-12;

@@ -11,7 +11,6 @@ use super::super::dot::{dot, dots};
 use super::super::rows::{Row, Rows};
 use super::{Few, Island};
 use crate::real::{Mask, Real, WIDEST};
-use crate::room::room;
 
 /// Rows whose products are taken side by side.
 const WIDE: usize = 4;
@@ -33,7 +32,7 @@ pub(super) struct Gathered<R: Real> {
     z: Vec<R>,
 }
 
-room!(Gathered<R>: rows, masks, dofs, place, y, z;);
+room!(Gathered<R>: rows, masks, dofs, place, moved, y, z);
 
 impl<R: Real> Gathered<R> {
     pub fn new() -> Self {

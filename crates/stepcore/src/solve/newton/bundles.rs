@@ -5,7 +5,6 @@ use super::hessian::Pattern;
 use super::penalty::Cone;
 use crate::model::Span;
 use crate::real::{Mask, Real};
-use crate::room::room;
 use crate::solve::dot::dots;
 use crate::solve::rows::{Rows, Set};
 
@@ -56,7 +55,7 @@ pub(super) struct Bundles<R: Real> {
     pub curves: usize,
 }
 
-room!(Bundles<R>: list, runs, cones, t, c, inv_c, lo, hi, inv_s, a, per_mass, mask;);
+room!(Bundles<R>: list, runs, cones, t, c, inv_c, lo, hi, inv_s, a, per_mass, mask, curves);
 
 impl<R: Real> Bundles<R> {
     pub fn new() -> Self {

@@ -24,13 +24,7 @@ pub(super) struct ByLane<R: Real> {
     blocks: Vec<usize>,
 }
 
-impl<R: Real> crate::room::Room for ByLane<R> {
-    fn room(&self) -> usize {
-        use crate::room::listed;
-        let lists = listed(&self.inv_d) + listed(&self.guess) + listed(&self.blocks);
-        lists + self.newton.room() + self.rows.room()
-    }
-}
+room!(ByLane<R>: newton, rows, inv_d, guess, blocks);
 
 /// So few lanes that each is solved by itself.
 pub(super) fn few<M: Mask>(live: M) -> bool {

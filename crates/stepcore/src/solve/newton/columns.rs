@@ -15,7 +15,6 @@ use super::bent::{add_outer, add_upper, Bent, Scaled, FREE};
 use super::bundles::Bundles;
 use super::nodes::{Meeting, Member, Nodes};
 use crate::real::{Mask, Real};
-use crate::room::room;
 
 pub(super) struct Columns<R> {
     values: Vec<R>,
@@ -35,7 +34,7 @@ pub(super) struct Columns<R> {
     active: Vec<usize>,
 }
 
-room!(Columns<R>: values, d, inverse, curve, stale, place, scaled, own, theirs, active;);
+room!(Columns<R>: values, d, inverse, curve, stale, place, scaled, own, theirs, active);
 
 /// An island's rows and their curvature.
 #[derive(Clone, Copy)]

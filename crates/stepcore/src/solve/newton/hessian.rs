@@ -10,7 +10,6 @@ use super::nodes::Nodes;
 use super::order::ones;
 use crate::model::Span;
 use crate::real::{Mask, Real};
-use crate::room::room;
 use crate::solve::dofs::distinct;
 use crate::solve::free::Free;
 use crate::solve::rows::NARROW;
@@ -41,7 +40,8 @@ pub(super) struct Pattern {
     local: Vec<usize>,
 }
 
-room!(Pattern: key, dofs, bundles, lists, places, start, cols, below_start, below, bits, local; nodes);
+room!(Pattern: key, dofs, bundles, lists, places, start, cols, below_start, below, nodes, heap,
+    bits, local);
 
 impl Pattern {
     /// Makes the pattern of these bundles, unless it is the one at hand.
@@ -204,7 +204,7 @@ pub(super) struct Hessian<R> {
     bent: Vec<R>,
 }
 
-room!(Hessian<R>: entries, diagonal, inverse, work, part, bent;);
+room!(Hessian<R>: entries, diagonal, inverse, work, part, bent);
 
 impl<R: Real> Hessian<R> {
     pub fn new() -> Self {

@@ -7,7 +7,6 @@
 
 use super::order::Order;
 use crate::model::Span;
-use crate::room::room;
 use crate::solve::free::Free;
 
 /// What a dof without a class has.
@@ -71,8 +70,8 @@ pub(super) struct Nodes {
     next: Vec<usize>,
 }
 
-room!(Nodes: key, ends, dofs, first, bundles, members, entries, lists, free, meets, meetings, places,
-    offsets, left_start, left, split, seen, node_of, sizes, edges, next; order);
+room!(Nodes: key, ends, order, dofs, first, bundles, members, entries, lists, free, meets, meetings,
+    places, offsets, numbers, left_start, left, split, seen, node_of, sizes, edges, next);
 
 impl Nodes {
     /// Makes everything for bundles with these lists, unless it is at hand.

@@ -6,8 +6,6 @@
 //! hundred nodes: bodies, not dofs. Ties go to the lower node, so that the order follows from the
 //! graph alone.
 
-use crate::room::room;
-
 /// A graph's order of elimination, and what each node still touches when its turn comes.
 #[derive(Default)]
 pub(super) struct Order {
@@ -26,7 +24,7 @@ pub(super) struct Order {
     pub rows: Vec<usize>,
 }
 
-room!(Order: given, bits, degree, pivot, sequence, turn, start, rows);
+room!(Order: words, given, bits, degree, pivot, sequence, turn, start, rows);
 
 impl Order {
     /// Orders the graph of `count` nodes with these edges, unless it is the one at hand. Whether

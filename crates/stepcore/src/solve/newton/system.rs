@@ -5,7 +5,6 @@ use super::columns::Columns;
 use super::hessian::Hessian;
 use super::penalty::interval;
 use crate::real::{Mask, Real};
-use crate::room::room;
 use crate::solve::rows::{CONE, NARROW};
 
 /// What the method holds of an island. "By row" counts its rows one after another; "by dof" is
@@ -37,7 +36,8 @@ pub(super) struct System<R: Real> {
     pub(super) moved: bool,
 }
 
-room!(System<R>: w, rate, impulse, curve, guess, u, d, inv_d, gradient, step; hessian, columns);
+room!(System<R>: w, rate, impulse, curve, guess, u, d, inv_d, gradient, step, hessian, columns,
+    fresh, decrement, floor, moved);
 
 impl<R: Real> System<R> {
     pub fn new() -> Self {

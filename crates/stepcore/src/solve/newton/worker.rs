@@ -6,7 +6,6 @@ use super::nodes::NOWHERE;
 use super::system::System;
 use crate::pool::{inside, lock, Pool};
 use crate::real::{Mask, Real};
-use crate::room::{listed, room};
 use crate::solve::islands::{row_count, Islands};
 use crate::solve::limits::{Limits, Report};
 use crate::solve::rows::Rows;
@@ -25,7 +24,7 @@ pub(super) struct Worker<R: Real> {
     solved: Solved<R>,
 }
 
-room!(Worker<R>: present, class; bundles, system, solved);
+room!(Worker<R>: present, class, bundles, system, solved);
 
 /// Results of islands, one after another, that wait for the rows to be free.
 struct Solved<R: Real> {
@@ -36,12 +35,7 @@ struct Solved<R: Real> {
     report: Report<R>,
 }
 
-impl<R: Real> crate::room::Room for Solved<R> {
-    fn room(&self) -> usize {
-        let results = listed(&self.impulses) + listed(&self.u);
-        listed(&self.blocks) + listed(&self.dofs) + results
-    }
-}
+room!(Solved<R>: blocks, impulses, dofs, u, report);
 
 /// What is solved, and how long.
 #[derive(Clone, Copy)]

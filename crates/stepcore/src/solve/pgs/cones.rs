@@ -4,7 +4,6 @@ use super::super::cone::{times, InBall, InCone, Matrix};
 use super::super::rows::{Set, CONE, NARROW};
 use super::super::square::Square;
 use crate::real::Real;
-use crate::room::{listed, Room};
 use core::array::from_fn;
 
 /// What ties the impulses of a block, and for a cone its place among those of its kind.
@@ -28,11 +27,7 @@ pub(super) struct Cones<R: Real, const N: usize, const W: usize> {
 pub(super) type Narrow<R> = Cones<R, NARROW, { NARROW - 1 }>;
 pub(super) type Wide<R> = Cones<R, CONE, { CONE - 1 }>;
 
-impl<R: Real, const N: usize, const W: usize> Room for Cones<R, N, W> {
-    fn room(&self) -> usize {
-        listed(&self.convex) + listed(&self.disc) + listed(&self.square)
-    }
-}
+room!(Cones<R, N, W>: convex, disc, square);
 
 impl<R: Real, const N: usize, const W: usize> Cones<R, N, W> {
     pub fn new() -> Self {

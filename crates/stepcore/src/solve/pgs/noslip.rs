@@ -15,7 +15,6 @@ use crate::elements::Role;
 use crate::error::{Error, Result};
 use crate::interrupt::ends_after;
 use crate::real::{Mask, Real};
-use crate::room::room;
 
 /// What friction rows hold beside others.
 #[derive(Clone, Copy)]
@@ -41,7 +40,7 @@ pub(crate) struct Noslip<R: Real> {
     gain: Vec<R>,
 }
 
-room!(Noslip<R>: list, live, gain; cones, wide);
+room!(Noslip<R>: list, cones, wide, live, gain);
 
 impl<R: Real> Noslip<R> {
     pub fn new() -> Self {

@@ -14,7 +14,6 @@
 use super::super::free::SIX;
 use super::side_by_side::Six;
 use crate::real::{Mask, Real};
-use crate::room::room;
 
 /// Moves whose 2 × 2 products have a determinant below this part of the diagonal's are one.
 const APART: f64 = 1e-8;
@@ -54,7 +53,7 @@ pub(super) struct Onward<R> {
     rest: u32,
 }
 
-room!(Onward<R>: ; d, from, last);
+room!(Onward<R>: d, from, last, energy, fall, failures, rest);
 
 impl<R: Real> Step<R> {
     pub fn none() -> Self {

@@ -13,7 +13,6 @@ use super::packed::Packed;
 use super::point::{along, gain, Each, Numbers, Point, EDGES, SIDE};
 use super::sweep::Swept;
 use crate::real::Real;
-use crate::room::{listed, room, Room};
 
 /// Contacts of which it is clear whether they stand in a row, each on the one before; an island of
 /// fewer is not worth it.
@@ -73,13 +72,8 @@ pub(super) struct SideBySide<R> {
     found: Found<R>,
 }
 
-room!(SideBySide<R>: fours, moved, dofs, free, filled, places, body_at; bodies, onward);
-
-impl<R> Room for Vec<Six<R>> {
-    fn room(&self) -> usize {
-        listed(self)
-    }
-}
+room!(SideBySide<R>: fours, moved, bodies, dofs, free, filled, places, body_at, onward, step,
+    found);
 
 impl<R: Real> SideBySide<R> {
     pub fn new() -> Self {

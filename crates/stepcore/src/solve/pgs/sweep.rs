@@ -7,7 +7,6 @@ use super::cones::{Cones, Narrow, Tie, Wide};
 use super::packed::{Packed, Target};
 use super::side_by_side::{SideBySide, SEEN};
 use crate::real::{Mask, Real};
-use crate::room::room;
 use core::array::from_fn;
 
 /// How a block is solved, and its place among those solved like it.
@@ -38,7 +37,7 @@ pub(in super::super) struct Sweeps<R: Real> {
     wide: Wide<R>,
 }
 
-room!(Sweeps<R>: z, weight, how, packed; side_by_side, cones, wide);
+room!(Sweeps<R>: z, weight, how, packed, side_by_side, joined, cones, wide);
 
 impl<R: Real> Sweeps<R> {
     pub fn new() -> Self {

@@ -9,7 +9,6 @@ use crate::elements::{Element, Kind};
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::Real;
-use crate::room::room;
 use crate::sim::{At, Sim};
 use crate::state::Inputs;
 
@@ -29,7 +28,7 @@ pub(super) struct Work<R: Real> {
     powers: bool,
 }
 
-room!(Work<R>: driving, springs;);
+room!(Work<R>: done, counts, belts, driving, springs, powers);
 
 impl<R: Real> Work<R> {
     pub fn new(model: &Model, driving: Vec<usize>) -> Self {

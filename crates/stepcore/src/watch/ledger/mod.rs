@@ -16,7 +16,6 @@ use crate::error::{Divergence, Error, Result};
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::Real;
-use crate::room::room;
 use crate::sim::Sim;
 use crate::state::{Inputs, State, INPUTS};
 
@@ -90,7 +89,7 @@ pub(super) struct Milestone<R: Real> {
     pub numbers: Vec<R>,
 }
 
-room!(Milestone<R>: gained, changes, numbers; state, inputs);
+room!(Milestone<R>: state, inputs, gained, changes, numbers);
 
 /// What is kept of a world's energy while `Settings::ledger` is on.
 pub(crate) struct Ledger<R: Real> {
@@ -121,7 +120,8 @@ pub(crate) struct Ledger<R: Real> {
     aside: Option<Box<Sim<R>>>,
 }
 
-room!(Ledger<R>: accounts, levels, verdicts; milestones, seen, aside, work);
+room!(Ledger<R>: care, opened, milestones, at, len, accounts, levels, verdicts, work, seen,
+    expected, balanced, asked, aside; said);
 
 impl<R: Real> Ledger<R> {
     pub fn new(model: &Model, care: Care) -> Self {
