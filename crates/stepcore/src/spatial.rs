@@ -205,11 +205,37 @@ impl<R: Real> Quat<R> {
     }
 }
 
+/// Length one; a quaternion that already has it keeps its bits.
+pub(crate) fn unit_quat(q: [f64; 4]) -> [f64; 4] {
+    let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    q.map(|x| x / length)
+}
+
+pub(crate) fn rotation(q: [f64; 4]) -> Matrix3<f64> {
+    Quat::of(&q).matrix()
+}
+
 /// Where a shape is: its centre and its axes (columns of `rot`), in the world.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose<R: Real> {
     pub pos: V3<R>,
     pub rot: M3<R>,
+}
+
+impl Pose<f64> {
+    pub(crate) fn new(pos: Vector3<f64>, quat: [f64; 4]) -> Self {
+        Self { pos, rot: rotation(quat) }
+    }
+
+    /// The world point of a local one.
+    pub(crate) fn point(&self, local: Vector3<f64>) -> Vector3<f64> {
+        self.pos + self.rot * local
+    }
+
+    /// The world pose of a frame given in this one.
+    pub(crate) fn then(&self, local: &Self) -> Self {
+        Self { pos: self.point(local.pos), rot: self.rot * local.rot }
+    }
 }
 
 impl<R: Real> Pose<R> {

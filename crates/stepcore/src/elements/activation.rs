@@ -8,7 +8,9 @@
 //! that are the same which is nearest to w. At the end of a step w itself is the one which is nearest
 //! to the length at its start (`midpoint`: in its middle), be it out of bounds.
 
-use super::{controller, delay, muscle};
+use super::delay::nearest;
+pub(crate) use super::delay::Activations;
+use super::{controller, muscle};
 use crate::clock::Clock;
 use crate::model::transmission::Pulls;
 use crate::model::{Model, Span};
@@ -24,34 +26,6 @@ impl<R: Real> State<R> {
     pub(crate) fn activations(&self, clock: Clock<R>) -> Activations<'_, R> {
         let Self { act, ctrl_history: history, .. } = self;
         Activations { act, history, seconds: clock.seconds, ahead: 0.0, middle: false }
-    }
-}
-
-/// What actuators remember: activations and past controls, and the step that they are advanced by.
-#[derive(Clone, Copy)]
-pub(crate) struct Activations<'a, R: Real> {
-    pub act: &'a [R],
-    /// `State::ctrl_history`; empty: controls are not late.
-    pub history: &'a [R],
-    /// Time step [s].
-    pub seconds: f64,
-    /// How far in the step this is, of the step.
-    pub ahead: f64,
-    /// This is the middle of a step, and those of controllers are still what they were at its start.
-    pub middle: bool,
-}
-
-impl<R: Real> Activations<'_, R> {
-    /// The control that an actuator has: the present one, or that of its delay ago.
-    #[inline(always)]
-    pub fn ctrl(&self, model: &Model, index: usize, inputs: &Inputs<R>) -> R {
-        let span = model.histories[index];
-        if span.len == 0 || self.history.is_empty() {
-            return inputs.ctrl[index];
-        }
-        let actuator = &model.actuators[index];
-        let steps = actuator.delay / self.seconds - self.ahead;
-        delay::read(&self.history[span.range()], steps, actuator.interp)
     }
 }
 
@@ -103,19 +77,6 @@ impl scene::Actuator {
     fn within<R: Real>(&self, act: R) -> R {
         self.actrange.map_or(act, |[lo, hi]| act.clamp(R::of(lo), R::of(hi)))
     }
-}
-
-/// The one of those that are the same as a control which is nearest to a length or an activation:
-/// they lie a circle apart (0: there is only the control itself).
-#[inline(always)]
-pub(super) fn nearest<R: Real>(ctrl: R, about: R, circle: f64) -> R {
-    if circle == 0.0 {
-        return ctrl;
-    }
-    let scale = R::of(std::f64::consts::TAU / circle);
-    let far = (ctrl - about).abs().gt(R::of(0.5 * circle));
-    let (sin, cos) = ((ctrl - about) * scale).sin_cos();
-    R::select(far, about + sin.atan2(cos) / scale, ctrl)
 }
 
 /// What stands for the control of an actuator with an activation: that, or what it will be at the

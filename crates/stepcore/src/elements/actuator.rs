@@ -10,8 +10,9 @@
 //! moves. A velocity servo is a motor of force gain·u + bias₀ and a damper. Everything else is a
 //! motor, and all of its work counts as put in. So does that of a controller (`controller.rs`).
 
-use super::activation::{nearest, signal, Activations};
+use super::activation::signal;
 use super::controller::work;
+use super::delay::{nearest, Activations};
 use super::force::{Forces, Group, Moment};
 use super::gravcomp::asked_of_drives;
 use super::orientation::turn;

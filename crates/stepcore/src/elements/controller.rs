@@ -23,7 +23,7 @@
 //! z and i by what their equations, which are linear in them, do in a step, and the slopes leave out
 //! what the bristles do but σ₁.
 
-use super::activation::{nearest, Activations};
+use super::delay::{nearest, Activations};
 use crate::model::transmission::Pulls;
 use crate::model::Model;
 use crate::real::{Mask, Real};

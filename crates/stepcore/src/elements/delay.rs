@@ -1,4 +1,4 @@
-//! Controls that arrive late: what an actuator reads of the samples of its control.
+//! What an actuator reads of its control, which may arrive late: of the samples that are kept.
 //!
 //! MuJoCo documentation, "Delays": each step keeps its control, and the forces of an actuator with a
 //! delay read the one of `delay` ago. Samples are counted in steps back from the present one, so the
@@ -6,14 +6,57 @@
 //! the oldest. Between samples stands the earlier one, a line, or a cubic through both whose slopes
 //! there are those of the neighbours (Catmull-Rom), and 0 at the ends of the list.
 
+use crate::model::Model;
 use crate::real::Real;
 use crate::scene::Interp;
+use crate::state::Inputs;
 
 /// A delay this near to a sample [steps] is that of the sample.
 const SAME: f64 = 1e-9;
 
+/// What actuators remember: activations and past controls, and the step that they are advanced by.
+#[derive(Clone, Copy)]
+pub(crate) struct Activations<'a, R: Real> {
+    pub act: &'a [R],
+    /// `State::ctrl_history`; empty: controls are not late.
+    pub history: &'a [R],
+    /// Time step [s].
+    pub seconds: f64,
+    /// How far in the step this is, of the step.
+    pub ahead: f64,
+    /// This is the middle of a step, and those of controllers are still what they were at its start.
+    pub middle: bool,
+}
+
+impl<R: Real> Activations<'_, R> {
+    /// The control that an actuator has: the present one, or that of its delay ago.
+    #[inline(always)]
+    pub fn ctrl(&self, model: &Model, index: usize, inputs: &Inputs<R>) -> R {
+        let span = model.histories[index];
+        if span.len == 0 || self.history.is_empty() {
+            return inputs.ctrl[index];
+        }
+        let actuator = &model.actuators[index];
+        let steps = actuator.delay / self.seconds - self.ahead;
+        read(&self.history[span.range()], steps, actuator.interp)
+    }
+}
+
+/// The one of those that are the same as a control which is nearest to a length or an activation:
+/// they lie a circle apart (0: there is only the control itself).
+#[inline(always)]
+pub(super) fn nearest<R: Real>(ctrl: R, about: R, circle: f64) -> R {
+    if circle == 0.0 {
+        return ctrl;
+    }
+    let scale = R::of(std::f64::consts::TAU / circle);
+    let far = (ctrl - about).abs().gt(R::of(0.5 * circle));
+    let (sin, cos) = ((ctrl - about) * scale).sin_cos();
+    R::select(far, about + sin.atan2(cos) / scale, ctrl)
+}
+
 /// The control of so many steps ago; samples: the newest first, one step old.
-pub(super) fn read<R: Real>(samples: &[R], steps: f64, interp: Interp) -> R {
+fn read<R: Real>(samples: &[R], steps: f64, interp: Interp) -> R {
     let at = (steps - 1.0).clamp(0.0, (samples.len() - 1) as f64);
     let near = at.round();
     if (at - near).abs() <= SAME {

@@ -1,9 +1,20 @@
-//! What tendons and actuators are at qpos0: lengths and arms, as a step places them.
+//! What stands where at qpos0: the poses of bodies; and lengths and arms, as a step places them.
 
-use super::transmission::Transmission;
-use super::Model;
+use super::{Body, Model, Transmission};
 use crate::place::Placed;
 use crate::scene::AUTOMATIC;
+use crate::spatial::Pose;
+
+/// World poses of all bodies, where every hinge and slide stands at its reference and so adds no
+/// displacement of its own.
+pub fn poses(bodies: &[Body]) -> Vec<Pose<f64>> {
+    let mut poses: Vec<Pose<f64>> = Vec::with_capacity(bodies.len());
+    for (i, body) in bodies.iter().enumerate() {
+        let own = Pose::new(body.pos, body.quat);
+        poses.push(if i == 0 { own } else { poses[body.parent].then(&own) });
+    }
+    poses
+}
 
 /// What tendons are at qpos0, and where their springs are at rest.
 pub fn measure_tendons(model: &mut Model) {

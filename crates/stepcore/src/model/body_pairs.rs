@@ -7,39 +7,18 @@
 //! of both bodies first, then one geom and all of the other body. What a step computes is the same,
 //! to the bit, with and without them.
 
-use super::{Model, Pair, Span};
+use super::{BodyPair, Model, Pair, Span, Spheres};
 
 /// By how much more the spheres of bodies are apart, of their size: more than rounding in single
 /// precision, so that no pair is passed over that the spheres of its geoms would not.
 const SURE: f64 = 1e-4;
 
-/// Two spheres about the centres of two geoms.
-#[derive(Clone, Copy, Debug)]
-pub struct Spheres {
-    pub geoms: [u32; 2],
-    /// Square of the distance above which nothing in them is listed [m²]; infinite with a plane.
-    pub square: f64,
-    /// The ranges of joints keep everything in them apart: see `Pair::apart`.
-    pub apart: bool,
-}
-
 /// So many pairs of a geom are worth a sphere of their own.
 const RUN: usize = 4;
 
-/// Consecutive pairs of the same two bodies, or those of them that share their first geom, and a
-/// sphere about what each of the two has in them.
-#[derive(Clone, Copy, Debug)]
-pub struct BodyPair {
-    pub spheres: Spheres,
-    /// Into `Model::pairs`; none where they are in the body_pairs that follow.
-    pub pairs: Span,
-    /// Of the next pair that is no part of this one.
-    pub next: usize,
-}
-
-/// Sets `Model::spheres` and `Model::body_pairs`.
-pub fn fill(model: &mut Model) {
-    model.spheres = model.pairs.iter().map(|pair| of_pair(model, pair)).collect();
+/// By pair, and by two bodies.
+pub fn of_pairs(model: &Model) -> (Vec<Spheres>, Vec<BodyPair>) {
+    let spheres = model.pairs.iter().map(|pair| of_pair(model, pair)).collect();
     let mut body_pairs = vec![];
     let mut start = 0;
     let mut add = |start: usize, pairs: usize, len: usize, parts: usize| {
@@ -64,7 +43,7 @@ pub fn fill(model: &mut Model) {
         }
         start += own.len();
     }
-    model.body_pairs = body_pairs;
+    (spheres, body_pairs)
 }
 
 /// The two bodies of a pair, the smaller first: geoms stand in the order of their types.

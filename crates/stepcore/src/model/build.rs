@@ -1,10 +1,9 @@
 //! From a `Scene` to a `Model`: check, lay out, weigh, pair.
 
-use super::slots::Slots;
+use super::parts::Slots;
 use super::{
-    at_qpos0, auto_spring, body_pairs, check, coupling, dynamic_pairs, equalities, fluid, inertia,
-    invweight, linkages, memory, meshes, pairs, plane, pose, range_separation, tendons, tree,
-    Model, NONE,
+    at_qpos0, body_pairs, check, coupling, dynamic_pairs, equalities, fluid, inertia, invweight,
+    linkages, memory, meshes, pairs, plane, range_separation, tendons, tree, Model,
 };
 use crate::elements::actuator::drive;
 use crate::elements::constraints::makers;
@@ -33,55 +32,34 @@ impl Model {
         let scene = &Scene { geoms, ..scene.clone() };
         let mut model = tree::lay_out(scene, &assets);
         pairs::planes_stand_still(&model)?;
+        // Each needs what those above it have made; of what most, stands beside it.
         let (aligned, axes) = inertia::weigh(scene, &assets, &mut model)?;
-        let poses = pose::at_qpos0(&model.bodies);
-        tendons::fill(scene, &mut model);
+        let poses = at_qpos0::poses(&model.bodies);
+        tendons::compile(scene, &mut model); // masses
         at_qpos0::measure_tendons(&mut model);
-        linkages::fill(scene, &mut model);
+        linkages::compile(scene, &mut model); // tendons, whose arms stand first
         linkages::reflect(&mut model);
-        invweight::fill(scene, &mut model, &aligned)?;
-        auto_spring::fill(scene, &mut model);
-        fluid::fill(scene, &axes, &mut model);
+        invweight::weigh(scene, &mut model, &aligned)?; // armatures of actuators; arms at qpos0
+        invweight::spring_dampers(scene, &mut model); // inverse weights; dampings of actuators
+        model.fluid = fluid::of_bodies(scene, &axes, &model.bodies, &model.geoms);
         let mut unions = tree::Unions::default();
         let most = most_fixed(&model);
-        if !pairs::fill(scene, &mut model, &poses, &mut unions, most)? {
-            dynamic_pairs::fill(scene, &mut model, &poses)?;
+        if !pairs::list(scene, &mut model, &poses, &mut unions, most)? {
+            model.dynamic_pairs = Some(dynamic_pairs::of_geoms(scene, &mut model, &poses)?);
         }
-        equalities::fill(scene, &mut model, &poses, &mut unions);
-        let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
-        let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
-        let (met, passed) = (trees_of(&model, met), model.passed_by_tendons());
-        let linked = model.passed_by_linkages();
-        let tied = trees_of(&model, tied.into_iter());
-        let weighted = model.weighted_by_tendons();
-        for tree in 0..model.trees.len() {
-            let turns = !model.trees[tree].slides_only;
-            model.trees[tree].seen =
-                met[tree] || tied[tree] || passed[tree] || linked[tree] || turns;
-            let ball = model.free_ball(&model.trees[tree]);
-            let still = !turns || ball && !tied[tree];
-            model.trees[tree].constant = still && !weighted[tree];
-        }
+        equalities::compile(scene, &mut model, &poses, &mut unions); // lengths and weights at qpos0
+        tree::mark(&mut model); // pairs, tendons that equalities use
         model.drives = model.actuators.iter().map(|own| drive(&model, own)).collect();
-        model.acting = Acting::of(&model);
-        plane::fill(&mut model, &poses);
-        coupling::fill(&mut model);
+        model.acting = Acting::of(&model); // drives
+        plane::find(&mut model, &poses); // trees that are constant
+        coupling::close(&mut model); // what acts; lists of pairs, tendons and equalities
         model.slots = Slots::of(&model);
-        range_separation::fill(&mut model);
-        body_pairs::fill(&mut model);
-        model.places = model.find_places();
-        model.limited = limited(&model);
+        range_separation::prove(&mut model); // pairs
+        (model.spheres, model.body_pairs) = body_pairs::of_pairs(&model); // who is apart
+        model.places = model.find_places(); // trees that are seen, planes
+        model.limited = limited(&model); // closed lists
         model.rubbing = rubbing(&model);
         model.makers = makers(&model);
         Ok(model)
     }
-}
-
-/// By tree: whether some of these bodies is in it.
-fn trees_of(model: &Model, bodies: impl Iterator<Item = usize>) -> Vec<bool> {
-    let mut found = vec![false; model.trees.len()];
-    for tree in bodies.map(|body| model.bodies[body].tree).filter(|tree| *tree != NONE) {
-        found[tree] = true;
-    }
-    found
 }

@@ -41,7 +41,7 @@ impl Lists {
 }
 
 /// Closes every list of dofs that rows use.
-pub(super) fn fill(model: &mut Model) {
+pub(super) fn close(model: &mut Model) {
     let mut touched: Vec<BTreeSet<usize>> = (0..model.nv).map(|_| BTreeSet::new()).collect();
     sloped(model, |dofs| {
         for (nth, i) in dofs.iter().enumerate() {

@@ -10,12 +10,13 @@
 
 use super::fixed_tangents::{loose, still};
 use super::pairs::explicit;
-use super::pose::Pose;
+use super::parts::{DynamicPairs, KINDS};
 use super::{Material, Model, Pair, Span, NONE};
 use crate::elements::text;
 use crate::error::{Error, Result};
 use crate::scene::{Geom, GeomType, Scene};
 use crate::shapes::{height_field, ShapeTest};
+use crate::spatial::Pose;
 use std::collections::{HashMap, HashSet};
 
 /// Pairs up to which all are listed.
@@ -32,32 +33,6 @@ const _: () = assert!(height_field::MOST <= MOST_TOUCHES);
 const MOST_CLASSES: usize = 2048;
 /// Pairs of geoms that no free body carries, for which still tangents are looked for.
 const MOST_STILL: usize = 100_000;
-/// Kinds of geoms.
-const KINDS: usize = 8;
-
-/// What all pairs that could meet share.
-#[derive(Clone, Debug)]
-pub struct DynamicPairs {
-    /// Geoms that may meet some other: ascending those that may move, then those that never do.
-    pub solid: Vec<usize>,
-    /// How many of them may move.
-    pub moving: usize,
-    /// By geom: its part of the distance below which contacts are listed [m].
-    pub listed: Vec<f64>,
-    /// By geom: its class; and by two classes their material.
-    class: Vec<u32>,
-    classes: usize,
-    mixed: Vec<u32>,
-    /// By two kinds of geoms.
-    tests: [[Option<ShapeTest>; KINDS]; KINDS],
-    /// By body: its first geom. The most geoms of any body.
-    first: Vec<usize>,
-    most: usize,
-    /// Pairs with tangents along which nothing can move.
-    still: HashMap<(usize, usize), [bool; 2]>,
-    /// Materials of explicit pairs, by their geoms, the smaller index first.
-    explicit: HashMap<(usize, usize), usize>,
-}
 
 /// Pairs up to which all of a model are listed.
 pub fn most_fixed(model: &Model) -> usize {
@@ -76,8 +51,8 @@ fn key(geom: &Geom) -> Vec<u64> {
     whole.into_iter().chain(lists.chain(&geom.soft.solimp).map(|x| x.to_bits())).collect()
 }
 
-/// Makes the model a heap.
-pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose]) -> Result<()> {
+/// That of a model, whose material list it extends and whose geoms it marks.
+pub fn of_geoms(scene: &Scene, model: &mut Model, poses: &[Pose<f64>]) -> Result<DynamicPairs> {
     let (class, heads) = classes(scene)?;
     let mut mixed = Vec::with_capacity(heads.len() * heads.len());
     for &one in &heads {
@@ -121,8 +96,7 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose]) -> Result<()> {
         model.geoms[geom].by_axis = false;
     }
     heap.find_still(model, poses);
-    model.dynamic_pairs = Some(heap);
-    Ok(())
+    Ok(heap)
 }
 
 /// The class of each geom, and a geom of each class.
@@ -234,7 +208,7 @@ impl DynamicPairs {
     }
 
     /// Tangents along which nothing moves, of pairs in which no part moves freely.
-    fn find_still(&mut self, model: &Model, poses: &[Pose]) {
+    fn find_still(&mut self, model: &Model, poses: &[Pose<f64>]) {
         let mut bound = self.solid.clone();
         bound.retain(|geom| !loose(model, model.geoms[*geom].body));
         bound.sort_unstable();

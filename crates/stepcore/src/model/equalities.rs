@@ -1,92 +1,13 @@
 //! Equalities, compiled: what each ties, with everything its rows share.
 
-use super::pose::{unit_quat, Pose};
-use super::transmission::Transmission;
 use super::tree::Unions;
-use super::{Model, Span};
-use crate::elements::Kind;
-use crate::scene::{self, EqualityType, Scene, Softness};
-use crate::spatial::Quat;
+use super::{Coupling, Ends, Equality, Model, Span, Tie, Transmission};
+use crate::scene::{self, EqualityType, Scene};
+use crate::spatial::{unit_quat, Pose, Quat};
 use nalgebra::Vector3;
 
-/// An equality, with what its rows share.
-#[derive(Clone, Debug)]
-pub struct Equality {
-    pub name: String,
-    pub tie: Tie,
-    pub active: bool,
-    pub soft: Softness,
-    /// As those of a `Pair`. Empty: nothing that it ties can move, and it has no rows.
-    pub dofs: Span,
-    pub mass: f64,
-}
-
-/// What an equality holds.
-#[derive(Clone, Debug)]
-pub enum Tie {
-    /// The two points are one.
-    Connect(Ends),
-    /// The two frames are one; their turn times `torquescale`.
-    Weld { ends: Ends, torquescale: f64 },
-    /// A length follows another.
-    Lengths(Coupling),
-}
-
-/// A frame on each of two bodies.
-#[derive(Clone, Debug)]
-pub struct Ends {
-    pub bodies: [usize; 2],
-    /// In the frames of the bodies [m].
-    pub pos: [Vector3<f64>; 2],
-    /// w x y z.
-    pub quat: [[f64; 4]; 2],
-    /// Sums of both bodies' invweight: translation and rotation.
-    pub invweight: [f64; 2],
-}
-
-/// L₁ − L₁⁰ is a polynomial of L₂ − L₂⁰, the lengths of joints or of tendons.
-#[derive(Clone, Debug)]
-pub struct Coupling {
-    pub first: Transmission,
-    pub second: Option<Transmission>,
-    /// The lengths at the initial configuration.
-    pub rest: [f64; 2],
-    pub polycoef: [f64; 5],
-    /// Sum of both invweights.
-    pub invweight: f64,
-}
-
-impl Equality {
-    /// How many rows it has.
-    pub fn rows(&self) -> usize {
-        match self.tie {
-            Tie::Connect(_) => 3,
-            Tie::Weld { .. } => 6,
-            Tie::Lengths(_) => 1,
-        }
-    }
-
-    /// What its rows are called.
-    pub fn kind(&self) -> Kind {
-        match self.tie {
-            Tie::Connect(_) => Kind::Connect,
-            Tie::Weld { .. } => Kind::Weld,
-            Tie::Lengths(Coupling { first: Transmission::Tendon(..), .. }) => Kind::TendonEquality,
-            Tie::Lengths(_) => Kind::JointEquality,
-        }
-    }
-
-    /// The bodies whose poses it reads.
-    pub(super) fn placed(&self) -> Vec<usize> {
-        match &self.tie {
-            Tie::Connect(ends) | Tie::Weld { ends, .. } => ends.bodies.to_vec(),
-            Tie::Lengths(_) => vec![],
-        }
-    }
-}
-
 /// Compiles the equalities; bodies and dofs have their inverse weights.
-pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions) {
+pub fn compile(scene: &Scene, model: &mut Model, poses: &[Pose<f64>], unions: &mut Unions) {
     for q in &scene.equalities {
         let tie = match q.kind {
             EqualityType::Connect => Tie::Connect(ends(model, poses, q)),
@@ -127,7 +48,7 @@ fn mass_of(model: &Model, dofs: Span) -> f64 {
 }
 
 /// A frame that is not given is where the other one is at qpos0.
-fn ends(model: &Model, poses: &[Pose], q: &scene::Equality) -> Ends {
+fn ends(model: &Model, poses: &[Pose<f64>], q: &scene::Equality) -> Ends {
     let bodies = [q.first, q.second.unwrap_or(0)];
     let mut pos = [Vector3::zeros(); 2];
     let mut quat = [[1.0, 0.0, 0.0, 0.0]; 2];

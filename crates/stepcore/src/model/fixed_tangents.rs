@@ -14,11 +14,11 @@
 //! unless a centre stays where the other's centre or axis is: then it may stand across the plane. So it
 //! does where the axes of two capsules cross, which they can anywhere: they keep both tangents.
 
-use super::pose::{rotation, Pose};
 use super::{Geom, Model};
 use crate::scene::{GeomType, JointType};
 use crate::shapes::frame::{hint, spare, tangents, usual};
 use crate::shapes::ShapeTest;
+use crate::spatial::{rotation, Pose};
 use nalgebra::Vector3;
 
 /// Sine of an angle that is rounding.
@@ -29,7 +29,7 @@ const OPEN: f64 = 1e-6;
 /// For a pair of geoms; `[false, false]` where nothing is known.
 pub fn still(
     model: &Model,
-    poses: &[Pose],
+    poses: &[Pose<f64>],
     test: ShapeTest,
     first: usize,
     second: usize,
@@ -85,7 +85,7 @@ impl Motion {
     }
 }
 
-fn motion(model: &Model, poses: &[Pose], body: usize) -> Option<Motion> {
+fn motion(model: &Model, poses: &[Pose<f64>], body: usize) -> Option<Motion> {
     let (mut slides, mut hinges) = (vec![], vec![]);
     let mut last = None;
     for &dof in model.bodies[body].chain.of(&model.dof_lists) {
@@ -131,7 +131,12 @@ fn along_hint(motion: &Motion, normal: &Vector3<f64>, axis: &Vector3<f64>) -> [b
 }
 
 /// A sphere and a sphere or a capsule.
-fn between_round_shapes(model: &Model, poses: &[Pose], first: &Geom, second: &Geom) -> [bool; 2] {
+fn between_round_shapes(
+    model: &Model,
+    poses: &[Pose<f64>],
+    first: &Geom,
+    second: &Geom,
+) -> [bool; 2] {
     let (sphere, other) =
         if second.kind == GeomType::Sphere { (second, first) } else { (first, second) };
     if sphere.kind != GeomType::Sphere

@@ -1,12 +1,11 @@
 //! The fluid around the bodies, compiled: which shapes it resists, and the coefficients of each.
 //! MuJoCo documentation, "Fluid forces".
 
-use super::inertia::Axes;
-use super::pose::rotation;
-use super::principal::seen_from;
-use super::{Model, Span, NONE};
+use super::parts::{Body, Geom, Span, NONE};
+use super::principal::{seen_from, Axes};
 use crate::real::elementary::pow;
-use crate::scene::{FluidShape, Geom, GeomType, Scene};
+use crate::scene::{self, FluidShape, GeomType, Scene};
+use crate::spatial::rotation;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::PI;
 
@@ -64,24 +63,23 @@ pub struct Ellipsoid {
     pub inertia: Vector3<f64>,
 }
 
-/// Fills `Model::fluid`. `axes`: of the inertia of each body.
-pub fn fill(scene: &Scene, axes: &[Axes], model: &mut Model) {
-    model.fluid.of_body = vec![Span::default(); model.bodies.len()];
-    model.fluid.wind = Vector3::from(scene.wind);
+/// What resists these bodies. `axes`: of the inertia of each.
+pub fn of_bodies(scene: &Scene, axes: &[Axes], bodies: &[Body], geoms: &[Geom]) -> Fluid {
+    let of_body = vec![Span::default(); bodies.len()];
+    let mut fluid = Fluid { wind: Vector3::from(scene.wind), parts: vec![], of_body };
     let off = !scene.features.spring && !scene.features.damper;
     if off || !(scene.density > 0.0 || scene.viscosity > 0.0) {
-        return;
+        return fluid;
     }
-    for index in 1..model.bodies.len() {
-        let body = &model.bodies[index];
+    for (index, body) in bodies.iter().enumerate().skip(1) {
         if body.tree == NONE || body.mass <= 0.0 {
             continue;
         }
-        let start = model.fluid.parts.len();
-        let own = scene.geoms.iter().zip(&model.geoms).filter(|(_, geom)| geom.body == index);
+        let start = fluid.parts.len();
+        let own = scene.geoms.iter().zip(geoms).filter(|(_, geom)| geom.body == index);
         for (source, geom) in own {
             if source.fluidshape == FluidShape::Ellipsoid {
-                model.fluid.parts.push(Part {
+                fluid.parts.push(Part {
                     pos: geom.pos,
                     rot: rotation(geom.quat),
                     viscous: viscous(scene, &semiaxes(geom.kind, &geom.size)),
@@ -89,21 +87,22 @@ pub fn fill(scene: &Scene, axes: &[Axes], model: &mut Model) {
                 });
             }
         }
-        if model.fluid.parts.len() == start {
+        if fluid.parts.len() == start {
             let quat = axes[index].of(&body.inertia);
             let moments = seen_from(quat, &body.inertia).diagonal() / body.mass;
             let half = |i: usize| (1.5 * (moments.sum() - 2.0 * moments[i])).max(0.0).sqrt();
             let half = Vector3::new(half(0), half(1), half(2));
-            model.fluid.parts.push(Part {
+            fluid.parts.push(Part {
                 pos: body.ipos,
                 rot: rotation(quat),
                 viscous: viscous(scene, &half),
                 shape: box_of(scene, &half),
             });
         }
-        let len = model.fluid.parts.len() - start;
-        model.fluid.of_body[index] = Span { start, len };
+        let len = fluid.parts.len() - start;
+        fluid.of_body[index] = Span { start, len };
     }
+    fluid
 }
 
 fn semiaxes(kind: GeomType, &[a, b, c]: &[f64; 3]) -> Vector3<f64> {
@@ -133,7 +132,7 @@ fn box_of(scene: &Scene, r: &Vector3<f64>) -> Shape {
     }
 }
 
-fn ellipsoid(scene: &Scene, geom: &Geom, r: Vector3<f64>) -> Shape {
+fn ellipsoid(scene: &Scene, geom: &scene::Geom, r: Vector3<f64>) -> Shape {
     let [blunt, slender, angular, kutta, magnus] = geom.fluidcoef;
     let (x, y, z) = (r.x, r.y, r.z);
     let density = scene.density;

@@ -1,13 +1,13 @@
 //! Masses of bodies: given, or put together from their geoms, under MJCF's rules.
 
 use super::meshes::Asset;
-use super::pose::{rotation, unit_quat};
-use super::principal::{axes, seen_from};
+use super::principal::{seen_from, Axes};
 use super::shape::{measure, unit_inertia};
 use super::{Model, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{Geom, GeomType, Scene};
+use crate::spatial::{rotation, unit_quat};
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 /// Relative to the trace: below this a principal moment, or the excess of two
@@ -28,25 +28,6 @@ struct Load {
     /// The body's frame is its inertia's frame: MuJoCo's rule for simple bodies.
     aligned: bool,
     axes: Axes,
-}
-
-/// The principal axes of a body's inertia.
-#[derive(Clone, Copy, Debug)]
-pub enum Axes {
-    /// Those of its only geom, those that were given, or of the inertia before a rule changed it.
-    Own([f64; 4]),
-    /// To be found from the matrix.
-    Found,
-}
-
-impl Axes {
-    /// w x y z, in body axes.
-    pub fn of(self, inertia: &Matrix3<f64>) -> [f64; 4] {
-        match self {
-            Self::Own(quat) => quat,
-            Self::Found => axes(inertia),
-        }
-    }
 }
 
 impl Load {

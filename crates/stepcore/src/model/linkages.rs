@@ -1,34 +1,11 @@
 //! What actuators pull along, compiled: their transmissions, and the linkages whose length no joint and
 //! no tendon is: that of a site, and of a slider-crank.
 
-use super::transmission::Transmission;
-use super::{Model, Span};
+use super::{Linkage, Model, Moved, Span, Transmission};
 use crate::scene::{self, Dynamics, JointType, Scene, Target};
 
-/// The length of an actuator that is neither a joint's nor a tendon's.
-#[derive(Clone, Debug)]
-pub struct Linkage {
-    pub course: Target,
-    pub gear: [f64; 6],
-    /// Its place in `Placed::tendon_length`, after the tendons.
-    pub length: usize,
-    /// As those of a tendon.
-    pub dofs: Span,
-    pub arms: Span,
-    pub movers: Vec<Moved>,
-}
-
-/// A dof that moves one of the ends of a linkage, and not both alike.
-#[derive(Clone, Copy, Debug)]
-pub struct Moved {
-    pub dof: usize,
-    /// Its place among the linkage's dofs.
-    pub at: usize,
-    pub ends: [bool; 2],
-}
-
 /// Everything that concerns actuators but what they do to inertias.
-pub fn fill(scene: &Scene, model: &mut Model) {
+pub fn compile(scene: &Scene, model: &mut Model) {
     for actuator in &scene.actuators {
         let len = actuator.states();
         model.activations.push(Span { start: model.na, len });

@@ -1,7 +1,6 @@
 //! What the contacts of two geoms are made of: mixed from both, given by an explicit pair, or
 //! overridden for all. MuJoCo documentation, "Contact parameters" and "Contact override".
 
-use super::Model;
 use crate::scene::{ExplicitPair, Geom, Scene, Softness};
 
 /// One for all pairs that mix to the same.
@@ -100,16 +99,4 @@ fn mixed_softness(x: &Geom, y: &Geom) -> Softness {
 /// Sliding, torsional and rolling friction by direction.
 fn by_direction([slide, torsion, roll]: [f64; 3]) -> [f64; 5] {
     [slide, slide, torsion, roll, roll]
-}
-
-impl Model {
-    /// Where a material stands in the list; it is added if it is new.
-    pub(super) fn material_index(&mut self, material: Material) -> usize {
-        // Neighbours are mostly alike.
-        let known = self.materials.iter().rposition(|known| *known == material);
-        known.unwrap_or_else(|| {
-            self.materials.push(material);
-            self.materials.len() - 1
-        })
-    }
 }

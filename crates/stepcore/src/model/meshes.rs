@@ -1,17 +1,23 @@
 //! Geoms of meshes: each in the frame of its mesh's principal axes, or as the primitive that fits.
+//!
+//! What is measured is kept for the next compilation of any scene that has the same mesh: hulls take
+//! most of the time of compiling a robot, and measurements compile the same robot with other numbers
+//! some hundred times. A mesh is known again by its content, so what is kept is to the bit what would
+//! be measured anew.
 
-use super::mesh_cache;
-use super::pose::{rotation, unit_quat};
+use super::lru::Lru;
 use super::principal::product;
 use super::solid::{Solid, Unsolid};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
+use crate::pool::lock;
 use crate::scene::{Geom, GeomType, HField, Mesh, MeshInertia, Scene};
 use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
 use crate::shapes::ray::Surface;
+use crate::spatial::{rotation, unit_quat};
 use nalgebra::Vector3;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 /// A mesh once measured. Its hull is in the mesh's own coordinates.
 #[derive(Clone)]
@@ -21,6 +27,25 @@ pub struct Measured {
     hull: Option<Arc<Hull>>,
     /// The hull in the frame of the principal axes.
     aligned: Option<Arc<Hull>>,
+}
+
+/// The most vertices and faces that are kept of all meshes together: some 100 MB with their hulls.
+const MOST: usize = 1 << 20;
+
+static KEPT: Mutex<Lru<Mesh, Measured>> = Mutex::new(Lru::new(MOST, size));
+
+fn size(mesh: &Mesh) -> usize {
+    mesh.vertices.len() + mesh.faces.len()
+}
+
+/// All that is measured depends on, to the bit (0 is not −0); the name is not.
+fn same(a: &Mesh, b: &Mesh) -> bool {
+    let bits = |v: &[f64; 3]| v.map(f64::to_bits);
+    a.inertia == b.inertia
+        && a.maxhullvert == b.maxhullvert
+        && a.vertices.len() == b.vertices.len()
+        && a.faces == b.faces
+        && a.vertices.iter().map(bits).eq(b.vertices.iter().map(bits))
 }
 
 /// What a geom is beyond its size: the mesh or the field that it stands for.
@@ -54,7 +79,7 @@ pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
         let mesh = &scene.meshes[index];
         let known = match &mut measured[index] {
             Some(known) => known,
-            empty => empty.insert(match mesh_cache::recalled(mesh) {
+            empty => empty.insert(match lock(&KEPT).recalled(|other| same(other, mesh)) {
                 Some(known) => known,
                 None => measure(mesh, index).map_err(named)?,
             }),
@@ -78,7 +103,7 @@ pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
         }
     }
     for (mesh, known) in scene.meshes.iter().zip(&measured) {
-        known.iter().for_each(|known| mesh_cache::keep(mesh, known));
+        known.iter().for_each(|known| lock(&KEPT).keep(mesh.clone(), known.clone(), same));
     }
     Ok((geoms, assets))
 }
@@ -234,5 +259,34 @@ fn fitted(kind: GeomType, half: &Vector3<f64>, aabb: bool) -> [f64; 3] {
         GeomType::Capsule => [across, (z - 0.5 * across).max(0.0), 0.0],
         GeomType::Cylinder => [across, z, 0.0],
         _ => [x, y, z],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cube(half: f64) -> Mesh {
+        let corner = |i: usize| std::array::from_fn(|k| if i >> k & 1 == 1 { half } else { -half });
+        Mesh { vertices: Arc::new((0..8).map(corner).collect()), ..Mesh::default() }
+    }
+
+    fn hull_of(mesh: Mesh) -> Arc<crate::shapes::hull::Hull> {
+        let geom = Geom { kind: GeomType::Mesh, mesh: Some(0), contype: 1, ..Geom::default() };
+        let scene = Scene { meshes: vec![mesh], geoms: vec![geom], ..Scene::default() };
+        placed(&scene).unwrap().1[0].hull.clone().unwrap()
+    }
+
+    #[test]
+    fn the_same_content_is_the_same_hull_and_any_other_bit_is_another() {
+        let first = hull_of(cube(0.731));
+        let renamed = Mesh { name: "other".into(), ..cube(0.731) };
+        assert!(Arc::ptr_eq(&first, &hull_of(renamed)));
+        let next = f64::from_bits(0.731_f64.to_bits() + 1);
+        assert!(!Arc::ptr_eq(&first, &hull_of(cube(next))));
+        let shell = Mesh { inertia: MeshInertia::Shell, ..cube(0.731) };
+        assert!(!Arc::ptr_eq(&first, &hull_of(shell)));
+        let fewer = hull_of(Mesh { maxhullvert: Some(4), ..cube(0.731) });
+        assert_eq!((first.vertices.len(), fewer.vertices.len()), (8, 4));
     }
 }

@@ -2,13 +2,13 @@
 //! mixing rules; the filter is applied once, here, and never during a step.
 
 use super::fixed_tangents::still;
-use super::pose::Pose;
 use super::tree::Unions;
 use super::{Material, Model, Pair, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{ExplicitPair, GeomType, Scene};
 use crate::shapes::ShapeTest;
+use crate::spatial::Pose;
 
 /// A plane is fixed to the world, as in MuJoCo.
 pub fn planes_stand_still(model: &Model) -> Result<()> {
@@ -102,10 +102,10 @@ impl Model {
 
 /// Pairs in MuJoCo's order of contacts: by the two bodies, then by the geoms. False where there
 /// are more than `most`, and none was made.
-pub fn fill(
+pub fn list(
     scene: &Scene,
     model: &mut Model,
-    poses: &[Pose],
+    poses: &[Pose<f64>],
     unions: &mut Unions,
     most: usize,
 ) -> Result<bool> {
@@ -117,21 +117,22 @@ pub fn fill(
         }
     }
     let mut explicit = explicit(scene, model).into_iter().peekable();
+    let mut list = List { scene, model, poses, unions };
     let full: Vec<usize> = (0..geoms.len()).filter(|b| !geoms[*b].is_empty()).collect();
     for (k, &body1) in full.iter().enumerate() {
         for &body2 in &full[k + 1..] {
             while let Some((_, index)) = explicit.next_if(|(bodies, _)| *bodies <= [body1, body2]) {
-                add_explicit(scene, model, poses, unions, index)?;
+                list.add_explicit(index)?;
             }
-            if model.never_between(body1, body2).is_some() {
+            if list.model.never_between(body1, body2).is_some() {
                 continue;
             }
             let mut found = vec![];
             for &a in &geoms[body1] {
-                let others = geoms[body2].iter().filter(|b| model.never(a, **b).is_none());
-                found.extend(others.map(|&b| model.ordered(a, b)));
+                let others = geoms[body2].iter().filter(|b| list.model.never(a, **b).is_none());
+                found.extend(others.map(|&b| list.model.ordered(a, b)));
             }
-            if model.pairs.len() + found.len() > most {
+            if list.model.pairs.len() + found.len() > most {
                 model.pairs.clear();
                 model.materials.clear();
                 model.dof_lists.truncate(lists);
@@ -141,15 +142,58 @@ pub fn fill(
             }
             found.sort_unstable();
             for (a, b) in found {
-                let material = Material::of_geoms(scene, a, b);
-                add(scene, model, poses, unions, (a, b), material)?;
+                list.add((a, b), Material::of_geoms(scene, a, b))?;
             }
         }
     }
     for (_, index) in explicit {
-        add_explicit(scene, model, poses, unions, index)?;
+        list.add_explicit(index)?;
     }
     Ok(true)
+}
+
+/// The list of pairs while it is made.
+struct List<'a> {
+    scene: &'a Scene,
+    model: &'a mut Model,
+    poses: &'a [Pose<f64>],
+    unions: &'a mut Unions,
+}
+
+impl List<'_> {
+    fn add_explicit(&mut self, index: usize) -> Result<()> {
+        let own = &self.scene.pairs[index];
+        let by_body = |geom: usize| (self.scene.geoms[geom].body, geom);
+        let (a, b) = (own.geom1, own.geom2);
+        let (a, b) = if by_body(a) > by_body(b) { (b, a) } else { (a, b) };
+        self.add(self.model.ordered(a, b), Material::of_pair(self.scene, own))
+    }
+
+    fn add(&mut self, (a, b): (usize, usize), material: Material) -> Result<()> {
+        let Self { scene, model, poses, unions } = self;
+        let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
+        let test = ShapeTest::of(x.kind, y.kind).ok_or_else(|| not_built(model, a, b))?;
+        let condim = material.condim;
+        let pair = Pair {
+            geom1: a,
+            geom2: b,
+            test,
+            dofs: unions.of(model, x.body, y.body),
+            material: model.material_index(material),
+            index: model.pairs.len(),
+            slot: model.pairs.last().map_or(0, |last| last.slot + last.test.most_touches()),
+            invweight: model.bodies[x.body].invweight[0] + model.bodies[y.body].invweight[0],
+            mass: touched_mass(model, x.body, y.body),
+            still: if condim == 1 { [false; 2] } else { still(model, poses, test, a, b) },
+            apart: false,
+        };
+        model.pairs.push(pair);
+        for at in [a, b] {
+            model.geoms[at].collides = true;
+            model.geoms[at].by_axis &= test.by_axes();
+        }
+        Ok(())
+    }
 }
 
 /// Explicit pairs by their bodies, which decide their place among the others; without those whose
@@ -172,39 +216,6 @@ pub(super) fn explicit(scene: &Scene, model: &Model) -> Vec<([usize; 2], usize)>
     list
 }
 
-fn add_explicit(
-    scene: &Scene,
-    model: &mut Model,
-    poses: &[Pose],
-    unions: &mut Unions,
-    index: usize,
-) -> Result<()> {
-    let own = &scene.pairs[index];
-    let by_body = |geom: usize| (scene.geoms[geom].body, geom);
-    let (a, b) = (own.geom1, own.geom2);
-    let (a, b) = if by_body(a) > by_body(b) { (b, a) } else { (a, b) };
-    let geoms = model.ordered(a, b);
-    add(scene, model, poses, unions, geoms, Material::of_pair(scene, own))
-}
-
-fn add(
-    scene: &Scene,
-    model: &mut Model,
-    poses: &[Pose],
-    unions: &mut Unions,
-    (a, b): (usize, usize),
-    material: Material,
-) -> Result<()> {
-    let pair = pair(scene, model, poses, unions, (a, b), material)?;
-    let axes = pair.test.by_axes();
-    model.pairs.push(pair);
-    for at in [a, b] {
-        model.geoms[at].collides = true;
-        model.geoms[at].by_axis &= axes;
-    }
-    Ok(())
-}
-
 /// Two geoms can meet, and there is no test of their shapes.
 pub(super) fn not_built(model: &Model, a: usize, b: usize) -> Error {
     let (x, y) = (&model.geoms[a], &model.geoms[b]);
@@ -220,35 +231,6 @@ pub(super) fn not_built(model: &Model, a: usize, b: usize) -> Error {
             ShapeTest::built()
         )
     ])
-}
-
-fn pair(
-    scene: &Scene,
-    model: &mut Model,
-    poses: &[Pose],
-    unions: &mut Unions,
-    (a, b): (usize, usize),
-    material: Material,
-) -> Result<Pair> {
-    let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
-    let Some(test) = ShapeTest::of(x.kind, y.kind) else {
-        return Err(not_built(model, a, b));
-    };
-    let condim = material.condim;
-    let dofs = unions.of(model, x.body, y.body);
-    Ok(Pair {
-        geom1: a,
-        geom2: b,
-        test,
-        material: model.material_index(material),
-        index: model.pairs.len(),
-        slot: model.pairs.last().map_or(0, |last| last.slot + last.test.most_touches()),
-        invweight: model.bodies[x.body].invweight[0] + model.bodies[y.body].invweight[0],
-        dofs,
-        mass: touched_mass(model, x.body, y.body),
-        still: if condim == 1 { [false; 2] } else { still(model, poses, test, a, b) },
-        apart: false,
-    })
 }
 
 /// Mass of the trees of both bodies, each once.

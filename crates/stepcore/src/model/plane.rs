@@ -1,83 +1,17 @@
 //! Trees that move in a plane: every hinge turns about one world axis, and every slide lies across
 //! it. What they do in a step is worked out in two dimensions: see `place/in_plane.rs`.
 
-use super::pose::{rotation, Pose};
-use super::{Body, Geom, Joint, Model, Tree};
+use super::parts::{across, FlatBody, FlatJoint};
+use super::{Body, FlatGeom, Geom, Joint, Model, Plane, Tree};
 use crate::scene::JointType;
-use crate::spatial::Quat;
-use nalgebra::{Matrix3, Vector3};
+use crate::spatial::{rotation, Pose, Quat};
+use nalgebra::Vector3;
 
 /// How far from a world axis an axis may point that was turned there: roundings of poses.
 const TURNED: f64 = 8.0 * f64::EPSILON;
 
-/// The plane in which a tree moves, and what it needs of the tree: all as at qpos0, and turned with
-/// the body from there on.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Plane {
-    /// Which of the world's axes is its normal.
-    pub normal: usize,
-    /// By body of the tree.
-    pub bodies: Vec<FlatBody>,
-    /// By joint of the tree.
-    pub joints: Vec<FlatJoint>,
-    first_joint: usize,
-}
-
-/// Vectors of two entries are along the plane's axes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FlatBody {
-    /// Moment of inertia about the normal through the centre of mass [kg·m²].
-    pub moment: f64,
-    /// Orientation.
-    pub rot: Matrix3<f64>,
-    pub quat: Quat<f64>,
-    /// From the parent's origin, as the parent turns [m].
-    pub pos: [f64; 2],
-    /// From its own origin to its centre of mass [m].
-    pub centre: [f64; 2],
-}
-
-/// The pose of a geom on a body of such a tree, from the body's origin.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FlatGeom {
-    /// The plane's axes.
-    pub axes: [usize; 2],
-    pub pos: [f64; 2],
-    pub rot: Matrix3<f64>,
-}
-
-#[derive(Clone, Debug, PartialEq)]
-pub struct FlatJoint {
-    /// Of a hinge: ±1, along the normal; 0 of a slide.
-    pub turns: f64,
-    /// Of a hinge, from the body's origin [m].
-    pub anchor: [f64; 2],
-    /// Of a slide.
-    pub axis: [f64; 2],
-}
-
-impl Plane {
-    /// The world's axes in the plane; with the normal before them they are right-handed.
-    #[inline(always)]
-    pub fn axes(&self) -> [usize; 2] {
-        across(self.normal)
-    }
-
-    /// Of a joint of this tree.
-    #[inline(always)]
-    pub fn joints_of(&self, body: &Body) -> &[FlatJoint] {
-        let first = body.joints.start - self.first_joint;
-        &self.joints[first..first + body.joints.len]
-    }
-}
-
-#[inline(always)]
-fn across(normal: usize) -> [usize; 2] {
-    [(normal + 1) % 3, (normal + 2) % 3]
-}
-
 /// Fills `Tree::plane` and `Geom::in_plane`. Equalities, and tendons that have a mass, read the motion of bodies in space.
-pub(super) fn fill(model: &mut Model, poses: &[Pose]) {
+pub(super) fn find(model: &mut Model, poses: &[Pose<f64>]) {
     let weighted = model.weighted_by_tendons();
     let quats = quats_at_qpos0(&model.bodies);
     for (index, weighted) in weighted.into_iter().enumerate() {
@@ -92,7 +26,7 @@ pub(super) fn fill(model: &mut Model, poses: &[Pose]) {
     }
 }
 
-fn flat_geom(model: &Model, geom: &Geom, poses: &[Pose]) -> Option<Box<FlatGeom>> {
+fn flat_geom(model: &Model, geom: &Geom, poses: &[Pose<f64>]) -> Option<Box<FlatGeom>> {
     let tree = model.trees.get(model.bodies[geom.body].tree)?;
     let [x, y] = tree.plane.as_ref()?.axes();
     let rot = poses[geom.body].rot;
@@ -109,7 +43,7 @@ fn quats_at_qpos0(bodies: &[Body]) -> Vec<Quat<f64>> {
     quats
 }
 
-fn normal_of(model: &Model, tree: &Tree, poses: &[Pose]) -> Option<usize> {
+fn normal_of(model: &Model, tree: &Tree, poses: &[Pose<f64>]) -> Option<usize> {
     let bodies = tree.bodies.of(&model.bodies);
     if bodies.iter().any(|body| body.carried) {
         return None;
@@ -131,7 +65,7 @@ fn plane_of(
     model: &Model,
     tree: &Tree,
     normal: usize,
-    poses: &[Pose],
+    poses: &[Pose<f64>],
     quats: &[Quat<f64>],
 ) -> Plane {
     let [x, y] = across(normal);

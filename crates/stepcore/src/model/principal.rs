@@ -1,12 +1,31 @@
 //! The principal axes of a symmetric matrix as a rotation from the matrix's own axes.
 
-use super::pose::{rotation, unit_quat};
+use crate::spatial::{rotation, unit_quat};
 use nalgebra::{Matrix3, Vector3};
 
 /// Relative to the trace: an element that is rounding, moments that are the same.
 const ROUNDING: f64 = 1e-12;
 /// Turns after which the iteration ends in any case; three or four sweeps of three are enough.
 const MOST: usize = 500;
+
+/// The principal axes of a body's inertia.
+#[derive(Clone, Copy, Debug)]
+pub enum Axes {
+    /// Those of its only geom, those that were given, or of the inertia before a rule changed it.
+    Own([f64; 4]),
+    /// To be found from the matrix.
+    Found,
+}
+
+impl Axes {
+    /// w x y z, in body axes.
+    pub fn of(self, inertia: &Matrix3<f64>) -> [f64; 4] {
+        match self {
+            Self::Own(quat) => quat,
+            Self::Found => axes(inertia),
+        }
+    }
+}
 
 /// Orientation (w x y z) of the principal axes, the greatest moment first: Jacobi's iteration
 /// (Golub and Van Loan, Matrix Computations, section 8.5), largest element first, on a quaternion,

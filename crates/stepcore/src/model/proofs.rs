@@ -92,7 +92,7 @@ impl Question {
     }
 }
 
-/// Equal hulls are one hull where meshes are recalled (`mesh_cache.rs`); two of equal content count as
+/// Equal hulls are one hull where meshes are recalled (`meshes.rs`); two of equal content count as
 /// different here, which costs a proof and no more.
 fn are_one<T>(a: &[Option<Weak<T>>], b: &[Option<Weak<T>>]) -> bool {
     let one = |(x, y): (&Option<Weak<T>>, &Option<Weak<T>>)| match (x, y) {

@@ -53,7 +53,7 @@ impl Between {
 }
 
 /// Sets `Pair::apart` and `Model::guards`.
-pub fn fill(model: &mut Model) {
+pub fn prove(model: &mut Model) {
     let pairs = 0..model.pairs.len();
     let asked: Vec<_> = pairs.filter_map(|pair| Some((pair, between(model, pair)?))).collect();
     if asked.is_empty() {

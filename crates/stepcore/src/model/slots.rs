@@ -2,23 +2,10 @@
 //! in the order in which their rows are made.
 
 use super::dynamic_pairs::MOST_TOUCHES;
+use super::parts::{Slots, SIDES};
 use super::{Model, Pair, Span, NONE};
 use crate::elements::{Element, Kind};
 use std::ops::Range;
-
-/// Bounds of a joint or a tendon.
-pub const SIDES: usize = 2;
-
-/// Where each kind's slots begin: equalities, then the friction losses of dofs and of
-/// tendons, the limits of joints and of tendons, the contacts of pairs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Slots {
-    losses: usize,
-    tendon_losses: usize,
-    limits: usize,
-    tendon_limits: usize,
-    contacts: usize,
-}
 
 impl Slots {
     pub(super) fn of(model: &Model) -> Self {

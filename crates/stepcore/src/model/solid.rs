@@ -3,9 +3,9 @@
 //! MuJoCo documentation, XML reference, asset/mesh and mesh/inertia; J. O'Rourke, Computational
 //! Geometry in C, section 1.3.8.
 
-use super::pose::rotation;
 use super::principal;
 use crate::scene::MeshInertia;
+use crate::spatial::rotation;
 use nalgebra::{Matrix3, Vector3};
 
 type Triangle = [Vector3<f64>; 3];

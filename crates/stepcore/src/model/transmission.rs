@@ -3,62 +3,12 @@
 //! What pulls along a length (an actuator, a limit, a tendon's spring) asks here, and knows neither
 //! joint nor path. The lengths and arms of tendons are made in `place/tendon.rs`.
 
+pub(crate) use super::lengths::{Limited, Rubbing};
+pub use super::Transmission;
 use super::{Linkage, Model, Span};
-use crate::elements::{Element, Kind};
 use crate::real::Real;
-use crate::scene::{JointType, Softness};
+use crate::scene::JointType;
 use crate::spatial::{Quat, V3};
-use std::ops::Range;
-
-/// Whose length.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Transmission {
-    /// Of a hinge or a slide its position; of a ball the angle by which it is turned, never
-    /// negative.
-    Joint(usize),
-    /// A joint behind a gear, which has one entry for each dof. The length of a ball is the part of
-    /// its rotation vector along the gear; a free joint has none.
-    Geared(usize, [f64; 6]),
-    /// A ball or a free joint whose axes of rotation are those of the frame in which it stands.
-    InParent(usize, [f64; 6]),
-    /// A tendon, and a gear by which its length is multiplied.
-    Tendon(usize, f64),
-    /// A linkage, whose arms hold its gear.
-    Linkage(usize),
-    /// One dof, of which only the rate matters.
-    Dof(usize),
-}
-
-/// A length that goes no further than its range.
-#[derive(Clone, Debug)]
-pub(crate) struct Limited {
-    pub along: Transmission,
-    pub kind: Kind,
-    pub index: usize,
-    pub range: [f64; 2],
-    /// 0: there is a lower bound, 1: an upper one.
-    pub sides: Range<usize>,
-    pub margin: f64,
-    pub soft: Softness,
-    /// Into `Model::dof_lists`.
-    pub dofs: Span,
-    pub invweight: f64,
-    pub mass: f64,
-}
-
-/// A length with dry friction.
-#[derive(Clone, Debug)]
-pub(crate) struct Rubbing {
-    pub along: Transmission,
-    pub element: Element,
-    /// The largest force.
-    pub most: f64,
-    pub soft: Softness,
-    /// Into `Model::dof_lists`.
-    pub dofs: Span,
-    pub invweight: f64,
-    pub mass: f64,
-}
 
 /// Lengths that were placed: by tendon, and their arms (see `Tendon::arms`).
 #[derive(Clone, Copy)]

@@ -1,14 +1,10 @@
 //! The skeleton: bodies, joints and dofs in order, trees, chains of dofs, and the
 //! pattern of the mass matrix.
 
-use super::fluid::Fluid;
 use super::meshes::Asset;
-use super::pose::{rotation, unit_quat};
-use super::slots::Slots;
 use super::{Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
-use crate::plan::acting::Acting;
-use crate::plan::places::Places;
 use crate::scene::{self, GeomType, JointType, Scene};
+use crate::spatial::{rotation, unit_quat};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashMap;
 
@@ -16,62 +12,25 @@ use std::collections::HashMap;
 pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     let mut model = Model {
         name: scene.name.clone(),
-        nq: 0,
-        nv: 0,
-        na: 0,
-        activations: vec![],
-        nhistory: 0,
-        histories: vec![],
-        along: vec![],
-        circles: vec![],
-        feeders: vec![],
-        linkages: vec![],
-        adheres: false,
         sticks: scene.geoms.iter().any(|geom| geom.adhesion > 0.0)
             || scene.pairs.iter().any(|pair| pair.adhesion > 0.0),
-        clamps: vec![],
         gravity: Vector3::from(scene.gravity),
         magnetic: Vector3::from(scene.magnetic),
         features: scene.features.clone(),
         bodies: Vec::with_capacity(scene.bodies.len()),
-        mocaps: vec![],
-        carried: vec![],
         joints: Vec::with_capacity(scene.joints.len()),
-        dofs: vec![],
-        trees: vec![],
         geoms: scene.geoms.iter().zip(assets).map(|(g, asset)| geom(g, asset)).collect(),
-        sites: vec![],
-        tendons: vec![],
         compensates: compensates(scene),
-        fluid: Fluid::default(),
         sensors: scene.sensors.clone(),
-        pairs: vec![],
-        dynamic_pairs: None,
-        materials: vec![],
         explicit: scene
             .pairs
             .iter()
             .map(|p| (p.geom1.min(p.geom2), p.geom1.max(p.geom2)))
             .collect(),
         excludes: scene.excludes.iter().map(|[a, b]| (*a.min(b), *a.max(b))).collect(),
-        guards: vec![],
-        spheres: vec![],
-        body_pairs: vec![],
-        equalities: vec![],
         actuators: scene.actuators.clone(),
         keys: scene.keys.clone(),
-        qpos0: vec![],
-        qpos_spring: vec![],
-        dof_lists: vec![],
-        row_dofs: vec![],
-        couples: false,
-        limited: vec![],
-        rubbing: vec![],
-        slots: Slots::default(),
-        makers: vec![],
-        places: Places::default(),
-        acting: Acting::default(),
-        drives: vec![],
+        ..Model::default()
     };
     for s in &scene.sites {
         let (name, pos) = (s.name.clone(), Vector3::from(s.pos));
@@ -290,6 +249,32 @@ fn half(source: &crate::scene::Geom, asset: &Asset, reach: f64) -> [f64; 3] {
         (GeomType::HField, _) => [a, b, asset.field.as_ref().map_or(c, |field| field.tall())],
         (GeomType::Plane | GeomType::Mesh, _) => [reach; 3],
     }
+}
+
+/// Which trees a step places, and which are constant: equalities, tendons and pairs are known.
+pub fn mark(model: &mut Model) {
+    let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
+    let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
+    let (met, passed) = (trees_of(model, met), model.passed_by_tendons());
+    let linked = model.passed_by_linkages();
+    let tied = trees_of(model, tied.into_iter());
+    let weighted = model.weighted_by_tendons();
+    for tree in 0..model.trees.len() {
+        let turns = !model.trees[tree].slides_only;
+        model.trees[tree].seen = met[tree] || tied[tree] || passed[tree] || linked[tree] || turns;
+        let ball = model.free_ball(&model.trees[tree]);
+        let still = !turns || ball && !tied[tree];
+        model.trees[tree].constant = still && !weighted[tree];
+    }
+}
+
+/// By tree: whether some of these bodies is in it.
+fn trees_of(model: &Model, bodies: impl Iterator<Item = usize>) -> Vec<bool> {
+    let mut found = vec![false; model.trees.len()];
+    for tree in bodies.map(|body| model.bodies[body].tree).filter(|tree| *tree != NONE) {
+        found[tree] = true;
+    }
+    found
 }
 
 /// Unions of two bodies' chains, each stored once.

@@ -79,7 +79,7 @@ pub(super) fn trace(
         qpos: args(&sim.next.qpos),
         qvel: args(&sim.next.qvel),
         qacc: args(&sim.qacc),
-        nodes: list.nodes,
+        nodes: list.entries.nodes,
         assumed: list.assumed,
         rows,
         limit,

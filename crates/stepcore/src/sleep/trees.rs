@@ -1,9 +1,10 @@
 //! What does not change of who may sleep: MuJoCo's policy of each tree, and its lengths of dofs.
 
-use crate::model::{rotation, Model, Union, NONE};
+use crate::model::{Model, Union, NONE};
 use crate::real::Real;
 use crate::room::{listed, Room};
 use crate::scene::{JointType, SleepPolicy, Target};
+use crate::spatial::rotation;
 use crate::warm::Sleep;
 use std::sync::Arc;
 

@@ -1,9 +1,115 @@
-//! What is known of a number that is not known.
-
-use super::recorder::{Arg, Op, Recorder};
+//! The entries of a list, and what is known of a number that is not known.
 
 /// By how much more than rounding bounds are widened.
 const SURE: f64 = 1e-6;
+
+/// What an entry does. Masks are all ones or all zeros a lane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Op {
+    /// A number of the state: its place there.
+    Input(u32),
+    Add,
+    Sub,
+    Mul,
+    Div,
+    Neg,
+    Sqrt,
+    Sin,
+    Cos,
+    Atan2,
+    Pow,
+    /// Of a mask and two numbers.
+    Select,
+    /// a < b ? b : a, and b < a ? b : a.
+    Max,
+    Min,
+    Lt,
+    Le,
+    Finite,
+    And,
+    Or,
+    Not,
+}
+
+impl Op {
+    /// It computes a mask.
+    pub fn is_mask(self) -> bool {
+        matches!(self, Self::Lt | Self::Le | Self::Finite | Self::And | Self::Or | Self::Not)
+    }
+}
+
+/// What an entry reads: a number, exact in the precision at hand, or another entry.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Arg {
+    Known(f64),
+    Node(u32),
+}
+
+impl Arg {
+    /// Of a mask.
+    pub fn truth(value: bool) -> Self {
+        Self::Known(if value { 1.0 } else { 0.0 })
+    }
+
+    pub fn node(self) -> Option<u32> {
+        match self {
+            Self::Node(node) => Some(node),
+            Self::Known(_) => None,
+        }
+    }
+
+    pub fn key(self) -> (bool, u64) {
+        match self {
+            Self::Known(value) => (true, value.to_bits()),
+            Self::Node(node) => (false, node.into()),
+        }
+    }
+}
+
+/// To the bit.
+impl PartialEq for Arg {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
+    }
+}
+
+/// An entry: what it does, what it reads (as many as `args` says), and what is known of its number.
+#[derive(Clone, Debug)]
+pub(crate) struct Node {
+    pub op: Op,
+    pub args: Vec<Arg>,
+    pub facts: Facts,
+}
+
+/// The entries so far.
+#[derive(Default)]
+pub(crate) struct Entries {
+    pub nodes: Vec<Node>,
+    /// What no finite number exceeds.
+    pub largest: f64,
+}
+
+impl Entries {
+    /// What is known of a number.
+    pub fn facts(&self, arg: Arg) -> Facts {
+        match arg {
+            Arg::Known(value) => Facts::exact(value),
+            Arg::Node(node) => self.nodes[node as usize].facts,
+        }
+    }
+
+    /// The operation of an entry, and what it reads.
+    pub fn made(&self, arg: Arg) -> Option<(Op, &[Arg])> {
+        let node = &self.nodes[arg.node()? as usize];
+        Some((node.op, &node.args))
+    }
+
+    /// It is no infinity, and a number.
+    pub fn finite(&self, arg: Arg) -> bool {
+        let Facts { low, high, .. } = self.facts(arg);
+        -self.largest <= low && high <= self.largest
+    }
+}
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Facts {
@@ -51,7 +157,7 @@ impl Facts {
     }
 
     /// Of what an operation computes.
-    pub fn of(list: &Recorder, op: Op, args: &[Arg]) -> Self {
+    pub fn of(list: &Entries, op: Op, args: &[Arg]) -> Self {
         let of = |at: usize| list.facts(args[at]);
         let finite = |at: usize| list.finite(args[at]);
         match op {

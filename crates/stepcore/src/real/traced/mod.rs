@@ -21,7 +21,8 @@ mod facts;
 mod recorder;
 mod rules;
 
-pub(crate) use recorder::{Arg, Node, Op, Recorder};
+pub(crate) use facts::{Arg, Node, Op};
+pub(crate) use recorder::Recorder;
 
 use core::cell::Cell;
 use core::fmt::Debug;

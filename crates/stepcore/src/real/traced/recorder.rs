@@ -3,86 +3,8 @@
 use core::cell::RefCell;
 use std::collections::HashMap;
 
-use super::facts::Facts;
+use super::facts::{Arg, Entries, Facts, Node, Op};
 use super::rules::{simpler, Simpler};
-
-/// What an entry does. Masks are all ones or all zeros a lane.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Op {
-    /// A number of the state: its place there.
-    Input(u32),
-    Add,
-    Sub,
-    Mul,
-    Div,
-    Neg,
-    Sqrt,
-    Sin,
-    Cos,
-    Atan2,
-    Pow,
-    /// Of a mask and two numbers.
-    Select,
-    /// a < b ? b : a, and b < a ? b : a.
-    Max,
-    Min,
-    Lt,
-    Le,
-    Finite,
-    And,
-    Or,
-    Not,
-}
-
-impl Op {
-    /// It computes a mask.
-    pub fn is_mask(self) -> bool {
-        matches!(self, Self::Lt | Self::Le | Self::Finite | Self::And | Self::Or | Self::Not)
-    }
-}
-
-/// What an entry reads: a number, exact in the precision at hand, or another entry.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Arg {
-    Known(f64),
-    Node(u32),
-}
-
-impl Arg {
-    /// Of a mask.
-    pub fn truth(value: bool) -> Self {
-        Self::Known(if value { 1.0 } else { 0.0 })
-    }
-
-    pub fn node(self) -> Option<u32> {
-        match self {
-            Self::Node(node) => Some(node),
-            Self::Known(_) => None,
-        }
-    }
-
-    fn key(self) -> (bool, u64) {
-        match self {
-            Self::Known(value) => (true, value.to_bits()),
-            Self::Node(node) => (false, node.into()),
-        }
-    }
-}
-
-/// To the bit.
-impl PartialEq for Arg {
-    fn eq(&self, other: &Self) -> bool {
-        self.key() == other.key()
-    }
-}
-
-/// An entry: what it does, what it reads (as many as `args` says), and what is known of its number.
-#[derive(Clone, Debug)]
-pub(crate) struct Node {
-    pub op: Op,
-    pub args: Vec<Arg>,
-    pub facts: Facts,
-}
 
 /// How many operations choices are looked for below a choice.
 const DEEP: usize = 8;
@@ -92,14 +14,12 @@ type Key = (Op, Vec<(bool, u64)>);
 /// A list under way.
 #[derive(Default)]
 pub(crate) struct Recorder {
-    pub nodes: Vec<Node>,
+    pub entries: Entries,
     known: HashMap<Key, u32>,
     /// Masks that the list assumes to hold nowhere.
     pub assumed: Vec<u32>,
     /// The list is of no use.
     pub given_up: bool,
-    /// What no finite number exceeds.
-    pub largest: f64,
     /// Entries after which it gives up.
     pub most: usize,
 }
@@ -111,7 +31,7 @@ thread_local! {
 impl Recorder {
     /// A new list of at most so many entries begins.
     pub fn begin(largest: f64, most: usize) {
-        let new = Self { largest, most, ..Self::default() };
+        let new = Self { entries: Entries { nodes: vec![], largest }, most, ..Self::default() };
         AT_HAND.with(|list| *list.borrow_mut() = new);
     }
 
@@ -140,13 +60,13 @@ impl Recorder {
         AT_HAND.with(|list| {
             let list = &mut *list.borrow_mut();
             list.assumed.push(mask);
-            let Node { op, args, .. } = &list.nodes[mask as usize];
+            let Node { op, args, .. } = &list.entries.nodes[mask as usize];
             let (Op::Le | Op::Lt, &[Arg::Node(low), Arg::Known(value)]) = (*op, &args[..]) else {
                 return;
             };
             // Comparisons with what is no number do not hold either.
-            if list.finite(Arg::Node(low)) {
-                let facts = &mut list.nodes[low as usize].facts;
+            if list.entries.finite(Arg::Node(low)) {
+                let facts = &mut list.entries.nodes[low as usize].facts;
                 *facts = facts.above(value);
             }
         });
@@ -158,7 +78,7 @@ impl Recorder {
     }
 
     pub fn add(&mut self, op: Op, args: &[Arg]) -> Arg {
-        if self.given_up || self.nodes.len() >= self.most {
+        if self.given_up || self.entries.nodes.len() >= self.most {
             self.given_up = true;
             return Arg::Node(0);
         }
@@ -168,7 +88,7 @@ impl Recorder {
                 return self.add(op, &[mask, sides[0], sides[1]]);
             }
         }
-        match simpler(self, op, args) {
+        match simpler(&self.entries, op, args) {
             Simpler::Is(arg) => arg,
             Simpler::By(op, args) => self.add(op, &args),
             Simpler::Not => {
@@ -176,7 +96,7 @@ impl Recorder {
                 if let Some(node) = self.known.get(&key) {
                     return Arg::Node(*node);
                 }
-                let facts = Facts::of(self, op, args);
+                let facts = Facts::of(&self.entries, op, args);
                 let node = self.push(op, args.to_vec(), facts);
                 self.known.insert(key, node);
                 Arg::Node(node)
@@ -187,7 +107,7 @@ impl Recorder {
     /// The number that stands for this one where a mask holds, or where it does not: choices by the
     /// same mask are made there.
     fn under(&mut self, mask: Arg, holds: bool, arg: Arg, deep: usize) -> Arg {
-        let Some((op, args)) = self.made(arg) else { return arg };
+        let Some((op, args)) = self.entries.made(arg) else { return arg };
         match (op, args) {
             (Op::Select, &[own, yes, no]) if own == mask => {
                 self.under(mask, holds, if holds { yes } else { no }, deep)
@@ -207,27 +127,7 @@ impl Recorder {
     }
 
     fn push(&mut self, op: Op, args: Vec<Arg>, facts: Facts) -> u32 {
-        self.nodes.push(Node { op, args, facts });
-        self.nodes.len() as u32 - 1
-    }
-
-    /// What is known of a number.
-    pub fn facts(&self, arg: Arg) -> Facts {
-        match arg {
-            Arg::Known(value) => Facts::exact(value),
-            Arg::Node(node) => self.nodes[node as usize].facts,
-        }
-    }
-
-    /// The operation of an entry, and what it reads.
-    pub fn made(&self, arg: Arg) -> Option<(Op, &[Arg])> {
-        let node = &self.nodes[arg.node()? as usize];
-        Some((node.op, &node.args))
-    }
-
-    /// It is no infinity, and a number.
-    pub fn finite(&self, arg: Arg) -> bool {
-        let Facts { low, high, .. } = self.facts(arg);
-        -self.largest <= low && high <= self.largest
+        self.entries.nodes.push(Node { op, args, facts });
+        self.entries.nodes.len() as u32 - 1
     }
 }

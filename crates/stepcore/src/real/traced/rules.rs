@@ -3,7 +3,7 @@
 //! What is left out is only what cannot show: a product with one, a sum with a zero whose sign is
 //! lost in it, a choice between two that are the same. Sums are never put in another order.
 
-use super::recorder::{Arg, Op, Recorder};
+use super::facts::{Arg, Entries, Op};
 
 /// What gives the same number.
 pub(super) enum Simpler {
@@ -17,7 +17,7 @@ pub(super) enum Simpler {
 
 use Simpler::{By, Is, Not};
 
-pub(super) fn simpler(list: &Recorder, op: Op, args: &[Arg]) -> Simpler {
+pub(super) fn simpler(list: &Entries, op: Op, args: &[Arg]) -> Simpler {
     match (op, args) {
         (Op::Add, &[a, b]) => sum(list, a, b),
         (Op::Sub, &[a, b]) => difference(list, a, b),
@@ -40,7 +40,7 @@ pub(super) fn simpler(list: &Recorder, op: Op, args: &[Arg]) -> Simpler {
 }
 
 /// Where a mask holds the other does: it is one of those of which the other is made.
-fn follows(list: &Recorder, mask: Arg, other: Arg) -> bool {
+fn follows(list: &Entries, mask: Arg, other: Arg) -> bool {
     match list.made(other) {
         Some((Op::Or, &[a, b])) => {
             [a, b].into_iter().any(|part| part == mask || follows(list, mask, part))
@@ -54,14 +54,14 @@ fn is_positive_zero(value: f64) -> bool {
 }
 
 /// x, if this is −x.
-fn negated(list: &Recorder, arg: Arg) -> Option<Arg> {
+fn negated(list: &Entries, arg: Arg) -> Option<Arg> {
     match list.made(arg)? {
         (Op::Neg, inner) => Some(inner[0]),
         _ => None,
     }
 }
 
-fn sum(list: &Recorder, a: Arg, b: Arg) -> Simpler {
+fn sum(list: &Entries, a: Arg, b: Arg) -> Simpler {
     // What is known stands second; of two others the older first.
     if let (Arg::Known(_), Arg::Node(_)) = (a, b) {
         return By(Op::Add, vec![b, a]);
@@ -91,7 +91,7 @@ fn sum(list: &Recorder, a: Arg, b: Arg) -> Simpler {
     Not
 }
 
-fn difference(list: &Recorder, a: Arg, b: Arg) -> Simpler {
+fn difference(list: &Entries, a: Arg, b: Arg) -> Simpler {
     let (left, right) = (list.facts(a), list.facts(b));
     if let Arg::Known(value) = b {
         return if is_positive_zero(value) {
@@ -112,7 +112,7 @@ fn difference(list: &Recorder, a: Arg, b: Arg) -> Simpler {
     Not
 }
 
-fn product(list: &Recorder, a: Arg, b: Arg) -> Simpler {
+fn product(list: &Entries, a: Arg, b: Arg) -> Simpler {
     if let (Arg::Known(_), Arg::Node(_)) = (a, b) {
         return By(Op::Mul, vec![b, a]);
     }
@@ -145,7 +145,7 @@ fn quotient(a: Arg, value: f64) -> Simpler {
     }
 }
 
-fn negative(list: &Recorder, a: Arg) -> Simpler {
+fn negative(list: &Entries, a: Arg) -> Simpler {
     match list.made(a) {
         Some((Op::Neg, inner)) => Is(inner[0]),
         Some((Op::Mul, &[x, Arg::Known(value)])) => By(Op::Mul, vec![x, Arg::Known(-value)]),
@@ -153,7 +153,7 @@ fn negative(list: &Recorder, a: Arg) -> Simpler {
     }
 }
 
-fn choice(list: &Recorder, mask: Arg, yes: Arg, no: Arg) -> Simpler {
+fn choice(list: &Entries, mask: Arg, yes: Arg, no: Arg) -> Simpler {
     if yes == no {
         return Is(yes);
     }
@@ -170,14 +170,14 @@ fn choice(list: &Recorder, mask: Arg, yes: Arg, no: Arg) -> Simpler {
 }
 
 /// x, if this is x + 0: in a comparison the two are the same.
-fn without_sign(list: &Recorder, arg: Arg) -> Arg {
+fn without_sign(list: &Entries, arg: Arg) -> Arg {
     match list.made(arg) {
         Some((Op::Add, &[x, Arg::Known(value)])) if is_positive_zero(value) => x,
         _ => arg,
     }
 }
 
-fn comparison(list: &Recorder, op: Op, a: Arg, b: Arg) -> Simpler {
+fn comparison(list: &Entries, op: Op, a: Arg, b: Arg) -> Simpler {
     let bare = [a, b].map(|arg| without_sign(list, arg));
     if bare != [a, b] {
         return By(op, bare.to_vec());
@@ -205,7 +205,7 @@ fn comparison(list: &Recorder, op: Op, a: Arg, b: Arg) -> Simpler {
 }
 
 /// One of the two is known and infinite, the other finite.
-fn within(list: &Recorder, a: Arg, b: Arg) -> bool {
+fn within(list: &Entries, a: Arg, b: Arg) -> bool {
     let infinite = |arg| matches!(arg, Arg::Known(value) if f64::is_infinite(value));
     (infinite(a) && list.finite(b)) || (infinite(b) && list.finite(a))
 }

@@ -1,0 +1,252 @@
+//! What has a length: the transmissions of actuators, tendons, linkages; and equalities, which
+//! tie lengths, points and frames.
+
+use super::parts::Span;
+use crate::elements::{Element, Kind};
+use crate::scene::{self, Coefficients, Softness, Target};
+use nalgebra::Vector3;
+use std::ops::Range;
+
+/// Whose length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Transmission {
+    /// Of a hinge or a slide its position; of a ball the angle by which it is turned, never
+    /// negative.
+    Joint(usize),
+    /// A joint behind a gear, which has one entry for each dof. The length of a ball is the part of
+    /// its rotation vector along the gear; a free joint has none.
+    Geared(usize, [f64; 6]),
+    /// A ball or a free joint whose axes of rotation are those of the frame in which it stands.
+    InParent(usize, [f64; 6]),
+    /// A tendon, and a gear by which its length is multiplied.
+    Tendon(usize, f64),
+    /// A linkage, whose arms hold its gear.
+    Linkage(usize),
+    /// One dof, of which only the rate matters.
+    Dof(usize),
+}
+
+/// A length that goes no further than its range.
+#[derive(Clone, Debug)]
+pub(crate) struct Limited {
+    pub along: Transmission,
+    pub kind: Kind,
+    pub index: usize,
+    pub range: [f64; 2],
+    /// 0: there is a lower bound, 1: an upper one.
+    pub sides: Range<usize>,
+    pub margin: f64,
+    pub soft: Softness,
+    /// Into `Model::dof_lists`.
+    pub dofs: Span,
+    pub invweight: f64,
+    pub mass: f64,
+}
+
+/// A length with dry friction.
+#[derive(Clone, Debug)]
+pub(crate) struct Rubbing {
+    pub along: Transmission,
+    pub element: Element,
+    /// The largest force.
+    pub most: f64,
+    pub soft: Softness,
+    /// Into `Model::dof_lists`.
+    pub dofs: Span,
+    pub invweight: f64,
+    pub mass: f64,
+}
+
+/// A point of a body, in its frame [m].
+#[derive(Clone, Copy, Debug)]
+pub struct Point {
+    pub body: usize,
+    pub pos: Vector3<f64>,
+}
+
+/// What a stretch of a tendon goes round.
+#[derive(Clone, Copy, Debug)]
+pub struct Round {
+    pub geom: usize,
+    /// Of a sphere, else of a cylinder without ends.
+    pub sphere: bool,
+    pub radius: f64,
+    pub side: Option<Point>,
+}
+
+/// A dof that moves the ends of a stretch or its geom against each other.
+#[derive(Clone, Copy, Debug)]
+pub struct Mover {
+    pub dof: usize,
+    /// Its place among the tendon's dofs.
+    pub at: usize,
+    /// It moves the first end, the geom, the second end.
+    pub moves: [bool; 3],
+}
+
+/// The path between two sites that follow each other.
+#[derive(Clone, Debug)]
+pub struct Stretch {
+    pub ends: [Point; 2],
+    pub round: Option<Round>,
+    /// One over the divisor of its branch.
+    pub share: f64,
+    pub movers: Vec<Mover>,
+}
+
+/// How its length comes about.
+#[derive(Clone, Debug)]
+pub enum Course {
+    /// (joint, coefficient)
+    Fixed(Vec<(usize, f64)>),
+    Spatial(Vec<Stretch>),
+}
+
+/// A tendon, compiled.
+#[derive(Clone, Debug)]
+pub struct Tendon {
+    pub name: String,
+    pub course: Course,
+    /// Into `Model::dof_lists`: every dof that moves a body it passes, ascending, with all ancestors.
+    pub dofs: Span,
+    /// The same, with the dofs that the metric of `discrete` couples to these: those of its rows.
+    pub closed: Span,
+    /// Into `Placed::tendon_arms`: one entry for each of `dofs`.
+    pub arms: Span,
+    /// Something reads its length in a step.
+    pub used: bool,
+    pub range: Option<[f64; 2]>,
+    pub margin: f64,
+    /// As found where the scene leaves it to be found.
+    pub springlength: [f64; 2],
+    /// Zero where MJCF's flags switch springs and dampers off.
+    pub stiffness: Coefficients,
+    pub damping: Coefficients,
+    pub armature: f64,
+    pub frictionloss: f64,
+    pub actuatorfrcrange: Option<[f64; 2]>,
+    pub limit: Softness,
+    pub friction: Softness,
+    /// Length and arms J at qpos0, and J M⁻¹ Jᵀ there: MuJoCo's `tendon_length0` and
+    /// `tendon_invweight0`.
+    pub length0: f64,
+    pub arms0: Vec<f64>,
+    pub invweight: f64,
+    /// Mass of the trees that it touches, for residuals.
+    pub mass: f64,
+}
+
+impl Tendon {
+    /// Its poses are needed: it runs over points of bodies.
+    pub fn spatial(&self) -> bool {
+        matches!(self.course, Course::Spatial(_))
+    }
+
+    /// It has a spring or a damper.
+    pub fn pulls(&self) -> bool {
+        self.stiffness != scene::NONE || self.damping != scene::NONE
+    }
+
+    /// It has a force, an inertia or a row of its own.
+    pub(super) fn acts(&self) -> bool {
+        self.pulls() || self.armature > 0.0 || self.frictionloss > 0.0 || self.range.is_some()
+    }
+}
+
+/// The length of an actuator that is neither a joint's nor a tendon's.
+#[derive(Clone, Debug)]
+pub struct Linkage {
+    pub course: Target,
+    pub gear: [f64; 6],
+    /// Its place in `Placed::tendon_length`, after the tendons.
+    pub length: usize,
+    /// As those of a tendon.
+    pub dofs: Span,
+    pub arms: Span,
+    pub movers: Vec<Moved>,
+}
+
+/// A dof that moves one of the ends of a linkage, and not both alike.
+#[derive(Clone, Copy, Debug)]
+pub struct Moved {
+    pub dof: usize,
+    /// Its place among the linkage's dofs.
+    pub at: usize,
+    pub ends: [bool; 2],
+}
+
+/// An equality, with what its rows share.
+#[derive(Clone, Debug)]
+pub struct Equality {
+    pub name: String,
+    pub tie: Tie,
+    pub active: bool,
+    pub soft: Softness,
+    /// As those of a `Pair`. Empty: nothing that it ties can move, and it has no rows.
+    pub dofs: Span,
+    pub mass: f64,
+}
+
+/// What an equality holds.
+#[derive(Clone, Debug)]
+pub enum Tie {
+    /// The two points are one.
+    Connect(Ends),
+    /// The two frames are one; their turn times `torquescale`.
+    Weld { ends: Ends, torquescale: f64 },
+    /// A length follows another.
+    Lengths(Coupling),
+}
+
+/// A frame on each of two bodies.
+#[derive(Clone, Debug)]
+pub struct Ends {
+    pub bodies: [usize; 2],
+    /// In the frames of the bodies [m].
+    pub pos: [Vector3<f64>; 2],
+    /// w x y z.
+    pub quat: [[f64; 4]; 2],
+    /// Sums of both bodies' invweight: translation and rotation.
+    pub invweight: [f64; 2],
+}
+
+/// L₁ − L₁⁰ is a polynomial of L₂ − L₂⁰, the lengths of joints or of tendons.
+#[derive(Clone, Debug)]
+pub struct Coupling {
+    pub first: Transmission,
+    pub second: Option<Transmission>,
+    /// The lengths at the initial configuration.
+    pub rest: [f64; 2],
+    pub polycoef: [f64; 5],
+    /// Sum of both invweights.
+    pub invweight: f64,
+}
+
+impl Equality {
+    /// How many rows it has.
+    pub fn rows(&self) -> usize {
+        match self.tie {
+            Tie::Connect(_) => 3,
+            Tie::Weld { .. } => 6,
+            Tie::Lengths(_) => 1,
+        }
+    }
+
+    /// What its rows are called.
+    pub fn kind(&self) -> Kind {
+        match self.tie {
+            Tie::Connect(_) => Kind::Connect,
+            Tie::Weld { .. } => Kind::Weld,
+            Tie::Lengths(Coupling { first: Transmission::Tendon(..), .. }) => Kind::TendonEquality,
+            Tie::Lengths(_) => Kind::JointEquality,
+        }
+    }
+
+    /// The bodies whose poses it reads.
+    pub(super) fn placed(&self) -> Vec<usize> {
+        match &self.tie {
+            Tie::Connect(ends) | Tie::Weld { ends, .. } => ends.bodies.to_vec(),
+            Tie::Lengths(_) => vec![],
+        }
+    }
+}

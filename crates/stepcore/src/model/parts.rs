@@ -1,0 +1,364 @@
+//! What a compiled model consists of: bodies, joints and geoms, and the pairs that can meet. What
+//! has a length is in `lengths.rs`.
+
+use crate::real::Real;
+use crate::scene::{Coefficients, GeomType, JointType, SleepPolicy, Softness};
+use crate::shapes::height_field::HeightField;
+use crate::shapes::hull::Hull;
+use crate::shapes::ray::Surface;
+use crate::shapes::{Shape, ShapeTest};
+use crate::spatial::{Pose, Quat};
+use nalgebra::{Matrix3, Vector3};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Index of something absent: the parent of a root dof, the tree of a fixed body.
+pub const NONE: usize = usize::MAX;
+
+/// A slice of one of the model's lists.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Span {
+    pub start: usize,
+    pub len: usize,
+}
+
+impl Span {
+    #[inline(always)]
+    pub fn range(self) -> std::ops::Range<usize> {
+        self.start..self.start + self.len
+    }
+    #[inline(always)]
+    pub fn of<T>(self, list: &[T]) -> &[T] {
+        &list[self.range()]
+    }
+}
+
+/// A body with its place in the tree, and its mass put together.
+#[derive(Clone, Debug)]
+pub struct Body {
+    pub name: String,
+    pub parent: usize,
+    /// The nearest ancestor-or-self with a joint or a mocap pose; 0 (the world) for a fixed body.
+    pub weld: usize,
+    /// `NONE` for a fixed body.
+    pub tree: usize,
+    pub pos: Vector3<f64>,
+    /// w x y z.
+    pub quat: [f64; 4],
+    pub joints: Span,
+    /// This body's own dofs.
+    pub dofs: Span,
+    /// Into `Model::dof_lists`: every dof that moves this body, ascending.
+    pub chain: Span,
+    /// The same, with the dofs that the metric of `discrete` couples to these: `model/coupling.rs`.
+    pub closed: Span,
+    /// [kg]
+    pub mass: f64,
+    /// Centre of mass in body axes [m].
+    pub ipos: Vector3<f64>,
+    /// Orientation of its principal axes in body axes, w x y z; only sensors read it.
+    pub iquat: [f64; 4],
+    /// About the centre of mass, in body axes [kg·m²].
+    pub inertia: Matrix3<f64>,
+    /// Mean inverse mass and inverse inertia at qpos0: MuJoCo's `body_invweight0`.
+    pub invweight: [f64; 2],
+    /// The share of its weight that holds it up.
+    pub gravcomp: f64,
+    /// Its place among `Model::mocaps`.
+    pub mocap: Option<usize>,
+    /// It is a mocap body, or hangs on one.
+    pub carried: bool,
+    /// Some dof rotates this body, or it is carried; else its orientation is constant.
+    pub turns: bool,
+}
+
+/// A joint with its places in qpos and qvel.
+#[derive(Clone, Debug)]
+pub struct Joint {
+    pub name: String,
+    pub kind: JointType,
+    pub body: usize,
+    /// Its first entry of qpos, and its first dof.
+    pub qpos: usize,
+    pub dof: usize,
+    pub pos: Vector3<f64>,
+    /// Unit length.
+    pub axis: Vector3<f64>,
+    pub range: Option<[f64; 2]>,
+    pub margin: f64,
+    pub reference: f64,
+    /// Zero where MJCF's flags switch springs and dampers off.
+    pub stiffness: Coefficients,
+    pub damping: Coefficients,
+    pub actuatorfrcrange: Option<[f64; 2]>,
+    pub limit: Softness,
+    /// Its share of what holds bodies up against gravity counts as its actuators' force.
+    pub actuatorgravcomp: bool,
+}
+
+impl Joint {
+    /// Number of dofs.
+    pub fn dofs(&self) -> usize {
+        self.kind.dofs()
+    }
+}
+
+/// One entry of qvel.
+#[derive(Clone, Debug)]
+pub struct Dof {
+    pub joint: usize,
+    pub body: usize,
+    pub tree: usize,
+    /// The dof before this one on the chain to the root, or `NONE`.
+    pub parent: usize,
+    /// Into `Model::dof_lists`: it and its ancestors, ascending, and what the metric of `discrete`
+    /// couples to these.
+    pub closed: Span,
+    /// Row of the mass matrix, in `Model::row_dofs` and every array laid out like
+    /// it: this dof, then its ancestors, nearest first.
+    pub row: Span,
+    pub armature: f64,
+    pub frictionloss: f64,
+    pub friction: Softness,
+    /// MuJoCo's `dof_invweight0`.
+    pub invweight: f64,
+}
+
+/// A body that moves against the world, and all that hangs on it.
+#[derive(Clone, Debug)]
+pub struct Tree {
+    pub bodies: Span,
+    pub dofs: Span,
+    pub mass: f64,
+    /// Only slide joints.
+    pub slides_only: bool,
+    /// The mass matrix, its factors and the bias force never change: it only slides, or it
+    /// is a free ball about its own centre, which nothing ties.
+    pub constant: bool,
+    /// Its poses enter a step: something turns, collides or is tied.
+    pub seen: bool,
+    /// It moves in a plane, and nothing else of it is asked for.
+    pub plane: Option<Plane>,
+    pub sleep: SleepPolicy,
+}
+
+/// A shape on a body.
+#[derive(Clone, Debug)]
+pub struct Geom {
+    pub name: String,
+    pub body: usize,
+    pub kind: GeomType,
+    pub size: [f64; 3],
+    pub pos: Vector3<f64>,
+    pub quat: [f64; 4],
+    /// Its z in the body's frame: the axis of a capsule.
+    pub axis: Vector3<f64>,
+    /// Radius of the sphere about `pos` that holds the shape; infinite for a plane.
+    pub reach: f64,
+    /// Half sizes of the box about its frame that holds it [m]; infinite for a plane.
+    pub half: [f64; 3],
+    /// As in the scene.
+    pub contype: u32,
+    pub conaffinity: u32,
+    /// Of a mesh that can collide, in the geom's frame.
+    pub hull: Option<Arc<Hull>>,
+    /// Of a height field.
+    pub field: Option<Arc<HeightField>>,
+    /// Of a mesh: its triangles, for rays.
+    pub surface: Option<Arc<Surface>>,
+    pub group: i32,
+    /// Rays pass through it.
+    pub hidden: bool,
+    /// Takes part in some pair, so that its pose is needed.
+    pub collides: bool,
+    /// A capsule whose contacts ask for its axis alone, of all that says how it lies.
+    pub by_axis: bool,
+    /// Its surface moves, by a velocity and an angular velocity in its frame.
+    pub belt: Option<[Vector3<f64>; 2]>,
+    /// Of a geom on a tree that moves in a plane.
+    pub in_plane: Option<Box<FlatGeom>>,
+}
+
+impl Geom {
+    /// The shape that it is, at a pose.
+    #[inline(always)]
+    pub fn shape<'a, R: Real>(&'a self, pose: &'a Pose<R>) -> Shape<'a, R> {
+        Shape { pose, size: &self.size, hull: self.hull.as_deref(), field: self.field.as_deref() }
+    }
+}
+
+/// A named frame on a body.
+#[derive(Clone, Debug)]
+pub struct Site {
+    pub name: String,
+    pub body: usize,
+    pub pos: Vector3<f64>,
+    pub quat: [f64; 4],
+    /// The volume that sensors use.
+    pub kind: GeomType,
+    pub size: [f64; 3],
+}
+
+/// Two geoms that can meet, with everything their contacts share.
+/// Ordered as MuJoCo orders them: by geom type first, so `geom1`'s type ≤ `geom2`'s.
+#[derive(Clone, Copy, Debug)]
+pub struct Pair {
+    pub geom1: usize,
+    pub geom2: usize,
+    pub test: ShapeTest,
+    /// Into `Model::materials`.
+    pub material: usize,
+    /// Its place in `Model::pairs`; in a heap its number.
+    pub index: usize,
+    /// The first of its slots among those of contacts: as many as its test has touches.
+    pub slot: usize,
+    /// Sum of both bodies' translational invweight.
+    pub invweight: f64,
+    /// Into `Model::dof_lists`: union of both bodies' chains, ascending. In a heap: see `DynamicPairs`.
+    pub dofs: Span,
+    /// Mass of the trees that the contact touches, for residuals.
+    pub mass: f64,
+    /// Tangents along which nothing can move, known when compiled (see `model/fixed_tangents.rs`).
+    pub still: [bool; 2],
+    /// The ranges of joints keep the two apart: it is tested only while one of `Model::guards`
+    /// is left (see `model/range_separation.rs`).
+    pub apart: bool,
+}
+
+/// The positions of a joint within which pairs are apart: its range, widened.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Guard {
+    pub joint: usize,
+    /// Into qpos.
+    pub at: usize,
+    pub low: f64,
+    pub high: f64,
+}
+
+/// Two spheres about the centres of two geoms.
+#[derive(Clone, Copy, Debug)]
+pub struct Spheres {
+    pub geoms: [u32; 2],
+    /// Square of the distance above which nothing in them is listed [m²]; infinite with a plane.
+    pub square: f64,
+    /// The ranges of joints keep everything in them apart: see `Pair::apart`.
+    pub apart: bool,
+}
+
+/// Consecutive pairs of the same two bodies, or those of them that share their first geom, and a
+/// sphere about what each of the two has in them.
+#[derive(Clone, Copy, Debug)]
+pub struct BodyPair {
+    pub spheres: Spheres,
+    /// Into `Model::pairs`; none where they are in the body_pairs that follow.
+    pub pairs: Span,
+    /// Of the next meeting that is no part of this one.
+    pub next: usize,
+}
+
+/// The plane in which a tree moves, and what it needs of the tree: all as at qpos0, and turned with
+/// the body from there on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plane {
+    /// Which of the world's axes is its normal.
+    pub normal: usize,
+    /// By body of the tree.
+    pub bodies: Vec<FlatBody>,
+    /// By joint of the tree.
+    pub joints: Vec<FlatJoint>,
+    pub(super) first_joint: usize,
+}
+
+/// Vectors of two entries are along the plane's axes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlatBody {
+    /// Moment of inertia about the normal through the centre of mass [kg·m²].
+    pub moment: f64,
+    /// Orientation.
+    pub rot: Matrix3<f64>,
+    pub quat: Quat<f64>,
+    /// From the parent's origin, as the parent turns [m].
+    pub pos: [f64; 2],
+    /// From its own origin to its centre of mass [m].
+    pub centre: [f64; 2],
+}
+
+/// The pose of a geom on a body of such a tree, from the body's origin.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlatGeom {
+    /// The plane's axes.
+    pub axes: [usize; 2],
+    pub pos: [f64; 2],
+    pub rot: Matrix3<f64>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlatJoint {
+    /// Of a hinge: ±1, along the normal; 0 of a slide.
+    pub turns: f64,
+    /// Of a hinge, from the body's origin [m].
+    pub anchor: [f64; 2],
+    /// Of a slide.
+    pub axis: [f64; 2],
+}
+
+impl Plane {
+    /// The world's axes in the plane; with the normal before them they are right-handed.
+    #[inline(always)]
+    pub fn axes(&self) -> [usize; 2] {
+        across(self.normal)
+    }
+
+    /// Of a joint of this tree.
+    #[inline(always)]
+    pub fn joints_of(&self, body: &Body) -> &[FlatJoint] {
+        let first = body.joints.start - self.first_joint;
+        &self.joints[first..first + body.joints.len]
+    }
+}
+
+#[inline(always)]
+pub(super) fn across(normal: usize) -> [usize; 2] {
+    [(normal + 1) % 3, (normal + 2) % 3]
+}
+
+/// Kinds of geoms.
+pub(super) const KINDS: usize = 8;
+
+/// What all pairs that could meet share.
+#[derive(Clone, Debug)]
+pub struct DynamicPairs {
+    /// Geoms that may meet some other: ascending those that may move, then those that never do.
+    pub solid: Vec<usize>,
+    /// How many of them may move.
+    pub moving: usize,
+    /// By geom: its part of the distance below which contacts are listed [m].
+    pub listed: Vec<f64>,
+    /// By geom: its class; and by two classes their material.
+    pub(super) class: Vec<u32>,
+    pub(super) classes: usize,
+    pub(super) mixed: Vec<u32>,
+    /// By two kinds of geoms.
+    pub(super) tests: [[Option<ShapeTest>; KINDS]; KINDS],
+    /// By body: its first geom. The most geoms of any body.
+    pub(super) first: Vec<usize>,
+    pub(super) most: usize,
+    /// Pairs with tangents along which nothing can move.
+    pub(super) still: HashMap<(usize, usize), [bool; 2]>,
+    /// Materials of explicit pairs, by their geoms, the smaller index first.
+    pub(super) explicit: HashMap<(usize, usize), usize>,
+}
+
+/// Bounds of a joint or a tendon.
+pub const SIDES: usize = 2;
+
+/// Where each kind's slots begin: equalities, then the friction losses of dofs and of
+/// tendons, the limits of joints and of tendons, the contacts of pairs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Slots {
+    pub(super) losses: usize,
+    pub(super) tendon_losses: usize,
+    pub(super) limits: usize,
+    pub(super) tendon_limits: usize,
+    pub(super) contacts: usize,
+}
