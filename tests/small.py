@@ -36,3 +36,13 @@ def unstable(**options):
         scene.add_joint(body, "slide", name=name, stiffness=stiffness)
         scene.add_geom(body, "sphere", 0.1, mass=1.0, contype=0, conaffinity=0)
     return scene.with_settings(**options)
+
+
+def by(result, **wanted):
+    """The one row with these settings."""
+    (row,) = [
+        row
+        for row in result.rows
+        if all(getattr(row.settings, name) == value for name, value in wanted.items())
+    ]
+    return row

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from small import by
 
 import stepcore as sc
 from stepcore import lesson
@@ -17,17 +18,6 @@ G = 9.81
 def trade(scene, **options):
     chosen = {"threads": 1, "progress": False, "starts": 1, "precisions": ["f64"], "by": "flops"}
     return sc.trade(scene, **(chosen | options))
-
-
-def by(result, **wanted):
-    """The one row with these settings."""
-    rows = [
-        row
-        for row in result.rows
-        if all(getattr(row.settings, name) == value for name, value in wanted.items())
-    ]
-    assert len(rows) == 1
-    return rows[0]
 
 
 def two_balls(gravity=(0, 0, -1.0), floor=False):

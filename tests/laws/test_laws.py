@@ -149,24 +149,24 @@ def test_mirror_without_friction(name, way, precision):
 @pytest.mark.parametrize("name", SCENES)
 def test_mirror_with_friction(name):
     """M3: with friction the mirrored tangents are other rows of the same problem."""
-    exact = {"solver": "newton", "sweeps": 200, "tolerance": 1e-13, "cone": "elliptic"}
-    scene = scene_of(name).with_settings(**exact)
-    move = transforms.mirrored(scene)
-    sim = set_up(scene, name, "f64")
-    other = set_up(move.scene, name, "f64", move)
+    move, sim, other = converged(name, transforms.mirrored)
     close(sim, move, other, 6)
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_order(name):
     """M4: bodies and geoms listed the other way round: the same converged motion."""
-    exact = {"solver": "newton", "sweeps": 200, "tolerance": 1e-13, "cone": "elliptic"}
-    scene = scene_of(name).with_settings(**exact)
-    move = transforms.reordered(scene)
-    sim = set_up(scene, name, "f64")
-    other = set_up(move.scene, name, "f64", move)
+    move, sim, other = converged(name, transforms.reordered)
     other.ctrl[:] = by_name(sim.ctrl, sim.model.actuator_names, other.model.actuator_names)
     close(sim, move, other, 6)
+
+
+def converged(name, moved):
+    """A move, and the scene before and after it with solves that converge."""
+    exact = {"solver": "newton", "sweeps": 200, "tolerance": 1e-13, "cone": "elliptic"}
+    scene = scene_of(name).with_settings(**exact)
+    move = moved(scene)
+    return move, set_up(scene, name, "f64"), set_up(move.scene, name, "f64", move)
 
 
 def close(sim, move, other, steps):

@@ -6,6 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
+from small import by
 
 import stepcore as sc
 from stepcore import lesson
@@ -34,17 +35,6 @@ def pushed(damping=0.0, **options):
     scene.add_actuator(slide, name="motor", gear=[2.0])
     scene.options = {"dt": 0.01, "integrator": "semi-implicit", "solver": "pgs"} | options
     return scene
-
-
-def by(result, **wanted):
-    """The one row with these settings."""
-    found = [
-        row
-        for row in result.rows
-        if all(getattr(row.settings, name) == value for name, value in wanted.items())
-    ]
-    assert len(found) == 1
-    return found[0]
 
 
 def few(scene, **options):

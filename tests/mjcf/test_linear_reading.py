@@ -13,7 +13,7 @@ from png_writer import SIGNATURE, chunk, grey
 
 import stepcore as sc
 from stepcore.mjcf import refusals
-from stepcore.mjcf.lenient_xml import repaired
+from stepcore.mjcf.nodes import repaired
 from stepcore.scene import hfield_files, mesh_files
 
 

@@ -38,9 +38,8 @@ ASSETS = (
 )
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_who_is_right(case):
-    body, expected = CASES[case]
+def judged(body):
+    """Both engines' answers about two geoms, and the judge."""
     text = f"<mujoco>{ASSETS}<worldbody>{body}</worldbody></mujoco>"
     model = peers.strict(mujoco.MjModel.from_xml_string(text))
     data, sim = mujoco.MjData(model), sc.Sim(sc.loads(text), **peers.EXACT)
@@ -48,20 +47,20 @@ def test_who_is_right(case):
     sim.forward()
     judge = verdict.Judge(sim, model, data, peers.kept_geoms(sim, model))
     ours, theirs = verdict.listed(sim, judge.geoms), verdict.listed_by_mujoco(data)
-    assert verdict.elsewhere(ours[0, 1], theirs[0, 1], judge.size((0, 1)))
-    who, off, _ = judge.pair((0, 1), ours[0, 1], theirs[0, 1])
+    return judge, ours[0, 1], theirs[0, 1]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_who_is_right(case):
+    body, expected = CASES[case]
+    judge, ours, theirs = judged(body)
+    assert verdict.elsewhere(ours, theirs, judge.size((0, 1)))
+    who, off, _ = judge.pair((0, 1), ours, theirs)
     assert who == expected
     assert off < 1e-9
 
 
 def test_a_wrong_claim_of_ours_would_be_told():
     """The judge trusts neither: with the two engines' answers changed over, MuJoCo is right."""
-    body, _ = CASES["a seam of a flat field"]
-    text = f"<mujoco>{ASSETS}<worldbody>{body}</worldbody></mujoco>"
-    model = peers.strict(mujoco.MjModel.from_xml_string(text))
-    data, sim = mujoco.MjData(model), sc.Sim(sc.loads(text), **peers.EXACT)
-    mujoco.mj_forward(model, data)
-    sim.forward()
-    judge = verdict.Judge(sim, model, data, peers.kept_geoms(sim, model))
-    ours, theirs = verdict.listed(sim, judge.geoms), verdict.listed_by_mujoco(data)
-    assert judge.pair((0, 1), theirs[0, 1], ours[0, 1])[0] == "MuJoCo right"
+    judge, ours, theirs = judged(CASES["a seam of a flat field"][0])
+    assert judge.pair((0, 1), theirs, ours)[0] == "MuJoCo right"

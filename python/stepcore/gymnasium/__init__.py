@@ -14,7 +14,7 @@ The extra "gymnasium" installs what this needs; see docs/gymnasium.md.
 """
 
 try:
-    import gymnasium as _gymnasium  # noqa: F401
+    import gymnasium as _gymnasium
 except ModuleNotFoundError as error:
     if error.name != "gymnasium":
         raise
@@ -23,11 +23,27 @@ except ModuleNotFoundError as error:
     ) from None
 
 from stepcore.gymnasium.env import Env
-from stepcore.gymnasium.registration import register_envs
 from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.task import Task
+from stepcore.gymnasium.tasks import TASKS as _TASKS
 from stepcore.gymnasium.vector_env import VectorEnv
 
 __all__ = ["Env", "Moment", "Task", "VectorEnv", "register_envs"]
+
+
+def register_envs() -> None:
+    """Register every task as "stepcore/<name>-v0", unless it is registered already."""
+    for name, entry in _TASKS.items():
+        known = f"stepcore/{name}-v0"
+        if known not in _gymnasium.registry:
+            _gymnasium.register(
+                known,
+                entry_point="stepcore.gymnasium.tasks:make",
+                vector_entry_point="stepcore.gymnasium.tasks:make_vec",
+                max_episode_steps=entry.max_episode_steps,
+                reward_threshold=entry.reward_threshold,
+                kwargs={"task": name},
+            )
+
 
 register_envs()

@@ -19,7 +19,6 @@ from stepcore.engine.batch import Batch
 from stepcore.gymnasium.camera import MODES, Picture, camera_for, metadata_of
 from stepcore.gymnasium.env import checked, no_options
 from stepcore.gymnasium.env_core import EnvCore
-from stepcore.gymnasium.infos import failures, final_infos, masked
 from stepcore.gymnasium.snapshot import owned
 from stepcore.gymnasium.spaces import Spaces
 from stepcore.gymnasium.task import Source, Task, TaskFields, takes_task, task_of
@@ -177,7 +176,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         observations = observations.copy()
         observations[worlds] = self._task.observe(first)
         self._elapsed[worlds], self._over[worlds] = 0, False
-        return observations, masked(infos, self._task.reset_info(first), mask)
+        return observations, _masked(infos, self._task.reset_info(first), mask)
 
     # Actions.
 
@@ -197,7 +196,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         terminated = np.array(terminated, dtype=bool)
         if errors:
             terminated[list(errors)] = True
-            info = {**info, "failure": failures(errors, self.num_envs)}
+            info = {**info, "failure": _failures(errors, self.num_envs)}
         observations = owned(self._task.observe(now), self.observation_space.dtype)
         self._env_core.keep(now)
         self._elapsed += 1
@@ -205,13 +204,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         if over.any():
             # Their episodes had ended: what they just did is no part of one.
             rewards[over], terminated[over], truncated[over] = 0.0, False, False
-            observations, infos = self._begun(over, observations, masked({}, info, ~over))
+            observations, infos = self._begun(over, observations, _masked({}, info, ~over))
         elif self.autoreset_mode is AutoresetMode.SAME_STEP and (terminated | truncated).any():
             ended = terminated | truncated
-            infos = masked(final_infos(info, observations, ended), info, ~ended)
+            infos = _masked(_final_infos(info, observations, ended), info, ~ended)
             observations, infos = self._begun(ended, observations, infos)
         else:
-            infos = masked({}, info, np.ones(self.num_envs, dtype=bool))
+            infos = _masked({}, info, np.ones(self.num_envs, dtype=bool))
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             self._over = terminated | truncated
         self._observations = observations
@@ -235,3 +234,54 @@ def _mode(mode: AutoresetMode | str) -> AutoresetMode:
         limit = "one of " + ", ".join(values)
         raise ValueError(f"autoreset_mode = {checks.shown(mode)}: must be {limit}")
     return AutoresetMode(mode)
+
+
+# Information of many worlds, in the form of gymnasium's vector environments: each name has an array
+# with the worlds first, and "_name" says which worlds have an entry; the others have 0 or None.
+
+
+def _masked(infos: dict[str, Any], info: dict[str, Any], mask: Mask) -> dict[str, Any]:
+    """Add the entries of the worlds of a mask to `infos`."""
+    worlds = np.flatnonzero(mask)
+    for name, value in info.items():
+        rows = np.asarray(value)
+        if len(rows) == len(mask):
+            rows = rows[worlds]
+        if rows.dtype == object:
+            present = np.array([row is not None for row in rows], dtype=bool)
+            _fill(infos, name, rows[present], worlds[present], mask)
+        else:
+            _fill(infos, name, rows, worlds, mask)
+    return infos
+
+
+def _fill(infos: dict[str, Any], name: str, rows: Any, worlds: Any, mask: Mask) -> None:
+    if not len(worlds):
+        return
+    if name not in infos:
+        empty = None if rows.dtype == object else 0
+        infos[name] = np.full((len(mask), *rows.shape[1:]), empty, dtype=rows.dtype)
+        infos[f"_{name}"] = np.zeros(len(mask), dtype=bool)
+    infos[name][worlds] = rows
+    infos[f"_{name}"][worlds] = True
+
+
+def _final_infos(info: dict[str, Any], observations: Floats, ended: Mask) -> dict[str, Any]:
+    """Return "final_obs" and "final_info" of worlds whose episodes ended."""
+    last = np.full(len(ended), None, dtype=object)
+    for world in np.flatnonzero(ended):
+        last[world] = observations[world].copy()
+    return {
+        "final_obs": last,
+        "_final_obs": ended.copy(),
+        "final_info": _masked({}, info, ended),
+        "_final_info": ended.copy(),
+    }
+
+
+def _failures(errors: dict[int, Any], n: int) -> NDArray[Any]:
+    """Return the text of each world's failure, or None."""
+    texts = np.full(n, None, dtype=object)
+    for world, error in errors.items():
+        texts[world] = str(error)
+    return texts

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 from xml.parsers import expat
 
 from stepcore.checks import brief
-from stepcore.mjcf.lenient_xml import repaired
 from stepcore.mjcf.refusal_texts import effect
 
+# An "&" that does not begin a reference.
+_AMPERSAND = re.compile(rb"&(?!(?:\w+|#\d+|#x[0-9a-fA-F]+);)", re.ASCII)
+_BLANKS = re.compile(rb"(?:\xef\xbb\xbf)?(\s+)(<\?xml[^>]*>)")
+# A start tag with attributes that may lack blanks between them.
+_TAG = re.compile(rb"""(<[^\s<>!?/"'=]+)((?:\s*[^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))*)""")
+_ATTRIBUTE = re.compile(rb"""(\s*)([^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))""")
 # The maximum nesting depth of elements, as in MuJoCo's parser.
 DEPTH = 500
 
@@ -177,7 +183,7 @@ def inside(root: Node, tag: str) -> list[Node]:
 def parse(data: str | bytes, file: str) -> Node:
     """Return the root of an XML document; raise MJCFError if the text is not well-formed.
 
-    Texts that only MuJoCo's parser accepts are repaired first (`lenient_xml`).
+    Texts that only MuJoCo's parser accepts are repaired first (`repaired`).
     """
     try:
         return _parse(data, file)
@@ -231,3 +237,35 @@ def _parse(data: str | bytes, file: str) -> Node:
     except (ValueError, LookupError) as error:
         raise fail(f"unreadable text: {error}") from None
     return roots[0]
+
+
+def repaired(data: str | bytes) -> str | bytes:
+    """Return XML that MuJoCo's parser accepts as XML; the same text if there is nothing to repair.
+
+    Repaired are bare "&", "--" in comments, blanks before the document, and attributes without
+    blanks between them. Line numbers do not change.
+    """
+    raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    raw = _plain_comments(raw)
+    raw = _AMPERSAND.sub(b"&amp;", raw)
+    if blanks := _BLANKS.match(raw):
+        raw = blanks[2] + blanks[1] + raw[blanks.end() :]
+    raw = _TAG.sub(_with_blanks, raw)
+    if isinstance(data, str):
+        return raw.decode("utf-8", "surrogatepass")
+    return raw
+
+
+def _plain_comments(raw: bytes) -> bytes:
+    """Return the text without "--" inside comments, which XML does not allow."""
+    parts: list[bytes] = []
+    at = 0
+    while (start := raw.find(b"<!--", at)) >= 0 and (end := raw.find(b"-->", start + 4)) >= 0:
+        parts += [raw[at : start + 4], raw[start + 4 : end].replace(b"-", b" ")]
+        at = end
+    return b"".join([*parts, raw[at:]])
+
+
+def _with_blanks(tag: re.Match[bytes]) -> bytes:
+    attributes = _ATTRIBUTE.sub(lambda found: (found[1] or b" ") + found[2], cast(bytes, tag[2]))
+    return cast(bytes, tag[1]) + attributes

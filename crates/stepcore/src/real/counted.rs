@@ -7,8 +7,7 @@
 //! counted, and what they do in place would be much machine code.
 
 use core::cell::Cell;
-use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
-use num_traits::{One, Zero};
+use core::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{Real, Stage};
 
@@ -45,7 +44,7 @@ impl Counted {
 }
 
 macro_rules! operator {
-    ($op:ident, $f:ident, $assign:ident, $g:ident, $sign:tt) => {
+    ($op:ident, $f:ident, $sign:tt) => {
         impl $op for Counted {
             type Output = Self;
             #[inline(never)]
@@ -54,18 +53,13 @@ macro_rules! operator {
                 Self(self.0 $sign other.0)
             }
         }
-        impl $assign for Counted {
-            #[inline(always)]
-            fn $g(&mut self, other: Self) {
-                *self = *self $sign other;
-            }
-        }
     };
 }
-operator!(Add, add, AddAssign, add_assign, +);
-operator!(Sub, sub, SubAssign, sub_assign, -);
-operator!(Mul, mul, MulAssign, mul_assign, *);
-operator!(Div, div, DivAssign, div_assign, /);
+operator!(Add, add, +);
+operator!(Sub, sub, -);
+operator!(Mul, mul, *);
+operator!(Div, div, /);
+derived!(Counted);
 
 impl Neg for Counted {
     type Output = Self;
@@ -75,32 +69,8 @@ impl Neg for Counted {
     }
 }
 
-impl Zero for Counted {
-    #[inline(always)]
-    fn zero() -> Self {
-        Self(0.0)
-    }
-    fn is_zero(&self) -> bool {
-        self.0 == 0.0
-    }
-}
-
-impl One for Counted {
-    #[inline(always)]
-    fn one() -> Self {
-        Self(1.0)
-    }
-}
-
 impl Real for Counted {
-    type Mask = bool;
-    type One = f64;
-    const LANES: usize = 1;
-
-    #[inline(always)]
-    fn epsilon() -> f64 {
-        f64::EPSILON
-    }
+    scalar!(f64);
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self(value)
@@ -112,14 +82,6 @@ impl Real for Counted {
     #[inline(always)]
     fn set_lane(&mut self, _: usize, value: f64) {
         self.0 = value;
-    }
-    #[inline(always)]
-    fn select(mask: bool, yes: Self, no: Self) -> Self {
-        if mask {
-            yes
-        } else {
-            no
-        }
     }
     #[inline(always)]
     fn lt(self, other: Self) -> bool {

@@ -6,8 +6,7 @@
 //! differentiable though its number is fine, √0 say, derivatives are 0 there: the mean
 //! of both sides; stages that need better say so with `Real::with_slopes_of`.
 
-use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
-use num_traits::{One, Zero};
+use core::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{elementary, Real};
 
@@ -75,47 +74,10 @@ impl Neg for Dual {
     }
 }
 
-macro_rules! assign {
-    ($op:ident, $f:ident, $sign:tt) => {
-        impl $op for Dual {
-            #[inline(always)]
-            fn $f(&mut self, other: Self) {
-                *self = *self $sign other;
-            }
-        }
-    };
-}
-assign!(AddAssign, add_assign, +);
-assign!(SubAssign, sub_assign, -);
-assign!(MulAssign, mul_assign, *);
-assign!(DivAssign, div_assign, /);
-
-impl Zero for Dual {
-    #[inline(always)]
-    fn zero() -> Self {
-        Self { value: 0.0, slopes: [0.0; WAYS] }
-    }
-    fn is_zero(&self) -> bool {
-        self.value == 0.0
-    }
-}
-
-impl One for Dual {
-    #[inline(always)]
-    fn one() -> Self {
-        Self { value: 1.0, slopes: [0.0; WAYS] }
-    }
-}
+derived!(Dual);
 
 impl Real for Dual {
-    type Mask = bool;
-    type One = f64;
-    const LANES: usize = 1;
-
-    #[inline(always)]
-    fn epsilon() -> f64 {
-        f64::EPSILON
-    }
+    scalar!(f64);
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self { value, slopes: [0.0; WAYS] }
@@ -127,14 +89,6 @@ impl Real for Dual {
     #[inline(always)]
     fn set_lane(&mut self, _: usize, value: f64) {
         *self = Self::of(value);
-    }
-    #[inline(always)]
-    fn select(mask: bool, yes: Self, no: Self) -> Self {
-        if mask {
-            yes
-        } else {
-            no
-        }
     }
     #[inline(always)]
     fn lt(self, other: Self) -> bool {

@@ -16,6 +16,61 @@ use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAss
 use nalgebra::Scalar;
 use num_traits::{One, Zero};
 
+/// What follows of a number's four operations and of `Real::of`: assignments, zero and one.
+macro_rules! derived {
+    ($type:ty: $($op:ident, $f:ident, $sign:tt;)*) => {
+        $(impl core::ops::$op for $type {
+            #[inline(always)]
+            fn $f(&mut self, other: Self) {
+                *self = *self $sign other;
+            }
+        })*
+    };
+    ($type:ty) => {
+        derived!($type: AddAssign, add_assign, +; SubAssign, sub_assign, -;
+            MulAssign, mul_assign, *; DivAssign, div_assign, /;);
+
+        impl num_traits::Zero for $type {
+            #[inline(always)]
+            fn zero() -> Self {
+                <Self as $crate::real::Real>::of(0.0)
+            }
+            fn is_zero(&self) -> bool {
+                $crate::real::Real::lane(self, 0) == 0.0
+            }
+        }
+
+        impl num_traits::One for $type {
+            #[inline(always)]
+            fn one() -> Self {
+                <Self as $crate::real::Real>::of(1.0)
+            }
+        }
+    };
+}
+
+/// A `Real` that is one world.
+macro_rules! scalar {
+    ($one:ty) => {
+        type Mask = bool;
+        type One = $one;
+        const LANES: usize = 1;
+
+        #[inline(always)]
+        fn epsilon() -> f64 {
+            <$one>::EPSILON.into()
+        }
+        #[inline(always)]
+        fn select(mask: bool, yes: Self, no: Self) -> Self {
+            if mask {
+                yes
+            } else {
+                no
+            }
+        }
+    };
+}
+
 mod count;
 mod counted;
 mod dual;
@@ -191,14 +246,7 @@ impl Mask for bool {
 macro_rules! scalar_real {
     ($t:ty) => {
         impl Real for $t {
-            type Mask = bool;
-            type One = Self;
-            const LANES: usize = 1;
-
-            #[inline(always)]
-            fn epsilon() -> f64 {
-                <$t>::EPSILON as f64
-            }
+            scalar!($t);
             #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $t
@@ -210,14 +258,6 @@ macro_rules! scalar_real {
             #[inline(always)]
             fn set_lane(&mut self, _: usize, value: f64) {
                 *self = value as $t;
-            }
-            #[inline(always)]
-            fn select(mask: bool, yes: Self, no: Self) -> Self {
-                if mask {
-                    yes
-                } else {
-                    no
-                }
             }
             #[inline(always)]
             fn lt(self, other: Self) -> bool {

@@ -1,4 +1,4 @@
-"""The table of gymnasium's MuJoCo tasks, one file each."""
+"""The table of gymnasium's MuJoCo tasks."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class Entry(NamedTuple):
 
 TASKS = {
     "Ant": Entry("ant", 1000, 6000.0),
-    "HalfCheetah": Entry("half_cheetah", 1000, 4800.0),
-    "Hopper": Entry("hopper", 1000, 3800.0),
-    "Humanoid": Entry("humanoid", 1000, None),
-    "HumanoidStandup": Entry("humanoid_standup", 1000, None),
-    "InvertedDoublePendulum": Entry("inverted_double_pendulum", 1000, 9100.0),
-    "InvertedPendulum": Entry("inverted_pendulum", 1000, 950.0),
-    "Pusher": Entry("pusher", 100, 0.0),
-    "Reacher": Entry("reacher", 50, -3.75),
-    "Swimmer": Entry("swimmer", 1000, 360.0),
-    "Walker2d": Entry("walker2d", 1000, None),
+    "HalfCheetah": Entry("planar", 1000, 4800.0),
+    "Hopper": Entry("planar", 1000, 3800.0),
+    "Humanoid": Entry("humanoids", 1000, None),
+    "HumanoidStandup": Entry("humanoids", 1000, None),
+    "InvertedDoublePendulum": Entry("pendulums", 1000, 9100.0),
+    "InvertedPendulum": Entry("pendulums", 1000, 950.0),
+    "Pusher": Entry("arms", 100, 0.0),
+    "Reacher": Entry("arms", 50, -3.75),
+    "Swimmer": Entry("planar", 1000, 360.0),
+    "Walker2d": Entry("planar", 1000, None),
 }
 
 

@@ -26,8 +26,7 @@ pub(crate) use recorder::Recorder;
 
 use core::cell::Cell;
 use core::fmt::Debug;
-use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
-use num_traits::{One, Zero};
+use core::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{Mask, Real};
 
@@ -203,7 +202,7 @@ impl Mask for TracedMask {
 }
 
 macro_rules! operator {
-    ($op:ident, $f:ident, $assign:ident, $g:ident) => {
+    ($op:ident, $f:ident) => {
         impl $op for Traced {
             type Output = Self;
             #[inline(always)]
@@ -211,41 +210,19 @@ macro_rules! operator {
                 self.of_two(other, Op::$op)
             }
         }
-        impl $assign for Traced {
-            #[inline(always)]
-            fn $g(&mut self, other: Self) {
-                *self = self.of_two(other, Op::$op);
-            }
-        }
     };
 }
-operator!(Add, add, AddAssign, add_assign);
-operator!(Sub, sub, SubAssign, sub_assign);
-operator!(Mul, mul, MulAssign, mul_assign);
-operator!(Div, div, DivAssign, div_assign);
+operator!(Add, add);
+operator!(Sub, sub);
+operator!(Mul, mul);
+operator!(Div, div);
+derived!(Traced);
 
 impl Neg for Traced {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
         self.one_of(Op::Neg)
-    }
-}
-
-impl Zero for Traced {
-    #[inline(always)]
-    fn zero() -> Self {
-        Self::Known(0.0)
-    }
-    fn is_zero(&self) -> bool {
-        self.lane(0) == 0.0
-    }
-}
-
-impl One for Traced {
-    #[inline(always)]
-    fn one() -> Self {
-        Self::Known(1.0)
     }
 }
 

@@ -1,4 +1,4 @@
-"""Pusher: push a cylinder to a goal with an arm."""
+"""Pusher: push a cylinder to a goal with an arm; Reacher: reach a target with its tip."""
 
 from __future__ import annotations
 
@@ -62,3 +62,46 @@ def _place(rng: np.random.Generator) -> Floats:
 def _body(now: Moment, name: str) -> Floats:
     """Return the position of a body [m], shape (3,)."""
     return now.xpos[..., now.model.index("body", name), :]
+
+
+# The place is within a disc of this radius [m].
+FARTHEST = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reacher(MujocoTask):
+    """The options are those of gymnasium's Reacher-v5."""
+
+    late: ClassVar[tuple[str, ...]] = ("xpos",)  # type: ignore[misc]
+
+    xml_file: str = "reacher.xml"
+    frame_skip: int = 2
+    reward_dist_weight: float = 1.0
+    reward_control_weight: float = 1.0
+
+    def observe(self, now: Moment) -> Floats:
+        angles, rest = now.qpos[..., :2], now.qpos[..., 2:]
+        parts = [np.cos(angles), np.sin(angles), rest, now.qvel[..., :2], _way(now)[..., :2]]
+        return np.concatenate(parts, axis=-1)
+
+    def parts(self, now: Moment) -> dict[str, Floats]:
+        return {
+            "reward_dist": -distance(_way(now)) * self.reward_dist_weight,
+            "reward_ctrl": -squares(now.action) * self.reward_control_weight,
+        }
+
+    def start(self, model: Model, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        qpos = rng.uniform(low=-0.1, high=0.1, size=model.nq) + model.qpos0
+        goal = rng.uniform(low=-FARTHEST, high=FARTHEST, size=2)
+        while not np.linalg.norm(goal) < FARTHEST:
+            goal = rng.uniform(low=-FARTHEST, high=FARTHEST, size=2)
+        qpos[-2:] = goal
+        qvel = rng.uniform(low=-0.005, high=0.005, size=model.nv)
+        qvel[-2:] = 0
+        return qpos, qvel
+
+
+def _way(now: Moment) -> Floats:
+    """Return the vector from the target to the fingertip [m], shape (3,)."""
+    tip, target = (now.model.index("body", name) for name in ("fingertip", "target"))
+    return now.xpos[..., tip, :] - now.xpos[..., target, :]
