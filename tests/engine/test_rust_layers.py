@@ -17,7 +17,7 @@ WITHIN = {
     "detect": 2,
     "place": 6,
     "shapes": 9,
-    "solve": 17,
+    "solve": 16,
 }
 # A `Sim` has the list of its steps, and the list of a step is written down by a `Sim`.
 ACROSS = {"observer", "program", "sim"}

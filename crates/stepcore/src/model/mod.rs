@@ -43,10 +43,10 @@ pub use lengths::{
     Coupling, Course, Ends, Equality, Linkage, Moved, Mover, Point, Round, Stretch, Tendon, Tie,
     Transmission,
 };
+use lengths::{Limited, Rubbing};
 pub use material::Material;
 pub use pair_counts::Tally;
 pub use pairs::Never;
-use lengths::{Limited, Rubbing};
 use parts::Slots;
 pub use parts::{
     Body, BodyPair, Dof, DynamicPairs, FlatGeom, Geom, Guard, Joint, Pair, Plane, Site, Span,

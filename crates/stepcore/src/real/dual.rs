@@ -153,6 +153,7 @@ impl Real for Dual {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use num_traits::{One, Zero};
 
     fn seeded(value: f64, slope: f64) -> Dual {
         let mut x = Dual::of(value);

@@ -12,8 +12,6 @@ use crate::real::{Mask, Real};
 use crate::scene::JointType;
 use crate::spatial::{Motion, V3};
 
-/// The most directions at a time: three, and one that fills a vector register.
-pub(super) const WIDE: usize = 4;
 /// Dofs of a free body.
 pub(super) const SIX: usize = 6;
 

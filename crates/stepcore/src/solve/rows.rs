@@ -10,7 +10,6 @@ use super::dofs::{any_heap, island_dofs};
 use super::dot::dot;
 use super::free::Free;
 use super::live::Live;
-use super::relative::WIDE;
 use super::saved_solve::SavedSolve;
 use crate::clock::Clock;
 use crate::elements::friction::MOST_WAYS;
@@ -24,6 +23,9 @@ use crate::state::Inputs;
 use crate::warm::Warm;
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
+
+/// The most directions that are made at a time: three, and one that fills a vector register.
+const WIDE: usize = 4;
 
 /// One row. Impulses in N·s or N·m·s.
 #[derive(Clone, Debug, PartialEq)]

@@ -27,6 +27,7 @@ pub(crate) use recorder::Recorder;
 use core::cell::Cell;
 use core::fmt::Debug;
 use core::ops::{Add, Div, Mul, Neg, Sub};
+use num_traits::{One, Zero};
 
 use super::{Mask, Real};
 
