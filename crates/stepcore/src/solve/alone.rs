@@ -1,6 +1,5 @@
 //! Interval rows that are alone in their island: one update is the whole solution.
 
-use super::dot::dot;
 use super::islands::row_count;
 use super::limits::Report;
 use super::rows::{Rows, Set};
@@ -51,10 +50,7 @@ impl<R: Real> Rows<R> {
         block: usize,
     ) -> (R, R::Mask) {
         let row = &self.rows[self.blocks[block].rows.start];
-        let dofs = row.dofs.of(dof_lists);
-        let y = &self.y[row.y..row.y + dofs.len()];
-        let short = row.t - dot(dofs, y, &self.u) - row.c * row.impulse;
-        let impulse = (row.impulse + short * row.inv_s).clamp(row.lo, row.hi);
+        let impulse = row.updated(row.short(dof_lists, &self.y, &self.u));
         let (old, zero) = (row.impulse, R::zero());
         if old.lt(zero).or(zero.lt(old)).none() {
             // There is nothing to take away, which the list of a step knows.

@@ -62,6 +62,19 @@ impl<R: Real> Row<R> {
         self.impulse + self.beside
     }
 
+    /// t − Jv − cλ.
+    #[inline(always)]
+    pub(super) fn short(&self, dof_lists: &[usize], y: &[R], u: &[R]) -> R {
+        let dofs = self.dofs.of(dof_lists);
+        self.t - dot(dofs, &y[self.y..self.y + dofs.len()], u) - self.c * self.impulse
+    }
+
+    /// λ + (t − Jv − cλ)/s within its bounds.
+    #[inline(always)]
+    pub(super) fn updated(&self, short: R) -> R {
+        (self.impulse + short * self.inv_s).clamp(self.lo, self.hi)
+    }
+
     /// The row of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Row<S> {
         let of = |x: &R| S::of(x.lane(lane));

@@ -11,6 +11,7 @@ use super::super::dot::dot;
 use super::super::rows::{Row, Rows, Set, CONE, NARROW};
 use super::super::solver::Unconstrained;
 use super::cones::{Cones, Narrow, Tie, Wide};
+use super::point::{gain, gain_in_cone};
 use crate::elements::Role;
 use crate::error::{Error, Result};
 use crate::interrupt::ends_after;
@@ -190,7 +191,7 @@ impl<R: Real> Hard<'_, R> {
         let miss = self.miss(row);
         let impulse = row.impulse - miss * row.a.recip_or_zero();
         let change = self.set(row, impulse.clamp(row.lo, row.hi));
-        self.note(change * (R::of(0.5) * row.a * change + miss));
+        self.note(gain(row.a, change, -miss));
     }
 
     /// The sum of both edges is load, and stays; an edge that nothing opposes is half of it.
@@ -209,7 +210,7 @@ impl<R: Real> Hard<'_, R> {
         let second = R::select(alone, other.impulse, sum - first);
         let change = self.set(one, R::select(alone, tangent, first));
         self.set(other, second);
-        self.note(change * (R::of(0.5) * bend * change + slope));
+        self.note(gain(bend, change, -slope));
     }
 
     /// The least ½ xᵀA x + g·x with |x| ≤ μ λ_n.
@@ -231,7 +232,6 @@ impl<R: Real> Hard<'_, R> {
             change[i] = self.set(row, solved[i]);
         }
         let bent = cones.bent(tie, &change);
-        let gain = (0..W).map(|i| change[i] * (slope[i] + R::of(0.5) * bent[i]));
-        self.note(gain.fold(R::zero(), |sum, part| sum + part));
+        self.note(gain_in_cone(R::zero(), &change, &slope, &bent));
     }
 }

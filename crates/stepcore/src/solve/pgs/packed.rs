@@ -10,7 +10,7 @@ use super::super::cone::InCone;
 use super::super::free::{six, Free, SIX};
 use super::super::rows::{Block, Row, Rows, Set, NARROW};
 use super::cones::{Narrow, Tie};
-use super::point::{along, gain, Point, EDGES};
+use super::point::{along, gain, gain_in_cone, Point, EDGES};
 use crate::real::{Mask, Real};
 use core::array::from_fn;
 
@@ -191,13 +191,10 @@ impl<R: Real> Packed<R> {
         for i in 0..NARROW {
             change[i] = R::select(to.mask, solution[i] - self.point.impulse[i], zero);
         }
-        let mut gain = zero;
-        if GAIN {
-            for i in 0..NARROW {
-                gain += change[i] * (w[i] + R::of(0.5) * times(&q[i], &change));
-            }
-        }
-        self.finish(change, [change[0], change[1], change[2]], gain, to)
+        let f = [change[0], change[1], change[2]];
+        let bent = |q: &[R; NARROW]| times(q, &change);
+        let gain = if GAIN { gain_in_cone(zero, &f, &w, &q.each_ref().map(bent)) } else { zero };
+        self.finish(change, f, gain, to)
     }
 
     /// The normal as an interval, then the tangents within its friction bound.

@@ -106,6 +106,13 @@ pub(super) fn gain<N: Numbers>(s: N, change: N, short: N) -> N {
     change * (N::every(0.5) * s * change - short)
 }
 
+/// The same of a cone, by its slope and what its curvature makes of the change; added to `sum`.
+#[inline(always)]
+pub(super) fn gain_in_cone<R: Real>(sum: R, change: &[R], slope: &[R], bent: &[R]) -> R {
+    let each = change.iter().zip(slope.iter().zip(bent));
+    each.fold(sum, |sum, (x, (slope, bent))| sum + *x * (*slope + R::of(0.5) * *bent))
+}
+
 impl<N: Numbers> Point<N> {
     pub fn empty() -> Self {
         let zero = N::every(0.0);

@@ -1,10 +1,10 @@
 //! One pass over blocks: each gets its own solution while all others hold theirs.
 
 use super::super::cone::{times, InCone, Matrix};
-use super::super::dot::dot;
 use super::super::rows::{Block, Row, Rows, Set, NARROW};
 use super::cones::{Cones, Narrow, Tie, Wide};
 use super::packed::{Packed, Target};
+use super::point::{gain, gain_in_cone};
 use super::side_by_side::{SideBySide, SEEN};
 use crate::real::{Mask, Real};
 use core::array::from_fn;
@@ -296,11 +296,9 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         }
     }
 
-    /// t − Jv − cλ.
     #[inline(always)]
     fn short(&self, row: &Row<R>) -> R {
-        let dofs = row.dofs.of(self.dof_lists);
-        row.t - dot(dofs, &self.y[row.y..row.y + dofs.len()], self.u) - row.c * row.impulse
+        row.short(self.dof_lists, self.y, self.u)
     }
 
     /// Gives a row a new impulse, and u its effect; the change.
@@ -319,10 +317,9 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
     #[inline(always)]
     fn interval(&mut self, row: &mut Row<R>) -> R {
         let short = self.short(row);
-        let impulse = (row.impulse + short * row.inv_s).clamp(row.lo, row.hi);
-        let change = self.set(row, impulse);
+        let change = self.set(row, row.updated(short));
         if GAIN {
-            let gain = self.gain + change * (R::of(0.5) * (row.a + row.c) * change - short);
+            let gain = self.gain + gain(row.a + row.c, change, short);
             self.gain = R::select(self.mask, gain, self.gain);
         }
         change
@@ -343,9 +340,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
             change[i] = self.set(row, solution[i]);
         }
         if GAIN {
-            let bent = times(&cone.q, &change);
-            let each = (0..N).map(|i| change[i] * (w[i] + R::of(0.5) * bent[i]));
-            let gain = each.fold(self.gain, |gain, part| gain + part);
+            let gain = gain_in_cone(self.gain, &change, &w, &times(&cone.q, &change));
             self.gain = R::select(self.mask, gain, self.gain);
         }
         change
