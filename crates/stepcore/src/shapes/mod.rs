@@ -16,6 +16,7 @@ mod convex_tests;
 pub(crate) mod cylinder;
 mod directions;
 mod epa;
+mod face;
 mod facets;
 mod field_list;
 pub mod frame;
@@ -87,7 +88,8 @@ impl<'a, R: Real> Shape<'a, R> {
 /// bit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hint {
-    /// A direction along which the two were apart, in the world's axes and of any length; 0: none.
+    /// The direction along which the two were furthest apart or proven to be apart, in the world's axes
+    /// and of any length; 0: none.
     pub axis: V3<f64>,
     /// Of hulls: which corners were last the furthest along a direction.
     pub corners: [usize; 2],

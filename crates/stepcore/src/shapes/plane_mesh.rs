@@ -89,12 +89,12 @@ fn polygon(
         below.step_by(stride).filter(others).for_each(|vertex| list.push(vertex));
     }
     // What is not below acts only where nothing else does: it does not take the place of what is.
-    let must = list.count.min(MOST);
-    if must < MOST {
+    let must = list.count.min(super::manifold::experiment());
+    if must < super::manifold::experiment() {
         corners.iter().step_by(stride).for_each(|vertex| list.put(*vertex));
     }
     let mut chosen = [lowest; MOST];
-    let kept = spread(hull, &mut list.vertices[..list.count], must, &mut chosen);
+    let kept = spread(hull, &list.vertices[..list.count], must, &mut chosen);
     chosen[..kept].sort_unstable();
     (chosen, kept)
 }
@@ -160,29 +160,21 @@ impl List {
 }
 
 /// Chooses of a list of vertices, whose first is the lowest: the first `must` of it if they all
-/// fit, else that and those that are furthest from the ones chosen before.
-fn spread(hull: &Hull, list: &mut [usize], must: usize, chosen: &mut [usize; MOST]) -> usize {
-    let lowest = list[0];
-    if list.len() <= MOST {
+/// fit, else the lowest, and those that are furthest from the ones chosen before.
+fn spread(hull: &Hull, list: &[usize], must: usize, chosen: &mut [usize; MOST]) -> usize {
+    let most = super::manifold::experiment();
+    if list.len() <= most {
         chosen[..list.len()].copy_from_slice(list);
         return list.len();
     }
     let apart = |a: usize, b: usize| (hull.vertices[a] - hull.vertices[b]).norm_squared();
-    let mut kept = 0;
-    if must < MOST {
-        chosen[..must].copy_from_slice(&list[..must]);
-        kept = must;
-    } else {
-        // The first is always the same one; the lowest, which changes, comes last.
-        list.sort_unstable();
-        chosen[0] = list[0];
-        kept += 1;
-    }
+    let mut kept = if must < most { must } else { 1 };
+    chosen[..kept].copy_from_slice(&list[..kept]);
     // From each of the list to the nearest of the chosen ones.
     let mut nearest = [f64::INFINITY; ROOM];
     let mut known = 0;
-    while kept < MOST {
-        let mut best = (lowest, f64::NEG_INFINITY);
+    while kept < most {
+        let mut best = (list[0], f64::NEG_INFINITY);
         for (&vertex, nearest) in list.iter().zip(&mut nearest) {
             let new = chosen[known..kept].iter().map(|c| apart(*c, vertex));
             *nearest = new.fold(*nearest, f64::min);
@@ -191,8 +183,7 @@ fn spread(hull: &Hull, list: &mut [usize], must: usize, chosen: &mut [usize; MOS
             }
         }
         known = kept;
-        let last = kept + 1 == MOST && !chosen[..kept].contains(&lowest);
-        chosen[kept] = if last { lowest } else { best.0 };
+        chosen[kept] = best.0;
         kept += 1;
     }
     kept

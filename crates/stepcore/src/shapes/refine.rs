@@ -99,24 +99,17 @@ impl Pairing<'_> {
 
     pub(super) fn refine_once(&self, rough: &V3<f64>, near: f64) -> Separation {
         let start = self.apart(rough);
-        let mut best = Separation { normal: *rough, apart: f64::NEG_INFINITY, cause: Cause::Free };
+        let facing = self.facing(rough, (1.0 - near * near).sqrt());
+        let mut best = self.best_of(&facing).unwrap_or(Separation {
+            normal: *rough,
+            apart: f64::NEG_INFINITY,
+            cause: Cause::Free,
+        });
         let mut offer = |normal: V3<f64>, apart: f64, cause: Cause| {
             if apart > best.apart + ROUNDING * self.size {
                 best = Separation { normal, apart, cause };
             }
         };
-        let cosine = (1.0 - near * near).sqrt();
-        if let Some((normal, along, _)) = self.one.face(rough) {
-            if along >= cosine {
-                offer(normal, self.apart(&normal), Cause::FaceOne(self.one.pose.to_local(&normal)));
-            }
-        }
-        if let Some((outward, along, _)) = self.two.face(&-rough) {
-            if along >= cosine {
-                let local = self.two.pose.to_local(&outward);
-                offer(-outward, self.apart(&-outward), Cause::FaceTwo(local));
-            }
-        }
         let (ones, nones) = edges(&self.one, rough, near);
         let (twos, ntwos) = edges(&self.two, &-rough, near);
         for e in &ones[..nones] {

@@ -116,24 +116,27 @@ impl<'a> Pairing<'a> {
     pub fn separation(&self, within: f64, hint: Option<&Cell<Hint>>) -> Option<Separation> {
         SEARCHED.set(SEARCHED.get() + 1);
         let enough = (within + self.one.radius + self.two.radius + SURE * self.size).max(0.0);
-        let Some(hint) = hint else { return self.search(enough).ok() };
-        let Hint { mut axis, corners } = hint.get();
+        let Some(hint) = hint else { return self.search(&V3::zeros(), enough).ok() };
+        let Hint { axis, corners } = hint.get();
         for (own, corner) in self.corners.iter().zip(corners) {
             own.set(corner);
         }
         let known = axis != V3::zeros() && beyond(&self.furthest(&-axis), &axis, enough);
-        let found = if known { Err(axis) } else { self.search(enough) };
-        if let Err(proof) = found {
-            axis = proof;
-        }
+        let found = if known { Err(axis) } else { self.search(&axis, enough) };
+        let axis = found.map_or_else(|proof| proof, |found| found.normal);
         hint.set(Hint { axis, corners: [self.corners[0].get(), self.corners[1].get()] });
         found.ok()
     }
 
-    /// Of cores that are `enough` apart the direction that proves it, as an error.
-    fn search(&self, enough: f64) -> Result<Separation, V3<f64>> {
+    /// Of cores that are `enough` apart the direction that proves it, as an error. `near`: where it may
+    /// be; or 0.
+    fn search(&self, near: &V3<f64>, enough: f64) -> Result<Separation, V3<f64>> {
         let some = self.between.dot(&self.between) > 0.0;
         let toward = if some { self.between } else { V3::x() };
+        let near = if *near == V3::zeros() { &toward } else { near };
+        if let Some(found) = self.on_face(near) {
+            return if found.apart > enough { Err(found.normal) } else { Ok(found) };
+        }
         let support = |way: &V3<f64>| self.furthest(way);
         let gaps: &[f64] = if self.smooth { &[1e-5, 1e-12] } else { &[1e-15] };
         for gap in gaps {

@@ -140,7 +140,13 @@ impl<'a, R: Real> Solid<'a, R> {
 
     /// How far a point, from its centre, lies outside of the core, to first order; negative inside.
     pub fn outside(&self, point: &V3<f64>) -> f64 {
+        self.outside_but(usize::MAX, point)
+    }
+
+    /// The same with one of its faces left out.
+    pub fn outside_but(&self, skip: usize, point: &V3<f64>) -> f64 {
         let p = plain(self.pose).to_local(point);
+        let over = |face: usize, height: f64| if face == skip { f64::NEG_INFINITY } else { height };
         match self.core {
             Core::Point => p.dot(&p).sqrt(),
             Core::Segment(half) => {
@@ -155,19 +161,17 @@ impl<'a, R: Real> Solid<'a, R> {
                 (length - 1.0) * length * steep.recip_or_zero()
             }
             Core::Cylinder(radius, half) => {
-                ((p.x * p.x + p.y * p.y).sqrt() - radius).max(p.z.abs() - half)
+                let beside = (p.x * p.x + p.y * p.y).sqrt() - radius;
+                beside.max(over(0, -p.z - half)).max(over(1, p.z - half))
             }
-            Core::Box(size) => {
-                (0..3).map(|i| p[i].abs() - size[i]).fold(f64::NEG_INFINITY, f64::max)
-            }
-            Core::Hull(hull) => hull
-                .faces
-                .iter()
-                .map(|face| face.normal.dot(&p) - face.offset)
+            Core::Box(size) => (0..3)
+                .map(|i| over(2 * i, -p[i] - size[i]).max(over(2 * i + 1, p[i] - size[i])))
                 .fold(f64::NEG_INFINITY, f64::max),
-            Core::Prism(corners) => PRISM_FACES
-                .iter()
-                .map(|face| normal_of(corners, face).dot(&(p - corners[face[0]])))
+            Core::Hull(hull) => (hull.faces.iter().enumerate())
+                .map(|(i, face)| over(i, face.normal.dot(&p) - face.offset))
+                .fold(f64::NEG_INFINITY, f64::max),
+            Core::Prism(corners) => (PRISM_FACES.iter().enumerate())
+                .map(|(i, face)| over(i, normal_of(corners, face).dot(&(p - corners[face[0]]))))
                 .fold(f64::NEG_INFINITY, f64::max),
         }
     }
