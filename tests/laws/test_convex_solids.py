@@ -1,6 +1,7 @@
 """Cylinders and ellipsoids on a box: they stand, roll and rock as the closed forms say."""
 
 import numpy as np
+import pytest
 
 import stepcore as sc
 
@@ -17,10 +18,28 @@ def _sim(body, gravity="0 0 -9.81", **settings):
 def test_a_cylinder_stands():
     sim = _sim('<body pos="0 0 .2"><freejoint/><geom type="cylinder" size=".1 .2"/></body>')
     sim.step(1000)
-    assert len(sim.contacts) == 8
+    assert len(sim.contacts) == 4
     assert np.abs(sim.qvel).max() < 1e-6
     assert np.abs(sim.qpos[:2]).max() < 1e-6
     assert np.abs(sim.qpos[4:]).max() < 1e-6
+
+
+@pytest.mark.parametrize("degrees", [0, 22.5, 37, 45, 90])
+def test_a_cylinder_on_four_contacts_tips_as_a_disc_does(degrees):
+    """A push at the height h of four radii: it stands at 0.9 of m g r/h and falls at 1.1."""
+    body = '<body pos="0 0 .1"><freejoint/><geom type="cylinder" size=".1 .1"/></body>'
+    turn = np.radians(degrees)
+    tilts = []
+    for share in (0.9, 1.1):
+        sim = _sim(body)
+        sim.step(100)
+        push = share * sim.model.body_mass[1] * 9.81 / 4
+        way = push * np.array([np.cos(turn), np.sin(turn)])
+        # At the centre, and the torque of the rest of its height.
+        sim.xfrc_applied[1] = [*way, 0, -0.3 * way[1], 0.3 * way[0], 0]
+        sim.step(1500)
+        tilts.append(np.hypot(*sim.qpos[4:6]))
+    assert tilts[0] < 0.01 and tilts[1] > 0.1
 
 
 def test_a_cylinder_rolls_down_a_slope():

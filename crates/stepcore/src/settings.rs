@@ -218,6 +218,11 @@ impl Default for Settings {
 const MOST_CONTACTS: usize = 1_000_000;
 
 impl Settings {
+    /// How far ahead contacts have rows [s]: laws on the guess need every distance that it may close.
+    pub(crate) fn ahead(&self) -> Option<f64> {
+        self.law.on_guess().then_some(self.dt)
+    }
+
     /// What of the rows acts at the stages of a step: what the law makes as hard as can be, or a force.
     /// A softness is that of the step's end.
     pub(crate) fn inside(&self) -> Inside {

@@ -134,7 +134,7 @@ impl<R: Real> Sim<R> {
             return Ok(());
         }
         let (qpos, _) = at.of(&self.state, &self.next);
-        self.detected.detect(&self.model, &self.placed, &self.settings, qpos)
+        self.detected.detect(&self.model, &self.placed, self.settings.ahead(), qpos)
     }
 
     /// Rows of the contacts at hand.
@@ -165,7 +165,7 @@ impl<R: Real> Sim<R> {
     pub(crate) fn detected_aside(&self) -> Detected<R> {
         let mut detected = Detected::new(&self.model, 0);
         // Where a step found room there is room again; else it has refused already.
-        let _ = detected.detect(&self.model, &self.placed, &self.settings, &self.state.qpos);
+        let _ = detected.detect(&self.model, &self.placed, self.settings.ahead(), &self.state.qpos);
         detected
     }
 

@@ -2,8 +2,8 @@
 //!
 //! Candidate pairs were chosen when the model was compiled, or in a heap are found by a broad phase
 //! (`near.rs`, `kept.rs`, `broad.rs`); here each is tested
-//! by its bounding spheres and boxes (`apart.rs`), which a law on the guess fattens by the way of the
-//! step (`swept.rs`), and then exactly. Contacts come out in pair order,
+//! by its bounding spheres and boxes (`apart.rs`), which are fattened by the way of the guess where
+//! contacts ahead are asked for (`swept.rs`), and then exactly. Contacts come out in pair order,
 //! whatever the lanes hold, so that row order never depends on anything else.
 
 mod apart;
@@ -28,7 +28,6 @@ use crate::place::Placed;
 use crate::pool::Pool;
 use crate::real::{Mask, Real};
 use crate::room::can_be_had;
-use crate::settings::Settings;
 use crate::shapes::{self, Hint, Hints, ShapeTest, Touch};
 use crate::spatial::{Pose, V3};
 use apart::far;
@@ -109,28 +108,26 @@ impl<R: Real> Detected<R> {
         }
     }
 
-    /// Lists the contacts of the present positions; refuses more than the memory holds.
+    /// Lists the contacts of the present positions, and with `ahead` [s] those that the guess may bring
+    /// within that time (the row maker drops what stays apart); refuses more than the memory holds.
     pub fn detect(
         &mut self,
         model: &Model,
         placed: &Placed<R>,
-        settings: &Settings,
+        ahead: Option<f64>,
         qpos: &[R],
     ) -> Result<()> {
         self.contacts.clear();
         if !(model.features.contact && model.features.constraint) {
             return Ok(());
         }
-        // Laws that look at the guess need every distance that it may close; the row maker drops
-        // what stays apart.
-        let on_guess = settings.law.on_guess();
-        if on_guess {
-            self.swept.sweep(model, placed, settings.dt);
+        if let Some(dt) = ahead {
+            self.swept.sweep(model, placed, dt);
         }
         if let Some(heap) = &model.dynamic_pairs {
-            self.detect_near(model, heap, placed, settings)?;
+            self.detect_near(model, heap, placed, ahead.is_some())?;
         } else {
-            self.detect_fixed(model, placed, qpos, on_guess);
+            self.detect_fixed(model, placed, qpos, ahead.is_some());
         }
         self.check_room()
     }
@@ -149,10 +146,10 @@ impl<R: Real> Detected<R> {
     }
 
     /// Those of pairs that were listed when the model was compiled.
-    fn detect_fixed(&mut self, model: &Model, placed: &Placed<R>, qpos: &[R], on_guess: bool) {
+    fn detect_fixed(&mut self, model: &Model, placed: &Placed<R>, qpos: &[R], ahead: bool) {
         let inside = !beyond(model, qpos);
         let sleeps = self.asleep.contains(&true);
-        let asks = !on_guess;
+        let asks = !ahead;
         #[cfg(test)]
         let asks = asks && !self.exhaustive;
         let mut next = 0;
@@ -171,14 +168,14 @@ impl<R: Real> Detected<R> {
                 if sleeps && rests(pair.geom1) && rests(pair.geom2) {
                     continue;
                 }
-                self.meet_fixed(model, placed, pair, on_guess);
+                self.meet_fixed(model, placed, pair, ahead);
             }
         }
     }
 
     /// The contacts of a pair that its spheres do not keep apart.
-    fn meet_fixed(&mut self, model: &Model, placed: &Placed<R>, pair: &Pair, on_guess: bool) {
-        let more = on_guess.then(|| self.swept.of(model, pair));
+    fn meet_fixed(&mut self, model: &Model, placed: &Placed<R>, pair: &Pair, ahead: bool) {
+        let more = ahead.then(|| self.swept.of(model, pair));
         let far = far(model, placed, pair, more);
         #[cfg(test)]
         let far = far && !self.exhaustive;
@@ -216,7 +213,7 @@ fn rests(model: &Model, asleep: &[bool], geom: usize) -> bool {
 }
 
 /// Below which distance the contacts of a pair are listed [m], for the exact test and by lane. `more`:
-/// how far a law on the guess looks. Beyond it the row maker drops whatever stands in a lane because a
+/// how far the guess goes. Beyond it the row maker drops whatever stands in a lane because a
 /// neighbour is faster; but adhesion would pull there.
 fn listed<R: Real>(model: &Model, pair: &Pair, more: Option<R>) -> (f64, R) {
     match more {

@@ -10,7 +10,6 @@ use crate::model::{DynamicPairs, Model, Pair};
 use crate::place::Placed;
 use crate::pool::{inside, lock, Pool, WORTH_SHARING};
 use crate::real::{Mask, Real};
-use crate::settings::Settings;
 use std::sync::Mutex;
 
 /// Of a geom's reach, and of roundings of its place: what boxes are larger by.
@@ -24,19 +23,18 @@ impl<R: Real> Detected<R> {
         model: &Model,
         heap: &DynamicPairs,
         placed: &Placed<R>,
-        settings: &Settings,
+        ahead: bool,
     ) -> Result<()> {
-        let on_guess = settings.law.on_guess();
         let (swept, asleep) = (&self.swept, &self.asleep);
         let boxes = |geom| {
-            let guessed = if on_guess { swept.geom(geom).lane(0) } else { 0.0 };
-            let listed = if on_guess && !model.adheres { 0.0 } else { heap.listed[geom] };
+            let guessed = if ahead { swept.geom(geom).lane(0) } else { 0.0 };
+            let listed = if ahead && !model.adheres { 0.0 } else { heap.listed[geom] };
             let more = guessed.max(listed);
             Bounds { fixed: rests(model, asleep, geom), ..bounds(model, placed, geom, more) }
         };
-        self.kept.refresh(model, heap, &mut self.lists, on_guess, boxes)?;
+        self.kept.refresh(model, heap, &mut self.lists, ahead, boxes)?;
         let Self { kept, found, contacts, grown, pool, .. } = self;
-        let near = Near { model, placed, kept, swept: on_guess.then_some(swept) };
+        let near = Near { model, placed, kept, swept: ahead.then_some(swept) };
         match pool {
             Some(pool) if kept.pairs.len() >= WORTH_SHARING => {
                 near.meet_shared(pool, found, |contact| push(contacts, grown, contact));

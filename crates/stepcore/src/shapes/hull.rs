@@ -12,10 +12,6 @@ use nalgebra::{Matrix3, Vector3};
 /// From this many vertices on the support function climbs instead of looking at every vertex.
 const CLIMB: usize = 32;
 
-/// Over the reach, along a unit direction: how much further than its neighbours a vertex is that is the
-/// furthest without doubt. Hulls are convex to within 1e-11 of their size.
-const EVEN: f64 = 1e-9;
-
 /// From this many faces on those that look along a direction are listed.
 const LISTED: usize = 32;
 
@@ -184,29 +180,9 @@ impl Hull {
         best.1
     }
 
-    /// The same, sooner where a vertex nearby is known.
-    pub fn support_near(&self, near: usize, direction: &Vector3<f64>) -> usize {
-        if self.vertices.len() < CLIMB || near >= self.vertices.len() {
-            return self.support(direction);
-        }
-        let (vertex, above) = self.climb(near, direction);
-        // Of vertices that are even but for rounding the one found goes by where the climb began.
-        if above > EVEN * self.reach * direction.amax() {
-            vertex
-        } else {
-            self.support(direction)
-        }
-    }
-
     /// The same by hill climbing from a vertex: on a convex surface a vertex that is as far as its
     /// neighbours is the furthest.
     pub fn support_from(&self, start: usize, direction: &Vector3<f64>) -> usize {
-        self.climb(start, direction).0
-    }
-
-    /// Where hill climbing ends, and how much further that is than all of its neighbours.
-    #[inline(always)]
-    fn climb(&self, start: usize, direction: &Vector3<f64>) -> (usize, f64) {
         let (mut best, mut most) = (start, self.vertices[start].dot(direction));
         loop {
             let (mut next, mut second) = (best, f64::NEG_INFINITY);
@@ -220,7 +196,7 @@ impl Hull {
             if second > most {
                 (best, most) = (next, second);
             } else {
-                return (best, most - second);
+                return best;
             }
         }
     }

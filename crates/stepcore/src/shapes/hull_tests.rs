@@ -210,7 +210,6 @@ fn the_support_is_the_furthest_vertex() {
             assert_eq!(along(&hull.vertices[hull.support(&direction)]), most);
             let from = start % hull.vertices.len();
             assert_eq!(along(&hull.vertices[hull.support_from(from, &direction)]), most);
-            assert_eq!(hull.support_near(from, &direction), hull.support(&direction));
             let looks = |face: &usize| hull.faces[*face].normal.dot(&direction);
             let first = (0..hull.faces.len()).rev().max_by(|a, b| looks(a).total_cmp(&looks(b)));
             assert_eq!(Some(hull.face(&direction)), first);

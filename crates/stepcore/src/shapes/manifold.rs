@@ -11,7 +11,7 @@ use super::solid::{Core, Solid};
 use crate::real::Real;
 use crate::spatial::V3;
 
-/// The most contacts of a pair.
+/// Room for contacts: of a pair, and of a cell of a height field.
 pub const MOST: usize = 8;
 /// Corners of the overlap of two faces.
 const ROOM: usize = 2 * CORNERS;
@@ -479,7 +479,7 @@ fn chosen<R: Real>(
     picked[low] = true;
     let mut nearest = [f64::INFINITY; ROOM];
     let mut last = low;
-    for _ in 1..most.min(experiment()).min(points.count) {
+    for _ in 1..most.min(points.count) {
         let mut best = (4.0 * border * border, None);
         for i in 0..points.count {
             nearest[i] = nearest[i].min(square(&points.list[i], &points.list[last]));
@@ -499,9 +499,4 @@ fn chosen<R: Real>(
         }
     }
     out
-}
-
-pub fn experiment() -> usize {
-    static N: std::sync::OnceLock<usize> = std::sync::OnceLock::new();
-    *N.get_or_init(|| std::env::var("SC_N").ok().and_then(|x| x.parse().ok()).unwrap_or(8))
 }

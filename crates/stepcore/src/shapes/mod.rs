@@ -91,8 +91,8 @@ pub struct Hint {
     /// The direction along which the two were furthest apart or proven to be apart, in the world's axes
     /// and of any length; 0: none.
     pub axis: V3<f64>,
-    /// Of hulls: which corners were last the furthest along a direction.
-    pub corners: [usize; 2],
+    /// A face fixed it.
+    pub face: bool,
 }
 
 /// By lane; or empty.
@@ -140,7 +140,7 @@ pub fn meet<R: Real>(
             match convex::most(a, b) {
                 1 => all(&by_lane::<R, _, 1>(test, one, two)),
                 2 => all(&by_lane::<R, _, 2>(test, one, two)),
-                _ => all(&by_lane::<R, _, 8>(test, one, two)),
+                _ => all(&by_lane::<R, _, { convex::PATCH }>(test, one, two)),
             }
         }
         ShapeTest::CapsuleCapsule => {

@@ -2,8 +2,8 @@
 //!
 //! Contacts are vertices: the corners of the face that looks most into the plane, whatever their
 //! distance, and all vertices below the plane or hardly higher than the lowest. Of more than `MOST`
-//! some stay that are far from each other, and the lowest. Which ones is decided by distances
-//! within the hull, which no motion changes, so that a mesh that rests keeps its contacts.
+//! the lowest stays, and those that are far from it and from each other within the hull, which no
+//! motion changes, so that a mesh that rests keeps its contacts.
 
 use super::by_lane::{empty, OneWorld};
 use super::hull::Hull;
@@ -13,13 +13,15 @@ use crate::real::{Mask, Real};
 use crate::spatial::V3;
 
 /// The most contacts.
-pub const MOST: usize = 8;
+pub const MOST: usize = super::convex::PATCH;
 /// Vertices that are looked at, at most; of more, every second, every third …
 const ROOM: usize = 256;
 /// Words of 64 vertices each: of larger hulls every vertex is looked at.
 const WORDS: usize = 128;
 /// Over the hull's size: vertices no higher than this above the lowest lie on its base.
 const LEVEL: f64 = 1e-5;
+/// The same: vertices whose heights differ by less are even but for rounding.
+const EVEN: f64 = 1e-10;
 
 /// Over the hull's size: by how much more than a distance a hull is apart for sure, whatever rounding
 /// does to its contacts.
@@ -45,7 +47,7 @@ impl OneWorld<MOST> for PlaneMesh {
         if least > self.within + SURE * hull.reach() {
             return touches;
         }
-        let (chosen, count) = polygon(hull, lowest, &up, centre.lane(0), LEVEL * size);
+        let (chosen, count) = polygon(hull, lowest, &up, centre.lane(0), size);
         for (touch, &vertex) in touches.iter_mut().zip(&chosen[..count]) {
             let at = mesh.rot * hull.vertices[vertex].map(R::of);
             let dist = centre + normal.dot(&at);
@@ -68,11 +70,11 @@ fn polygon(
     lowest: usize,
     up: &V3<f64>,
     centre: f64,
-    level: f64,
+    size: f64,
 ) -> ([usize; MOST], usize) {
     let height = |vertex: usize| centre + up.dot(&hull.vertices[vertex]);
-    let limit = (height(lowest) + level).max(0.0);
-    let mut list = List { vertices: [lowest; ROOM], count: 1 };
+    let limit = (height(lowest) + LEVEL * size).max(0.0);
+    let even = height(lowest) + EVEN * size;
     let low = |vertex: usize| height(vertex) <= limit;
     let corners = hull.faces.get(hull.face(&-up)).map_or(&[][..], |face| &face.corners);
     let mut below = Below { seen: [0; WORDS], list: [lowest; ROOM], count: 1 };
@@ -80,17 +82,24 @@ fn polygon(
     let (found, every) = (&mut below.list[..below.count], 0..hull.vertices.len());
     let count = if all { found.len() } else { every.clone().filter(|v| low(*v)).count() };
     let stride = 1 + (count + corners.len()) / ROOM;
+    found.sort_unstable();
+    // Of even ones the first, whatever rounding says.
+    let mut first = found.iter().copied().find(|vertex| height(*vertex) <= even);
+    if !all {
+        first = every.clone().find(|vertex| height(*vertex) <= even);
+    }
+    let lowest = first.unwrap_or(lowest);
+    let mut list = List { vertices: [lowest; ROOM], count: 1 };
     let others = |vertex: &usize| *vertex != lowest;
     if all {
-        found.sort_unstable();
         found.iter().copied().step_by(stride).filter(others).for_each(|vertex| list.push(vertex));
     } else {
         let below = every.filter(|vertex| low(*vertex));
         below.step_by(stride).filter(others).for_each(|vertex| list.push(vertex));
     }
     // What is not below acts only where nothing else does: it does not take the place of what is.
-    let must = list.count.min(super::manifold::experiment());
-    if must < super::manifold::experiment() {
+    let must = list.count.min(MOST);
+    if must < MOST {
         corners.iter().step_by(stride).for_each(|vertex| list.put(*vertex));
     }
     let mut chosen = [lowest; MOST];
@@ -162,18 +171,17 @@ impl List {
 /// Chooses of a list of vertices, whose first is the lowest: the first `must` of it if they all
 /// fit, else the lowest, and those that are furthest from the ones chosen before.
 fn spread(hull: &Hull, list: &[usize], must: usize, chosen: &mut [usize; MOST]) -> usize {
-    let most = super::manifold::experiment();
-    if list.len() <= most {
+    if list.len() <= MOST {
         chosen[..list.len()].copy_from_slice(list);
         return list.len();
     }
     let apart = |a: usize, b: usize| (hull.vertices[a] - hull.vertices[b]).norm_squared();
-    let mut kept = if must < most { must } else { 1 };
+    let mut kept = if must < MOST { must } else { 1 };
     chosen[..kept].copy_from_slice(&list[..kept]);
     // From each of the list to the nearest of the chosen ones.
     let mut nearest = [f64::INFINITY; ROOM];
     let mut known = 0;
-    while kept < most {
+    while kept < MOST {
         let mut best = (list[0], f64::NEG_INFINITY);
         for (&vertex, nearest) in list.iter().zip(&mut nearest) {
             let new = chosen[known..kept].iter().map(|c| apart(*c, vertex));
@@ -229,13 +237,13 @@ mod tests {
     }
 
     #[test]
-    fn a_prism_of_many_corners_stands_on_eight_that_surround_its_centre() {
+    fn a_prism_of_many_corners_stands_on_four_that_surround_its_centre() {
         let hull = prism(60);
         for step in 0..40 {
             let tilt = Rotation3::from_euler_angles(1e-7 * step as f64, -2e-7 * step as f64, 0.3);
             let pose = Pose { pos: V3::new(0.0, 0.0, 0.649), rot: *tilt.matrix() };
             let touches = touch(&hull, &pose);
-            assert_eq!(touches.len(), 8);
+            assert_eq!(touches.len(), 4);
             let lowest = hull.vertices.iter().map(|v| (tilt * v).z).fold(f64::INFINITY, f64::min);
             let deepest = touches.iter().map(|t| t.dist).fold(f64::INFINITY, f64::min);
             assert!((deepest - (0.149 + lowest)).abs() < 1e-15);

@@ -60,8 +60,6 @@ pub struct Pairing<'a> {
     pub(super) smooth: bool,
     /// How often a support function was asked.
     asked: Cell<u64>,
-    /// Of hulls: the corners that were last the furthest.
-    corners: [Cell<usize>; 2],
 }
 
 /// Over the size of the pair: a gain that is only rounding.
@@ -69,14 +67,15 @@ pub(super) const ROUNDING: f64 = 1e-14;
 /// Over the size of the pair: by how much more than a distance shapes are apart for sure, whatever
 /// rounding does to their contacts.
 const SURE: f64 = 1e-6;
+/// Cosine of the angle to a direction that rounding, in single precision too, leaves of a face's.
+const ALONG: f64 = 1.0 - 1e-6;
 
 impl<'a> Pairing<'a> {
     pub fn new(one: Solid<'a, f64>, two: Solid<'a, f64>) -> Self {
         let between = two.pose.pos - one.pose.pos;
         let size = one.extent() + two.extent();
         let smooth = one.smooth() || two.smooth();
-        let corners = [Cell::new(0), Cell::new(0)];
-        Self { one, two, between, size, smooth, asked: Cell::new(0), corners }
+        Self { one, two, between, size, smooth, asked: Cell::new(0) }
     }
 
     /// How often a support function was asked.
@@ -87,8 +86,7 @@ impl<'a> Pairing<'a> {
     /// The point of two minus one furthest along a direction.
     pub(super) fn furthest(&self, way: &V3<f64>) -> V3<f64> {
         self.asked.set(self.asked.get() + 1);
-        let [one, two] = &self.corners;
-        self.between + (self.two.support_near(way, two) - self.one.support_near(&-way, one))
+        self.between + (self.two.support(way).0 - self.one.support(&-way).0)
     }
 
     /// Which pieces of the two are least apart along a unit direction.
@@ -116,27 +114,45 @@ impl<'a> Pairing<'a> {
     pub fn separation(&self, within: f64, hint: Option<&Cell<Hint>>) -> Option<Separation> {
         SEARCHED.set(SEARCHED.get() + 1);
         let enough = (within + self.one.radius + self.two.radius + SURE * self.size).max(0.0);
-        let Some(hint) = hint else { return self.search(&V3::zeros(), enough).ok() };
-        let Hint { axis, corners } = hint.get();
-        for (own, corner) in self.corners.iter().zip(corners) {
-            own.set(corner);
+        let Hint { axis, face } = hint.map(Cell::get).unwrap_or_default();
+        let known = axis != V3::zeros();
+        let found = if known && beyond(&self.furthest(&-axis), &axis, enough) {
+            Err(axis)
+        } else {
+            let near = if known { axis } else { self.toward() };
+            let own = if known && !face { None } else { self.on_face(&near, -1.0) };
+            match own {
+                Some(found) if found.apart > enough => Err(found.normal),
+                Some(found) => Ok(found),
+                None => self.search(enough),
+            }
+        };
+        // Of a face the same numbers, however it was found.
+        let found = found.map(|found| self.on_face(&found.normal, ALONG).unwrap_or(found));
+        if let Some(hint) = hint {
+            hint.set(match &found {
+                Ok(Separation { normal, cause, .. }) => {
+                    let face = matches!(cause, Cause::FaceOne(_) | Cause::FaceTwo(_));
+                    Hint { axis: *normal, face }
+                }
+                Err(proof) => Hint { axis: *proof, face },
+            });
         }
-        let known = axis != V3::zeros() && beyond(&self.furthest(&-axis), &axis, enough);
-        let found = if known { Err(axis) } else { self.search(&axis, enough) };
-        let axis = found.map_or_else(|proof| proof, |found| found.normal);
-        hint.set(Hint { axis, corners: [self.corners[0].get(), self.corners[1].get()] });
         found.ok()
     }
 
-    /// Of cores that are `enough` apart the direction that proves it, as an error. `near`: where it may
-    /// be; or 0.
-    fn search(&self, near: &V3<f64>, enough: f64) -> Result<Separation, V3<f64>> {
-        let some = self.between.dot(&self.between) > 0.0;
-        let toward = if some { self.between } else { V3::x() };
-        let near = if *near == V3::zeros() { &toward } else { near };
-        if let Some(found) = self.on_face(near) {
-            return if found.apart > enough { Err(found.normal) } else { Ok(found) };
+    /// From one's centre to two's; if they are in one place somewhere.
+    fn toward(&self) -> V3<f64> {
+        if self.between.dot(&self.between) > 0.0 {
+            self.between
+        } else {
+            V3::x()
         }
+    }
+
+    /// Of cores that are `enough` apart the direction that proves it, as an error.
+    pub(super) fn search(&self, enough: f64) -> Result<Separation, V3<f64>> {
+        let toward = self.toward();
         let support = |way: &V3<f64>| self.furthest(way);
         let gaps: &[f64] = if self.smooth { &[1e-5, 1e-12] } else { &[1e-15] };
         for gap in gaps {

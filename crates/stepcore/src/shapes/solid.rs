@@ -9,7 +9,6 @@
 use super::hull::Hull;
 use crate::real::Real;
 use crate::spatial::{Pose, V3};
-use core::cell::Cell;
 
 /// A shape without its radius.
 #[derive(Clone, Copy)]
@@ -62,14 +61,6 @@ impl<'a, R: Real> Solid<'a, R> {
     pub fn support(&self, direction: &V3<R>) -> (V3<R>, usize) {
         let (local, corner) = self.support_local(&self.pose.to_local(direction));
         (self.pose.to_world(&local), corner)
-    }
-
-    /// The point alone. Of a hull it is climbed to from a corner, which becomes the one found.
-    pub fn support_near(&self, direction: &V3<R>, corner: &Cell<usize>) -> V3<R> {
-        let Core::Hull(hull) = self.core else { return self.support(direction).0 };
-        let local = self.pose.to_local(direction).map(|x| x.lane(0));
-        corner.set(hull.support_near(corner.get(), &local));
-        self.pose.to_world(&hull.vertices[corner.get()].map(R::of))
     }
 
     fn support_local(&self, d: &V3<R>) -> (V3<R>, usize) {
@@ -140,13 +131,7 @@ impl<'a, R: Real> Solid<'a, R> {
 
     /// How far a point, from its centre, lies outside of the core, to first order; negative inside.
     pub fn outside(&self, point: &V3<f64>) -> f64 {
-        self.outside_but(usize::MAX, point)
-    }
-
-    /// The same with one of its faces left out.
-    pub fn outside_but(&self, skip: usize, point: &V3<f64>) -> f64 {
         let p = plain(self.pose).to_local(point);
-        let over = |face: usize, height: f64| if face == skip { f64::NEG_INFINITY } else { height };
         match self.core {
             Core::Point => p.dot(&p).sqrt(),
             Core::Segment(half) => {
@@ -161,18 +146,44 @@ impl<'a, R: Real> Solid<'a, R> {
                 (length - 1.0) * length * steep.recip_or_zero()
             }
             Core::Cylinder(radius, half) => {
-                let beside = (p.x * p.x + p.y * p.y).sqrt() - radius;
-                beside.max(over(0, -p.z - half)).max(over(1, p.z - half))
+                ((p.x * p.x + p.y * p.y).sqrt() - radius).max(p.z.abs() - half)
             }
-            Core::Box(size) => (0..3)
-                .map(|i| over(2 * i, -p[i] - size[i]).max(over(2 * i + 1, p[i] - size[i])))
+            Core::Box(size) => {
+                (0..3).map(|i| p[i].abs() - size[i]).fold(f64::NEG_INFINITY, f64::max)
+            }
+            Core::Hull(hull) => hull
+                .faces
+                .iter()
+                .map(|face| face.normal.dot(&p) - face.offset)
                 .fold(f64::NEG_INFINITY, f64::max),
-            Core::Hull(hull) => (hull.faces.iter().enumerate())
-                .map(|(i, face)| over(i, face.normal.dot(&p) - face.offset))
+            Core::Prism(corners) => PRISM_FACES
+                .iter()
+                .map(|face| normal_of(corners, face).dot(&(p - corners[face[0]])))
                 .fold(f64::NEG_INFINITY, f64::max),
-            Core::Prism(corners) => (PRISM_FACES.iter().enumerate())
-                .map(|(i, face)| over(i, normal_of(corners, face).dot(&(p - corners[face[0]]))))
-                .fold(f64::NEG_INFINITY, f64::max),
+        }
+    }
+
+    /// A point, from its centre, lies deeper than this under all that bounds the core but one face.
+    pub fn under_all_but(&self, face: usize, point: &V3<f64>, depth: f64) -> bool {
+        let p = plain(self.pose).to_local(point);
+        let up = |face: usize, axis: usize| if face % 2 == 1 { p[axis] } else { -p[axis] };
+        match self.core {
+            Core::Cylinder(radius, half) => {
+                let beside = (p.x * p.x + p.y * p.y).sqrt() - radius;
+                beside < -depth && up(1 - face, 2) - half < -depth
+            }
+            Core::Box(size) => {
+                let mut others = (0..6).filter(|other| *other != face);
+                others.all(|other| up(other, other / 2) - size[other / 2] < -depth)
+            }
+            Core::Hull(hull) => (hull.faces.iter().enumerate()).all(|(other, plane)| {
+                other == face || plane.normal.dot(&p) - plane.offset < -depth
+            }),
+            Core::Prism(corners) => (PRISM_FACES.iter().enumerate()).all(|(other, list)| {
+                let height = normal_of(corners, list).dot(&(p - corners[list[0]]));
+                other == face || height < -depth
+            }),
+            Core::Point | Core::Segment(_) | Core::Ellipsoid(_) => false,
         }
     }
 
