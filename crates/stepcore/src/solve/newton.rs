@@ -16,6 +16,7 @@ mod inverse;
 mod minimise;
 mod nodes;
 mod order;
+mod pattern;
 mod penalty;
 mod recall;
 mod refine;
@@ -33,7 +34,7 @@ use crate::error::{Error, Result};
 use crate::pool::{inside, ROWS_WORTH_SHARING};
 use crate::real::{Count, Mask, Real};
 use by_lane::ByLane;
-use hessian::Pattern;
+use pattern::Pattern;
 use std::sync::Mutex;
 use worker::{share, Task, Worker};
 

@@ -1,7 +1,7 @@
 //! The rows of an island as Newton's method reads them: number by number instead of row by row, and
 //! in bundles of consecutive rows on the same dofs, such as those of all contacts of two bodies.
 
-use super::hessian::Pattern;
+use super::pattern::Pattern;
 use super::penalty::Cone;
 use crate::model::Span;
 use crate::real::{Mask, Real};
@@ -153,6 +153,11 @@ impl<R: Real> Bundles<R> {
         self.runs.push(run);
     }
 
+    /// The dofs of each bundle.
+    pub fn dofs(&self) -> impl Iterator<Item = Span> + Clone + '_ {
+        self.list.iter().map(|bundle| bundle.dofs)
+    }
+
     pub fn runs_of(&self, bundle: &Bundle) -> &[Run] {
         &self.runs[bundle.runs.range()]
     }
@@ -210,17 +215,21 @@ impl<'a, R: Real> Problem<'a, R> {
                 continue;
             }
             let list = self.pattern.list(b);
+            let head = self.pattern.head(b);
             while !x.is_empty() {
-                let wide = x.len() >= WIDE;
-                if wide && bundle.whole {
-                    sums::<R, WIDE>(list, y, core::array::from_fn(|i| sign * x[i]), out);
-                } else {
-                    let x = sign * x[0];
-                    for (k, y) in list.iter().zip(y) {
-                        out[*k] = R::select(mask[0], out[*k] + *y * x, out[*k]);
+                let to = (list, head, y);
+                let done = match x.len() {
+                    _ if !bundle.whole => {
+                        for (k, y) in list.iter().zip(y) {
+                            out[*k] = R::select(mask[0], out[*k] + *y * (sign * x[0]), out[*k]);
+                        }
+                        1
                     }
-                }
-                let done = if wide && bundle.whole { WIDE } else { 1 };
+                    1 => sums::<R, 1>(to, (sign, x), out),
+                    2 => sums::<R, 2>(to, (sign, x), out),
+                    3 => sums::<R, 3>(to, (sign, x), out),
+                    _ => sums::<R, WIDE>(to, (sign, x), out),
+                };
                 (x, mask, y) = (&x[done..], &mask[done..], &y[done * list.len()..]);
             }
         }
@@ -230,18 +239,39 @@ impl<'a, R: Real> Problem<'a, R> {
 /// Rows that are multiplied side by side.
 const WIDE: usize = 4;
 
-/// out += Σ y x of N rows, each dof's sum in the order of the rows.
+/// out += sign · Σ y x of N rows, each dof's sum in the order of the rows. `head`: see `Pattern::head`.
 #[inline(always)]
-fn sums<R: Real, const N: usize>(list: &[usize], y: &[R], x: [R; N], out: &mut [R]) {
+fn sums<R: Real, const N: usize>(
+    (list, head, y): (&[usize], Option<usize>, &[R]),
+    (sign, x): (R, &[R]),
+    out: &mut [R],
+) -> usize {
     let len = list.len();
     let y = &y[..N * len];
-    for (at, k) in list.iter().enumerate() {
-        let mut sum = out[*k];
-        for i in 0..N {
-            sum += y[i * len + at] * x[i];
+    let x: [R; N] = core::array::from_fn(|i| sign * x[i]);
+    let Some(head) = head else {
+        for (at, k) in list.iter().enumerate() {
+            let mut sum = out[*k];
+            for i in 0..N {
+                sum += y[i * len + at] * x[i];
+            }
+            out[*k] = sum;
         }
-        out[*k] = sum;
+        return N;
+    };
+    for part in [0..head, head..len] {
+        let Some(first) = list.get(part.start) else { continue };
+        let out = &mut out[*first..][..part.len()];
+        let rows: [&[R]; N] = core::array::from_fn(|i| &y[i * len + part.start..][..out.len()]);
+        for (at, out) in out.iter_mut().enumerate() {
+            let mut sum = *out;
+            for i in 0..N {
+                sum += rows[i][at] * x[i];
+            }
+            *out = sum;
+        }
     }
+    N
 }
 
 #[cfg(test)]
@@ -274,7 +304,7 @@ mod tests {
             bundles.runs.iter().map(|run| (run.rows.len, run.curve.len)).collect();
         assert_eq!((bundles.list.len(), runs), (1, vec![(7, 7), (3, 9), (1, 1)]));
         let mut pattern = Pattern::default();
-        pattern.fit(&[0, 1, 2, 3, 4], false, &bundles.list, &mut [0; 5]);
+        pattern.fit(&[0, 1, 2, 3, 4], false, bundles.dofs(), &mut [0; 5]);
         let problem =
             Problem { pattern: &pattern, bundles: &bundles, rows: &rows, blocks: &[0, 1, 2, 3] };
         let x = [0.3, -0.2, 0.7, 0.1, -0.9];

@@ -1,386 +1,184 @@
-//! The Hessian D + Σ y s″ yᵀ of one island: its pattern, and LᵀDL without square roots.
+//! The Hessian D + Σ y s″ yᵀ of one island, and LᵀDL without square roots.
 //!
-//! Two dofs are coupled when some row touches both. Eliminating from the last dof
-//! to the first, as along the trees, fills nothing where rows touch one chain only.
-//! The pattern depends on which rows exist and is kept while that stays the same;
-//! an entry that a lane does not need is a zero that changes none of its bits.
+//! Made once for each solve; as the iteration goes on, what changed zones is added or taken away. That
+//! leaves the rounding of what was taken away: where it was huge, the sum is made afresh.
 
-use super::bundles::{Bundle, Problem};
-use super::nodes::Nodes;
-use super::order::ones;
-use crate::model::Span;
+use super::bundles::Problem;
+use super::pattern::{Listed, Pattern};
 use crate::real::{Mask, Real};
-use crate::solve::dofs::distinct;
-use crate::solve::free::Free;
-use crate::solve::rows::NARROW;
 
-/// Which dofs an island's rows couple. Indices are local: places in `dofs`.
-#[derive(Default)]
-pub(super) struct Pattern {
-    /// The dof list of each bundle: what the pattern was made for.
-    key: Vec<Span>,
-    /// Dofs that some row touches, ascending.
-    dofs: Vec<usize>,
-    /// By bundle: its list in `lists`, and the first of its entries in `places`.
-    bundles: Vec<(Span, usize)>,
-    lists: Vec<usize>,
-    /// Where in the matrix each pair of a list stands, later dof first.
-    places: Vec<usize>,
-    /// Row i holds the entries `start[i]..start[i + 1]`, in the columns `cols` < i, ascending.
-    start: Vec<usize>,
-    cols: Vec<usize>,
-    /// By column: (row, entry) of what stands below, last row first.
-    below_start: Vec<usize>,
-    below: Vec<(usize, usize)>,
-    /// Of a heap, in the place of all but `key` and `dofs`.
-    pub nodes: Nodes,
-    pub heap: bool,
-    /// Scratch: bits by row; local index by dof; place by column.
-    bits: Vec<u64>,
-    local: Vec<usize>,
-}
+/// Columns that are summed side by side.
+const WIDE: usize = 4;
+/// So many times what moves a row, its penalty is huge: A s″. MuJoCo's impedances keep below 1e4, but
+/// where next to nothing moves a body that rows press on there is no end.
+const HUGE: f64 = 1e6;
 
-room!(Pattern: key, dofs, bundles, lists, places, start, cols, below_start, below, nodes, heap,
-    bits, local);
-
-impl Pattern {
-    /// Makes the pattern of these bundles, unless it is the one at hand.
-    /// `class`: scratch of `Nodes::fit`, a number for each dof.
-    pub fn fit(
-        &mut self,
-        dof_lists: &[usize],
-        heap: bool,
-        bundles: &[Bundle],
-        class: &mut [usize],
-    ) {
-        let keys = bundles.iter().map(|bundle| bundle.dofs);
-        self.heap = heap;
-        if heap {
-            self.key.clear();
-            self.key.extend(keys);
-            self.nodes.fit(dof_lists, &self.key, class);
-            return;
-        }
-        if keys.clone().eq(self.key.iter().copied()) {
-            return;
-        }
-        self.key.clear();
-        self.key.extend(keys);
-        self.number(dof_lists, class.len());
-        self.fill();
-        self.place();
-    }
-
-    /// Local numbers of the dofs, and every bundle's list in them.
-    fn number(&mut self, dof_lists: &[usize], nv: usize) {
-        let lists = self.key.iter().map(|span| span.of(dof_lists));
-        distinct(lists, nv, &mut self.dofs, &mut self.local);
-        self.lists.clear();
-        self.bundles.clear();
-        let mut places = 0;
-        for span in &self.key {
-            let list = Span { start: self.lists.len(), len: span.len };
-            self.lists.extend(span.of(dof_lists).iter().map(|k| self.local[*k]));
-            self.bundles.push((list, places));
-            places += span.len * span.len.saturating_sub(1) / 2;
-        }
-        self.places.clear();
-        self.places.resize(places, 0);
-    }
-
-    /// Symbolic elimination: row k's columns reach every row that they name.
-    fn fill(&mut self) {
-        let n = self.dofs.len();
-        let words = n.div_ceil(64);
-        self.bits.clear();
-        self.bits.resize(n * words, 0);
-        for (list, _) in &self.bundles {
-            let list = list.of(&self.lists);
-            for (at, i) in list.iter().enumerate() {
-                for j in &list[..at] {
-                    self.bits[i * words + j / 64] |= 1 << (j % 64);
-                }
-            }
-        }
-        for k in (0..n).rev() {
-            let (above, row) = self.bits.split_at_mut(k * words);
-            let row = &row[..words];
-            for i in ones(row) {
-                let target = &mut above[i * words..(i + 1) * words];
-                for (t, r) in target.iter_mut().zip(row) {
-                    *t |= r;
-                }
-                // Only columns before i.
-                target[i / 64] &= (1u64 << (i % 64)) - 1;
-                target[i / 64 + 1..].fill(0);
-            }
-        }
-        self.start.clear();
-        self.cols.clear();
-        for i in 0..n {
-            self.start.push(self.cols.len());
-            self.cols.extend(ones(&self.bits[i * words..(i + 1) * words]));
-        }
-        self.start.push(self.cols.len());
-    }
-
-    /// Column lists, and the place of every pair of every list.
-    fn place(&mut self) {
-        let n = self.dofs.len();
-        self.below_start.clear();
-        self.below_start.resize(n + 1, 0);
-        for j in &self.cols {
-            self.below_start[j + 1] += 1;
-        }
-        for j in 0..n {
-            self.below_start[j + 1] += self.below_start[j];
-        }
-        self.below.clear();
-        self.below.resize(self.cols.len(), (0, 0));
-        let next = &mut self.local;
-        next.clear();
-        next.extend_from_slice(&self.below_start[..n]);
-        for k in (0..n).rev() {
-            for at in self.start[k]..self.start[k + 1] {
-                let slot = &mut next[self.cols[at]];
-                self.below[*slot] = (k, at);
-                *slot += 1;
-            }
-        }
-        // From here `local` holds, for one row at a time, the place of each column.
-        next.clear();
-        next.resize(n, 0);
-        for (list, first) in &self.bundles {
-            let list = list.of(&self.lists);
-            let mut at = *first;
-            for (len, i) in list.iter().enumerate() {
-                for place in self.start[*i]..self.start[i + 1] {
-                    next[self.cols[place]] = place;
-                }
-                for j in &list[..len] {
-                    self.places[at] = next[*j];
-                    at += 1;
-                }
-            }
-        }
-    }
-
-    /// The dofs by their local numbers.
-    pub fn dofs(&self) -> &[usize] {
-        if self.heap {
-            &self.nodes.dofs
-        } else {
-            &self.dofs
-        }
-    }
-
-    /// A bundle's dofs in local numbers.
-    pub fn list(&self, bundle: usize) -> &[usize] {
-        if self.heap {
-            return self.nodes.local(bundle);
-        }
-        self.bundles[bundle].0.of(&self.lists)
-    }
-
-    /// Of a heap: the bundle's dofs, where they are those of free bodies.
-    #[inline(always)]
-    pub fn free(&self, bundle: usize) -> Option<&Free> {
-        if self.heap {
-            self.nodes.free[bundle].as_ref()
-        } else {
-            None
-        }
-    }
-}
-
-/// Numbers on a pattern: the matrix, then its factors.
-pub(super) struct Hessian<R> {
+/// Numbers on a pattern: the matrix, and its factors.
+pub(super) struct Hessian<R: Real> {
+    /// D + Σ y s″ yᵀ, and the s″ that are in it.
     entries: Vec<R>,
-    diagonal: Vec<R>,
+    curve: Vec<R>,
+    /// L, with D of LDLᵀ in the place of its diagonal; 1/D.
+    factors: Vec<R>,
     inverse: Vec<R>,
-    work: Vec<R>,
-    /// Scratch: the lower half of what one bundle's dofs have, row by row; s″ y of a row.
-    part: Vec<R>,
-    bent: Vec<R>,
+    /// Rows to factor again.
+    stale: Vec<bool>,
+    added: Added<R>,
 }
 
-room!(Hessian<R>: entries, diagonal, inverse, work, part, bent);
+/// What is added to a bundle's part of the matrix: Σ left · bentᵀ, symmetric as a whole.
+struct Added<R: Real> {
+    /// By row: where its y begin in the bundle's, and in which lanes it counts.
+    rows: Vec<(usize, R::Mask)>,
+    /// By row: s″ y, and zeros up to `stride` numbers.
+    bent: Vec<R>,
+    stride: usize,
+    /// All count in every lane.
+    whole: bool,
+    /// Scratch: one line of the matrix.
+    line: Vec<R>,
+}
+
+room!(Hessian<R>: entries, curve, factors, inverse, stale, added);
+room!(Added<R>: rows, bent, line, stride, whole);
 
 impl<R: Real> Hessian<R> {
     pub fn new() -> Self {
         Self {
             entries: Vec::new(),
-            diagonal: Vec::new(),
+            curve: Vec::new(),
+            factors: Vec::new(),
             inverse: Vec::new(),
-            work: Vec::new(),
-            part: Vec::new(),
-            bent: Vec::new(),
-        }
-    }
-
-    /// Makes H = D + Σ y s″ yᵀ of the curvature s″ and its factors.
-    pub fn make(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) {
-        self.reset(problem.pattern, d);
-        for (b, bundle) in problem.bundles.list.iter().enumerate() {
-            // Rows at a bound, and cones that are open, have none.
-            let bends = |curve: &R| curve.abs().gt(R::zero()).any();
-            if !bundle.curve.of(curve).iter().any(bends) {
-                continue;
-            }
-            self.open(problem.pattern, b);
-            for run in problem.bundles.runs_of(bundle) {
-                let len = bundle.dofs.len;
-                let from = bundle.y + (run.rows.start - bundle.rows.start) * len;
-                let y = &problem.rows.y[from..from + run.rows.len * len];
-                let mask = &problem.bundles.mask[run.rows.range()];
-                let curve = run.curve.of(curve);
-                if run.cone.is_some() {
-                    self.add_cone(len, y, curve, mask[0]);
-                    continue;
-                }
-                for ((y, curve), mask) in y.chunks_exact(len.max(1)).zip(curve).zip(mask) {
-                    if curve.gt(R::zero()).any() {
-                        self.bent.clear();
-                        self.bent.extend(y.iter().map(|y| *curve * *y));
-                        self.add(y, *mask);
-                    }
-                }
-            }
-            self.close(problem.pattern, b);
-        }
-        self.factor(problem.pattern);
-    }
-
-    /// A cone's rows, by its curvature row by row.
-    fn add_cone(&mut self, len: usize, y: &[R], curve: &[R], mask: R::Mask) {
-        if curve.len() == NARROW * NARROW {
-            return self.add_narrow(len, y, curve, mask);
-        }
-        let y = || y.chunks_exact(len.max(1));
-        let rows = y().len();
-        for (left, curve) in y().zip(curve.chunks_exact(rows)) {
-            self.bent.clear();
-            self.bent.resize(len, R::zero());
-            for (y, curve) in y().zip(curve) {
-                for (bent, y) in self.bent.iter_mut().zip(y) {
-                    *bent += *curve * *y;
-                }
-            }
-            self.add(left, mask);
-        }
-    }
-
-    /// The same of a normal and two tangents, in one go.
-    fn add_narrow(&mut self, len: usize, y: &[R], curve: &[R], mask: R::Mask) {
-        let (a, rest) = y.split_at(len);
-        let (b, c) = rest.split_at(len);
-        self.bent.clear();
-        for curve in curve.chunks_exact(NARROW) {
-            let along = a.iter().zip(b).zip(c);
-            let bent = |((a, b), c): ((&R, &R), &R)| {
-                R::zero() + curve[0] * *a + curve[1] * *b + curve[2] * *c
-            };
-            self.bent.extend(along.map(bent));
-        }
-        let (x, rest) = self.bent.split_at(len);
-        let (y, z) = rest.split_at(len);
-        let (whole, mut part) = (mask.all(), self.part.as_mut_slice());
-        for at in 0..len {
-            let (own, later) = part.split_at_mut(at + 1);
-            part = later;
-            let (a, b, c) = (a[at], b[at], c[at]);
-            for (((own, x), y), z) in own.iter_mut().zip(x).zip(y).zip(z) {
-                let new = *own + a * *x + b * *y + c * *z;
-                *own = if whole { new } else { R::select(mask, new, *own) };
-            }
+            stale: Vec::new(),
+            added: Added::new(),
         }
     }
 
     /// D alone.
-    fn reset(&mut self, pattern: &Pattern, d: &[R]) {
+    pub fn start(&mut self, pattern: &Pattern, d: &[R], curves: usize) {
         self.entries.clear();
         self.entries.resize(pattern.cols.len(), R::zero());
-        self.diagonal.clear();
-        self.diagonal.extend_from_slice(d);
-        for list in [&mut self.work, &mut self.inverse] {
-            list.clear();
-            list.resize(d.len(), R::zero());
+        for (d, end) in d.iter().zip(&pattern.start[1..]) {
+            self.entries[end - 1] = *d;
+        }
+        self.curve.clear();
+        self.curve.resize(curves, R::zero());
+        self.factors.resize(self.entries.len(), R::zero());
+        self.inverse.resize(d.len(), R::zero());
+        self.stale.clear();
+        self.stale.resize(d.len(), true);
+    }
+
+    /// Factors D + Σ y s″ yᵀ: what has changed since the last time is added.
+    #[inline(never)]
+    pub fn make(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) {
+        self.forget_huge(problem, d, curve);
+        for (b, bundle) in problem.bundles.list.iter().enumerate() {
+            self.added.start(bundle.rows.len, bundle.dofs.len);
+            let y = problem.y(bundle);
+            for run in problem.bundles.runs_of(bundle) {
+                let (old, new) = (run.curve.of(&self.curve), run.curve.of(curve));
+                let first = (run.rows.start - bundle.rows.start) * bundle.dofs.len;
+                let mask = &problem.bundles.mask[run.rows.range()];
+                self.added.take(bundle.dofs.len, (first, y), (old, new), mask);
+            }
+            if !self.added.rows.is_empty() {
+                self.add(problem.pattern, b, y);
+            }
+        }
+        self.curve.copy_from_slice(curve);
+        self.factor(problem.pattern);
+    }
+
+    /// Begins with D again in lanes where a huge part changes.
+    fn forget_huge(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) {
+        let mut huge = R::Mask::of(false);
+        for run in &problem.bundles.runs {
+            let (old, new) = (run.curve.of(&self.curve), run.curve.of(curve));
+            let rows = run.rows.len;
+            // Of a cone the diagonal tells.
+            let every = if run.cone.is_some() { rows + 1 } else { 1 };
+            let a = &problem.bundles.a[run.rows.range()];
+            for ((old, new), a) in old.iter().zip(new).step_by(every).zip(a) {
+                let other = (*new - *old).abs().gt(R::zero());
+                huge = huge.or(other.and((*old * *a).gt(R::of(HUGE))));
+            }
+        }
+        if huge.none() {
+            return;
+        }
+        self.stale.fill(true);
+        let ends = problem.pattern.start.iter().skip(1);
+        let mut diagonal = ends.zip(d).peekable();
+        for (at, x) in self.entries.iter_mut().enumerate() {
+            let d = diagonal.next_if(|(end, _)| **end == at + 1);
+            *x = R::select(huge, d.map_or(R::zero(), |(_, d)| *d), *x);
+        }
+        for curve in &mut self.curve {
+            *curve = R::select(huge, R::zero(), *curve);
         }
     }
 
-    /// What a bundle's dofs have so far, side by side in `part`.
-    fn open(&mut self, pattern: &Pattern, bundle: usize) {
-        let Self { part, entries, diagonal, .. } = self;
-        let (list, first) = pattern.bundles[bundle];
-        let mut places = &pattern.places[first..];
-        part.clear();
-        for (at, i) in list.of(&pattern.lists).iter().enumerate() {
-            let (own, later) = places.split_at(at);
-            places = later;
-            part.extend(own.iter().map(|place| entries[*place]));
-            part.push(diagonal[*i]);
-        }
-    }
-
-    /// Adds left · bentᵀ, whose sum over a block's rows is symmetric, to `part`.
-    #[inline(always)]
-    fn add(&mut self, left: &[R], mask: R::Mask) {
-        let mut rest = self.part.as_mut_slice();
-        for (at, left) in left.iter().enumerate() {
-            let (own, later) = rest.split_at_mut(at + 1);
-            rest = later;
-            if mask.all() {
-                for (x, bent) in own.iter_mut().zip(&self.bent) {
-                    *x += *left * *bent;
-                }
+    /// Adds what was taken of a bundle.
+    fn add(&mut self, pattern: &Pattern, bundle: usize, y: &[R]) {
+        let Self { entries, added, stale, .. } = self;
+        let Listed { list, places, .. } = pattern.bundles[bundle];
+        let list = list.of(&pattern.lists);
+        let mut places = places.map(|first| &pattern.places[first..]);
+        for (at, i) in list.iter().enumerate() {
+            stale[*i] = true;
+            let Some(rest) = places else {
+                let own = &mut entries[pattern.start[*i]..][..=at];
+                added.line[..=at].copy_from_slice(own);
+                added.add(at, y);
+                own.copy_from_slice(&added.line[..=at]);
                 continue;
+            };
+            let (own, rest) = rest.split_at(at + 1);
+            places = Some(rest);
+            for (x, place) in added.line.iter_mut().zip(own) {
+                *x = entries[*place];
             }
-            for (x, bent) in own.iter_mut().zip(&self.bent) {
-                *x = R::select(mask, *x + *left * *bent, *x);
-            }
-        }
-    }
-
-    /// Puts `part` back.
-    fn close(&mut self, pattern: &Pattern, bundle: usize) {
-        let Self { part, entries, diagonal, .. } = self;
-        let (list, first) = pattern.bundles[bundle];
-        let (mut places, mut part) = (&pattern.places[first..], part.as_slice());
-        for (at, i) in list.of(&pattern.lists).iter().enumerate() {
-            let (own, later) = places.split_at(at);
-            let (new, rest) = part.split_at(at + 1);
-            (places, part) = (later, rest);
-            for (place, x) in own.iter().zip(new) {
+            added.add(at, y);
+            for (place, x) in own.iter().zip(&added.line) {
                 entries[*place] = *x;
             }
-            diagonal[*i] = new[at];
         }
     }
 
-    /// H = LᵀDL; the entries become L, the diagonal D.
+    /// H = LᵀDL: rows that changed, and those above that they reach.
+    #[inline(never)]
     fn factor(&mut self, pattern: &Pattern) {
-        let Self { entries, diagonal, inverse, work, .. } = self;
-        for i in (0..diagonal.len()).rev() {
-            let own = pattern.start[i]..pattern.start[i + 1];
-            let cols = &pattern.cols[own.clone()];
-            for (j, x) in cols.iter().zip(&entries[own.clone()]) {
-                work[*j] = *x;
+        let Self { entries, factors, inverse, stale, .. } = self;
+        for i in (0..pattern.dofs.len()).rev() {
+            if !std::mem::replace(&mut stale[i], false) {
+                continue;
             }
-            let mut d = diagonal[i];
+            pattern.cols[pattern.row(i)].iter().for_each(|j| stale[*j] = *j < i);
+            let (before, below) = factors.split_at_mut(pattern.start[i + 1]);
+            let own = &mut before[pattern.start[i]..];
+            own.copy_from_slice(&entries[pattern.row(i)]);
             for (k, at) in &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]] {
-                let l = entries[*at];
-                let a = l * diagonal[*k];
-                d -= a * l;
-                let before = pattern.start[*k]..*at;
-                for (j, l) in pattern.cols[before.clone()].iter().zip(&entries[before]) {
-                    work[*j] -= a * *l;
+                let row = pattern.row(*k);
+                let l = below[*at - pattern.start[i + 1]];
+                let a = l * below[row.end - 1 - pattern.start[i + 1]];
+                let source = &below[row.start - pattern.start[i + 1]..=*at - pattern.start[i + 1]];
+                if source.len() == own.len() {
+                    for (x, l) in own.iter_mut().zip(source) {
+                        *x -= a * *l;
+                    }
+                    continue;
+                }
+                let mut places = pattern.cols[pattern.row(i)].iter().zip(&mut *own);
+                for (j, l) in pattern.cols[row].iter().zip(source) {
+                    if let Some((_, x)) = places.find(|(col, _)| *col == j) {
+                        *x -= a * *l;
+                    }
                 }
             }
-            diagonal[i] = d;
-            let inv = R::one() / d;
-            inverse[i] = inv;
-            for (j, x) in cols.iter().zip(&mut entries[own]) {
-                *x = work[*j] * inv;
+            if let Some((d, own)) = own.split_last_mut() {
+                inverse[i] = R::one() / *d;
+                own.iter_mut().for_each(|x| *x *= inverse[i]);
             }
         }
     }
@@ -388,17 +186,17 @@ impl<R: Real> Hessian<R> {
     /// x ← H⁻¹ x.
     pub fn solve(&self, pattern: &Pattern, x: &mut [R]) {
         for k in (0..x.len()).rev() {
-            let own = pattern.start[k]..pattern.start[k + 1];
+            let own = pattern.start[k]..pattern.start[k + 1] - 1;
             let factor = x[k];
-            for (j, l) in pattern.cols[own.clone()].iter().zip(&self.entries[own]) {
+            for (j, l) in pattern.cols[own.clone()].iter().zip(&self.factors[own]) {
                 x[*j] -= *l * factor;
             }
             x[k] = factor * self.inverse[k];
         }
         for k in 0..x.len() {
-            let own = pattern.start[k]..pattern.start[k + 1];
+            let own = pattern.start[k]..pattern.start[k + 1] - 1;
             let mut rest = x[k];
-            for (j, l) in pattern.cols[own.clone()].iter().zip(&self.entries[own]) {
+            for (j, l) in pattern.cols[own.clone()].iter().zip(&self.factors[own]) {
                 rest -= *l * x[*j];
             }
             x[k] = rest;
@@ -406,9 +204,100 @@ impl<R: Real> Hessian<R> {
     }
 }
 
+impl<R: Real> Added<R> {
+    fn new() -> Self {
+        let (rows, bent, line) = (Vec::new(), Vec::new(), Vec::new());
+        Self { rows, bent, stride: 0, whole: true, line }
+    }
+
+    /// Nothing yet, of a bundle of so many rows and dofs.
+    fn start(&mut self, rows: usize, dofs: usize) {
+        self.stride = dofs.next_multiple_of(WIDE);
+        self.whole = true;
+        self.rows.clear();
+        self.rows.reserve(rows);
+        self.bent.clear();
+        self.bent.reserve(rows * self.stride);
+        self.line.resize(self.stride, R::zero());
+    }
+
+    /// Takes a run's rows of `len` dofs, whose y begin at `first`, where their curvature is new.
+    fn take(
+        &mut self,
+        len: usize,
+        (first, y): (usize, &[R]),
+        (old, new): (&[R], &[R]),
+        mask: &[R::Mask],
+    ) {
+        let rows = mask.len();
+        let changed = |(old, new): (&R, &R)| (*new - *old).abs().gt(R::zero());
+        if new.len() == rows {
+            for (i, (old, new)) in old.iter().zip(new).enumerate() {
+                let some = changed((old, new));
+                if some.any() {
+                    let start = first + i * len;
+                    let bend = *new - *old;
+                    self.bent.extend(y[start..start + len].iter().map(|y| bend * *y));
+                    self.push(start, mask[i]);
+                }
+            }
+            return;
+        }
+        let some = old.iter().zip(new).map(changed);
+        let some = some.fold(R::Mask::of(false), |some, new| some.or(new));
+        if some.none() {
+            return;
+        }
+        for (i, (old, new)) in old.chunks_exact(rows).zip(new.chunks_exact(rows)).enumerate() {
+            let start = self.bent.len();
+            self.bent.resize(start + len, R::zero());
+            for ((old, new), y) in old.iter().zip(new).zip(y[first..].chunks_exact(len.max(1))) {
+                let bend = *new - *old;
+                for (bent, y) in self.bent[start..].iter_mut().zip(y) {
+                    *bent += bend * *y;
+                }
+            }
+            self.push(first + i * len, mask[i]);
+        }
+    }
+
+    fn push(&mut self, start: usize, mask: R::Mask) {
+        self.whole &= mask.all();
+        self.rows.push((start, mask));
+        self.bent.resize(self.rows.len() * self.stride, R::zero());
+    }
+
+    /// Adds the first at + 1 entries of line `at` of Σ left · bentᵀ to `line`, one row after the other:
+    /// so a sum is the same however rows are bundled.
+    #[inline(always)]
+    fn add(&mut self, at: usize, y: &[R]) {
+        if self.whole {
+            self.add_rows::<true>(at, y);
+        } else {
+            self.add_rows::<false>(at, y);
+        }
+    }
+
+    #[inline(always)]
+    fn add_rows<const WHOLE: bool>(&mut self, at: usize, y: &[R]) {
+        for (c, part) in self.line.chunks_exact_mut(WIDE).take(at / WIDE + 1).enumerate() {
+            let mut sum: [R; WIDE] = core::array::from_fn(|i| part[i]);
+            for ((row, mask), bent) in self.rows.iter().zip(self.bent.chunks_exact(self.stride)) {
+                let (left, bent) = (y[row + at], &bent[c * WIDE..][..WIDE]);
+                for i in 0..WIDE {
+                    let new = sum[i] + left * bent[i];
+                    sum[i] = if WHOLE { new } else { R::select(*mask, new, sum[i]) };
+                }
+            }
+            part.copy_from_slice(&sum);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::Span;
     use crate::solve::newton::bundles::Bundles;
     use crate::solve::tests::{pack, Problem as Given, Random};
 
@@ -438,7 +327,7 @@ mod tests {
             let mut bundles = Bundles::new();
             bundles.take(&blocks, &rows);
             let mut pattern = Pattern::default();
-            pattern.fit(&lists, false, &bundles.list, &mut vec![0; nv]);
+            pattern.fit(&lists, false, bundles.dofs(), &mut vec![0; nv]);
             let problem =
                 Problem { pattern: &pattern, bundles: &bundles, rows: &rows, blocks: &blocks };
             let n = pattern.dofs.len();
@@ -448,7 +337,11 @@ mod tests {
             problem.dots(&x, &mut along);
             problem.gather(&along, 3.0, &mut b);
             let mut hessian = Hessian::new();
-            hessian.make(problem, &vec![0.5; n], &vec![3.0; count]);
+            hessian.start(&pattern, &vec![0.5; n], count);
+            // Zones come and go.
+            for bend in [3.0, 0.0, 1e14, 3.0] {
+                hessian.make(problem, &vec![0.5; n], &vec![bend; count]);
+            }
             hessian.solve(&pattern, &mut b);
             for (a, b) in x.iter().zip(&b) {
                 assert!((a - b).abs() < 1e-12);

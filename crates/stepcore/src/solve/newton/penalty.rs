@@ -79,6 +79,54 @@ impl<R: Real> Cone<R> {
     }
 }
 
+/// A cone's penalty along a line, w + α v: what of it does not depend on α.
+#[derive(Clone, Copy)]
+pub(super) struct Line<R> {
+    m: R,
+    first: R,
+    inv_c: R,
+    /// a = −(w_n, k w_t): its normal, and how fast that changes; |a_t|² by powers of α.
+    normal: [R; 2],
+    square: [R; 3],
+}
+
+impl<R: Real> Line<R> {
+    /// From the rows of a cone.
+    pub fn new(cone: &Cone<R>, w: &[R], v: &[R]) -> Self {
+        let (zero, one, m) = (R::zero(), R::one(), cone.slope);
+        let mut square = [zero; 3];
+        for (w, v) in w.iter().zip(v).skip(1) {
+            let (w, v) = (cone.k * *w, cone.k * *v);
+            square[0] += w * w;
+            square[1] += w * v;
+            square[2] += v * v;
+        }
+        let at = |x: &[R]| x.first().map_or(zero, |x| -*x);
+        let first = one / (one + m * m);
+        Self { m, first, inv_c: cone.inv_c, normal: [at(w), at(v)], square }
+    }
+
+    /// The penalty's slope and curvature at α.
+    #[inline(always)]
+    pub fn at(&self, alpha: R) -> (R, R) {
+        let Self { m, first, inv_c, normal: [start, speed], square: [a, b, c] } = *self;
+        let normal = start + alpha * speed;
+        let turn = b + alpha * c;
+        let length = (a + alpha * (b + turn)).max(R::zero()).sqrt();
+        let inside = length.le(m * normal);
+        let outside = (m * length).le(-normal).and(inside.not());
+        // Between: ½ f²/(1 + m²) with f = a_n + m |a_t|.
+        let inv = length.recip_or_zero();
+        let lengthens = turn * inv;
+        let (f, rate) = (normal + m * length, speed + m * lengthens);
+        let bent = m * (c - lengthens * lengthens) * inv;
+        let slope = R::select(inside, normal * speed + turn, first * f * rate);
+        let curve = R::select(inside, speed * speed + c, first * (rate * rate + f * bent));
+        let none = |x: R| R::select(outside, R::zero(), x * inv_c);
+        (none(slope), none(curve))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -121,6 +169,13 @@ mod tests {
                 [f * soft, -f * soft * mu * mu * w[1] / t, -f * soft * mu * mu * w[2] / t]
             };
             let (got, b) = cone.law(w);
+            // Along a line, the same.
+            let v = [0; 3].map(|_| random.next());
+            let (slope, curve) = Line::new(&cone, &w, &v).at(0.0);
+            let along: f64 = (0..3).map(|i| -got[i] * v[i]).sum();
+            let bend: f64 = (0..9).map(|at| v[at / 3] * b[at / 3][at % 3] * v[at % 3]).sum();
+            close(slope, along, 1e-12 * (1.0 + along.abs()));
+            close(curve, bend, 1e-12 * (1.0 + bend.abs()));
             for i in 0..3 {
                 close(got[i], want[i], 1e-14 * (1.0 + want[0]));
                 // The curvature by central differences.

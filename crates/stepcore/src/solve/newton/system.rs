@@ -3,7 +3,7 @@
 use super::bundles::{Bundles, Problem, Run};
 use super::columns::Columns;
 use super::hessian::Hessian;
-use super::penalty::interval;
+use super::penalty::{interval, Line};
 use crate::real::{Mask, Real};
 use crate::solve::rows::{CONE, NARROW};
 
@@ -17,6 +17,8 @@ pub(super) struct System<R: Real> {
     pub(super) impulse: Vec<R>,
     /// Curvature s″, run by run: see `Run::curve`.
     pub(super) curve: Vec<R>,
+    /// By cone: the step.
+    pub(super) lines: Vec<Line<R>>,
     /// By dof.
     pub(super) guess: Vec<R>,
     pub(super) u: Vec<R>,
@@ -36,7 +38,7 @@ pub(super) struct System<R: Real> {
     pub(super) moved: bool,
 }
 
-room!(System<R>: w, rate, impulse, curve, guess, u, d, inv_d, gradient, step, hessian, columns,
+room!(System<R>: w, rate, impulse, curve, lines, guess, u, d, inv_d, gradient, step, hessian, columns,
     fresh, decrement, floor, moved);
 
 impl<R: Real> System<R> {
@@ -46,6 +48,7 @@ impl<R: Real> System<R> {
             rate: Vec::new(),
             impulse: Vec::new(),
             curve: Vec::new(),
+            lines: Vec::new(),
             guess: Vec::new(),
             u: Vec::new(),
             d: Vec::new(),
@@ -134,6 +137,8 @@ impl<R: Real> System<R> {
         }
         if problem.pattern.heap {
             self.columns.start(&problem.pattern.nodes);
+        } else {
+            self.hessian.start(problem.pattern, &self.d, problem.bundles.curves);
         }
     }
 

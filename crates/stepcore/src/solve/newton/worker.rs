@@ -1,8 +1,8 @@
 //! What solves one island after another by the primal method, and how threads share the islands.
 
 use super::bundles::{Bundles, Problem};
-use super::hessian::Pattern;
 use super::nodes::NOWHERE;
+use super::pattern::Pattern;
 use super::system::System;
 use crate::pool::{inside, lock, Pool};
 use crate::real::{Mask, Real};
@@ -91,7 +91,7 @@ impl<R: Real> Worker<R> {
         let Self { present, class, bundles, system, .. } = self;
         class.resize(rows.u.len(), NOWHERE);
         bundles.take(present, rows);
-        pattern.fit(free.dof_lists, rows.heap, &bundles.list, class);
+        pattern.fit(free.dof_lists, rows.heap, bundles.dofs(), class);
         let problem = Problem { pattern, bundles, rows, blocks: present };
         let begun = system.start(problem, (free.inv_d, free.guess, &rows.u), live);
         let scale = (lightest(present, rows), row_count(rows, present));
