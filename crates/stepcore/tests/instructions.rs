@@ -1,8 +1,8 @@
 //! How many machine instructions a step of each scene takes, counted by callgrind: no scene gets
-//! slower for what another needs. Counts are those of `--profile fast` on x86-64; a scene that has
+//! slower for what another needs. Counts are those of `--release` on x86-64; a scene that has
 //! become quicker gets a new line in `instructions.txt`:
 //!
-//!     cargo test --profile fast -p stepcore --test instructions -- --nocapture
+//!     cargo test --release -p stepcore --test instructions -- --nocapture
 
 mod scenes;
 
@@ -19,7 +19,7 @@ use stepcore::sim::Sim;
 /// Name, and instructions a step.
 const COUNTS: &str = include_str!("instructions.txt");
 /// Where someone builds with another level of optimisation.
-const LEVEL: Option<&str> = option_env!("CARGO_PROFILE_FAST_OPT_LEVEL");
+const LEVEL: Option<&str> = option_env!("CARGO_PROFILE_RELEASE_OPT_LEVEL");
 /// Other flags, compilers and units of code generation make other code of the same formulas: of two
 /// builds (64 units with AVX2, and 16 without) one took 8 % more for the chain.
 const TOLERANCE: f64 = 0.1;
