@@ -59,7 +59,7 @@ def build_wheel(
         flags = _flags("-C target-feature=+avx2 -C llvm-args=-inline-threshold=200")
         avx2 = _build("avx2", flags, messages, wide, *options)
         # Few machines run it, a wheel has a limit, and lanes gain nothing at this level.
-        small = {"CARGO_PROFILE_RELEASE_OPT_LEVEL": "s"}
+        small = {"CARGO_PROFILE_RELEASE_OPT_LEVEL": "s", "CARGO_PROFILE_RELEASE_CODEGEN_UNITS": "1"}
         small |= _flags("-C llvm-args=-inline-threshold=20")
         features = ("--features", "single")
         baseline = _build("baseline", small, None, wheel_directory, *options, *features)
