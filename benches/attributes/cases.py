@@ -161,7 +161,7 @@ CASES: dict[str, dict[str, Case]] = {
         "ls_iterations": "100",
         "ls_tolerance": "1e-12",
         "noslip_iterations": "5",
-        "noslip_tolerance": ("1e-20", 'noslip_iterations="5"'),
+        "noslip_tolerance": ("1", 'noslip_iterations="5" tolerance="0"', "option, noslip"),
         "ccd_iterations": "100",
         "ccd_tolerance": "1e-12",
         "sdf_iterations": "20",

@@ -80,6 +80,12 @@ SCENES: dict[str, str] = {
         world='<body><joint limited="true" range="0 1"/><geom size="1"/></body>',
     ).replace("range=", 'limited="true" range=', 1),
     "option": robot(option="<option @/>", world=BALL_BODY),
+    # Tangents of one contact that feel each other: one sweep does not end it.
+    "option, noslip": robot(
+        option="<option @/>",
+        world='<body pos="0 1 .099"><freejoint/><geom size=".1" mass="0"/>'
+        '<inertial pos=".05 .03 .02" mass="1" diaginertia=".01 .02 .025"/></body>',
+    ),
     "option/flag": robot(
         world='<body pos="0 1 1"><joint axis="0 1 0" range="-1 -.01" solreflimit=".002 1"/>'
         '<geom size=".1"/></body>',
