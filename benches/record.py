@@ -14,7 +14,16 @@ import sys
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
-PACKAGES = ("stepcore", "numpy", "mujoco", "gymnasium", "rapier3d", "pybullet", "distributed")
+PACKAGES = (
+    "stepcore",
+    "numpy",
+    "mujoco",
+    "gymnasium",
+    "rapier3d",
+    "pybullet",
+    "distributed",
+    "envpool",
+)
 
 
 def arguments(description: str) -> argparse.Namespace:

@@ -1,7 +1,8 @@
 """Two sides timed in turn, A B A B …, so that whatever slows the machine slows both.
 
 A sample is processor time of this thread per step, not wall time: on a busy machine it leaves
-out the time in which somebody else ran. Where a side uses threads of its own it is wall time.
+out the time in which somebody else ran. Where a side uses threads of its own it is wall time, or
+processor time of all threads where both sides have one at work.
 """
 
 from __future__ import annotations
@@ -61,10 +62,16 @@ def summary(samples: np.ndarray) -> dict[str, float]:
 
 
 def duel(
-    ours: Side, theirs: Side, pairs: int = PAIRS, sample: float = 0.03, wall: bool = False
+    ours: Side,
+    theirs: Side,
+    pairs: int = PAIRS,
+    sample: float = 0.03,
+    wall: bool = False,
+    process: bool = False,
 ) -> Duel:
     """Times both sides in turn, each sample lasting about `sample` [s]."""
     clock = time.perf_counter_ns if wall else time.thread_time_ns
+    clock = time.process_time_ns if process else clock
     plays = [_plays(side, sample, clock) for side in (ours, theirs)]
     samples: list[list[float]] = [[], []]
     collecting = gc.isenabled()
@@ -81,7 +88,7 @@ def duel(
     finally:
         if collecting:
             gc.enable()
-    name = "wall time" if wall else "processor time"
+    name = "wall time" if wall else "processor time of all threads" if process else "processor time"
     return Duel(np.array(samples[0]), np.array(samples[1]), name)
 
 

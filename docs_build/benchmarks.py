@@ -17,7 +17,7 @@ BENCHES = {
     "heap_threads": "One heap, stepped by several threads",
     "levels": "Batches against mujoco.rollout, by vector instructions",
     "batch_threads": "Batches, stepped by several threads",
-    "vector_envs": "Environments against gymnasium's",
+    "vector_envs": "Environments against gymnasium's and EnvPool",
     "peak": "What share of the processor's peak a step reaches",
     "executors": "Runs in threads, processes and a Dask cluster",
     "trade_validation": "Do the trade's recommendations hold?",

@@ -22,6 +22,9 @@ __all__ = [
     "compile",
     "integrators",
     "linear_step",
+    "machine_code",
+    "noise",
+    "quantile",
 ]
 
 # The vector instructions that this module was compiled for.
@@ -59,6 +62,15 @@ def linear_step(
     push: _Floats | None = None,
 ) -> _Floats | None:
     """See `engine.linear_maps.stepped`; None where a matrix is singular."""
+
+def noise(keys: NDArray[np.uint64], drawn: NDArray[np.uint64], width: int, normal: bool) -> _Floats:
+    """The next `width` numbers of each stream, flat: normal, or evenly between 0 and 1."""
+
+def machine_code() -> str | None:
+    """The vectors of machine code here, "avx512" or "avx2"; None: steps run the stages."""
+
+def quantile(shares: _Floats) -> _Floats:
+    """Quantiles of the standard normal distribution, shape (n,)."""
 
 class EnergyWarning(UserWarning):
     """Without the setting `ledger`: a Sim has far more energy than its scene can have gained.
@@ -320,8 +332,9 @@ class Model:
     def entries(
         self, settings: Settings
     ) -> list[tuple[str, str, str, str, list[int], int, bool, str, str | None]]: ...
-    def program(self, settings: Settings) -> tuple[list[str], bool] | None:
-        """What the steps of small models execute, one line an operation; None: the stages."""
+    def compiled(self, settings: Settings) -> tuple[int, int, int, list[str]] | None:
+        """Machine code of its steps: operations, bytes, worlds side by side, and operations, one
+        a line, if they are few; None: its steps run the stages."""
 
     def keys(self) -> list[tuple[float, list[list[float]]]]:
         """Time of every keyframe and its qpos, qvel, act, ctrl, mocap_pos and mocap_quat, defaults
@@ -381,7 +394,9 @@ class Sim(_World):
     @property
     def nbytes(self) -> int: ...
     def state(self) -> bytes: ...
-    def restore(self, state: bytes) -> None: ...
+    def last(self) -> bytes | None:
+        """What the last solve began with and gave."""
+    def restore(self, state: bytes, last: bytes | None) -> None: ...
     def coupling(self) -> tuple[_Floats, _Floats]:
         """J H⁻¹ Jᵀ of the rows; by row: 1/s, mass, friction, and 0 for an interval, 1 for a
         convex cone, 2 and 3 for a Coulomb cone, round or box."""
@@ -446,8 +461,14 @@ class Batch(_World):
         """Gives the worlds models that differ in numbers only; `model_of`: the index of each."""
     @property
     def asleep(self) -> list[list[bool]]: ...
-    def state(self) -> list[bytes]: ...
-    def restore(self, states: list[bytes]) -> None: ...
+    def state(self, own: dict[int, tuple[float, int]]) -> list[bytes]:
+        """Snapshots; own: worlds with a time of their own, start [s] and steps since."""
+    def last(self) -> list[bytes | None]:
+        """What the last solve of each world began with and gave."""
+    def restore(
+        self, states: list[bytes], lasts: list[bytes | None]
+    ) -> dict[int, tuple[float, int]]:
+        """Restores snapshots, with their `last`; returns `own` as `state` takes it."""
     @property
     def residual(self) -> _Floats: ...
     @property

@@ -55,6 +55,7 @@ def each(
     threads: int = 1,
     executor: Executor | None = None,
     done: list[R | None] | None = None,
+    took: Callable[[range, list[R]], object] | None = None,
 ) -> list[R]:
     """Return the results of `function` in the order of the points.
 
@@ -67,6 +68,7 @@ def each(
         `functools.partial` of such a function).
     done: a list that is filled with the results so far, for a caller that catches OutOfTime; None
         stands for points without a result.
+    took: called with the indices of points and their results, as these come.
 
     The first error is raised. After an error or Ctrl-C, points that have not begun are cancelled. A
     point whose worker was lost (on a Dask cluster) is retried alone.
@@ -79,13 +81,15 @@ def each(
     if executor is not None:
         _check_sendable(function, points, executor)
         size = -(-len(points) // MAX_CHUNKS)
-        return _Chunks(function, points, executor, size, bar, done).results()
+        return _Chunks(function, points, executor, size, bar, done, took).results()
     if threads == 1 or len(points) < 2:
         results = []
         for index, point in enumerate(points):
             checkpoint()
             results.append(function(point))
             done[index] = results[-1]
+            if took is not None:
+                took(range(index, index + 1), results[-1:])
             bar.advance()
         return results
     stop, limit = threading.Event(), deadline.current()
@@ -101,7 +105,7 @@ def each(
 
     with ThreadPoolExecutor(threads) as pool:
         try:
-            return _Chunks(unless_stopped, points, pool, 1, bar, done).results()
+            return _Chunks(unless_stopped, points, pool, 1, bar, done, took).results()
         finally:
             # Running points end at their next checkpoint.
             stop.set()
@@ -118,7 +122,9 @@ class _Chunks(Generic[T, R]):
         size: int,
         bar: Progress,
         done: list[R | None],
+        took: Callable[[range, list[R]], object] | None,
     ) -> None:
+        self.took = took
         self.function, self.points, self.executor, self.bar = function, points, executor, bar
         self.size = size
         self.key = os.urandom(8).hex()
@@ -147,7 +153,20 @@ class _Chunks(Generic[T, R]):
         finally:
             for future in self.pending:
                 future.cancel()
+            self._take_finished()
         return self.done
+
+    def _take_finished(self) -> None:
+        """After an error, take the results that came before it was raised."""
+        for future, indices in list(self.pending.items()):
+            if future.done() and not future.cancelled() and future.exception() is None:
+                self._keep(indices, future.result())
+                del self.pending[future]
+
+    def _keep(self, indices: range, results: list[R]) -> None:
+        self.done[indices.start : indices.stop] = results
+        if self.took is not None:
+            self.took(indices, results)
 
     def _next(self) -> Future[list[R]]:
         """Wait for a finished chunk.
@@ -178,7 +197,7 @@ class _Chunks(Generic[T, R]):
                 raise
             self._retry(indices, error)
             return
-        self.done[indices.start : indices.stop] = results
+        self._keep(indices, results)
         self.bar.advance(len(indices))
 
     def _retry(self, indices: range, error: Exception) -> None:

@@ -26,9 +26,23 @@ def test_times_are_those_of_sims_that_were_reset_alike(lanes):
                 sim.reset()
         assert batch.times.tolist() == [sim.time for sim in sims]
     assert batch.time == sims[1].time
-    assert pickle.loads(pickle.dumps(batch)).times.tolist() == batch.times.tolist()
-    batch.restore(batch.state())
-    assert batch.times.tolist() == [batch.time] * 5
+    times, time, state = batch.times.tolist(), batch.time, batch.state()
+    assert pickle.loads(pickle.dumps(batch)).times.tolist() == times
+    batch.step(3)
+    batch.reset()
+    batch.restore(state)
+    assert batch.times.tolist() == times and batch.time == time
+    # A world's snapshot is one of a Sim, at the world's time.
+    for sim, snapshot in zip(sims, state, strict=True):
+        later = sc.Sim(pendulum(), dt=0.003)
+        later.restore(snapshot)
+        assert later.time == sim.time
+    batch.restore(sim.state() for sim in sims)
+    assert batch.times.tolist() == times
+    # In steps of another length they count on from there.
+    other = sc.Batch(pendulum(), 5, dt=0.002)
+    other.restore(state)
+    assert other.times == pytest.approx(times, rel=1e-12)
 
 
 def test_times_follow_what_all_worlds_are_set_to():
@@ -55,8 +69,10 @@ def test_memory_is_told():
     assert alone > many
 
 
-def test_so_many_worlds_that_a_sample_is_tried_have_the_bits_of_few():
+def test_so_many_worlds_that_a_sample_is_tried_have_the_bits_of_few(monkeypatch):
     """Above 65,536 worlds "auto" tries the other way aside."""
+    # Code would take memory to work in.
+    monkeypatch.setenv("STEPCORE_COMPILE", "0")
     many = sc.Batch("gymnasium:inverted_pendulum", (1 << 16) + 8, threads=1)
     few = sc.Batch("gymnasium:inverted_pendulum", 16, threads=1, lanes=False)
     angles = np.linspace(-0.2, 0.2, 16)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import time
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stepcore as sc
-from stepcore.engine.noise import log, quantile
+from stepcore.engine.noise import quantile
 
 
 @settings(deadline=None, max_examples=50)
@@ -37,6 +38,20 @@ def test_a_world_draws_what_it_draws_alone(n, seed, draws):
         assert again.tolist() == numbers
 
 
+@pytest.mark.parametrize("draw", ["normal", "uniform"])
+def test_numbers_take_no_longer_than_numpys_do(draw):
+    """As many again is what a busy machine needs; they took six and eight times as long."""
+    noise, rng = sc.Noise(1024, seed=0), np.random.default_rng(0)
+    ours, theirs = getattr(noise, draw), getattr(rng, draw)
+    least = [np.inf, np.inf]
+    for _ in range(30):
+        for side, call in enumerate((lambda: ours(17), lambda: theirs(size=(1024, 17)))):
+            begin = time.thread_time()
+            call()
+            least[side] = min(least[side], time.thread_time() - begin)
+    assert least[0] < 3 * least[1]
+
+
 def test_numbers_are_those_of_the_published_hash():
     """SplitMix64 from 0, as Java's and everybody's: e220a8397b1dcdaf, 6e789e6aa1b965f4, …"""
     from stepcore.engine.noise import GOLDEN, _mixed
@@ -49,7 +64,7 @@ def test_numbers_are_those_of_the_published_hash():
     assert first == sc.Noise(9, seed=7).uniform(2)[:2].tolist()
 
 
-def test_quantile_and_logarithm_are_exact():
+def test_quantiles_are_exact():
     rng = np.random.default_rng(0)
     shares = np.concatenate([rng.uniform(size=300), 2.0 ** -rng.uniform(1, 52, 300)])
     shares = np.concatenate([shares, 1 - shares[300:]])
@@ -60,8 +75,18 @@ def test_quantile_and_logarithm_are_exact():
         missed = (math.erfc(abs(found) / math.sqrt(2)) / 2 - least) / density
         assert (found < 0) == (share < 0.5)
         assert abs(missed) <= 4e-15 * max(1.0, abs(found))
-    assert np.array_equal(np.log(shares) < 0, log(shares) < 0)
-    assert np.abs(log(shares) / np.log(shares) - 1).max() < 4e-16
+
+
+def test_worlds_may_have_seeds_of_their_own():
+    seeds = np.array([5, 0, 2**63 - 1, 5])
+    noise = sc.Noise.of_seeds(seeds, name="start")
+    numbers = noise.normal(3)
+    for seed, row in zip(seeds.tolist(), numbers, strict=True):
+        assert sc.Noise(1, seed, "start").normal(3)[0].tolist() == row.tolist()
+    assert "seeds of their own" in repr(noise)
+    for bad in ([-1, 2], [0.5], 3, [[1]]):
+        with pytest.raises(ValueError, match=r"seeds = .*: must be whole numbers"):
+            sc.Noise.of_seeds(bad)
 
 
 def test_numbers_are_uniform_normal_and_independent():

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stepcore as sc
+from stepcore.engine.parameters import ModelVariation
 from stepcore.scene.records import Variation
 from stepcore.scene.value_paths import changed
 
@@ -84,6 +85,90 @@ def test_a_world_is_a_sim_of_its_own_model(path, solver):
         sim.step(60)
     same(batch, sims)
     assert not np.array_equal(batch.qpos[0], batch.qpos[1])
+
+
+# Worlds of a register whose every value differs, on models with boxes, meshes, tendons and ranges.
+SPREAD = np.linspace(0.05, 0.95, 20)
+TETRA = "0 0 0 .2 0 0 0 .2 0 0 0 .2"
+HEAPED = f"""<mujoco><asset><mesh name="m" vertex="{TETRA}"/></asset><worldbody>
+<geom name="floor" type="plane" size="5 5 1"/>
+<body name="a" pos="0 0 .15"><freejoint/><geom name="a" type="box" size=".1 .15 .1"/></body>
+<body name="b" pos=".1 0 .4"><freejoint/><geom name="b" type="mesh" mesh="m"/></body>
+<body name="c" pos=".5 0 .3"><joint name="c" axis="0 1 0" damping=".1" range="-40 40"/>
+<geom name="c" type="capsule" fromto="0 0 0 .3 0 0" size=".04"/>
+<geom name="d" type="cylinder" pos=".3 0 0" size=".05 .06"/></body></worldbody>
+<tendon><fixed name="t" stiffness="3" damping=".2"><joint joint="c" coef="1"/></fixed></tendon>
+<actuator><position name="p" joint="c" kp="20" kv="1" forcerange="-5 5"/></actuator></mujoco>"""
+HEAPED_VALUES = {
+    "geom/a/size": lambda u: np.stack([0.08 + 0.04 * u, 0.1 + 0.1 * u, 0.1 + 0 * u], axis=-1),
+    "geom/c/size": lambda u: np.stack([0.03 + 0.02 * u, 0.15 + 0 * u, 0 * u], axis=-1),
+    "geom/b/friction": lambda u: np.stack([0.3 + u, 0.005 + 0 * u, 1e-4 + 0 * u], axis=-1),
+    "geom/b/mass": lambda u: 0.5 + u,
+    "body/a/mass": lambda u: 2 + u,
+    "actuator/p/kp": lambda u: 10 + 10 * u,
+    "joint/c/range": lambda u: np.stack([-0.2 - u, 0.2 + u], axis=-1),
+    "gravity": lambda u: np.stack([0.1 + u, u - 0.5, -5 - 5 * u], axis=-1),
+}
+
+
+@pytest.mark.parametrize("integrator", ["euler", "implicitfast", "rk4"])
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+@pytest.mark.parametrize(
+    ("text", "varied"), [(ARM, VARIED), (HEAPED, HEAPED_VALUES)], ids=["arm", "boxes and meshes"]
+)
+def test_worlds_of_distinct_values_share_lanes(text, varied, integrator, precision):
+    for fields in ({"solver": "newton"}, {"solver": "pgs", "sweeps": 8}, {"cone": "elliptic"}):
+        base = sc.loads(text).compile()
+        base = base.with_settings(integrator=integrator, precision=precision, **fields)
+        batch = started(sc.Batch(base, len(SPREAD), lanes=True))
+        columns = {path: values(SPREAD) for path, values in varied.items()}
+        batch.param.update(columns)
+        assert batch.in_lanes == sc.Batch(base, 2, lanes=True).in_lanes
+        sims = [alone(batch, world, rows(columns, world)) for world in range(len(SPREAD))]
+        batch.step(40)
+        for sim in sims:
+            sim.step(40)
+        same(batch, sims)
+
+
+def test_only_worlds_of_new_values_are_compiled_and_made_anew(monkeypatch):
+    compiled = []
+    own = ModelVariation.compiled
+    monkeypatch.setattr(
+        ModelVariation, "compiled", lambda self, data: compiled.append(1) or own(self, data)
+    )
+    batch = started(sc.Batch(model(), 20, lanes=True))
+    column = 0.5 + SPREAD
+    batch.param["body/upper/mass"] = column
+    assert len(compiled) == 20
+    sims = [alone(batch, w, {"body/upper/mass": column[w]}) for w in range(20)]
+    batch.step(30)
+    batch.param["body/upper/mass"][[7]] = 2.5
+    assert len(compiled) == 21
+    assert batch.param["body/upper/mass"][7] == 2.5 and column[7] != 2.5
+    batch.step(30)
+    for sim in sims:
+        sim.step(60)
+    others = [world for world in range(20) if world != 7]
+    same(batch, [sims[world] for world in others], others)
+    assert not np.array_equal(batch.qpos[7], sims[7].qpos)
+
+
+def test_rows_of_an_array_are_assigned_in_place():
+    batch = sc.Batch(model(), 4)
+    own = batch.param["geom/floor/friction"]
+    own[2, 0] = 0.25
+    batch.param["joint/elbow/armature"][:2] = [0.1, 0.2]
+    assert np.array_equal(batch.param["geom/floor/friction"], own)
+    assert batch.param["joint/elbow/armature"].tolist() == [0.1, 0.2, 0.01, 0.01]
+    view = batch.param["joint/elbow/armature"][1:]
+    view[0] = 7.0
+    doubled = batch.param["joint/elbow/armature"] * 2
+    doubled[0] = 5.0
+    assert batch.param["joint/elbow/armature"].tolist() == [0.1, 0.2, 0.01, 0.01]
+    with pytest.raises(ValueError, match=r"world 3.*armature = -1"):
+        batch.param["joint/elbow/armature"][3] = -1.0
+    assert batch.param["joint/elbow/armature"].tolist() == [0.1, 0.2, 0.01, 0.01]
 
 
 @settings(deadline=None, max_examples=12)

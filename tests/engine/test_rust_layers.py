@@ -20,7 +20,7 @@ WITHIN = {
     "solve": 16,
 }
 # A `Sim` has the list of its steps, and the list of a step is written down by a `Sim`.
-ACROSS = {"observer", "program", "sim"}
+ACROSS = {"observer", "compile", "sim"}
 
 USE = re.compile(r"(?m)^\s*(pub(?:\([^)]*\))?\s+)?use\s+([^;]+);")
 TESTS = re.compile(r"(^|/|_)tests?(\.rs|/)")

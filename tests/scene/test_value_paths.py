@@ -67,3 +67,48 @@ def test_the_kind_of_a_row_is_not_cut_off():
     sim = sc.Sim(sc.loads(text))
     sim.step()
     assert sim.rows["kind"].tolist() == ["tendon friction loss"]
+
+
+def test_elements_without_a_name_have_an_index():
+    text = """<mujoco><asset><hfield name="h" nrow="2" ncol="3" size="2 2 1 .1"
+    elevation="0 1 0 0 1 0"/></asset><worldbody><geom type="hfield" hfield="h"/>
+    <body pos="0 0 3"><freejoint/><geom size=".2"/><site name="s"/></body>
+    <geom type="plane" size="1 1 1" pos="0 0 -9"/></worldbody>
+    <sensor><accelerometer site="s"/></sensor></mujoco>"""
+    model = sc.loads(text).compile()
+    values = {"geom/#2/size": 0.3, "hfield/h/size": (2, 2, 0.5, 0.1), "sensor/#0/cutoff": 5.0}
+    scene = model.with_values(values).scene
+    assert [geom.size[0] for geom in scene.geoms if geom.type == "sphere"] == [0.3]
+    assert (scene.hfields[0].size[2], scene.sensors[0].cutoff) == (0.5, 5.0)
+    batch = sc.Batch(model, 3)
+    batch.param["geom/#2/size"] = [0.2, 0.3, 0.25]
+    batch.param["hfield/#0/size"] = [[2, 2, 1.0, 0.1], [2, 2, 0.5, 0.1], [2, 2, 0.7, 0.1]]
+    batch.step(200)
+    sim = sc.Sim(model.with_values(values))
+    sim.step(200)
+    assert np.array_equal(batch.qpos[1], sim.qpos)
+    with pytest.raises(ValueError, match="geom/#3/size: no geom has the index 3: there are 3"):
+        model.with_values({"geom/#3/size": 1.0})
+
+
+def test_a_body_of_a_scene_with_a_total_mass_has_a_mass_of_its_own():
+    """MJCF's `settotalmass` grows by what the body gains; other bodies keep their masses."""
+    text = """<mujoco><compiler settotalmass="14"/><worldbody>
+    <body name="a"><joint name="a"/><geom size=".1 .2 .3" type="box"/>
+    <body name="b" pos="0 0 .4"><joint name="b" axis="1 0 0"/><geom size=".1"/></body></body>
+    <body name="c" pos="1 0 0"><joint name="c"/><geom size=".2"/></body></worldbody></mujoco>"""
+    model = sc.loads(text).compile()
+    values = {"body/a/mass": 5.0, "body/b/mass": 3.0}
+    new = model.with_values(values)
+    wanted = model.body_mass.copy()
+    wanted[1:3] = 5.0, 3.0
+    assert new.body_mass == pytest.approx(wanted, rel=1e-14)
+    assert new.body_inertia[1] == pytest.approx(model.body_inertia[1] * 5.0 / model.body_mass[1])
+    batch = sc.Batch(model, 4)
+    batch.param.update({path: [value] * 4 for path, value in values.items()})
+    batch.param["body/a/mass"] = [4.0, 5.0, 4.0, 6.0]
+    sim = sc.Sim(new)
+    batch.step(20)
+    sim.step(20)
+    assert np.array_equal(batch.qpos[1], sim.qpos)
+    assert model.scene.mass_rules.settotalmass == 14.0

@@ -8,13 +8,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use stepcore::arrays::{Array, Given, Givens};
-use stepcore::batch::Rollout;
+use stepcore::batch::{Common, Rollout};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::WIDEST;
 
-use crate::world::{Memo, World};
-use crate::worlds::{Lists, Worlds};
+use crate::memo::{Lists, Memo, Solve};
+use crate::world::World;
+use crate::worlds::{How, Worlds};
 
 /// The steps after which the other way is tried first; and from one trial to the next, at least and
 /// at most, doubling in between.
@@ -29,7 +30,7 @@ const KEPT: usize = 1 << 16;
 const SAMPLE: usize = 1 << 11;
 
 /// Worlds in lanes or one by one: all of them, or some.
-type Make = dyn Fn(bool, Option<&[usize]>) -> Result<Box<dyn Worlds>> + Send + Sync;
+pub type Make = dyn Fn(bool, Option<&[usize]>) -> Result<Box<dyn Worlds>> + Send + Sync;
 
 pub struct Auto {
     worlds: usize,
@@ -37,6 +38,8 @@ pub struct Auto {
     /// The other way, once it was tried.
     other: Option<Box<dyn Worlds>>,
     make: Box<Make>,
+    /// Lanes are quicker for sure: there is machine code of the whole step.
+    settled: Box<dyn Fn() -> bool + Send + Sync>,
     in_lanes: bool,
     /// What the last portion of steps took a step.
     cost: Duration,
@@ -52,16 +55,19 @@ pub struct Auto {
 }
 
 impl Auto {
-    /// `make(lanes, some)`: the same worlds, or some of them, in lanes or one by one.
+    /// `make(lanes, some)`: the same worlds, or some of them, in lanes or one by one. `settled`: whether
+    /// lanes are quicker for sure.
     pub fn new(
         worlds: usize,
-        make: impl Fn(bool, Option<&[usize]>) -> Result<Box<dyn Worlds>> + Send + Sync + 'static,
+        make: Box<Make>,
+        settled: impl Fn() -> bool + Send + Sync + 'static,
     ) -> Result<Self> {
         Ok(Self {
             worlds,
             now: make(true, None)?,
             other: None,
-            make: Box::new(make),
+            make,
+            settled: Box::new(settled),
             in_lanes: true,
             cost: Duration::ZERO,
             ratios: Vec::with_capacity(VOTES + 1),
@@ -81,18 +87,23 @@ impl Auto {
     ) -> Result<()> {
         let mut left = n;
         while left > 0 {
-            let due = self.steps >= self.next && self.may_change();
+            let settled = (self.settled)();
+            if settled && !self.in_lanes && self.may_change() {
+                self.turn()?;
+            }
+            let due = !settled && self.steps >= self.next && self.may_change();
             let trial = due && self.worlds <= KEPT;
             if due && !trial {
                 self.try_sample()?;
             }
-            if trial || std::mem::take(&mut self.change) && self.may_change() {
+            if trial || std::mem::take(&mut self.change) && !settled && self.may_change() {
                 self.turn()?;
             }
             let until = self.next.saturating_sub(self.steps);
             // A trial is of one step, as is the one before it, which it is compared with.
             let portion = match until {
                 _ if trial => 1,
+                _ if settled => left,
                 0 => left,
                 1 => 1,
                 until => left.min(until - 1),
@@ -186,6 +197,14 @@ impl Auto {
 }
 
 impl Worlds for Auto {
+    fn set_models(&mut self, how: &How, models: &[Arc<Model>], model_of: &[usize]) -> bool {
+        let taken = self.now.set_models(how, models, model_of);
+        if taken {
+            let common = Common::without_code(models);
+            (self.other, self.make) = (None, how.make(models.to_vec(), model_of, common));
+        }
+        taken
+    }
     fn check(&self, world: usize, given: &Given) -> Result<()> {
         self.now.check(world, given)
     }
@@ -206,10 +225,10 @@ impl Worlds for Auto {
         self.fixed = self.fixed || outcome.is_err();
         outcome
     }
-    fn play(&mut self, play: &mut Rollout, from: usize, n: usize) -> Result<()> {
+    fn roll_out(&mut self, rollout: &mut Rollout, from: usize, n: usize) -> Result<()> {
         let mut from = from;
         self.advance(n as u64, |worlds, n| {
-            worlds.play(play, from, n as usize)?;
+            worlds.roll_out(rollout, from, n as usize)?;
             from += n as usize;
             Ok(())
         })
@@ -222,6 +241,9 @@ impl Worlds for Auto {
     }
     fn qacc(&self) -> Vec<f64> {
         self.now.qacc()
+    }
+    fn actuator_forces(&self) -> Option<Vec<f64>> {
+        self.now.actuator_forces()
     }
     fn lists(&self, world: usize) -> Lists {
         self.now.lists(world)
@@ -238,6 +260,12 @@ impl Worlds for Auto {
     fn set_memos(&mut self, memos: &[Memo]) {
         self.anew();
         self.now.set_memos(memos);
+    }
+    fn last_of(&self, world: usize) -> Option<Solve> {
+        self.now.last_of(world)
+    }
+    fn set_lasts(&mut self, lasts: &[Option<Solve>]) {
+        self.now.set_lasts(lasts);
     }
     fn restart(&mut self, start: f64) {
         self.anew();

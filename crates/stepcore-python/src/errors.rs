@@ -13,8 +13,8 @@ use stepcore::error::{Divergence, Error, Fault};
 use stepcore::post_mortem::{Held, PostMortem, Stable};
 
 use crate::element::id;
+use crate::memo::Memo;
 use crate::snapshot::encode;
-use crate::world::Memo;
 
 pyo3::create_exception!(
     stepcore,
@@ -162,7 +162,7 @@ fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> 
         Array::MocapPos => &inputs.mocap_pos,
         Array::MocapQuat => &inputs.mocap_quat,
     });
-    error.setattr("_start", PyBytes::new(py, &encode(post.dt, &memo, &given)))?;
+    error.setattr("_start", PyBytes::new(py, &encode(post.dt, &memo, None, &given)))?;
     let change = |(step, inputs): &(u64, Held)| {
         let Held { ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat } =
             inputs.clone();

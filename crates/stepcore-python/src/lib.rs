@@ -14,10 +14,12 @@ mod errors;
 mod extract;
 mod gil;
 mod integrators;
+mod memo;
 #[allow(unsafe_code)]
 mod memory;
 mod model;
 mod nearest;
+mod noise;
 mod readings;
 mod readout;
 mod scene;
@@ -53,7 +55,9 @@ mod _core {
     #[pymodule_export]
     use super::integrators::{amplification, integrators, linear_step};
     #[pymodule_export]
-    use super::model::{compile, Model};
+    use super::model::{compile, machine_code, Model};
+    #[pymodule_export]
+    use super::noise::{noise, quantile};
     #[pymodule_export]
     use super::settings::Settings;
     #[pymodule_export]

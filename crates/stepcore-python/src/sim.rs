@@ -16,14 +16,15 @@ use crate::element::{id, Id};
 use crate::errors::{warn, Raised};
 use crate::extract::{At, Read};
 use crate::gil;
+use crate::memo::Memo;
 use crate::memory::{Arrays, Named};
 use crate::model::{result, shaped, Model};
 use crate::readings::TendonPath;
 use crate::readout::Readout;
 use crate::settings::Settings;
-use crate::snapshot::{decode, encode};
+use crate::snapshot::{decode, decode_last, encode, encode_last};
 use crate::tables::{contacts, rows, ContactTable, RayTable, RowTable};
-use crate::world::{world, Memo, Placed, World};
+use crate::world::{world, Placed, World};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// Energy before and after, and gains by element.
@@ -84,7 +85,7 @@ impl Sim {
         let world = gil::release(py, || {
             let mut world = world(model.clone(), &settings.0)?;
             world.use_threads(threads)?;
-            world.use_list();
+            world.use_code();
             Ok(world)
         })?;
         let arrays = Arrays::new(py, &model, 1)?;
@@ -267,15 +268,24 @@ impl Sim {
             let world = self.lock()?;
             (world.dt(), world.memo())
         };
-        Ok(PyBytes::new(py, &self.arrays.read(py, 0, |given| encode(dt, &memo, given))))
+        Ok(PyBytes::new(py, &self.arrays.read(py, 0, |given| encode(dt, &memo, None, given))))
     }
 
-    fn restore(&self, py: Python<'_>, state: &[u8]) -> PyResult<()> {
+    /// What the last solve began with and gave.
+    fn last<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyBytes>>> {
+        let world = self.lock()?;
+        Ok(world.last().map(|last| PyBytes::new(py, &encode_last(world.dt(), &last))))
+    }
+
+    /// last: what `last` returned at that state.
+    fn restore(&self, py: Python<'_>, state: &[u8], last: Option<&[u8]>) -> PyResult<()> {
         let mut world = self.lock()?;
+        let last = last.map(|last| decode_last(last, self.arrays.lengths)).transpose();
+        let last = last.map_err(PyValueError::new_err)?;
         let mut snapshot = decode(state, self.arrays.lengths).map_err(PyValueError::new_err)?;
         snapshot.count_in(world.dt());
         world.set_memo(&snapshot.memo);
-        world.unsolved();
+        world.set_last(last.as_ref());
         self.arrays.restore(py, 0, &snapshot.numbers);
         Ok(())
     }

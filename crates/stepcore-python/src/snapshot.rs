@@ -1,15 +1,15 @@
-//! A snapshot as bytes: the arrays of one world and what a step hands to the next.
+//! A snapshot as bytes: the arrays of one world and what a step hands to the next; and the last solve.
 
 use stepcore::arrays::{Array, Given};
+use stepcore::batch::Last;
 use stepcore::model::NONE;
-use stepcore::real::{Mask, Real};
 use stepcore::warm::Sleep;
 use stepcore::warm::{Warm, WARM_ROWS};
 
-use crate::world::Memo;
+use crate::memo::{Memo, Solve};
 
-/// First bytes of a snapshot; the number goes up when the layout changes.
-const HEAD: &[u8; 16] = b"stepcore state 9";
+/// First bytes of a snapshot; the last character goes up when the layout changes.
+const HEAD: &[u8; 16] = b"stepcore state A";
 
 /// Bytes of a word.
 const WORD: usize = size_of::<u64>();
@@ -22,55 +22,96 @@ const MOST_STEPS: u64 = 1 << 53;
 pub struct Snapshot {
     pub dt: f64,
     pub memo: Memo,
+    /// In a batch all worlds count time together, beside each its own.
+    pub shared: Clock,
     /// Those of `Array::ALL` one after the other.
     pub numbers: Vec<f64>,
+}
+
+/// Time is `start` + `steps` · dt.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clock {
+    pub start: f64,
+    pub steps: u64,
+}
+
+impl Clock {
+    /// The same time in steps of another length.
+    fn count_from_now(&mut self, dt: f64) {
+        self.start += self.steps as f64 * dt;
+        self.steps = 0;
+    }
 }
 
 impl Snapshot {
     /// Counts time in steps of `dt`; where the snapshot's were others, it goes on from there.
     pub fn count_in(&mut self, dt: f64) {
         if self.dt != dt {
-            self.memo.start += self.memo.steps as f64 * self.dt;
-            (self.memo.steps, self.dt) = (0, dt);
+            let mut own = self.memo.clock();
+            own.count_from_now(self.dt);
+            self.shared.count_from_now(self.dt);
+            self.memo.set_clock(own);
+            self.dt = dt;
             self.memo.wake();
         }
     }
 }
 
-pub fn encode(dt: f64, memo: &Memo, given: &Given) -> Vec<u8> {
+/// shared: the time that a batch's worlds share, where the world's own is another.
+pub fn encode(dt: f64, memo: &Memo, shared: Option<Clock>, given: &Given) -> Vec<u8> {
     let arrays = *given.lists();
     let mut bytes = HEAD.to_vec();
-    for array in arrays {
-        bytes.extend((array.len() as u64).to_le_bytes());
+    arrays.iter().for_each(|array| put_word(&mut bytes, array.len() as u64));
+    let shared = shared.unwrap_or(memo.clock());
+    put_numbers(&mut bytes, &[dt]);
+    for clock in [memo.clock(), shared] {
+        put_word(&mut bytes, clock.steps);
+        put_numbers(&mut bytes, &[clock.start]);
     }
-    bytes.extend((memo.warm.len() as u64).to_le_bytes());
-    bytes.extend(memo.steps.to_le_bytes());
-    let numbers = [dt, memo.start].into_iter().chain(arrays.into_iter().flatten().copied());
-    numbers.for_each(|number| bytes.extend(number.to_le_bytes()));
-    memo.warm.iter().for_each(|warm| encode_warm(&mut bytes, warm));
-    let sleep = &memo.sleep;
-    for count in [sleep.slow.len(), sleep.qpos.len(), sleep.kept.len()] {
-        bytes.extend((count as u64).to_le_bytes());
-    }
-    for (slow, island) in sleep.slow.iter().zip(&sleep.island) {
-        bytes.extend(slow.to_le_bytes());
-        bytes.extend((*island as u64).to_le_bytes());
-    }
-    sleep.qpos.iter().for_each(|number| bytes.extend(number.to_le_bytes()));
-    for (island, warm) in &sleep.kept {
-        bytes.extend((*island as u64).to_le_bytes());
-        encode_warm(&mut bytes, warm);
-    }
-    bytes.extend(checksum(&bytes).to_le_bytes());
+    arrays.iter().for_each(|array| put_numbers(&mut bytes, array));
+    put_memo(&mut bytes, memo);
+    put_word_of_sum(&mut bytes);
     bytes
 }
 
-/// An impulse of a snapshot; that of an f64 world may be no number in f32, and is then none.
-pub fn impulse<R: Real>(x: f64) -> f64 {
-    if R::of(x).is_finite().all() {
-        x
-    } else {
-        0.0
+/// Where the last solve began, as a snapshot, and what it gave.
+pub fn encode_last(dt: f64, last: &Solve) -> Vec<u8> {
+    let mut bytes = encode(dt, &last.memo, None, &last.given());
+    put_numbers(&mut bytes, &last.qacc);
+    put_word(&mut bytes, last.of as u64);
+    put_word_of_sum(&mut bytes);
+    bytes
+}
+
+fn put_word(bytes: &mut Vec<u8>, word: u64) {
+    bytes.extend(word.to_le_bytes());
+}
+
+fn put_numbers(bytes: &mut Vec<u8>, numbers: &[f64]) {
+    numbers.iter().for_each(|number| bytes.extend(number.to_le_bytes()));
+}
+
+fn put_word_of_sum(bytes: &mut Vec<u8>) {
+    let sum = checksum(bytes);
+    put_word(bytes, sum);
+}
+
+/// Impulses, and who sleeps.
+fn put_memo(bytes: &mut Vec<u8>, memo: &Memo) {
+    put_word(bytes, memo.warm.len() as u64);
+    memo.warm.iter().for_each(|warm| encode_warm(bytes, warm));
+    let sleep = &memo.sleep;
+    for count in [sleep.slow.len(), sleep.qpos.len(), sleep.kept.len()] {
+        put_word(bytes, count as u64);
+    }
+    for (slow, island) in sleep.slow.iter().zip(&sleep.island) {
+        put_word(bytes, *slow);
+        put_word(bytes, *island as u64);
+    }
+    put_numbers(bytes, &sleep.qpos);
+    for (island, warm) in &sleep.kept {
+        put_word(bytes, *island as u64);
+        encode_warm(bytes, warm);
     }
 }
 
@@ -93,16 +134,13 @@ fn checksum(bytes: &[u8]) -> u64 {
     mix(hash, u64::from_le_bytes(last))
 }
 
+const OTHER: &str = "these are not the bytes of a state() of this version";
+const CHANGED: &str = "the bytes of this state() were changed";
+
 /// The snapshot in `bytes`, or what is wrong with them.
 pub fn decode(bytes: &[u8], lengths: [usize; Array::COUNT]) -> Result<Snapshot, String> {
-    const OTHER: &str = "these are not the bytes of a state() of this version";
-    const CHANGED: &str = "the bytes of this state() were changed";
-    let (bytes, sum) = bytes.split_last_chunk().ok_or(OTHER)?;
     let rest = bytes.strip_prefix(HEAD.as_slice()).ok_or(OTHER)?;
-    if checksum(bytes) != u64::from_le_bytes(*sum) {
-        return Err(CHANGED.into());
-    }
-    let mut rest = Rest(rest);
+    let mut rest = Rest(checked(rest, bytes)?);
     for (array, length) in Array::ALL.into_iter().zip(lengths) {
         let name = array.length();
         let theirs = rest.word()?;
@@ -112,20 +150,49 @@ pub fn decode(bytes: &[u8], lengths: [usize; Array::COUNT]) -> Result<Snapshot, 
             ));
         }
     }
-    let (count, steps) = (rest.word()?, rest.word()?);
-    let (dt, start) = (rest.number()?, rest.number()?);
-    let total = lengths.iter().sum::<usize>();
-    let numbers = (0..total).map(|_| rest.number()).collect::<Result<_, _>>()?;
-    let warm = rest.list(count, Rest::warm)?;
-    let sleep = rest.sleep(lengths[0])?;
-    let ascending = warm.windows(2).all(|w| w[0].slot < w[1].slot);
-    let counted = steps <= MOST_STEPS && dt > 0.0 && (start + steps as f64 * dt).is_finite();
-    let mut all = warm.iter().chain(sleep.kept.iter().map(|(_, warm)| warm));
-    let finite = all.all(|w| w.feature.is_finite() && w.impulse.iter().all(|x| x.is_finite()));
-    if !rest.0.is_empty() || !ascending || !counted || !finite {
+    let dt = rest.number()?;
+    let (own, shared) = (rest.clock()?, rest.clock()?);
+    let numbers = rest.numbers(lengths.iter().sum())?;
+    let memo = rest.memo(lengths[0], own)?;
+    let counted = |clock: Clock| {
+        clock.steps <= MOST_STEPS && (clock.start + clock.steps as f64 * dt).is_finite()
+    };
+    let sound = is_sound(&memo) && dt > 0.0 && counted(own) && counted(shared);
+    if !(rest.0.is_empty() && sound) {
         return Err(CHANGED.into());
     }
-    Ok(Snapshot { dt, memo: Memo { start, steps, warm, sleep }, numbers })
+    Ok(Snapshot { dt, memo, shared, numbers })
+}
+
+/// The last solve of `encode_last`.
+pub fn decode_last(bytes: &[u8], lengths: [usize; Array::COUNT]) -> Result<Solve, String> {
+    let nv = lengths[Array::Qvel as usize];
+    let end = checked(bytes, bytes)?;
+    let (state, result) =
+        end.split_at_checked(end.len().wrapping_sub((nv + 1) * WORD)).ok_or(OTHER)?;
+    let Snapshot { memo, numbers, .. } = decode(state, lengths)?;
+    let mut rest = Rest(result);
+    let qacc = rest.numbers(nv)?;
+    let of = if rest.word()? == Last::Step as u64 { Last::Step } else { Last::Forward };
+    let mut numbers = numbers.into_iter();
+    let lists = lengths.iter().map(|length| numbers.by_ref().take(*length).collect()).collect();
+    Ok(Solve { of, qacc, lists, memo })
+}
+
+/// `part` of `bytes` without the checksum of all, which must be right.
+fn checked<'a>(part: &'a [u8], bytes: &[u8]) -> Result<&'a [u8], String> {
+    let (all, sum) = bytes.split_last_chunk().ok_or(OTHER)?;
+    if checksum(all) != u64::from_le_bytes(*sum) {
+        return Err(CHANGED.into());
+    }
+    part.get(..part.len() - WORD).ok_or(OTHER.into())
+}
+
+/// Its impulses are finite and in order.
+fn is_sound(memo: &Memo) -> bool {
+    let mut all = memo.warm.iter().chain(memo.sleep.kept.iter().map(|(_, warm)| warm));
+    memo.warm.windows(2).all(|w| w[0].slot < w[1].slot)
+        && all.all(|w| w.feature.is_finite() && w.impulse.iter().all(|x| x.is_finite()))
 }
 
 /// What is still to be read.
@@ -141,6 +208,20 @@ impl Rest<'_> {
 
     fn number(&mut self) -> Result<f64, String> {
         self.word().map(f64::from_bits)
+    }
+
+    fn numbers(&mut self, count: usize) -> Result<Vec<f64>, String> {
+        (0..count).map(|_| self.number()).collect()
+    }
+
+    fn clock(&mut self) -> Result<Clock, String> {
+        Ok(Clock { steps: self.word()?, start: self.number()? })
+    }
+
+    fn memo(&mut self, nq: usize, Clock { start, steps }: Clock) -> Result<Memo, String> {
+        let count = self.word()?;
+        let warm = self.list(count, Self::warm)?;
+        Ok(Memo { start, steps, warm, sleep: self.sleep(nq)? })
     }
 
     /// As many as were counted, each of at least one word.

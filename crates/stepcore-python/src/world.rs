@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use stepcore::arrays::{Array, ArraySet, Given};
+use stepcore::arrays::{lists, Array, ArraySet, Given};
+use stepcore::batch::Last;
 use stepcore::elements::Element;
 use stepcore::error::Result;
 use stepcore::model::Model;
@@ -12,15 +13,13 @@ use stepcore::scene::Sensor;
 use stepcore::sensors::Reading;
 use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
-use stepcore::state::State;
 use stepcore::warm::Sleep;
-use stepcore::warm::Warm;
 use stepcore::watch::{
     Counter, Coupling, ElementSlopes, LastSolve, Linearizer, RayFilter, StepGains, Watched,
 };
 
+use crate::memo::{put_memo, warm_of, Memo, Solve};
 use crate::readings::{self, flat, numbers, Rays, TendonPath};
-use crate::snapshot::impulse;
 
 /// What is read of the present state.
 #[derive(Clone, Copy)]
@@ -88,38 +87,6 @@ pub struct Rows {
     pub numbers: Vec<f64>,
 }
 
-/// Time, and what a step hands to the next beside the arrays.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Memo {
-    pub start: f64,
-    pub steps: u64,
-    pub warm: Vec<Warm<f64>>,
-    pub sleep: Sleep<f64>,
-}
-
-impl Memo {
-    /// Wakes everybody.
-    pub fn wake(&mut self) {
-        self.warm.extend(self.sleep.kept.drain(..).map(|(_, warm)| warm));
-        self.warm.sort_by_key(|warm| warm.slot);
-        self.sleep = Sleep::new();
-    }
-
-    /// Without impulses, and everybody awake.
-    pub fn forget(&mut self) {
-        self.warm.clear();
-        self.sleep = Sleep::new();
-    }
-
-    /// One lane's part of a state. An impulse of zero is as good as none, and a lane has
-    /// zeros for the contacts of its neighbours.
-    pub fn of<R: Real>(state: &State<R>, lane: usize) -> Self {
-        let warm = state.warm.iter().map(|w| w.in_lane(lane)).filter(Warm::acts);
-        let sleep = state.sleep.cast();
-        Self { start: state.start, steps: state.steps, warm: warm.collect(), sleep }
-    }
-}
-
 pub trait World: Send {
     fn check(&self, given: &Given) -> Result<()>;
     /// Checks some arrays and takes them in.
@@ -128,8 +95,8 @@ pub trait World: Send {
     fn take(&self, array: Array, out: &mut [f64]);
     /// Lets so many threads share the work of each step.
     fn use_threads(&mut self, threads: usize) -> Result<()>;
-    /// Makes steps by a list where that is quicker; for whoever takes many.
-    fn use_list(&mut self);
+    /// Makes steps by machine code where that is quicker; for whoever takes many.
+    fn use_code(&mut self);
     fn step(&mut self, n: u64) -> Result<()>;
     /// A call of so many steps ends: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
@@ -146,9 +113,13 @@ pub trait World: Send {
     fn memo(&self) -> Memo;
     fn set_memo(&mut self, memo: &Memo);
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>>;
-    fn solved(&self, what: Solved) -> Vec<f64>;
+    fn solved(&mut self, what: Solved) -> Vec<f64>;
     /// The state at hand did not come from a solve: what is read of the last one is read there.
     fn unsolved(&mut self);
+    /// What the last solve began with.
+    fn last(&self) -> Option<Solve>;
+    /// The last solve began there; it is made again when something of it is read.
+    fn set_last(&mut self, last: Option<&Solve>);
     /// The last solve is one at the state at hand, to be done when something of it is read.
     fn stayed(&mut self);
     /// The last solve is kept for reading, because what follows is none.
@@ -164,15 +135,15 @@ pub trait World: Send {
     fn rays(&mut self, given: &Given, rays: &[f64], filter: &RayFilter) -> Result<Rays>;
     /// Of every tendon.
     fn tendon_paths(&mut self, given: &Given) -> Result<Vec<TendonPath>>;
-    fn contacts(&self) -> Contacts;
+    fn contacts(&mut self) -> Contacts;
     /// The generalised force of every element that pushes, at the state of the last solve.
     fn element_forces(&mut self, given: &Given) -> Result<BTreeMap<Element, Vec<f64>>>;
-    fn rows(&self) -> Rows;
-    fn coupling(&self) -> Coupling;
-    fn residual(&self) -> f64;
+    fn rows(&mut self) -> Rows;
+    fn coupling(&mut self) -> Coupling;
+    fn residual(&mut self) -> f64;
     /// What `max_recovery_speed` left of an overlap in the last solve.
-    fn unrecovered(&self) -> f64;
-    fn effort(&self) -> Effort;
+    fn unrecovered(&mut self) -> f64;
+    fn effort(&mut self) -> Effort;
     /// By body: whether it sleeps.
     fn asleep(&self) -> Vec<bool>;
     /// Who sleeps when it begins.
@@ -197,23 +168,40 @@ struct One<R: Real> {
     watched: Watched<R>,
     /// What is read is computed there, so that reading leaves the last solve as it is.
     last: LastSolve<R>,
+    /// What that solve belonged to.
+    of: Last,
+    /// It is in no `Sim` yet, but for its acceleration.
+    unmade: bool,
 }
 
 impl<R: Real> One<R> {
     fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
-        let last = LastSolve::new(&model);
-        let watched = Watched::new(model, settings.clone())?;
-        Ok(Self { watched, last })
+        let watched = Watched::<R>::new(model, settings.clone())?;
+        let last = LastSolve::new(&watched.sim);
+        Ok(Self { watched, last, of: Last::Nothing, unmade: false })
     }
 
     fn sim(&self) -> &Sim<R> {
         &self.watched.sim
     }
 
+    /// The `Sim` with its last solve.
+    fn made(&mut self) -> &Sim<R> {
+        if std::mem::take(&mut self.unmade) {
+            self.last.make_again(&mut self.watched.sim, self.of == Last::Step);
+        }
+        self.sim()
+    }
+
+    /// What is solved now is the last solve.
+    fn solves(&mut self, of: Last) {
+        (self.of, self.unmade) = (of, false);
+    }
+
     /// An error ended in a solve at the state that it left.
     fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
         if outcome.is_err() {
-            self.last.stayed(&self.watched.sim);
+            self.stayed();
         }
         outcome
     }
@@ -248,11 +236,12 @@ impl<R: Real> World for One<R> {
     fn use_threads(&mut self, threads: usize) -> Result<()> {
         self.watched.sim.use_threads(threads)
     }
-    fn use_list(&mut self) {
-        self.watched.sim.use_list();
+    fn use_code(&mut self) {
+        self.watched.sim.use_code();
     }
     fn step(&mut self, n: u64) -> Result<()> {
         if n > 0 {
+            self.solves(Last::Step);
             self.last.stepped();
         }
         let outcome = self.watched.step(n);
@@ -263,6 +252,7 @@ impl<R: Real> World for One<R> {
         self.noted(outcome)
     }
     fn forward(&mut self) -> Result<()> {
+        self.solves(Last::Forward);
         self.last.solved();
         let outcome = self.watched.forward();
         self.noted(outcome)
@@ -277,6 +267,7 @@ impl<R: Real> World for One<R> {
         let outcome = self.watched.taped_step(0);
         if outcome.is_ok() {
             // Energies were summed up after it.
+            self.solves(Last::Step);
             self.last.stepped();
             self.keep_solve();
         }
@@ -295,14 +286,8 @@ impl<R: Real> World for One<R> {
         self.keep_solve();
         let state = &mut self.watched.sim.state;
         (state.start, state.steps) = (memo.start, memo.steps);
-        let number = |x: f64| R::of(impulse::<R>(x));
-        let warm = memo.warm.iter();
-        let warm = warm.map(|w| Warm {
-            slot: w.slot,
-            feature: R::of(w.feature),
-            impulse: w.impulse.map(number),
-        });
         state.sleep = memo.sleep.cast();
+        let warm = warm_of(memo);
         self.watched.put_impulses(warm);
     }
 
@@ -310,18 +295,35 @@ impl<R: Real> World for One<R> {
         readings::placed(self.present(given)?, what)
     }
 
-    fn solved(&self, what: Solved) -> Vec<f64> {
+    fn solved(&mut self, what: Solved) -> Vec<f64> {
         match what {
             Solved::Acceleration => numbers(&self.sim().qacc),
-            Solved::ConstraintForce => self.sim().constraint_force(0),
-            Solved::ActuatorForce => numbers(&self.sim().placed.actuator),
+            Solved::ConstraintForce => self.made().constraint_force(0),
+            Solved::ActuatorForce => numbers(&self.made().placed.actuator),
         }
     }
 
     fn unsolved(&mut self) {
+        self.solves(Last::Nothing);
         self.last.forget();
+        self.watched.sim.clear_solve();
+    }
+    fn last(&self) -> Option<Solve> {
+        let (state, inputs) = self.last.begun(self.sim())?;
+        let (lists, memo) = (lists(&state, &inputs, 0), Memo::of(&state, 0));
+        Some(Solve { of: self.of, qacc: numbers(&self.sim().qacc), lists, memo })
+    }
+    fn set_last(&mut self, last: Option<&Solve>) {
+        self.unsolved();
+        let Some(last) = last else { return };
+        self.last.begin(&last.given(), |state| put_memo(state, &last.memo));
+        self.solves(last.of);
+        self.unmade = true;
+        let qacc = &mut self.watched.sim.qacc;
+        qacc.iter_mut().zip(&last.qacc).for_each(|(to, from)| *to = R::of(*from));
     }
     fn stayed(&mut self) {
+        self.solves(Last::Forward);
         self.last.stayed(&self.watched.sim);
     }
     fn keep_solve(&mut self) {
@@ -370,8 +372,8 @@ impl<R: Real> World for One<R> {
         self.solved(given, |sim| sim.element_forces(0))
     }
 
-    fn contacts(&self) -> Contacts {
-        let (sim, mut table) = (self.sim(), Contacts::default());
+    fn contacts(&mut self) -> Contacts {
+        let (sim, mut table) = (self.made(), Contacts::default());
         for (_, contact) in sim.live_contacts(0) {
             let pair = &contact.pair;
             let element = contact.element();
@@ -385,8 +387,8 @@ impl<R: Real> World for One<R> {
         table
     }
 
-    fn rows(&self) -> Rows {
-        let (sim, mut table) = (self.sim(), Rows::default());
+    fn rows(&mut self) -> Rows {
+        let (sim, mut table) = (self.made(), Rows::default());
         let residuals: Vec<Vec<f64>> =
             sim.rows.blocks.iter().map(|block| sim.row_residuals(block, 0)).collect();
         let mut within = 0;
@@ -397,7 +399,7 @@ impl<R: Real> World for One<R> {
             table.names.push(sim.model().element_name(element));
             table.blocks.push(index);
             let residual = residuals[index].get(within).copied().unwrap_or(0.0);
-            let scale = sim.scale_of_row(&sim.rows.blocks[index], within);
+            let scale = sim.scale_of_row(&sim.rows.blocks[index], within, 0);
             let [impulse, velocity, t, c] =
                 [row.total(), row.velocity, row.t, row.c].map(|x| x.lane(0));
             let moved = [impulse * scale, velocity / scale, t / scale, c / (scale * scale)];
@@ -407,17 +409,17 @@ impl<R: Real> World for One<R> {
         table
     }
 
-    fn coupling(&self) -> Coupling {
-        self.sim().coupling(0)
+    fn coupling(&mut self) -> Coupling {
+        self.made().coupling(0)
     }
-    fn residual(&self) -> f64 {
-        self.sim().residual().lane(0)
+    fn residual(&mut self) -> f64 {
+        self.made().residual().lane(0)
     }
-    fn unrecovered(&self) -> f64 {
-        self.sim().rows.unrecovered.lane(0)
+    fn unrecovered(&mut self) -> f64 {
+        self.made().rows.unrecovered.lane(0)
     }
-    fn effort(&self) -> Effort {
-        self.sim().effort
+    fn effort(&mut self) -> Effort {
+        self.made().effort
     }
     fn asleep(&self) -> Vec<bool> {
         self.sim().asleep()

@@ -5,17 +5,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given, Givens};
-use stepcore::batch::{fills_lanes, gains_by_lanes, program_of, Batch, Last, Rollout};
+use stepcore::batch::{fills_lanes, gains_by_lanes, Batch, Common, Last, Rollout};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
-use stepcore::program::Program;
 use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
-use stepcore::warm::{Warm, WARM_ROWS};
+use stepcore::warm::Sleep;
 
-use crate::auto::Auto;
-use crate::snapshot::impulse;
-use crate::world::{Memo, World};
+use crate::auto::{Auto, Make};
+use crate::memo::{put_memos, Lists, Memo, Solve};
+use crate::world::World;
 
 // Worlds side by side, where the module has lanes.
 #[cfg(not(feature = "single"))]
@@ -34,11 +33,13 @@ pub trait Worlds: Send + Sync {
     fn store(&self, array: Array, numbers: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
-    fn play(&mut self, play: &mut Rollout, from: usize, n: usize) -> Result<()>;
+    fn roll_out(&mut self, rollout: &mut Rollout, from: usize, n: usize) -> Result<()>;
     /// The error of a world that failed while the others went on.
     fn failed(&self, world: usize) -> Option<&Error>;
     fn time(&self) -> f64;
     fn qacc(&self) -> Vec<f64>;
+    /// Of the last solves, where they were kept.
+    fn actuator_forces(&self) -> Option<Vec<f64>>;
     /// A world's arrays as they are here.
     fn lists(&self, world: usize) -> Lists;
     /// Does a world's last solve again in `into`, which then has its rows and contacts.
@@ -50,6 +51,10 @@ pub trait Worlds: Send + Sync {
         (0..self.by_model().len()).map(|world| self.memo(world)).collect()
     }
     fn set_memos(&mut self, memos: &[Memo]);
+    /// What a world's last solve began with.
+    fn last_of(&self, world: usize) -> Option<Solve>;
+    /// The last solves began there.
+    fn set_lasts(&mut self, lasts: &[Option<Solve>]);
     /// Time and steps of all worlds; impulses forgotten.
     fn restart(&mut self, start: f64);
     /// The states at hand did not come from a solve.
@@ -65,12 +70,12 @@ pub trait Worlds: Send + Sync {
     /// Memory [bytes]; models are not in it.
     fn bytes(&self) -> usize;
     fn model(&self, world: usize) -> &Arc<Model>;
+    /// Gives the worlds models that differ in numbers from those that they have; false: that cannot
+    /// be done here, and nothing has changed.
+    fn set_models(&mut self, how: &How, models: &[Arc<Model>], model_of: &[usize]) -> bool;
     /// All worlds, those of one model beside each other.
     fn by_model(&self) -> &[usize];
 }
-
-/// One world's arrays, in the order of `Array::ALL`.
-pub type Lists = Vec<Vec<f64>>;
 
 /// How worlds are stepped.
 #[derive(Clone)]
@@ -90,35 +95,42 @@ impl How {
     pub fn worlds(&self, models: Vec<Arc<Model>>, model_of: &[usize]) -> Result<Box<dyn Worlds>> {
         let width = if self.single() { <WideF32>::LANES } else { <Wide>::LANES };
         let gains = models.iter().all(|model| gains_by_lanes(model, &self.settings));
-        let can = width > 1 && gains && fills_lanes(model_of, width);
         self.settings.check()?;
-        let list = self.list(&models).map(Arc::new);
-        // A list takes as long in each world whatever its neighbours meet.
-        let registers = model_of.len().div_ceil(width);
-        let listed = list.as_ref().is_some_and(|list| list.serves(registers));
+        let common = self.common(&models);
+        let can = width > 1 && gains && fills_lanes(&common.kinds, model_of, width);
+        // Code takes about as long in each world whatever its neighbours meet; the stages do not.
+        let code = common.code.clone();
+        let there = move || {
+            let code = code.as_ref().and_then(|code| code.code());
+            code.is_some_and(|code| !code.hands_over())
+        };
         // An account of energies stays with those who began it, and one world has no neighbours.
-        if self.lanes.is_some() || !can || self.settings.ledger || model_of.len() == 1 || listed {
+        if self.lanes.is_some() || !can || self.settings.ledger || model_of.len() == 1 || there() {
             let alone = self.lanes.is_none() && model_of.len() == 1;
             let lanes = can && !alone && self.lanes != Some(false);
-            return self.made(lanes, models, model_of, list.as_deref());
+            return self.made(lanes, models, model_of, common);
         }
-        let (how, own) = (self.clone(), model_of.to_vec());
-        let make = move |lanes, some: Option<&[usize]>| match some {
-            None => how.made(lanes, models.clone(), &own, list.as_deref()),
-            Some(some) => {
-                let own: Vec<usize> = some.iter().map(|world| own[*world]).collect();
-                how.made(lanes, models.clone(), &own, list.as_deref())
-            }
-        };
-        Ok(Box::new(Auto::new(model_of.len(), make)?))
+        let make = self.make(models, model_of, common);
+        Ok(Box::new(Auto::new(model_of.len(), make, there)?))
     }
 
-    /// The list of what a step executes, if there is one.
-    fn list(&self, models: &[Arc<Model>]) -> Option<Program> {
+    /// Makes these worlds, or some of them, in lanes or one by one.
+    pub fn make(&self, models: Vec<Arc<Model>>, model_of: &[usize], common: Common) -> Box<Make> {
+        let (how, own) = (self.clone(), model_of.to_vec());
+        Box::new(move |lanes, some: Option<&[usize]>| match some {
+            None => how.made(lanes, models.clone(), &own, common.clone()),
+            Some(some) => {
+                let own: Vec<usize> = some.iter().map(|world| own[*world]).collect();
+                how.made(lanes, models.clone(), &own, common.clone())
+            }
+        })
+    }
+
+    fn common(&self, models: &[Arc<Model>]) -> Common {
         if self.single() {
-            program_of::<f32>(models, &self.settings)
+            Common::of::<f32>(models, &self.settings)
         } else {
-            program_of::<f64>(models, &self.settings)
+            Common::of::<f64>(models, &self.settings)
         }
     }
 
@@ -131,13 +143,15 @@ impl How {
         lanes: bool,
         models: Vec<Arc<Model>>,
         model_of: &[usize],
-        list: Option<&Program>,
+        common: Common,
     ) -> Result<Box<dyn Worlds>> {
+        // Worlds one by one run the stages.
+        let common = Common { code: common.code.filter(|_| lanes), ..common };
         match (self.single(), lanes) {
-            (false, true) => self.made_of::<Wide>(models, model_of, list),
-            (false, false) => self.made_of::<f64>(models, model_of, list),
-            (true, true) => self.made_of::<WideF32>(models, model_of, list),
-            (true, false) => self.made_of::<f32>(models, model_of, list),
+            (false, true) => self.made_of::<Wide>(models, model_of, common),
+            (false, false) => self.made_of::<f64>(models, model_of, common),
+            (true, true) => self.made_of::<WideF32>(models, model_of, common),
+            (true, false) => self.made_of::<f32>(models, model_of, common),
         }
     }
 
@@ -145,10 +159,10 @@ impl How {
         &self,
         models: Vec<Arc<Model>>,
         model_of: &[usize],
-        list: Option<&Program>,
+        common: Common,
     ) -> Result<Box<dyn Worlds>> {
         let Self { settings, threads, .. } = self;
-        let mut batch = Batch::<R>::with_list(models, model_of, settings, *threads, list)?;
+        let mut batch = Batch::<R>::of_common(models, model_of, settings, *threads, common)?;
         batch.goes_on = self.goes_on;
         if self.unwatched.load(Ordering::Relaxed) {
             batch.unwatch();
@@ -158,6 +172,9 @@ impl How {
 }
 
 impl<R: Real> Worlds for Batch<R> {
+    fn set_models(&mut self, _: &How, models: &[Arc<Model>], model_of: &[usize]) -> bool {
+        self.set_models(models, model_of)
+    }
     fn check(&self, world: usize, given: &Given) -> Result<()> {
         Batch::check(self, world, given)
     }
@@ -176,8 +193,8 @@ impl<R: Real> Worlds for Batch<R> {
     fn forward(&mut self) -> Result<()> {
         Batch::forward(self)
     }
-    fn play(&mut self, play: &mut Rollout, from: usize, n: usize) -> Result<()> {
-        Batch::play(self, play, from, n)
+    fn roll_out(&mut self, rollout: &mut Rollout, from: usize, n: usize) -> Result<()> {
+        Batch::roll_out(self, rollout, from, n)
     }
     fn failed(&self, world: usize) -> Option<&Error> {
         Batch::failed(self, world).map(|failed| &failed.error)
@@ -187,6 +204,10 @@ impl<R: Real> Worlds for Batch<R> {
     }
     fn qacc(&self) -> Vec<f64> {
         (0..self.worlds).flat_map(|world| Batch::qacc(self, world)).collect()
+    }
+
+    fn actuator_forces(&self) -> Option<Vec<f64>> {
+        Batch::actuator_forces(self)
     }
 
     fn lists(&self, world: usize) -> Lists {
@@ -210,23 +231,46 @@ impl<R: Real> Worlds for Batch<R> {
     }
 
     fn before(&self, world: usize, into: &mut dyn World) -> Result<()> {
-        let (state, inputs, lane, last) = self.last(world);
-        let (mut lists, mut memo) = (lists(state, inputs, lane), Memo::of(state, lane));
-        let failed = Batch::failed(self, world);
-        if let Some(failed) = failed {
-            // Its last solve led nowhere: what is read is that of the state it stands in. Its lane
-            // holds another's impulses.
-            lists[..Array::CHANGED].clone_from_slice(&failed.state);
-            memo.forget();
-        }
-        into.put(&Given::new(|array| &lists[array as usize]));
-        into.set_memo(&memo);
-        if last == Last::Nothing && failed.is_none() {
-            into.unsolved();
-        } else {
-            into.stayed();
+        match self.last_of(world) {
+            Some(Solve { lists, memo, .. }) => {
+                into.put(&Given::new(|array| &lists[array as usize]));
+                into.set_memo(&memo);
+                into.stayed();
+            }
+            None => into.unsolved(),
         }
         Ok(())
+    }
+
+    fn last_of(&self, world: usize) -> Option<Solve> {
+        let (state, inputs, lane, of) = self.last(world);
+        let failed = Batch::failed(self, world);
+        if of == Last::Nothing && failed.is_none() {
+            return None;
+        }
+        let qacc = Batch::qacc(self, world).collect();
+        let (mut lists, mut memo) = (lists(state, inputs, lane), Memo::of(state, lane));
+        let Some(failed) = failed else { return Some(Solve { of, qacc, lists, memo }) };
+        // Its last solve led nowhere: what is read is that of the state it stands in. Its lane
+        // holds another's impulses.
+        lists[..Array::CHANGED].clone_from_slice(&failed.state);
+        memo.forget();
+        Some(Solve { of: Last::Forward, qacc, lists, memo })
+    }
+
+    fn set_lasts(&mut self, lasts: &[Option<Solve>]) {
+        self.unsolved();
+        for (world, last) in lasts.iter().enumerate() {
+            if let Some(last) = last {
+                self.begin(world, &last.given(), last.of, &last.qacc);
+            }
+        }
+        let none = Memo { start: 0.0, steps: 0, warm: Vec::new(), sleep: Sleep::new() };
+        let memos = lasts.iter().map(|last| last.as_ref().map_or(&none, |last| &last.memo));
+        let memos: Vec<&Memo> = memos.collect();
+        for (state, worlds) in self.begun_mut() {
+            put_memos(state, worlds.iter().map(|world| memos[*world]).collect());
+        }
     }
 
     fn memo(&self, world: usize) -> Memo {
@@ -241,27 +285,7 @@ impl<R: Real> Worlds for Batch<R> {
 
     fn set_memos(&mut self, memos: &[Memo]) {
         for (state, worlds) in self.states_mut() {
-            let memos: Vec<&Memo> = worlds.iter().map(|world| &memos[*world]).collect();
-            (state.start, state.steps) = (memos[0].start, memos[0].steps);
-            state.sleep = memos[0].sleep.cast();
-            let mut slots: Vec<u64> =
-                memos.iter().flat_map(|memo| memo.warm.iter().map(|w| w.slot)).collect();
-            slots.sort_unstable();
-            slots.dedup();
-            state.warm.clear();
-            for slot in slots {
-                let mut warm = Warm { slot, feature: -R::one(), impulse: [R::zero(); WARM_ROWS] };
-                for lane in 0..R::LANES {
-                    // Lanes without a world repeat the last one.
-                    let memo = memos[lane.min(memos.len() - 1)];
-                    let Some(kept) = memo.warm.iter().find(|w| w.slot == slot) else { continue };
-                    warm.feature.set_lane(lane, kept.feature);
-                    for (x, kept) in warm.impulse.iter_mut().zip(kept.impulse) {
-                        x.set_lane(lane, impulse::<R>(kept));
-                    }
-                }
-                state.warm.push(warm);
-            }
+            put_memos(state, worlds.iter().map(|world| &memos[*world]).collect());
         }
     }
 

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
 use crate::model::{Joint, Model};
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real};
 use crate::scene::JointType;
 use crate::settings::{Precision, Settings};
 use crate::sim::Sim;
@@ -188,10 +188,10 @@ impl<'a> Givens<'a> {
     }
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// Whether arrays hold truths or quaternions, which `Given::check_forms` looks at.
     pub(crate) fn has_forms(&self) -> bool {
-        let turns = |joint: &Joint| matches!(joint.kind, JointType::Ball | JointType::Free);
+        let turns = |joint: &Joint<N>| matches!(joint.kind, JointType::Ball | JointType::Free);
         let others = !(self.equalities.is_empty() && self.mocaps.is_empty());
         others || self.joints.iter().any(turns)
     }
@@ -271,7 +271,7 @@ impl<R: Real> Sim<R> {
     /// The world of lane 0 in plain numbers.
     pub fn plain(&self) -> Plain {
         Plain {
-            model: self.model.clone(),
+            model: self.model_of(0).clone(),
             settings: Settings {
                 precision: Precision::F64,
                 ledger: false,

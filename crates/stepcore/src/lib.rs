@@ -31,7 +31,7 @@
 //! worlds side by side that equal, bit for bit, the same worlds stepped alone. Two more
 //! accompany a world: [`real::Dual`] carries derivatives through the step
 //! ([`watch::Linearizer`]), [`real::Counted`] counts its operations ([`watch::Counter`]); and
-//! `real::traced` writes them down: of a small model that is the list that its steps execute (`program/`).
+//! `real::traced` writes them down, of which machine code is made for many worlds (`compile/`).
 //!
 //! ```
 //! use std::sync::Arc;
@@ -55,6 +55,7 @@ pub mod assets;
 pub mod batch;
 mod clock;
 pub mod commit;
+pub mod compile;
 pub mod detect;
 pub mod elements;
 pub mod error;
@@ -68,7 +69,6 @@ pub mod plan;
 #[allow(unsafe_code)]
 mod pool;
 pub mod post_mortem;
-pub mod program;
 pub mod real;
 pub mod scene;
 pub mod sensors;

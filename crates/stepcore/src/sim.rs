@@ -3,21 +3,21 @@
 //! It steps, and knows nothing of who watches: see `observer.rs` and `watch/`.
 
 use crate::room::Room;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use crate::arrays::array::Array;
 use crate::clock::Clock;
 use crate::commit::Next;
+use crate::compile::Alone;
 use crate::detect::Detected;
 use crate::elements::activation::Activations;
 use crate::elements::{Element, Kind};
 use crate::error::{Divergence, Error, Fault, Result};
 use crate::model::memory::check_spaces;
-use crate::model::Model;
+use crate::model::{ByLane, Model, SideBySide};
 use crate::place::Placed;
 use crate::plan::Plan;
 use crate::pool::Pool;
-use crate::program::Listed;
 use crate::real::{Mask, Real};
 use crate::settings::{Settings, Solver};
 use crate::sleep::Sleeper;
@@ -51,7 +51,9 @@ pub struct Effort {
 /// }
 /// ```
 pub struct Sim<R: Real> {
-    pub(crate) model: Arc<Model>,
+    pub(crate) model: Arc<Model<R::Value>>,
+    /// The models of its worlds, by lane; the last one is that of the lanes that follow, too.
+    pub(crate) models: ByLane,
     pub(crate) settings: Settings,
     /// What a step does under these settings.
     pub(crate) plan: Plan,
@@ -73,7 +75,7 @@ pub struct Sim<R: Real> {
     noslip: Noslip<R>,
     pub(crate) sleeper: Sleeper<R>,
     /// What makes steps that nobody looks at.
-    pub(crate) list: Option<Box<Mutex<Listed<R>>>>,
+    pub(crate) code: Option<Box<Alone<R>>>,
 }
 
 /// The positions and velocities at which stages run.
@@ -115,23 +117,48 @@ impl At {
     }
 }
 
-room!(Sim<R>: model, plan, clock, state, inputs, placed, detected, rows, velocity, qacc, effort,
-    next, stands, solver, noslip, sleeper, list; settings);
+room!(Sim<R>: model, models, plan, clock, state, inputs, placed, detected, rows, velocity, qacc, effort,
+    next, stands, solver, noslip, sleeper, code; settings);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
     pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
-        Self::solved_by(Box::new(Solvers::new()), model, settings)
+        Self::side_by_side(SideBySide::new([model].into())?, settings)
+    }
+
+    /// The same of worlds, one a lane, whose models differ in numbers.
+    pub(crate) fn side_by_side(models: SideBySide<R>, settings: Settings) -> Result<Self> {
+        Self::solved_by(Box::new(Solvers::new()), models, settings)
+    }
+
+    /// The models of its worlds.
+    pub(crate) fn models(&self) -> SideBySide<R> {
+        SideBySide { models: self.models.clone(), model: self.model.clone() }
+    }
+
+    /// Its worlds are of these models from now on, which differ in numbers from those before.
+    pub(crate) fn take_models(&mut self, models: &SideBySide<R>) {
+        if Arc::ptr_eq(&self.model, &models.model) {
+            return;
+        }
+        let stands = self.placed.effective.is_none() && self.model.stands_as(&models.model);
+        (self.models, self.model) = (models.models.clone(), models.model.clone());
+        if !stands {
+            self.placed = Placed::for_steps(&self.model, &self.settings);
+        }
     }
 
     /// The same with a solver of one's own.
     pub(crate) fn solved_by(
         solver: Box<dyn Solve<R>>,
-        model: Arc<Model>,
+        models: SideBySide<R>,
         settings: Settings,
     ) -> Result<Self> {
         settings.check()?;
-        check_masses::<R>(&model, settings.solver)?;
+        let SideBySide { models, model } = models;
+        for model in &*models {
+            check_masses::<R>(model, settings.solver)?;
+        }
         if model.sticks && settings.law.on_guess() {
             let limit =
                 "solref or penalty: under the others contacts that adhere are not built yet";
@@ -145,8 +172,8 @@ impl<R: Real> Sim<R> {
             let limit = "1 with sleep: each world sleeps by itself";
             return Err(Error::value("lanes", R::LANES, limit));
         }
-        check_spaces(&model, R::LANES, "lanes")?;
-        let plan = Plan::of(&model, &settings);
+        check_spaces(&models[0], R::LANES, "lanes")?;
+        let plan = Plan::of(&models[0], &settings);
         let mut sim = Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
@@ -161,9 +188,10 @@ impl<R: Real> Sim<R> {
             stands: false,
             solver,
             noslip: Noslip::new(),
-            sleeper: if settings.sleep { Sleeper::new(&model) } else { Sleeper::off() },
+            sleeper: if settings.sleep { Sleeper::new(&models[0]) } else { Sleeper::off() },
             clock: Clock::new(settings.dt),
-            list: None,
+            code: None,
+            models,
             model,
             settings,
         };
@@ -179,8 +207,14 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
+    /// That of the first world.
     pub fn model(&self) -> &Arc<Model> {
-        &self.model
+        &self.models[0]
+    }
+
+    /// That of the world in a lane.
+    pub(crate) fn model_of(&self, lane: usize) -> &Arc<Model> {
+        &self.models[lane.min(self.models.len() - 1)]
     }
 
     pub fn settings(&self) -> &Settings {
@@ -206,8 +240,7 @@ impl<R: Real> Sim<R> {
     pub(crate) fn solve(&mut self) -> Result<()> {
         let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
         let dof_lists = self.detected.dof_lists(model);
-        let slip = self.settings.noslip_tolerance;
-        if self.settings.cost_tolerance + slip > 0.0 {
+        if self.plan.weighs {
             self.rows.weigh_islands(model, &self.placed.mass);
         }
         let free = Unconstrained { dof_lists, inv_d, guess: &self.placed.guess };
@@ -217,8 +250,8 @@ impl<R: Real> Sim<R> {
         }
         self.effort.note(&report, self.rows.rows.len());
         if self.plan.noslip > 0 {
-            let cost = self.settings.cost_floor(slip);
-            self.noslip.solve(free, &mut self.rows, self.plan.noslip, cost)?;
+            let Plan { noslip, noslip_cost, .. } = self.plan;
+            self.noslip.solve(free, &mut self.rows, noslip, noslip_cost)?;
         }
         Ok(())
     }
@@ -254,7 +287,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// Nothing is known of a solve any more.
-    pub(crate) fn clear_solve(&mut self) {
+    pub fn clear_solve(&mut self) {
         self.rows.clear();
         self.detected.contacts.clear();
         self.placed.actuator.fill(R::zero());
@@ -275,7 +308,7 @@ impl<R: Real> Sim<R> {
 
 /// The precision that computes must hold every mass and its inverse, and for Newton,
 /// whose costs are energies of impulses, their squares.
-fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
+pub(crate) fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
     for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
         let mass = R::of(body.mass);
         let mass = if solver == Solver::Newton { mass * mass } else { mass };
@@ -307,7 +340,7 @@ impl Effort {
         let lanes = 0..R::LANES;
         self.most_rows = self.most_rows.max(rows);
         self.sweeps = lanes.clone().map(|lane| report.sweeps.lane(lane) as u32).max().unwrap_or(0);
-        self.row_updates += lanes.clone().map(|lane| report.updates.lane(lane)).sum::<u64>();
-        self.decrement = lanes.map(|lane| report.decrement.lane(lane)).fold(0.0, f64::max);
+        self.row_updates += lanes.map(|lane| report.updates.lane(lane)).sum::<u64>();
+        self.decrement = report.decrement.largest().max(0.0);
     }
 }

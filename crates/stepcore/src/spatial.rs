@@ -5,7 +5,7 @@
 //! Rigid Body Dynamics Algorithms (2008), chapter 2. The origin is a point of the
 //! tree, so that numbers stay small far away from the world's origin.
 
-use crate::real::Real;
+use crate::real::{value, Real, Value};
 use nalgebra::{Matrix3, Vector3};
 
 pub type V3<R> = Vector3<R>;
@@ -13,8 +13,8 @@ pub type M3<R> = Matrix3<R>;
 
 /// The same constant vector in every lane.
 #[inline(always)]
-pub fn splat<R: Real>(v: &Vector3<f64>) -> V3<R> {
-    V3::new(R::of(v.x), R::of(v.y), R::of(v.z))
+pub fn splat<R: Real, N: Value<R>>(v: &Vector3<N>) -> V3<R> {
+    V3::new(v.x.get(), v.y.get(), v.z.get())
 }
 
 /// from ← from − a x, of rows of a factorisation: short, and each the x of one soon after.
@@ -76,8 +76,8 @@ impl<R: Real> Quat<R> {
     pub fn identity() -> Self {
         Self { w: R::one(), v: V3::zeros() }
     }
-    pub fn splat(q: &[f64; 4]) -> Self {
-        Self::of(&[R::of(q[0]), R::of(q[1]), R::of(q[2]), R::of(q[3])])
+    pub fn splat<N: Value<R>>(q: &[N; 4]) -> Self {
+        Self::of(&value::get(q))
     }
     #[inline(always)]
     pub fn of(q: &[R]) -> Self {

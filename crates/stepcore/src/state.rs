@@ -29,7 +29,7 @@ room!(State<R>: steps, start, qpos, qvel, act, ctrl_history, warm, sleep);
 
 impl<R: Real> State<R> {
     /// At qpos0 and at rest.
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model<R::Value>) -> Self {
         Self {
             steps: 0,
             start: 0.0,
@@ -40,11 +40,6 @@ impl<R: Real> State<R> {
             warm: Vec::new(),
             sleep: Sleep::new(),
         }
-    }
-
-    /// It has more than numbers: impulses to start from, or who sleeps.
-    pub(crate) fn carries(&self) -> bool {
-        !(self.warm.is_empty() && self.sleep.slow.is_empty())
     }
 
     /// What of it the user holds, in the order of `arrays::Array`.
@@ -102,8 +97,15 @@ room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_q
 
 impl<R: Real> Inputs<R> {
     /// No control, no force; equalities and mocap bodies as the scene has them.
-    pub fn new(model: &Model) -> Self {
-        let initial = |array: Array| array.initial(model).into_iter().map(R::of).collect();
+    pub fn new(model: &Model<R::Value>) -> Self {
+        let initial = |array: Array| {
+            let mut all = vec![R::zero(); array.count(model)];
+            for lane in 0..R::LANES {
+                let own = array.initial_in(model, lane);
+                all.iter_mut().zip(own).for_each(|(to, x)| to.set_lane(lane, x));
+            }
+            all
+        };
         Self {
             ctrl: vec![R::zero(); model.actuators.len()],
             qfrc_applied: vec![R::zero(); model.nv],
@@ -129,6 +131,13 @@ impl<R: Real> Inputs<R> {
     /// False where every applied force is zero, so that a step need not add them.
     pub fn applied(&self) -> bool {
         self.applied
+    }
+
+    /// The controls, by lane and actuator.
+    pub(crate) fn set_ctrl(&mut self, value: impl Fn(usize, usize) -> f64) {
+        for (at, x) in self.ctrl.iter_mut().enumerate() {
+            (0..R::LANES).for_each(|lane| x.set_lane(lane, value(lane, at)));
+        }
     }
 
     /// Lets `write(qfrc_applied, xfrc_applied)` change the applied forces.

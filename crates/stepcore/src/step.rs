@@ -22,11 +22,13 @@ impl<R: Real> Sim<R> {
     /// The same while `observer` watches.
     pub fn step_watched<O: Observer<R>>(&mut self, n: u64, observer: &mut O) -> Result<()> {
         self.wake_where_off();
-        for left in (0..n).rev() {
+        let mut left = n;
+        while left > 0 {
             // The last step leaves all that can be read.
-            if left > 0 && !self.stands && self.step_by_list(observer) {
-                continue;
+            if left > 1 && !self.stands {
+                left -= self.step_by_code(left - 1, observer);
             }
+            left -= 1;
             R::enter(Stage::Commit);
             self.integrate(observer)?;
             self.check_next()?;

@@ -118,6 +118,9 @@ fn worlds_of_several_models_are_worlds_of_each() {
     let heavy = |mass: f64| {
         let mut scene = scenes::runner();
         scene.geoms.iter_mut().skip(1).for_each(|geom| geom.mass = Some(mass));
+        scene.geoms[0].friction[0] *= mass;
+        scene.joints.iter_mut().for_each(|joint| joint.damping[0] = 0.1 * mass);
+        scene.actuators.iter_mut().for_each(|motor| motor.gear[0] *= mass);
         Arc::new(Model::compile(&scene).unwrap())
     };
     let models = vec![heavy(1.0), heavy(1.5), heavy(0.7)];
@@ -154,9 +157,9 @@ fn a_play_in_portions_is_steps_with_its_controls() {
         (vec![0.0; worlds.len() * steps * nq], vec![0.0; worlds.len() * steps * nv]);
     let mut pack = batch_of::<Lanes>(&scene, &Settings::default(), &worlds, 2);
     let kept = [&mut qpos[..], &mut qvel[..], &mut [], &mut []];
-    let mut play = Rollout { steps, ctrl: &ctrl, states: kept };
-    pack.play(&mut play, 0, 13).unwrap();
-    pack.play(&mut play, 13, steps - 13).unwrap();
+    let mut rollout = Rollout { steps, ctrl: &ctrl, states: kept };
+    pack.roll_out(&mut rollout, 0, 13).unwrap();
+    pack.roll_out(&mut rollout, 13, steps - 13).unwrap();
     let mut alone = batch_of::<f64>(&scene, &Settings::default(), &worlds, 1);
     for step in 0..steps {
         for (index, world) in worlds.iter_mut().enumerate() {
@@ -216,10 +219,10 @@ fn after_a_panic_the_worlds_are_still_there() {
     let mut batch = batch_of::<Lanes>(&scene, &settings, &worlds, 1);
     let (mut qpos, mut qvel) = (vec![0.0; n * nq], vec![0.0; n * nv]);
     batch.step(70).unwrap();
-    let mut play =
+    let mut rollout =
         Rollout { steps: 1, ctrl: &[], states: [&mut qpos, &mut qvel, &mut [], &mut []] };
-    let outcome = catch_unwind(AssertUnwindSafe(|| batch.play(&mut play, 0, 1)));
-    assert!(outcome.is_err(), "a play without its controls must not pass");
+    let outcome = catch_unwind(AssertUnwindSafe(|| batch.roll_out(&mut rollout, 0, 1)));
+    assert!(outcome.is_err(), "a rollout without its controls must not pass");
     batch.step(70).unwrap();
     assert_eq!(batch.time(), 140.0 * settings.dt);
     let bits = states(&batch, &mut worlds);

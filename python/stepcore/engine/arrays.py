@@ -138,6 +138,27 @@ def indices_of(worlds: ArrayLike, n: int) -> NDArray[np.intp]:
     raise ValueError(f"worlds = {checks.shown(worlds)}: must be {limit}")
 
 
+class State(bytes):
+    """A snapshot of one world. Two that are equal continue alike.
+
+    last: what the last solve began with and gave, for what is read of it after `restore`.
+    """
+
+    last: bytes | None = None
+
+
+def kept(state: bytes, last: bytes | None) -> State:
+    """Return a snapshot with what is known of the last solve."""
+    own = State(state)
+    own.last = last
+    return own
+
+
+def last_of(state: object) -> bytes | None:
+    """Return what a snapshot keeps of the last solve."""
+    return state.last if isinstance(state, State) else None
+
+
 def snapshot(value: object, part: Any) -> bytes:
     """Return `part` of the snapshot `value` as bytes; raise ValueError if this is impossible."""
     try:

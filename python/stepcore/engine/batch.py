@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, indices_of, numbers, snapshot
+from stepcore.engine.arrays import Floats, indices_of, kept, last_of, numbers, snapshot
 from stepcore.engine.parameters import Parameters
 from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
 from stepcore.engine.sim import Momentum
@@ -67,8 +67,8 @@ class Batch(World):
 
     The results are bit-identical with any number of threads, with and without lanes, and in a
     `Sim`. All worlds share one `time`, and one model except for the values in `param`. Of the last
-    solve a batch keeps only `qacc`: reading `contacts`, `rows`, `residual`, `constraint_force` or
-    `actuator_force` solves again, on the batch's threads.
+    solve a batch keeps only `qacc` and `actuator_force`: reading `contacts`, `rows`, `residual` or
+    `constraint_force` solves again, on the batch's threads.
 
     >>> from stepcore import Batch, Scene
     >>> scene = Scene()
@@ -243,12 +243,15 @@ class Batch(World):
     def times(self) -> Floats:
         """Time of each world [s], shape (n,), counted from the world's own last reset.
 
-        The times differ from `time` where `reset` was called with `worlds`; `restore` makes them
-        equal.
+        The times differ from `time` where `reset` was called with `worlds`.
         """
-        dt = self.settings.dt
-        own = self._reset_to + np.rint((self.time - self._reset_at) / dt) * dt
+        own = self._reset_to + self._steps_since_reset() * self.settings.dt
         return np.where(np.isnan(own), self.time, own)
+
+    def _steps_since_reset(self) -> Floats:
+        """Return the steps of each world since its own reset, NaN where it had none."""
+        steps: Floats = np.rint((self.time - self._reset_at) / self.settings.dt)
+        return steps
 
     @property
     def nbytes(self) -> int:
@@ -342,11 +345,21 @@ class Batch(World):
         return np.broadcast_to(table, (k, width))
 
     def state(self) -> tuple[bytes, ...]:
-        """Return a complete snapshot of every world; each is also a snapshot of a `Sim`."""
-        return tuple(self._core.state())
+        """Return a complete snapshot of every world; each is also a snapshot of a `Sim`.
+
+        A snapshot has the world's own time; see `Sim.state`.
+        """
+        steps = self._steps_since_reset()
+        own = {
+            int(world): (float(self._reset_to[world]), int(steps[world]))
+            for world in np.flatnonzero(~np.isnan(steps))
+        }
+        return tuple(map(kept, self._core.state(own), self._core.last()))
 
     def restore(self, state: tuple[bytes, ...]) -> None:
         """Restore a snapshot from `state`; the motion then continues bit-identically.
+
+        `time` becomes that of the batch at the snapshot, and `times` that of each world.
 
         Raises ValueError for any other argument; nothing changes then.
         """
@@ -354,8 +367,12 @@ class Batch(World):
             worlds = list(state)
         except TypeError:
             worlds = [state]  # type: ignore[list-item]
-        self._core.restore([snapshot(state, world) for world in worlds])
+        lasts = [last_of(world) for world in worlds]
+        own = self._core.restore([snapshot(state, world) for world in worlds], lasts)
         self._reset_at[:] = np.nan
+        for world, (start, steps) in own.items():
+            self._reset_at[world] = self.time - steps * self.settings.dt
+            self._reset_to[world] = start
 
     def copy(self) -> Batch:
         """Return another batch of the same worlds; both continue bit-identically."""
@@ -414,7 +431,7 @@ class Batch(World):
 
     def __reduce__(self) -> tuple[Any, ...]:
         how = (self._threads, self._lanes, self._on_failure)
-        own = (self._param.columns(), self.state(), self._reset_at, self._reset_to)
+        own = (self._param.columns(), self.state())
         return _restored, (self._model, len(self), *how, *own)
 
     def __repr__(self) -> str:
@@ -445,12 +462,9 @@ def _restored(
     on_failure: str,
     param: dict[str, Floats],
     state: tuple[bytes, ...],
-    reset_at: Floats,
-    reset_to: Floats,
 ) -> Batch:
     batch = Batch(model, n, threads=threads, lanes=lanes, on_failure=on_failure)
     if param:
         batch.param.update(param)
     batch.restore(state)
-    batch._reset_at[:], batch._reset_to[:] = reset_at, reset_to
     return batch

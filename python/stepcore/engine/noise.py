@@ -5,7 +5,7 @@ has drawn. A number therefore depends neither on the number of worlds nor on the
 worlds. The hash applies SplitMix64's finaliser (Steele, Lea & Flood, "Fast splittable pseudorandom
 number generators", 2014) to each of these inputs in turn; a name enters by its 64-bit BLAKE2b hash
 (RFC 7693). Normal numbers are quantiles of uniform numbers by Wichura's algorithm AS 241 (1988),
-exact to 1e-15. The logarithm uses only +, −, ×, ÷, so results are bit-identical on every machine.
+exact to 1e-15. Only +, −, ×, ÷ and √ are used, so results are bit-identical on every machine.
 """
 
 from __future__ import annotations
@@ -15,89 +15,20 @@ import hashlib
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepcore import checks
+from stepcore import _core, checks
 from stepcore.engine.arrays import Floats, indices_of, numbers
 
 Words = NDArray[np.uint64]
 Chosen = slice | NDArray[np.intp]
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-# AS 241: numerators and denominators, highest power first, of the middle and of the two tails.
-MIDDLE = (
-    (
-        2509.0809287301226727,
-        33430.575583588128105,
-        67265.770927008700853,
-        45921.953931549871457,
-        13731.693765509461125,
-        1971.5909503065514427,
-        133.14166789178437745,
-        3.387132872796366608,
-    ),
-    (
-        5226.495278852854561,
-        28729.085735721942674,
-        39307.89580009271061,
-        21213.794301586595867,
-        5394.1960214247511077,
-        687.1870074920579083,
-        42.313330701600911252,
-        1.0,
-    ),
-)
-NEAR = (
-    (
-        7.7454501427834140764e-4,
-        0.0227238449892691845833,
-        0.24178072517745061177,
-        1.27045825245236838258,
-        3.64784832476320460504,
-        5.7694972214606914055,
-        4.6303378461565452959,
-        1.42343711074968357734,
-    ),
-    (
-        1.05075007164441684324e-9,
-        5.475938084995344946e-4,
-        0.0151986665636164571966,
-        0.14810397642748007459,
-        0.68976733498510000455,
-        1.6763848301838038494,
-        2.05319162663775882187,
-        1.0,
-    ),
-)
-FAR = (
-    (
-        2.01033439929228813265e-7,
-        2.71155556874348757815e-5,
-        0.0012426609473880784386,
-        0.026532189526576123093,
-        0.29656057182850489123,
-        1.7848265399172913358,
-        5.4637849111641143699,
-        6.6579046435011037772,
-    ),
-    (
-        2.04426310338993978564e-15,
-        1.4215117583164458887e-7,
-        1.8463183175100546818e-5,
-        7.868691311456132591e-4,
-        0.0148753612908506148525,
-        0.13692988092273580531,
-        0.59983220655588793769,
-        1.0,
-    ),
-)
-HALF_SQRT = 0.7071067811865476
-LOG_2 = 0.6931471805599453
 
 
 class Noise:
     """A generator of random numbers for n worlds, with an independent stream for each world.
 
     n: the number of worlds. The stream of world k does not depend on n.
-    seed: an integer from 0 to 2**63 - 1.
+    seed: an integer from 0 to 2**63 - 1. See `of_seeds` for worlds with seeds of their own.
     name: the name of the stream. Streams of different names are independent, so that noise on
         controls does not change the draws of resets.
 
@@ -115,15 +46,36 @@ class Noise:
         whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
         if not whole or not 0 <= seed < 1 << 63:
             raise checks.refuse("Noise", "seed", seed, "a whole number from 0 to 2**63 - 1")
+        self._begin(int(seed), name, np.arange(count, dtype=np.uint64))
+
+    @classmethod
+    def of_seeds(cls, seeds: ArrayLike, name: str = "") -> Noise:
+        """Return a Noise whose worlds have seeds of their own.
+
+        seeds: integers from 0 to 2**63 - 1, shape (n,). World k draws what the first world of
+            ``Noise(1, seeds[k], name)`` draws.
+
+        Raises ValueError for other seeds.
+        """
+        given = np.asarray(seeds)
+        if given.ndim != 1 or given.dtype.kind not in "iu" or not (given >= 0).all():
+            limit = "whole numbers from 0 to 2**63 - 1, shape (n,)"
+            raise ValueError(f"seeds = {checks.shown(seeds)}: must be {limit}")
+        noise = cls.__new__(cls)
+        noise._begin(given.astype(np.uint64), name, np.zeros(len(given), dtype=np.uint64))
+        return noise
+
+    def _begin(self, seed: int | Words, name: str, worlds: Words) -> None:
+        """Make the key of each world's stream, of which nothing was drawn yet."""
         if not isinstance(name, str):
             raise checks.refuse("Noise", "name", name, "a text")
-        self.seed, self.name = int(seed), name
+        self.seed, self.name = seed, name
         # File names may contain lone surrogates.
         text = hashlib.blake2b(name.encode("utf-8", "surrogatepass"), digest_size=8).digest()
-        stream = np.array([self.seed, int.from_bytes(text, "little")], dtype=np.uint64)
-        key = _mixed(_mixed(stream[:1]) ^ stream[1:])
-        self._keys = _mixed(key ^ np.arange(count, dtype=np.uint64))
-        self._drawn = np.zeros(count, dtype=np.uint64)
+        stream = np.array([int.from_bytes(text, "little")], dtype=np.uint64)
+        key = _mixed(_mixed(np.atleast_1d(np.asarray(seed, dtype=np.uint64))) ^ stream)
+        self._keys = _mixed(key ^ worlds)
+        self._drawn = np.zeros(len(worlds), dtype=np.uint64)
 
     def __len__(self) -> int:
         """Return the number of worlds."""
@@ -150,8 +102,10 @@ class Noise:
         if not np.isfinite(width).all():
             limit = f"at most {np.finfo(float).max:.3g} above low = {checks.shown(low)}"
             raise ValueError(f"high = {checks.shown(high)}: must be {limit}")
-        result: Floats = least + width * self._share(chosen, shape[1])
-        return result
+        drawn = self._next(chosen, shape, normal=False)
+        drawn *= width
+        drawn += least
+        return drawn
 
     def normal(self, k: int, scale: ArrayLike = 1.0, worlds: ArrayLike | None = None) -> Floats:
         """Return k normal numbers with mean 0 for each selected world, shape (n, k).
@@ -166,8 +120,9 @@ class Noise:
         deviation = _spread("scale", scale, shape)
         if (deviation < 0).any():
             raise ValueError(f"scale = {checks.shown(scale)}: must be >= 0")
-        result: Floats = deviation * quantile(self._share(chosen, shape[1]))
-        return result
+        drawn = self._next(chosen, shape, normal=True)
+        drawn *= deviation
+        return drawn
 
     def _asked(self, k: int, worlds: ArrayLike | None) -> tuple[Chosen, tuple[int, int]]:
         """Return the worlds that draw, and the shape of the numbers."""
@@ -177,14 +132,12 @@ class Noise:
         chosen = indices_of(worlds, len(self))
         return chosen, (len(chosen), width)
 
-    def _share(self, chosen: Chosen, width: int) -> Floats:
-        """Draw numbers strictly between 0 and 1 for some worlds."""
+    def _next(self, chosen: Chosen, shape: tuple[int, int], normal: bool) -> Floats:
+        """Draw normal numbers, or numbers strictly between 0 and 1, for some worlds."""
         drawn = self._drawn[chosen]
-        places: Words = np.add.outer(drawn, np.arange(width, dtype=np.uint64))
-        self._drawn[chosen] = drawn + np.uint64(width)
-        words = _mixed(self._keys[chosen][:, None] ^ _mixed(places))
-        result: Floats = ((words >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
-        return result
+        numbers = _core.noise(self._keys[chosen], drawn, shape[1], normal)
+        self._drawn[chosen] = drawn + np.uint64(shape[1])
+        return numbers.reshape(shape)
 
     def state(self) -> NDArray[np.uint64]:
         """Return the count of numbers drawn by each world, shape (n,): the complete state."""
@@ -200,14 +153,17 @@ class Noise:
 
     def __repr__(self) -> str:
         name = f", name={self.name!r}" if self.name else ""
-        return f"Noise({len(self)}, seed={self.seed}{name})"
+        seed = f"seed={self.seed}" if isinstance(self.seed, int) else "seeds of their own"
+        return f"Noise({len(self)}, {seed}{name})"
 
 
 def _spread(name: str, value: ArrayLike, shape: tuple[int, int]) -> Floats:
-    """Return an argument as finite numbers broadcast to a shape; else raise ValueError."""
+    """Return an argument as finite numbers that broadcast to a shape; else raise ValueError."""
     table = numbers(name, value)
     if not np.isfinite(table).all():
         raise ValueError(f"{name} = {checks.shown(value)}: must be finite")
+    if not table.ndim:
+        return table
     try:
         return np.broadcast_to(table, shape)
     except ValueError:
@@ -232,36 +188,4 @@ def quantile(share: Floats) -> Floats:
     >>> quantile(np.array([0.025, 0.5, 0.975])).round(6).tolist()
     [-1.959964, 0.0, 1.959964]
     """
-    q = share - 0.5
-    result: Floats = q * _ratio(MIDDLE, 0.180625 - q * q)
-    outside = np.abs(q) > 0.425
-    least = np.minimum(share, 1.0 - share)[outside]
-    root = np.sqrt(-log(least))
-    tail = np.where(root <= 5.0, _ratio(NEAR, root - 1.6), _ratio(FAR, root - 5.0))
-    result[outside] = np.where(q[outside] < 0, -tail, tail)
-    return result
-
-
-def _ratio(coefficients: tuple[tuple[float, ...], tuple[float, ...]], x: Floats) -> Floats:
-    """Evaluate a ratio of two polynomials."""
-    above, below = (np.full_like(x, some[0]) for some in coefficients)
-    for a, b in zip(coefficients[0][1:], coefficients[1][1:], strict=True):
-        above, below = above * x + a, below * x + b
-    result: Floats = above / below
-    return result
-
-
-def log(x: Floats) -> Floats:
-    """Return the natural logarithm of positive numbers: 2 artanh((m − 1) / (m + 1)), mantissa m."""
-    mantissa, exponent = np.frexp(x)
-    low = mantissa < HALF_SQRT
-    mantissa, exponent = (
-        np.where(low, 2 * mantissa, mantissa),
-        np.where(low, exponent - 1, exponent),
-    )
-    z = (mantissa - 1.0) / (mantissa + 1.0)
-    square, series = z * z, np.zeros_like(z)
-    for power in range(23, 0, -2):
-        series = series * square + 1.0 / power
-    result: Floats = exponent * LOG_2 + 2.0 * z * series
-    return result
+    return _core.quantile(share)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +34,27 @@ class ModelVariation(Variation):
         return compile_data(self.scene, data)
 
 
+# So many models are compiled in the calling thread: starting others takes longer.
+FEW = 2
+
+
+class Rows(np.ndarray[Any, np.dtype[np.float64]]):
+    """The array of a path, one row for each world: assigning to some rows assigns the parameter."""
+
+    _assign: Callable[[Floats], None] | None = None
+
+    def __array_finalize__(self, other: object) -> None:
+        # Views and results of arithmetic are plain arrays.
+        self._assign = None
+
+    def __setitem__(self, rows: Any, values: Any) -> None:
+        if self._assign is not None:
+            new = np.array(self)
+            new[rows] = values
+            self._assign(new)
+        super().__setitem__(rows, values)
+
+
 class Parameters(Mapping[str, Floats]):
     """Model values that differ from world to world of a batch, as arrays by path: `Batch.param`.
 
@@ -48,12 +69,13 @@ class Parameters(Mapping[str, Floats]):
     States, controls and impulses do not change. Until the next step, readouts of the last step are
     those of the present state.
 
-    Reading returns a copy of the assigned array, or the model's own value in every world. Writing
-    into this copy has no effect: assign the array. ``del`` and `clear` restore the model's own
-    values. Iteration yields the assigned paths.
+    Reading returns a copy of the assigned array, or the model's own value in every world.
+    ``param[path][worlds] = values`` assigns rows of this array, as a reset does: only the models of
+    these worlds are compiled, and only their lanes are rewritten. ``del`` and `clear` restore the
+    model's own values. Iteration yields the assigned paths.
 
-    Worlds of equal rows share vector lanes. A batch whose worlds mostly have distinct rows steps
-    them one by one.
+    Worlds of distinct rows share vector lanes, as long as each value is zero in all of them or in
+    none. Assigning an array again compiles the models of those worlds alone that have new values.
 
     An invalid value raises a ValueError that names path, world, value and limit; nothing changes
     then.
@@ -74,9 +96,11 @@ class Parameters(Mapping[str, Floats]):
         self._variants = Variants(model, {}, n)
 
     def __getitem__(self, path: str) -> Floats:
-        if path in self._columns:
-            return self._columns[path].copy()
-        return np.stack([_own(self._base, path)] * self._n)
+        known = self._columns.get(path)
+        column = np.stack([_own(self._base, path)] * self._n) if known is None else known.copy()
+        rows = column.view(Rows)
+        rows._assign = lambda new: self.update({path: new})
+        return rows
 
     def __setitem__(self, path: str, values: ArrayLike) -> None:
         self.update({path: values})
@@ -134,7 +158,7 @@ class Parameters(Mapping[str, Floats]):
         return frozen(table.copy())
 
     def _take(self, columns: dict[str, Floats]) -> None:
-        variants = Variants(self._base, columns, self._n)
+        variants = Variants(self._base, columns, self._n, self._variants)
         for world, error in variants.errors().items():
             raise ValueError(f"param, world {world}: {checks.one_line(error)}") from None
         self._core.set_models(variants.models, variants.model_of)
@@ -145,49 +169,96 @@ class Parameters(Mapping[str, Floats]):
         return f"<Parameters of {self._n} worlds: {paths or 'none'}>"
 
 
+class Made:
+    """A compiled model, and its initial arrays where they differ from those of the base model."""
+
+    def __init__(self, core: _core.Model) -> None:
+        self.core = core
+        self._initial: dict[str, Any] | None = None
+
+    def initial(self, base: dict[str, Any]) -> dict[str, Any]:
+        """Return the initial arrays, or nothing if they are those of the base model."""
+        if self._initial is None:
+            own = dict(self.core.initial())
+            self._initial = {} if own == base else own
+        return self._initial
+
+
 class Variants:
     """The models compiled for all distinct rows of a table of parameters.
 
     models: the engine's models. model_of: for each world, the index in `models`.
     """
 
-    def __init__(self, model: Model, columns: Mapping[str, Floats], n: int) -> None:
+    def __init__(
+        self,
+        model: Model,
+        columns: Mapping[str, Floats],
+        n: int,
+        before: Variants | None = None,
+    ) -> None:
         self._base, self._columns = model, columns
         self.models: list[_core.Model] = []
         self.model_of: list[int] = [0] * n
         self._refused: dict[int, ValueError] = {}
         self._made: dict[int, Model] = {}
+        # By row: the engine's model, with the initial arrays that it has of its own; and what makes
+        # more of them.
+        self._known: dict[bytes, Made] = {}
+        self._variation: ModelVariation | None = None
         if not columns:
             self.models.append(model.core)
             return
+        kept: dict[bytes, Made] = {}
+        if before is not None and before.layout() == self.layout():
+            kept, self._variation = before._known, before._variation
         rows = np.concatenate([column.reshape(n, -1) for column in columns.values()], axis=1)
         known: dict[bytes, int] = {}
-        first: list[int] = []
+        new: list[tuple[int, int]] = []
         for world in range(n):
             row = rows[world].tobytes()
-            if row not in known:
-                known[row] = len(first)
-                first.append(world)
-            self.model_of[world] = known[row]
-        self._compile(first)
+            index = known.setdefault(row, len(self.models))
+            if index == len(self.models):
+                self.models.append(kept[row].core if row in kept else model.core)
+                if row not in kept:
+                    new.append((index, world))
+            self.model_of[world] = index
+        self._compile(new)
+        for row, index in known.items():
+            if index not in self._refused:
+                self._known[row] = kept.get(row) or Made(self.models[index])
 
-    def _compile(self, worlds: list[int]) -> None:
-        """Compile the models of these worlds, several at a time."""
+    def layout(self) -> list[tuple[str, tuple[int, ...]]]:
+        """Return the paths and the shapes of their values, in the order of a row."""
+        return [(path, column.shape[1:]) for path, column in self._columns.items()]
+
+    def _compile(self, new: list[tuple[int, int]]) -> None:
+        """Compile the models at these indices of these worlds, several at a time."""
+        if not new:
+            return
+        variation = self._variation or ModelVariation(self._base, self._columns)
+        self._variation = variation
+        if len(new) <= FEW:
+            for index, world in new:
+                try:
+                    self.models[index] = variation.compiled(self._data(variation, world))
+                except ValueError as error:
+                    self._refused[index] = error
+            return
         # Imported here because only parameters need Python threads.
         from concurrent.futures import ThreadPoolExecutor
 
-        variation = ModelVariation(self._base, self._columns)
         with ThreadPoolExecutor(checks.threads(None)) as pool:
             # Scenes are created one after another, while the engine compiles earlier ones.
             compiled = [
-                pool.submit(variation.compiled, self._data(variation, world)) for world in worlds
+                (index, pool.submit(variation.compiled, self._data(variation, world)))
+                for index, world in new
             ]
-            for index, result in enumerate(compiled):
+            for index, result in compiled:
                 try:
-                    self.models.append(result.result())
+                    self.models[index] = result.result()
                 except ValueError as error:
                     self._refused[index] = error
-                    self.models.append(self._base.core)
 
     def _data(self, variation: Any, world: int) -> Any:
         """Return the plain data of a world's scene, or the error that prevents it."""
@@ -219,10 +290,8 @@ class Variants:
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
         """Return the worlds whose initial arrays differ from the model's, with these arrays."""
         own = dict(self._base.core.initial())
-        different = {}
-        for index, model in enumerate(self.models):
-            if model is not self._base.core and (arrays := dict(model.initial())) != own:
-                different[index] = arrays
+        all_arrays = enumerate(made.initial(own) for made in self._known.values())
+        different = {index: arrays for index, arrays in all_arrays if arrays}
         if not different:
             return []
         worlds: dict[int, list[int]] = {index: [] for index in different}

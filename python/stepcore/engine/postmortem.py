@@ -145,7 +145,7 @@ def run_again(failure: Replay) -> PostMortem:
     model = _core.compile(failure.scene)
     sim = _core.Sim(model, settings)
     sim.unwatch()
-    sim.restore(failure.state)
+    sim.restore(failure.state, None)
     own = dict(sim.arrays())
     changes = {step: arrays for step, *arrays in failure.inputs}
     time, energy, steps = [], [], []

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, snapshot
+from stepcore.engine.arrays import Floats, kept, last_of, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.linearization import Linearization, linearized
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
@@ -212,15 +212,20 @@ class Sim(World):
         self._core.forget()
 
     def state(self) -> bytes:
-        """Return a complete snapshot: state, inputs, time, step count and warm-start impulses."""
-        return self._core.state()
+        """Return a complete snapshot: state, inputs, time, step count and warm-start impulses.
+
+        Equal snapshots continue alike. Beside these bytes a snapshot keeps where the last solve
+        began: after `restore`, in a copy and after unpickling, ``qacc``, contacts, rows and forces
+        are those of that solve. Plain bytes with the same content restore the state alone.
+        """
+        return kept(self._core.state(), self._core.last())
 
     def restore(self, state: bytes) -> None:
         """Restore a snapshot from `state`; the motion then continues bit-identically.
 
         Raises ValueError for bytes that are no snapshot of this model; nothing changes then.
         """
-        self._core.restore(snapshot(state, state))
+        self._core.restore(snapshot(state, state), last_of(state))
 
     def copy(self) -> Sim:
         """Return another Sim of the same model, settings and state; both continue bit-identically.

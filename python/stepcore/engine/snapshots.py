@@ -51,7 +51,7 @@ class Taking:
     def look(self, step: int) -> None:
         """Store the present state at the first and last step and at every `stride` steps."""
         if step % self.stride == 0 or step == self.steps:
-            self.states.append(self.sim.state())
+            self.states.append(bytes(self.sim.state()))
 
     def kept(self) -> Snapshots:
         """Return the snapshots taken so far."""

@@ -134,7 +134,7 @@ class World(checks.KnownNames, ABC):
         "Applied forces, contacts, body equalities and all that acts along spatial tendons, on "
         "each body in the last solve: moment about c (see `cinert`) [N·m], then force [N], in "
         "world axes; shape (nbody, 6). Forces of fixed tendons and of other actuators count as "
-        "the joints' own. Before there was a solve, and after `restore` and `reset`, of one at "
+        "the joints' own. Before there was a solve, and after `reset`, of one at "
         "the present state."
     )
     cfrc_int = Readout(
@@ -307,7 +307,7 @@ class World(checks.KnownNames, ABC):
         at the start of the last `step` or `forward`, before the step moved anything, as in MuJoCo
         after mj_step. The values are computed on access. Force sensors read the solve of the step;
         they need one more solve in a `Batch`, with `sleep`, and under "rk4" and "midpoint".
-        Before the first step or `forward`, and after `restore` and `reset`, the values describe the
+        Before the first step or `forward`, and after `reset`, the values describe the
         present state.
         """
         values: Floats = self._core.sensordata()

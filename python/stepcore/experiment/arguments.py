@@ -146,19 +146,21 @@ class Workers:
         points: Sequence[T],
         bar: Progress | str,
         done: list[R | None] | None = None,
+        took: Callable[[range, list[R]], object] | None = None,
     ) -> list[R]:
         """Call a job at every point, and return the results in the order of the points.
 
         bar: an open progress bar, or the label of a new one.
-        done: filled with the results so far; see `stepcore.executors.each`.
+        done: filled with the results so far; took: called with them as they come. See
+            `stepcore.executors.each`.
 
         Raises OutOfTime if the measurement's time is over before the last result.
         """
         if isinstance(bar, str):
             with self.bar(bar, len(points)) as drawn:
-                return self.each(job, points, drawn, done)
+                return self.each(job, points, drawn, done, took)
         how: dict[str, Any] = {"threads": self.threads, "executor": self.executor}
-        return each(job, points, bar=bar, done=done, **how)
+        return each(job, points, bar=bar, done=done, took=took, **how)
 
     def until(
         self,

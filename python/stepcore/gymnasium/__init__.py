@@ -22,13 +22,15 @@ except ModuleNotFoundError as error:
         "stepcore.gymnasium needs gymnasium: pip install 'stepcore[gymnasium]'"
     ) from None
 
+from stepcore.gymnasium.draws import Draws
 from stepcore.gymnasium.env import Env
 from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.task import Task
+from stepcore.gymnasium.task_state import TaskState
 from stepcore.gymnasium.tasks import TASKS as _TASKS
 from stepcore.gymnasium.vector_env import VectorEnv
 
-__all__ = ["Env", "Moment", "Task", "VectorEnv", "register_envs"]
+__all__ = ["Draws", "Env", "Moment", "Task", "TaskState", "VectorEnv", "register_envs"]
 
 
 def register_envs() -> None:

@@ -31,12 +31,14 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
     terminated: of a `Moment`, whether the episode is over; by default never.
     info: of a `Moment`, a dict of further information after an action.
     reset: a function of the model and a `numpy.random.Generator` that returns the first qpos and
-        qvel; by default the model's initial pose at rest.
+        qvel; by default the model's initial pose at rest. Or of three arguments: see `Task.start`.
     frame_skip: steps of the engine for each action.
     action_space, observation_space: a `gymnasium.spaces.Box`; by default the actuators' control
         ranges, in float32, and any numbers in float64. Actions beyond the space are not clipped:
         the actuators clamp their controls.
     settings: a `Settings`, or a dict of some of its fields, instead of the model's own.
+    dtype: number type of the observations, such as ``numpy.float32``; by default that of the
+        observation space.
     render_mode: "rgb_array" to let `render` draw the world; needs what `stepcore.picture` needs.
     width, height: of what is drawn, in points.
 
@@ -67,6 +69,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         model: Source | Task,
         *,
         settings: Settings | Mapping[str, Any] | None = None,
+        dtype: Any = None,
         render_mode: str | None = None,
         width: int = 480,
         height: int = 480,
@@ -76,7 +79,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         self.render_mode = render_mode
         self._task = task_of(Env, model, task)
         self._env_core = EnvCore(self._task, settings)
-        spaces = Spaces(self._task, self._env_core)
+        spaces = Spaces(self._task, self._env_core, dtype)
         self.action_space = spaces.action
         self.observation_space = spaces.observation  # type: ignore[assignment]
         self._begun = False
@@ -100,10 +103,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         """Begin an episode; see `gymnasium.Env.reset`. There are no options."""
         super().reset(seed=seed)
         no_options(options)
-        qpos, qvel = self._env_core.starts([self.np_random])
-        self.sim.reset()
-        self.sim.qpos, self.sim.qvel = qpos[0], qvel[0]
-        first = self._env_core.first(qpos, qvel)
+        first = self._env_core.begin(np.arange(1), [self.np_random])
         self._env_core.keep_only(first)
         self._begun = True
         info = self._task.reset_info(first)

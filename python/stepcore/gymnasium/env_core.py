@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import inspect
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import numpy as np
@@ -14,9 +16,11 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.gymnasium.draws import Streams
 from stepcore.gymnasium.mujoco_late_arrays import go_to_last_stage
 from stepcore.gymnasium.snapshot import Moment, Readings
 from stepcore.gymnasium.task import Task
+from stepcore.gymnasium.task_state import TaskState
 
 # What tells of the last solve; the other arrays are of the present state.
 OF_THE_SOLVE = frozenset(
@@ -46,7 +50,18 @@ class EnvCore:
         self.task = task
         self.skip = checks.count("frame_skip", task.frame_skip)
         self.model = _with_settings(task.model(), settings)
+        self.action_space = task.action_space(self.model)
         self.world = self._made(n, how)
+        # All worlds: their indices, and as an index of arrays; a Sim's have no axis of worlds.
+        self._all: Any = 0 if n is None else np.arange(n)
+        self._rows: Any = 0 if n is None else slice(None)
+        # What the task remembers, by name, with an axis of worlds.
+        self.state: dict[str, NDArray[Any]] = {}
+        self._n = 1 if n is None else n
+        self.streams = Streams(self._n)
+        self._events = task.has("before_step")
+        self._random: set[str] = set()
+        self._on_all = len(inspect.signature(task.start).parameters) > 2
         self.dt = self.model.settings.dt * self.skip
         rk4 = self.model.settings.integrator == "rk4"
         solved = not OF_THE_SOLVE.isdisjoint(task.late)
@@ -70,27 +85,59 @@ class EnvCore:
 
     # Moments.
 
-    def trial(self) -> Moment:
-        """Return the present worlds for a trial of the functions; record which arrays they read."""
-        nu = len(self.model.names["actuator"])
-        action = np.zeros((*self.world.qpos.shape[:-1], nu), dtype=np.float32)
+    @contextmanager
+    def trial(self) -> Iterator[Moment]:
+        """Give the present worlds for a trial of the functions; record which arrays they read."""
+        action = self._no_action(self.world.qpos.shape[:-1])
 
         def read(name: str) -> Any:
             return np.array(getattr(self.world, name))
 
-        return self._moment(read, {}, action, Readings(read, self._asked_before))
+        before = Readings(read, self._asked_before, {"action": action})
+        now = self._moment(read, {}, action, before)
+        self.task.begin(now)
+        yield now
+        # What the trial drew and remembered is no part of an episode.
+        self.state.clear()
+        self.streams = Streams(self._n)
 
     def moment(self, action: NDArray[Any], late: dict[str, Any]) -> Moment:
         """Return the worlds after an action."""
         before = Readings(_unknown, self._asked_before, self._before)
         return self._moment(lambda name: getattr(self.world, name), late, action, before)
 
+    def ahead(self, action: NDArray[Any]) -> Moment:
+        """Return the worlds before an action or a step, of which nothing is kept."""
+        before = Readings(_not_before, set())
+        return self._moment(lambda name: getattr(self.world, name), {}, action, before, set())
+
     def _moment(
-        self, read: Any, kept: dict[str, Any], action: NDArray[Any], before: Readings
+        self,
+        read: Any,
+        kept: dict[str, Any],
+        action: NDArray[Any],
+        before: Readings,
+        asked: set[str] | None = None,
+        worlds: Any = None,
     ) -> Moment:
+        whole = worlds is None
+        here, rows = (self._all, self._rows) if whole else (worlds, worlds)
         return Moment(
-            read, self._asked, kept, action=action, before=before, dt=self.dt, model=self.model
+            read,
+            self._asked if asked is None else asked,
+            kept,
+            action=action,
+            before=before,
+            dt=self.dt,
+            model=self.model,
+            worlds=here,
+            state=TaskState(self.state, self._n, rows),
+            rng=self.streams.of(here),
+            world=self.world,
         )
+
+    def _no_action(self, shape: tuple[int, ...]) -> NDArray[Any]:
+        return np.zeros((*shape, *(self.action_space.shape or ())), dtype=np.float32)
 
     def keep(self, now: Moment) -> None:
         """Keep the arrays that the functions will read as `now.before` after the next action."""
@@ -103,19 +150,34 @@ class EnvCore:
 
         A world that fails stands in its last finite state.
         """
-        self.world.ctrl = action
+        self.world.ctrl = np.asarray(self.task.control(self.ahead(action)))
+        late: dict[str, Any] = {}
         if not self.task.late:
-            errors = self._stepped(self.skip)
-            return self.moment(action, {}), errors
-        errors = self._stepped(self.skip - 1)
-        late = self._late(action)
-        if not (errors and isinstance(self.world, Sim)):
-            errors |= self._stepped(1)
+            errors = self._steps(action, 0, self.skip)
+        else:
+            errors = self._steps(action, 0, self.skip - 1)
+            late = self._late()
+            if not (errors and isinstance(self.world, Sim)):
+                errors |= self._steps(action, self.skip - 1, self.skip)
         for name, array in late.items():
             for world in errors:
                 own = world if isinstance(self.world, Batch) else ...
                 array[own] = self._before[name][own]
-        return self.moment(action, late), errors
+        now = self.moment(action, late)
+        self.task.after_action(now)
+        return now, errors
+
+    def _steps(self, action: NDArray[Any], first: int, end: int) -> dict[int, SimulationError]:
+        """Take some of the steps of an action; return the errors of worlds that failed."""
+        if not self._events:
+            return self._stepped(end - first)
+        errors: dict[int, SimulationError] = {}
+        for step in range(first, end):
+            self.task.before_step(self.ahead(action), step)
+            errors |= self._stepped(1)
+            if errors and isinstance(self.world, Sim):
+                break
+        return errors
 
     def _stepped(self, n: int) -> dict[int, SimulationError]:
         """Take n steps; return the errors of worlds that failed."""
@@ -126,13 +188,17 @@ class EnvCore:
                 return {0: error}
         return self.world.failures if isinstance(self.world, Batch) else {}
 
-    def _late(self, action: NDArray[Any]) -> dict[str, Any]:
+    def _late(self) -> dict[str, Any]:
         """Before the last step, read the arrays at the place where it last evaluates forces."""
         source: Sim | Batch = self.world
         if self._stage is not None:
             source = self._stage
             source.reset()
-            source.ctrl = action
+            source.ctrl = self.world.ctrl
+            source.qfrc_applied, source.xfrc_applied = (
+                self.world.qfrc_applied,
+                self.world.xfrc_applied,
+            )
             try:
                 go_to_last_stage(source, self.world.qpos, self.world.qvel)
             except SimulationError:
@@ -143,24 +209,72 @@ class EnvCore:
 
     # Resets.
 
-    def starts(self, rngs: Iterable[np.random.Generator]) -> tuple[Floats, Floats]:
-        """Draw first states, one for each generator: qpos (k, nq) and qvel (k, nv)."""
-        drawn = [self.task.start(self.model, rng) for rng in rngs]
-        qpos, qvel = (np.array(values, dtype=np.float64) for values in zip(*drawn, strict=True))
+    def begin(self, worlds: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> Moment:
+        """Begin episodes in k worlds, whose generators these are; return their first moment.
+
+        Its arrays have an axis of k worlds, for a Sim too.
+        """
+        self.streams.seed(worlds.tolist(), rngs)
+        self._randomize(worlds)
+        qpos, qvel = self._starts(worlds, rngs)
+        if isinstance(self.world, Batch):
+            self.world.reset(worlds=worlds, qpos=qpos, qvel=qvel)
+        else:
+            self.world.reset()
+            self.world.qpos, self.world.qvel = qpos[0], qvel[0]
+        first = self._first_moment(worlds, qpos, qvel)
+        self.task.begin(first)
+        return first
+
+    def _randomize(self, worlds: NDArray[np.intp]) -> None:
+        """Give worlds model values of their own."""
+        if not self.task.has("randomize"):
+            return
+        values = self.task.randomize(self.model, self.streams.of(worlds), worlds)
+        given = {path: np.asarray(value, dtype=np.float64) for path, value in values.items()}
+        self._random |= given.keys()
+        if isinstance(self.world, Sim):
+            own = {path: value[0].tolist() for path, value in given.items()}
+            self.world = unwatched(Sim(self.model.with_values(own)))
+            return
+        columns = {}
+        for path, value in given.items():
+            column = np.array(self.world.param[path])
+            first = column.ndim > value.ndim
+            column[(worlds, 0) if first else worlds] = value
+            columns[path] = column
+        self.world.param.update(columns)
+
+    def _starts(
+        self, worlds: NDArray[np.intp], rngs: Sequence[np.random.Generator]
+    ) -> tuple[Floats, Floats]:
+        """Draw first states of k worlds: qpos (k, nq) and qvel (k, nv)."""
+        if self._on_all:
+            start: Any = self.task.start
+            drawn = start(self.model, self.streams.of(worlds), worlds)
+            own = [np.atleast_2d(np.asarray(part, dtype=np.float64)) for part in drawn]
+            tables = [np.broadcast_to(part, (len(worlds), part.shape[-1])) for part in own]
+        else:
+            each = [self.task.start(self.model, rng) for rng in rngs]
+            tables = [np.array(values, dtype=np.float64) for values in zip(*each, strict=True)]
+        qpos, qvel = tables
         for name, table, size in (("qpos", qpos, self.model.nq), ("qvel", qvel, self.model.nv)):
             if table.shape[1:] != (size,):
                 raise ValueError(f"reset gave {name} of shape {table.shape[1:]}: must be ({size},)")
         return qpos, qvel
 
-    def first(self, qpos: Floats, qvel: Floats) -> Moment:
+    def _first_moment(self, worlds: NDArray[np.intp], qpos: Floats, qvel: Floats) -> Moment:
         """Return the moment of worlds that were just reset to these states, in their order."""
-        names = (self._asked | self._asked_before) - {"qpos", "qvel"}
+        action = self._no_action((len(qpos),))
+        names = (self._asked | self._asked_before) - {"qpos", "qvel", "action"}
         kept: dict[str, Any] = {"qpos": qpos, "qvel": qvel}
-        if names:
+        if names and self._random:
+            kept |= {name: self._read_own(name, worlds) for name in names}
+        elif names:
             rows = [self._read_first(names, *state) for state in zip(qpos, qvel, strict=True)]
             kept |= {name: np.array([row[name] for row in rows]) for name in names}
-        action = np.zeros((len(qpos), len(self.model.names["actuator"])), dtype=np.float32)
-        return self._moment(_unknown, kept, action, Readings(_unknown, set(), kept))
+        before = Readings(_unknown, set(), {**kept, "action": action})
+        return self._moment(_unknown, kept, action, before, worlds=worlds)
 
     def _read_first(self, names: Iterable[str], qpos: Floats, qvel: Floats) -> dict[str, Any]:
         sim = self._first
@@ -172,12 +286,28 @@ class EnvCore:
         values = {name: np.array(getattr(sim, name)) for name in names}
         return {name: value * 0 if name in zero else value for name, value in values.items()}
 
+    def _read_own(self, name: str, worlds: NDArray[np.intp]) -> Any:
+        """Read an array of worlds that were just reset, whose models have values of their own."""
+        if name not in OF_THE_SOLVE:
+            array = np.array(getattr(self.world, name))
+            return array[worlds] if isinstance(self.world, Batch) else array[None]
+        rows = []
+        for world in worlds.tolist():
+            own = self.world.model_of(world) if isinstance(self.world, Batch) else self.world.model
+            sim = unwatched(Sim(own))
+            at = world if isinstance(self.world, Batch) else ...
+            sim.qpos, sim.qvel = self.world.qpos[at], self.world.qvel[at]
+            sim.forward()
+            rows.append(np.array(getattr(sim, name)))
+        return np.array(rows)
+
     def keep_first(self, worlds: Any, first: Moment) -> None:
         """Keep a first moment as `before` for these worlds."""
         for name in self._asked_before:
             value = getattr(first, name)
             if name not in self._before:
-                self._before[name] = np.array(getattr(self.world, name))
+                shape = (self._n, *value.shape[1:])
+                self._before[name] = np.zeros(shape, dtype=value.dtype)
             self._before[name][worlds] = value
 
     def keep_only(self, first: Moment) -> None:
@@ -199,6 +329,14 @@ def _unknown(name: str) -> NoReturn:
     raise AttributeError(
         f"{name} was not read when the environment was created: observe, reward and the others "
         "must read the same arrays in every call, because the moment before a step is kept for them"
+    )
+
+
+def _not_before(name: str) -> NoReturn:
+    """Explain that what was before an action is not known ahead of it."""
+    raise AttributeError(
+        f"before.{name} is not known in control and before_step: keep it in now.state, in begin "
+        "and after_action"
     )
 
 

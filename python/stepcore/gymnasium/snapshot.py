@@ -9,7 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.batch import Batch
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.gymnasium.draws import Draws
+from stepcore.gymnasium.task_state import TaskState
 
 
 class Readings:
@@ -40,8 +44,13 @@ class Moment(Readings):
     that ``now.qpos[..., 0]`` and ``np.sum(…, axis=-1)`` mean the same in both.
 
     action: what was asked for, as it was given, shape (nu,); zeros after a reset.
-    before: the same arrays after the action before, or after the reset.
+    before: the same arrays, and `action`, after the action before, or after the reset.
     dt: time between two actions [s]. model: the `Model`. shape: () or (n,).
+    worlds: index of each world at hand, shape (); all worlds but where episodes begin.
+    state: what the task remembers of each world, as attributes, such as ``now.state.command``,
+        each of shape (…); set in `Task.begin`.
+    rng: a `Draws`: random numbers of each world's own stream.
+    world: the `Sim` or the `Batch`, all worlds of it; for `Task.before_step` to write.
     """
 
     def __init__(
@@ -54,6 +63,10 @@ class Moment(Readings):
         before: Readings,
         dt: float,
         model: Model,
+        worlds: Any,
+        state: TaskState,
+        rng: Draws,
+        world: Sim | Batch,
     ) -> None:
         super().__init__(read, asked, kept)
         self.action = action
@@ -61,6 +74,7 @@ class Moment(Readings):
         self.dt = dt
         self.model = model
         self.shape = action.shape[:-1]
+        self.worlds, self.state, self.rng, self.world = worlds, state, rng, world
 
 
 def owned(value: Any, dtype: Any = None) -> Any:

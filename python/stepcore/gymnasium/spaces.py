@@ -9,6 +9,7 @@ from gymnasium.spaces import Box
 
 from stepcore import checks
 from stepcore.gymnasium.env_core import EnvCore
+from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.task import Task
 
 
@@ -18,9 +19,20 @@ class Spaces:
     Raises ValueError if a function of the task returns something of another shape.
     """
 
-    def __init__(self, task: Task, core: EnvCore) -> None:
-        now = core.trial()
+    def __init__(self, task: Task, core: EnvCore, dtype: Any = None) -> None:
+        with core.trial() as now:
+            self._try(task, core, now, dtype)
+
+    def _try(self, task: Task, core: EnvCore, now: Moment, dtype: Any) -> None:
         shape = now.shape
+        nu = len(core.model.names["actuator"])
+        controls = _array("control", task.control(core.ahead(now.action)), "fiub")
+        self.action = core.action_space
+        if not task.has("control") and self.action.shape != (nu,):
+            raise ValueError(f"action_space has shape {self.action.shape}: must be ({nu},)")
+        if controls.shape != (*shape, nu):
+            raise ValueError(_text("control", controls, str((*shape, nu))))
+        task.after_action(now)
         observation = _array("observe", task.observe(now), "fiub")
         if observation.ndim != len(shape) + 1 or observation.shape[:-1] != shape:
             limit = f"{(*shape, 'k')}".replace("'", "")
@@ -35,16 +47,27 @@ class Spaces:
                 if np.shape(value)[: len(shape)] != shape:
                     text = _text(f'{what}["{key}"]', np.asarray(value), f"{shape} first")
                     raise ValueError(text)
-        self.action = task.action_space(core.model)
-        nu = len(core.model.names["actuator"])
-        if self.action.shape != (nu,):
-            raise ValueError(f"action_space has shape {self.action.shape}: must be ({nu},)")
         self.observation: Box = task.observation_space(observation.shape[-1])
         if self.observation.shape != observation.shape[-1:]:
             limit = str(observation.shape[-1:])
             raise ValueError(
                 f"observation_space has shape {self.observation.shape}: must be {limit}"
             )
+        if dtype is not None:
+            self.observation = _of_type(self.observation, dtype)
+
+
+def _of_type(space: Box, dtype: Any) -> Box:
+    """Return the same space of another number type."""
+    try:
+        own = np.dtype(dtype)
+    except TypeError:
+        own = np.dtype(object)
+    if own.kind != "f":
+        limit = "numpy.float32, numpy.float64 or another type of real numbers"
+        raise ValueError(f"dtype = {checks.shown(dtype)}: must be {limit}")
+    low, high = space.low.astype(own), space.high.astype(own)
+    return Box(low, high, space.shape, own)
 
 
 def _array(name: str, value: Any, kinds: str) -> Any:

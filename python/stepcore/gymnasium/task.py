@@ -15,12 +15,14 @@ from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.world import compiled
+from stepcore.gymnasium.draws import Draws
 from stepcore.gymnasium.snapshot import Moment, state_vector
 from stepcore.reading import load
 from stepcore.scene.scene import Scene
 from stepcore.signatures import F, annotation, keyword, refuse_unknown, spell_out
 
 Source = Model | Scene | str | os.PathLike[str]
+Values = Mapping[str, ArrayLike]
 Outcome = tuple[Floats, NDArray[np.bool_], dict[str, Any]]
 
 
@@ -28,7 +30,49 @@ class Task(ABC):
     """The functions of an environment. Subclass it for a task of your own.
 
     Each function takes a `Moment` and serves one world and many: its arrays have the worlds, if
-    there are many, as their first axis, and what it returns has them too.
+    there are many, as their first axis, and what it returns has them too. Shapes below are those of
+    one world.
+
+    An episode begins with `randomize` (values of the model), `start` (positions and velocities) and
+    `begin` (what the task remembers). For an action, `control` makes controls of it,
+    `before_step` acts before each step of the engine, `after_action` follows them, and then come
+    `reward`, `terminated`, `info` and `observe`. What a task remembers of each world is in
+    ``now.state``, and random numbers are in ``now.rng``.
+
+    A slider moves to a place of its own in each world, by a motor that is one action late:
+
+    >>> import numpy as np
+    >>> import stepcore as sc
+    >>> from stepcore.gymnasium import Task, VectorEnv
+    >>> class Reach(Task):
+    ...     frame_skip = 10
+    ...
+    ...     def model(self):
+    ...         scene = sc.Scene(gravity=(0, 0, 0))
+    ...         body = scene.add_body("slider")
+    ...         scene.add_joint(body, "slide", axis=(1, 0, 0), name="x", damping=1.0)
+    ...         scene.add_geom(body, "sphere", 0.1, mass=1.0)
+    ...         scene.add_actuator("x", "motor", ctrlrange=(-5, 5))
+    ...         return scene.compile()
+    ...
+    ...     def begin(self, now):
+    ...         now.state.goal = now.rng.uniform(-1, 1)
+    ...         now.state.late = np.zeros((*now.shape, 1))
+    ...
+    ...     def control(self, now):
+    ...         late, now.state.late = now.state.late.copy(), now.action
+    ...         return 5 * late
+    ...
+    ...     def observe(self, now):
+    ...         missing = now.state.goal - now.qpos[..., 0]
+    ...         return np.stack([missing, now.qvel[..., 0]], axis=-1)
+    ...
+    ...     def reward(self, now):
+    ...         return -np.abs(now.state.goal - now.qpos[..., 0])
+    >>> envs = VectorEnv(Reach(), 3, dtype=np.float32)
+    >>> observations, _ = envs.reset(seed=0)
+    >>> observations.dtype, observations.shape
+    (dtype('float32'), (3, 2))
     """
 
     # Steps of the engine for each action.
@@ -66,8 +110,44 @@ class Task(ABC):
         return self.reward(now), self.terminated(now), self.info(now)
 
     def start(self, model: Model, rng: np.random.Generator) -> tuple[ArrayLike, ArrayLike]:
-        """Draw qpos and qvel of one world's first state with its own generator."""
+        """Draw qpos and qvel of one world's first state with its own generator.
+
+        With a third argument, ``start(self, model, rng, worlds)``, it serves all k worlds that
+        begin at once, and is much faster: rng is a `Draws`, worlds has their indices, shape (k,),
+        and it returns shapes (k, nq) and (k, nv), or what broadcasts to them. With the indices a
+        world can begin at an origin of its own on a terrain that all share.
+        """
         return model.qpos0, np.zeros(model.nv)
+
+    def randomize(self, model: Model, rng: Draws, worlds: NDArray[np.intp]) -> Values:
+        """Draw model values of k worlds that begin: arrays of shape (k,) or (k, m) by path.
+
+        The paths are those of `Batch.param`, such as "geom/floor/friction". By default no value
+        differs. A world keeps its values until it begins anew.
+        """
+        return {}
+
+    def begin(self, now: Moment) -> None:  # noqa: B027
+        """Set what the task remembers of worlds that begin: ``now.state.command = …``."""
+
+    def control(self, now: Moment) -> ArrayLike:
+        """Return the controls for ``now.action``, shape (nu,); by default the action itself.
+
+        Called once an action: for scales, filters and delays. `now` is the state before the action
+        and has no `before`. The action may have another size than the controls: see `action_space`.
+        """
+        return now.action
+
+    def before_step(self, now: Moment, step: int) -> None:  # noqa: B027
+        """Act before each step of the engine, by default not at all: pushes, delays within actions.
+
+        step: from 0 to frame_skip - 1. ``now.world`` is the `Sim` or `Batch`, whose `ctrl`,
+        `xfrc_applied`, `qvel` and others can be written. They stay as written; an episode begins
+        without forces.
+        """
+
+    def after_action(self, now: Moment) -> None:  # noqa: B027
+        """Change what the task remembers after an action, before its reward: new commands."""
 
     def action_space(self, model: Model) -> Box:
         """The action space: controls within the ranges of the actuators."""
@@ -77,6 +157,10 @@ class Task(ABC):
     def observation_space(self, size: int) -> Box:
         """The observation space: unbounded, of the size that `observe` returns."""
         return Box(-np.inf, np.inf, (size,), dtype=np.float64)
+
+    def has(self, hook: str) -> bool:
+        """Return whether the task has its own `control`, `before_step` or `randomize`."""
+        return getattr(type(self), hook) is not getattr(Task, hook)
 
 
 Function = Callable[[Moment], Any]

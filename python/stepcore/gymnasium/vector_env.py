@@ -19,7 +19,6 @@ from stepcore.engine.batch import Batch
 from stepcore.gymnasium.camera import MODES, Picture, camera_for, metadata_of
 from stepcore.gymnasium.env import checked, no_options
 from stepcore.gymnasium.env_core import EnvCore
-from stepcore.gymnasium.snapshot import owned
 from stepcore.gymnasium.spaces import Spaces
 from stepcore.gymnasium.task import Source, Task, TaskFields, takes_task, task_of
 
@@ -31,13 +30,15 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
     """Many worlds of a model as one vector environment, which steps them in one `Batch`.
 
     model, observe, reward, terminated, info, reset, frame_skip, action_space, observation_space,
-    settings: as for `Env`; the spaces are those of one world.
+    settings, dtype: as for `Env`; the spaces are those of one world.
     num_envs: the number of worlds.
     max_episode_steps: after how many actions an episode is truncated; None for never.
     autoreset_mode: what happens to a world whose episode is over, as gymnasium's `AutoresetMode` or
         its value. "NextStep": the next call of `step` resets it, whatever its action. "SameStep":
         it is reset at once, and ``infos["final_obs"]`` and ``infos["final_info"]`` tell how it
         ended. "Disabled": `reset` with ``options={"reset_mask": …}`` is to be called for it.
+    copy: False returns the same array of observations from each call, which every call overwrites,
+        so that a view of it (``torch.from_numpy``, DLPack) is made once.
     threads, lanes: as for a `Batch`.
     render_mode, width, height: as for `Env`; `render` draws every world.
 
@@ -55,6 +56,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         num_envs: int,
         *,
         settings: Settings | Mapping[str, Any] | None = None,
+        dtype: Any = None,
+        copy: bool = True,
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
@@ -72,7 +75,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         self._most = np.inf if max_episode_steps is None else max_episode_steps
         self._task = task_of(VectorEnv, model, task)
         self._env_core = EnvCore(self._task, settings, self.num_envs, threads=threads, lanes=lanes)
-        spaces = Spaces(self._task, self._env_core)
+        self._copy: bool = checks.flag("VectorEnv", "copy", copy)
+        spaces = Spaces(self._task, self._env_core, dtype)
         self.single_action_space = spaces.action
         self.single_observation_space = spaces.observation
         self.action_space = batch_space(spaces.action, self.num_envs)
@@ -142,8 +146,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
                 raise ValueError("reset_mask: must be True everywhere in the first reset")
             space = self.observation_space
             self._observations = np.zeros(space.shape or (), dtype=space.dtype)
-        self._observations, infos = self._begun(mask, self._observations, {})
-        return self._observations.copy(), infos
+        infos = self._begin(mask, {})
+        return self._shown(), infos
 
     def _mask(self, mask: Any) -> Mask:
         if mask is None:
@@ -164,19 +168,18 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
             if seed is not None:
                 self._rngs[world], self._seeds[world] = seeding.np_random(seed)
 
-    def _begun(
-        self, mask: Mask, observations: Floats, infos: dict[str, Any]
-    ) -> tuple[Floats, dict[str, Any]]:
-        """Resets worlds; the observations and the information with theirs."""
+    def _begin(self, mask: Mask, infos: dict[str, Any]) -> dict[str, Any]:
+        """Begins episodes in worlds and observes them; returns the information with theirs."""
         worlds = np.flatnonzero(mask)
-        qpos, qvel = self._env_core.starts([self._rngs[world] for world in worlds])
-        self.batch.reset(worlds=worlds, qpos=qpos, qvel=qvel)
-        first = self._env_core.first(qpos, qvel)
+        first = self._env_core.begin(worlds, [self._rngs[world] for world in worlds])
         self._env_core.keep_first(worlds, first)
-        observations = observations.copy()
-        observations[worlds] = self._task.observe(first)
+        self._observations[worlds] = self._task.observe(first)
         self._elapsed[worlds], self._over[worlds] = 0, False
-        return observations, _masked(infos, self._task.reset_info(first), mask)
+        return _masked(infos, self._task.reset_info(first), mask)
+
+    def _shown(self) -> Floats:
+        """The observations as a call returns them."""
+        return self._observations.copy() if self._copy else self._observations
 
     # Actions.
 
@@ -190,6 +193,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
             raise gymnasium.error.ResetNeeded(
                 f'worlds {listed} are over: reset them with options={{"reset_mask": …}}'
             )
+        drawn = self._env_core.streams.counts()
         now, errors = self._env_core.act(checked(actions, self.action_space.shape))
         rewards, terminated, info = self._task.outcome(now)
         rewards = np.array(rewards, dtype=np.float64)
@@ -197,24 +201,75 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         if errors:
             terminated[list(errors)] = True
             info = {**info, "failure": _failures(errors, self.num_envs)}
-        observations = owned(self._task.observe(now), self.observation_space.dtype)
+        self._observations[...] = self._task.observe(now)
         self._env_core.keep(now)
         self._elapsed += 1
         truncated = self._elapsed >= self._most
         if over.any():
-            # Their episodes had ended: what they just did is no part of one.
+            # Their episodes had ended: what they just did is no part of one, nor what they drew.
+            self._env_core.streams.rewind(over, drawn)
             rewards[over], terminated[over], truncated[over] = 0.0, False, False
-            observations, infos = self._begun(over, observations, _masked({}, info, ~over))
+            infos = self._begin(over, _masked({}, info, ~over))
         elif self.autoreset_mode is AutoresetMode.SAME_STEP and (terminated | truncated).any():
             ended = terminated | truncated
-            infos = _masked(_final_infos(info, observations, ended), info, ~ended)
-            observations, infos = self._begun(ended, observations, infos)
+            infos = _masked(_final_infos(info, self._observations, ended), info, ~ended)
+            infos = self._begin(ended, infos)
         else:
             infos = _masked({}, info, np.ones(self.num_envs, dtype=bool))
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             self._over = terminated | truncated
-        self._observations = observations
-        return observations.copy(), rewards, terminated, truncated, infos
+        return self._shown(), rewards, terminated, truncated, infos
+
+    # Attributes of the worlds, as of gymnasium's `SyncVectorEnv`.
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Reads an attribute of each world, or calls the task's method of this name.
+
+        name: of what the task remembers (`Moment.state`); of the task; or of an `Env`, such as
+            "dt" or "np_random". One task serves all worlds, so its method is called once.
+
+        Returns an entry for each world. Raises AttributeError for an unknown name.
+        """
+        known = self._env_core.state
+        if name in known:
+            return tuple(np.array(row)[()] for row in known[name])
+        if name in ("np_random", "np_random_seed", "render"):
+            each = getattr(self, name)
+            return tuple((each() if callable(each) else each) or [None] * self.num_envs)
+        if name in ("action_space", "observation_space"):
+            return (getattr(self, f"single_{name}"),) * self.num_envs
+        owner: Any = self._task if hasattr(self._task, name) else self
+        if name.startswith("_") or not hasattr(owner, name):
+            near = checks.nearest(name, [*known, *dir(self._task), "dt", "np_random"])
+            raise AttributeError(f"a world has no {checks.quoted(name)}{near}")
+        value = getattr(owner, name)
+        return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Reads an attribute of each world; see `call`."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Sets what the task remembers of each world, or an attribute of the task, which all share.
+
+        values: a list or tuple with an entry for each world, or one value for all.
+
+        Raises ValueError for another number of values, or different ones for an attribute of the
+        task.
+        """
+        each = list(values) if isinstance(values, (list, tuple)) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise ValueError(f"values has {len(each)} entries: must be {self.num_envs}")
+        if name in self._env_core.state:
+            self._env_core.state[name][...] = np.array(each)
+            return
+        if any(value is not each[0] and value != each[0] for value in each):
+            limit = "the same in all worlds, which share the task"
+            raise ValueError(f"values of {checks.quoted(name)}: must be {limit}")
+        if name.startswith("_") or not hasattr(self._task, name):
+            near = checks.nearest(name, [*self._env_core.state, *dir(self._task)])
+            raise AttributeError(f"a world has no {checks.quoted(name)} that can be set{near}")
+        setattr(self._task, name, each[0])
 
     def render(self) -> tuple[Picture, ...] | None:
         """Draws every world, (height, width, 3) each; None without a `render_mode`."""

@@ -21,6 +21,7 @@ from stepcore.engine.parameters import Variants
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.arguments import Source, Workers
 from stepcore.loading import find_model
+from stepcore.measure.sweep_folder import SweepFolder
 from stepcore.report.progress import Choice
 from stepcore.report.table import Table
 from stepcore.scene.scene import Scene
@@ -39,6 +40,7 @@ def sweep(
     measure: Callable[[Any], Any],
     *,
     batch: bool = False,
+    folder: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
@@ -57,6 +59,10 @@ def sweep(
         bit-identical to those of single Sims, and a world that fails does not stop the others. A
         batch has all points, or up to 256 with an executor. batch=True needs a model, not a
         function that makes one.
+    folder: a folder that keeps each result as it comes. A sweep with the same folder, model and
+        function measures only the points that are missing, also of a larger grid. Results must be
+        numbers, texts, arrays or lists of these. A function is known by its name: take another
+        folder once you have changed it.
     threads: the number of measurements at the same time (default: one per core). A Sim releases
         Python's global interpreter lock while it steps.
     executor: any `concurrent.futures` executor, used in place of threads. If the executor uses
@@ -64,11 +70,13 @@ def sweep(
     progress: False for no progress bar, or a function of (label, done, total).
 
     A measurement that fails (SimulationError, or ValueError for a setting) keeps its row, and the
-    column "failure" gives the reason. Any other exception is raised.
+    column "failure" gives the reason. Any other exception is raised, as is KeyboardInterrupt and
+    the RuntimeError of an executor whose processes died; its attribute `table` has the rows that
+    were done.
 
     Raises ValueError for an unknown setting in the grid, an axis that is not a list of at least
-    one value, and threads < 1. Raises TypeError if `measure` returns arrays of a wrong shape for a
-    batch.
+    one value, a folder of another sweep, and threads < 1. Raises TypeError if `measure` returns
+    arrays of a wrong shape for a batch.
 
     >>> from stepcore import lesson
     >>> def height(sim):
@@ -103,19 +111,43 @@ def sweep(
         limit = "a Model, a Scene, a path or a function"
         raise ValueError(f"make_or_model = {checks.shown(make_or_model)}: must be {limit}")
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-    if checks.flag("sweep", "batch", batch):
-        if not isinstance(make_or_model, Model):
-            raise checks.refuse(
-                "sweep", "batch", batch, "False with a function that makes the model"
-            )
-        results = _in_batches(make_or_model, measure, points, workers)
-    else:
-        results = workers.each(partial(at_point, make_or_model, measure), points, "sweep")
-    own = [name for result in results for name in result if name != "failure"]
+    if checks.flag("sweep", "batch", batch) and not isinstance(make_or_model, Model):
+        raise checks.refuse("sweep", "batch", batch, "False with a function that makes the model")
+    kept = None if folder is None else SweepFolder(folder, make_or_model, measure)
+    results = [None if kept is None else kept.result(point) for point in points]
+    missing = [index for index, result in enumerate(results) if result is None]
+
+    def took(indices: Sequence[int], found: list[Point]) -> None:
+        """Keep the results of some of the missing points."""
+        own = [missing[index] for index in indices]
+        for index, result in zip(own, found, strict=True):
+            results[index] = result
+        if kept is not None:
+            kept.keep([points[index] for index in own], found)
+
+    left = [points[index] for index in missing]
+    try:
+        if batch and isinstance(make_or_model, Model):
+            _in_batches(make_or_model, measure, left, workers, took)
+        else:
+            job = partial(at_point, make_or_model, measure)
+            workers.each(job, left, "sweep", took=took)
+    except BaseException as error:
+        error.table = _table(axes, points, results)  # type: ignore[attr-defined]
+        raise
+    return _table(axes, points, results)
+
+
+def _table(
+    axes: Mapping[str, Any], points: Sequence[Point], results: Sequence[Point | None]
+) -> Table:
+    """Return the table of the points that have a result."""
+    done = [(p, r) for p, r in zip(points, results, strict=True) if r is not None]
+    own = [name for _, result in done for name in result if name != "failure"]
     columns = list(dict.fromkeys([*axes, *own]))
-    if any("failure" in result for result in results):
+    if any("failure" in result for _, result in done):
         columns.append("failure")
-    return Table((p | r for p, r in zip(points, results, strict=True)), columns)
+    return Table((point | result for point, result in done), columns)
 
 
 def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
@@ -162,9 +194,16 @@ def at_point(source: Any, measure: Measure, point: Point) -> Point:
 
 
 def _in_batches(
-    model: Model, measure: Measure, points: Sequence[Point], workers: Workers
-) -> list[Point]:
-    """Return the columns of each point; points with equal settings are worlds of one batch."""
+    model: Model,
+    measure: Measure,
+    points: Sequence[Point],
+    workers: Workers,
+    took: Callable[[Sequence[int], list[Point]], object],
+) -> None:
+    """Measure points with equal settings as worlds of one batch.
+
+    took: called with the indices of points and their columns, as these come.
+    """
     alike: dict[str, list[int]] = {}
     for index, point in enumerate(points):
         alike.setdefault(repr(_settings_and_values(point)[0]), []).append(index)
@@ -176,9 +215,13 @@ def _in_batches(
     job = partial(_batch_of, model, measure, workers.threads if here else 1)
     # In this process, batches run one after the other, and each uses all threads.
     crew = Workers(1, workers.executor, workers.progress)
-    results = crew.each(job, [[points[index] for index in share] for share in shares], "sweep")
-    records = dict(zip(itertools.chain(*shares), itertools.chain(*results), strict=True))
-    return [records[index] for index in range(len(points))]
+
+    def took_shares(those: range, results: list[list[Point]]) -> None:
+        for own, columns in zip(shares[those.start : those.stop], results, strict=True):
+            took(own, columns)
+
+    jobs = [[points[index] for index in share] for share in shares]
+    crew.each(job, jobs, "sweep", took=took_shares)
 
 
 def _batch_of(model: Model, measure: Measure, threads: int, points: Sequence[Point]) -> list[Point]:

@@ -131,6 +131,7 @@ class Variation:
             (element, dict(element.__dict__)) for elements in touched for element in elements
         ]
         self._whole = {word: getattr(self.scene, word) for word in WHOLE}
+        self._rules = dict(self.scene.mass_rules.__dict__)
         self._lists = _varied(self._layout)
         places = {
             id(element): (kind, index)
@@ -157,6 +158,7 @@ class Variation:
             element.__dict__.update(initial)
         for word, value in self._whole.items():
             setattr(self.scene, word, value)
+        self.scene.mass_rules.__dict__.update(self._rules)
         assign(self.scene, values, self._body_mass)
         check(self._layout)
         if self._all_anew or self._data is None:
@@ -168,4 +170,5 @@ class Variation:
             lists[kind][index] = _record(self._layout, self._lists[kind][index])
         # The ends of an equality may be sites, which may have changed.
         lists["equalities"] = [tie.plain(self._layout) for tie in self.scene.equalities]
-        return self._data | _whole(self.scene) | lists
+        rules = {"mass_rules": self.scene.mass_rules.record()}
+        return self._data | _whole(self.scene) | rules | lists

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore import checks
 from stepcore.scene.element import table
 from stepcore.scene.elements import Body, Element
+from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
 SomeScene = TypeVar("SomeScene", bound="Contents")
 
 KINDS = (
-    *("body", "joint", "geom", "mesh", "site", "tendon"),
-    *("actuator", "equality", "pair", "key"),
+    *("body", "joint", "geom", "mesh", "hfield", "site", "tendon"),
+    *("actuator", "equality", "sensor", "pair", "key"),
 )
 
 # Values of the whole scene.
@@ -58,7 +59,10 @@ def assign(scene: Contents, values: Mapping[str, Any], body_mass: Mapping[str, f
 
 
 def find(scene: Contents, path: object) -> tuple[Element, str]:
-    """Return the element and the field at a path."""
+    """Return the element and the field at a path.
+
+    "#3" stands for the name of the element with index 3 in the compiled model, unless one has it.
+    """
     parts = path.split("/") if isinstance(path, str) else []
     shown = checks.cut(str(path), 80)
     if len(parts) < 3:
@@ -70,7 +74,7 @@ def find(scene: Contents, path: object) -> tuple[Element, str]:
         near = checks.nearest(kind, KINDS)
         raise ValueError(f"{shown}: no kind of element is {checks.quoted(kind)}{near}")
     try:
-        element: Element = getattr(scene, kind)(name)
+        element: Element = _indexed(scene, kind, name) or getattr(scene, kind)(name)
     except ValueError as error:
         raise ValueError(f"{shown}: {error}") from None
     rows = table(type(element)).values()
@@ -79,6 +83,20 @@ def find(scene: Contents, path: object) -> tuple[Element, str]:
         near = checks.nearest(field, known)
         raise ValueError(f"{shown}: a {kind} has no value {checks.quoted(field)}{near}")
     return element, field
+
+
+def _indexed(scene: Contents, kind: str, name: str) -> Element | None:
+    """Return the element "#index"; None where the name is no index, or the name of an element."""
+    if not (name.startswith("#") and name[1:].isdecimal()):
+        return None
+    lists = Layout(scene).elements | {"mesh": scene.meshes, "hfield": scene.hfields}
+    elements: Sequence[Element] = lists[kind]
+    if any(getattr(element, "name", "") == name for element in elements):
+        return None
+    index = int(name[1:])
+    if index >= len(elements):
+        raise ValueError(f"no {kind} has the index {index}: there are {len(elements)}")
+    return elements[index]
 
 
 def _set(element: Element, field: str, value: Any) -> None:
@@ -93,18 +111,21 @@ def _set(element: Element, field: str, value: Any) -> None:
 def _scale_geoms(scene: Contents, body: Body, old: float, value: Any) -> None:
     """Change a body's mass that comes from its geoms, by scaling their masses or densities.
 
+    Other bodies keep their masses: a `settotalmass` grows by what the body gains.
+
     old: the present mass [kg].
     """
     mass: float = checks.real(above=0)(body, "mass", value)
-    factor = mass / old
-    low, high = scene.mass_rules.inertiagrouprange
+    factor, rules = mass / old, scene.mass_rules
+    if rules.boundmass > 0:
+        text = "cannot be set where boundmass decides masses"
+        raise ValueError(f"{body}: mass = {checks.shown(value)}: {text}")
+    if rules.settotalmass > 0:
+        rules.settotalmass += mass - old
+    low, high = rules.inertiagrouprange
     for geom in scene.geoms:
         if geom.body is body and low <= geom.group <= high:
             if geom.mass is not None:
                 geom.mass *= factor
             else:
                 geom.density *= factor
-    rules = scene.mass_rules
-    if rules.settotalmass > 0 or rules.boundmass > 0:
-        text = "cannot be set where settotalmass or boundmass decide masses"
-        raise ValueError(f"{body}: mass = {checks.shown(value)}: {text}")

@@ -3,6 +3,7 @@
 mod each;
 mod rollout;
 
+use std::collections::HashMap;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
@@ -10,7 +11,7 @@ use numpy::{PyArrayDyn, PyReadonlyArray3};
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use stepcore::arrays::Array as EngineArray;
+use stepcore::arrays::{Array as EngineArray, Given};
 use stepcore::batch::of_one_model;
 use stepcore::model::Model as EngineModel;
 use stepcore::settings::Settings as EngineSettings;
@@ -19,13 +20,14 @@ use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_fil
 use crate::errors::raise;
 use crate::extract::{At, Read};
 use crate::gil;
+use crate::memo::{Memo, Solve};
 use crate::memory::{Arrays, Named};
 use crate::model::{result, Model};
 use crate::readout::Readout;
 use crate::settings::Settings;
-use crate::snapshot::{decode, encode, Snapshot};
+use crate::snapshot::{decode, decode_last, encode, encode_last, Clock, Snapshot};
 use crate::tables::{contacts, rows, ContactTable, RayTable, RowTable};
-use crate::world::{Memo, Placed, Solved};
+use crate::world::{Placed, Solved};
 use crate::worlds::{How, Worlds};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
@@ -78,6 +80,15 @@ impl Batch {
             Readout::Placed(what) => self.placed(py, what),
             Readout::Solved(Solved::Acceleration) => {
                 result(py, self.lock()?.qacc(), &[self.arrays.worlds, self.model.nv])
+            }
+            Readout::Solved(Solved::ActuatorForce) => {
+                let kept = self.lock()?.actuator_forces();
+                match kept {
+                    Some(forces) => result(py, forces, &self.shape(&shape)),
+                    None => {
+                        self.solved(py, &shape, |world, _| Ok(world.solved(Solved::ActuatorForce)))
+                    }
+                }
             }
             Readout::Solved(what) => self.solved(py, &shape, |world, _| Ok(world.solved(what))),
             Readout::BodyForce(what) => {
@@ -132,7 +143,7 @@ impl Batch {
         ctrl: PyReadonlyArray3<'py, f64>,
         told: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Vec<Array<'py>>> {
-        self.play(py, &ctrl, told)
+        self.roll_out(py, &ctrl, told)
     }
 
     /// The errors of the worlds that failed while the others went on; `known` are left out.
@@ -196,12 +207,16 @@ impl Batch {
             }
         }
         let mut guard = self.lock()?;
-        let memos = guard.memos();
-        let mut worlds = gil::release(py, || self.how.worlds(models, &model_of))?;
-        worlds.set_memos(&memos);
-        worlds.unsolved();
-        *guard = worlds;
-        Ok(())
+        let worlds = &mut *guard;
+        gil::release(py, || {
+            if !worlds.set_models(&self.how, &models, &model_of) {
+                let memos = worlds.memos();
+                *worlds = self.how.worlds(models, &model_of)?;
+                worlds.set_memos(&memos);
+            }
+            worlds.unsolved();
+            Ok(())
+        })
     }
 
     /// The worlds are stepped in lanes now.
@@ -228,17 +243,40 @@ impl Batch {
         Ok(())
     }
 
-    /// One snapshot a world.
-    fn state<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyBytes>>> {
+    /// One snapshot a world; own: those that count their own time, which is start + steps · dt.
+    fn state<'py>(
+        &self,
+        py: Python<'py>,
+        own: HashMap<usize, (f64, u64)>,
+    ) -> PyResult<Vec<Bound<'py, PyBytes>>> {
         let memos = self.lock()?.memos();
         let dt = self.settings.dt;
-        let snapshot = |(world, memo)| {
-            PyBytes::new(py, &self.arrays.read(py, world, |given| encode(dt, memo, given)))
+        let snapshot = |(world, mut memo): (usize, Memo)| {
+            let shared = Some(memo.clock());
+            if let Some((start, steps)) = own.get(&world).copied() {
+                memo.set_clock(Clock { start, steps });
+            }
+            let bytes = |given: &Given| encode(dt, &memo, shared, given);
+            PyBytes::new(py, &self.arrays.read(py, world, bytes))
         };
-        Ok(memos.iter().enumerate().map(snapshot).collect())
+        Ok(memos.into_iter().enumerate().map(snapshot).collect())
     }
 
-    fn restore(&self, py: Python<'_>, states: Vec<Vec<u8>>) -> PyResult<()> {
+    /// What the last solve of each world began with and gave.
+    fn last<'py>(&self, py: Python<'py>) -> PyResult<Vec<Option<Bound<'py, PyBytes>>>> {
+        let worlds = self.lock()?;
+        let last = |last: Solve| PyBytes::new(py, &encode_last(self.settings.dt, &last));
+        Ok((0..self.arrays.worlds).map(|world| worlds.last_of(world).map(last)).collect())
+    }
+
+    /// lasts: what `last` returned at these states. Returns the worlds that count their own time, as
+    /// `state` takes them.
+    fn restore(
+        &self,
+        py: Python<'_>,
+        states: Vec<Vec<u8>>,
+        lasts: Vec<Option<Vec<u8>>>,
+    ) -> PyResult<HashMap<usize, (f64, u64)>> {
         let mut worlds = self.lock()?;
         let n = self.arrays.worlds;
         if states.len() != n {
@@ -250,16 +288,28 @@ impl Batch {
         let decoded = states.iter().map(|state| decode(state, self.arrays.lengths));
         let mut snapshots =
             decoded.collect::<Result<Vec<Snapshot>, String>>().map_err(PyValueError::new_err)?;
-        for snapshot in &mut snapshots {
-            snapshot.count_in(self.settings.dt);
-        }
+        let last = |last: &Option<Vec<u8>>| {
+            last.as_ref().map(|last| decode_last(last, self.arrays.lengths)).transpose()
+        };
+        let mut lasts = lasts
+            .iter()
+            .map(last)
+            .collect::<Result<Vec<_>, String>>()
+            .map_err(PyValueError::new_err)?;
+        lasts.resize(n, None);
+        snapshots.iter_mut().for_each(|snapshot| snapshot.count_in(self.settings.dt));
+        let shared = snapshots[0].shared;
+        let clocks = snapshots.iter().map(|snapshot| snapshot.memo.clock()).enumerate();
+        let own = clocks.filter(|(_, own)| *own != shared);
+        let own = own.map(|(world, own)| (world, (own.start, own.steps))).collect();
+        snapshots.iter_mut().for_each(|snapshot| snapshot.memo.set_clock(shared));
         let memos: Vec<_> = snapshots.iter().map(|snapshot| snapshot.memo.clone()).collect();
         worlds.set_memos(&memos);
-        worlds.unsolved();
+        worlds.set_lasts(&lasts);
         for (world, snapshot) in snapshots.iter().enumerate() {
             self.arrays.restore(py, world, &snapshot.numbers);
         }
-        Ok(())
+        Ok(own)
     }
 
     fn jacobian<'py>(&self, py: Python<'py>, body: usize) -> PyResult<Array<'py>> {

@@ -13,7 +13,7 @@ use crate::worlds::Worlds;
 
 impl Batch {
     /// Steps with controls (n, steps, nu); returns qpos, qvel and act after every step.
-    pub(super) fn play<'py>(
+    pub(super) fn roll_out<'py>(
         &self,
         py: Python<'py>,
         ctrl: &PyReadonlyArray3<'py, f64>,
@@ -50,10 +50,10 @@ impl Batch {
     ) -> PyResult<()> {
         let nu = self.arrays.lengths[arrays::Array::Ctrl as usize];
         let states = states.each_mut().map(|list| &mut list[..]);
-        let mut play = Rollout { steps, ctrl: controls, states };
+        let mut rollout = Rollout { steps, ctrl: controls, states };
         let mut from = 0;
         let outcome = gil::steps_told(py, steps as u64, &self.pace, told, |count| {
-            worlds.play(&mut play, from, count as usize)?;
+            worlds.roll_out(&mut rollout, from, count as usize)?;
             from += count as usize;
             Ok(())
         });
@@ -68,7 +68,7 @@ impl Batch {
         self.warn(py, worlds)
     }
 
-    /// The controls of a play, checked.
+    /// The controls of a rollout, checked.
     fn controls(&self, ctrl: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<f64>> {
         let (n, nu) = (self.arrays.worlds, self.arrays.lengths[arrays::Array::Ctrl as usize]);
         let shape = ctrl.shape();

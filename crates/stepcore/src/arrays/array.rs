@@ -2,6 +2,7 @@
 
 use crate::elements::{Element, Kind};
 use crate::model::Model;
+use crate::real::Constant;
 
 /// An array that is the user's to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +56,7 @@ impl Array {
     }
 
     /// Of one world.
-    pub fn shape(self, model: &Model) -> Vec<usize> {
+    pub fn shape<N: Constant>(self, model: &Model<N>) -> Vec<usize> {
         match self {
             Self::Qpos => vec![model.nq],
             Self::Qvel | Self::QfrcApplied => vec![model.nv],
@@ -86,13 +87,18 @@ impl Array {
 
     /// The numbers at the initial configuration, at rest and without inputs.
     pub fn initial(self, model: &Model) -> Vec<f64> {
+        self.initial_in(model, 0)
+    }
+
+    /// The same in a lane.
+    pub(crate) fn initial_in<N: Constant>(self, model: &Model<N>, lane: usize) -> Vec<f64> {
         match self {
             Self::Qpos => model.qpos0.clone(),
             Self::EqActive => (model.equalities.iter())
                 .map(|equality| if equality.active { 1.0 } else { 0.0 })
                 .collect(),
             Self::MocapPos => (model.mocaps.iter())
-                .flat_map(|body| model.bodies[*body].pos.as_slice().to_vec())
+                .flat_map(|body| model.bodies[*body].pos.iter().map(|x| x.lane(lane)))
                 .collect(),
             Self::MocapQuat => {
                 model.mocaps.iter().flat_map(|body| model.bodies[*body].quat).collect()
@@ -101,17 +107,17 @@ impl Array {
         }
     }
 
-    pub fn count(self, model: &Model) -> usize {
+    pub fn count<N: Constant>(self, model: &Model<N>) -> usize {
         self.shape(model).iter().product()
     }
 
     /// The numbers of every array in one world.
-    pub fn counts(model: &Model) -> [usize; Self::COUNT] {
+    pub fn counts<N: Constant>(model: &Model<N>) -> [usize; Self::COUNT] {
         Self::ALL.map(|array| array.count(model))
     }
 
     /// Whose an entry is.
-    pub(crate) fn owner(self, model: &Model, k: usize) -> Element {
+    pub(crate) fn owner<N: Constant>(self, model: &Model<N>, k: usize) -> Element {
         let joint = |index| Element::whole(Kind::Joint, index);
         match self {
             Self::Qpos => joint(model.joints.iter().rposition(|j| j.qpos <= k).unwrap_or(0)),

@@ -114,6 +114,7 @@ mod tests {
         scene.joints.push(Joint { body: 1, kind: JointType::Slide, ..Joint::default() });
         scene.geoms.push(Geom { body: 1, size: [0.1, 0.0, 0.0], ..Geom::default() });
         let model = Model::compile(&scene).unwrap();
+        let model = Model::same(&model);
         let (mut state, mut inputs) = (State::<Lanes>::new(&model), Inputs::new(&model));
         let by_lane = |scale: f64| Lanes(core::array::from_fn(|lane| scale * lane as f64));
         state.qvel[0] = by_lane(2.0);

@@ -2,14 +2,17 @@
 
 use super::failed::Standing;
 use crate::arrays::{ArraySet, Given, Givens};
+use crate::compile::{Compiled, Desk};
 use crate::error::{Divergence, Error, Result};
-use crate::model::Model;
-use crate::program::{Holds, Place};
+use crate::model::SideBySide;
 use crate::real::Real;
 use crate::state::{Inputs, State};
 use crate::warm::Sleep;
 use crate::watch::{Care, Ledger, Watched};
 use std::sync::Arc;
+
+/// The most steps that the stages make before code is asked again, as a power of two.
+const MOST_REST: u32 = 5;
 
 /// What the last solve of the worlds belonged to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,12 +24,25 @@ pub enum Last {
 
 /// As many worlds as a number has lanes.
 pub(super) struct Group<R: Real> {
+    /// The models of its worlds; and with those of the worlds that copies repeat.
+    pub models: SideBySide<R>,
+    mirrored: Mirrored<R>,
+    /// The code that came by last, and whether it is right for the models; and what it reads of these.
+    code: Option<(Arc<Compiled>, bool)>,
+    /// How often in a row it was not right for a step, and how many steps the stages make before it is asked
+    /// again.
+    misses: u32,
+    pub rest: u64,
+    parameters: Vec<R>,
     pub state: State<R>,
     pub inputs: Inputs<R>,
     /// Who sleeps in a world that begins anew.
     initial: Arc<Sleep<R>>,
     /// Acceleration of the last solve.
     pub qacc: Vec<R>,
+    /// Forces of actuators in the last solve, where they were kept.
+    actuator: Vec<R>,
+    keeps_actuator: bool,
     /// The state when the call began.
     pub start: State<R>,
     /// The state when the last solve began, from which it can be done again: its rows
@@ -43,7 +59,8 @@ pub(super) struct Group<R: Real> {
     pub ledger: Option<Box<Ledger<R>>>,
 }
 
-room!(Group<R>: state, inputs, initial, qacc, start, before, last, standing, ended, ledger; failed);
+room!(Group<R>: models, mirrored, state, inputs, initial, qacc, actuator, keeps_actuator, start, before, last,
+    standing, ended, ledger, parameters, misses, rest; failed, code);
 
 impl<R: Real> Group<R> {
     /// A lane's next step starts without impulses, and nothing is known of its last solve; a world
@@ -57,11 +74,39 @@ impl<R: Real> Group<R> {
         self.standing.lanes.get_mut(lane).iter_mut().for_each(|place| **place = None);
         self.ended[lane] = false;
         self.last[lane] = Last::Nothing;
+        self.qacc.iter_mut().for_each(|a| a.set_lane(lane, 0.0));
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
-    /// `worlds` of a model, at qpos0 and at rest.
-    pub fn new(model: &Model, initial: Arc<Sleep<R>>, worlds: usize, care: Option<Care>) -> Self {
+    /// The last solve of the world in lane `own` began with these arrays.
+    pub fn begin(&mut self, own: usize, worlds: usize, given: &Given, of: Last, qacc: &[f64]) {
+        let last = if own + 1 == worlds { R::LANES } else { own + 1 };
+        for lane in own..last {
+            self.before.put(lane, given);
+            self.inputs.put(lane, given, ArraySet::ALL);
+            self.last[lane] = of;
+            self.keeps_actuator = false;
+            self.qacc.iter_mut().zip(qacc).for_each(|(to, from)| to.set_lane(lane, *from));
+        }
+    }
+
+    /// Its worlds are of these models from now on.
+    pub fn take_models(&mut self, models: SideBySide<R>) {
+        let care = self.ledger.as_ref().map(|ledger| ledger.care());
+        self.ledger = care.map(|care| Box::new(Ledger::new(&models.model, care)));
+        self.models = models;
+        self.mirrored = Mirrored { copies: 0, models: None };
+        self.code = None;
+    }
+
+    /// `worlds` of these models, at qpos0 and at rest.
+    pub fn new(
+        models: SideBySide<R>,
+        initial: Arc<Sleep<R>>,
+        worlds: usize,
+        care: Option<Care>,
+    ) -> Self {
+        let model = &*models.model;
         let mut state = State::new(model);
         initial.copy_to(&mut state.sleep);
         Self {
@@ -69,6 +114,8 @@ impl<R: Real> Group<R> {
             initial,
             inputs: Inputs::new(model),
             qacc: vec![R::zero(); model.nv],
+            actuator: vec![R::zero(); model.actuators.len()],
+            keeps_actuator: false,
             start: State::new(model),
             before: State::new(model),
             last: vec![Last::Nothing; R::LANES],
@@ -76,6 +123,12 @@ impl<R: Real> Group<R> {
             standing: Standing::new(worlds),
             ended: vec![false; R::LANES],
             ledger: care.map(|care| Box::new(Ledger::new(model, care))),
+            models,
+            mirrored: Mirrored { copies: 0, models: None },
+            code: None,
+            misses: 0,
+            rest: 0,
+            parameters: vec![],
         }
     }
 
@@ -85,17 +138,54 @@ impl<R: Real> Group<R> {
         self.initial.copy_to(&mut self.before.sleep);
     }
 
-    /// No list can step it as it is.
+    /// No code can step it as it is.
     pub fn is_special(&self) -> bool {
         self.ledger.as_ref().is_some_and(|ledger| ledger.is_full())
             || self.standing.any()
             || self.inputs.applied()
-            || self.state.carries()
     }
 
-    /// A list has stepped it.
-    pub fn listed(&mut self) {
+    /// Its worlds come to the desk of code. False: the code is not right for them.
+    pub fn enter(&mut self, desk: &mut Desk<R>) -> bool {
+        let Self { models, code, parameters, state, inputs, .. } = self;
+        let own = desk.compiled();
+        if code.as_ref().is_none_or(|(code, _)| !Arc::ptr_eq(code, own)) {
+            let numbers = own.parameters(models);
+            *code = Some((own.clone(), numbers.is_some()));
+            *parameters = numbers.unwrap_or_default();
+        }
+        code.as_ref().is_some_and(|(_, right)| *right)
+            && desk.enter(state, inputs, &models.model, parameters)
+    }
+
+    /// Code has made so many steps, and was not right for the next if `missed`. Where that goes on it is asked
+    /// less and less often: to find out costs it a part of a step.
+    pub fn missed(&mut self, missed: bool, made: u64) {
+        if !missed || made > 0 {
+            self.misses = 0;
+        }
+        if missed {
+            self.rest = 1 << self.misses.min(MOST_REST);
+            self.misses += 1;
+        }
+    }
+
+    /// The state in which its last step begins, so many steps on.
+    pub fn keep_before(&mut self, desk: &Desk<R>, made: u64) {
+        let Self { before, state, .. } = self;
+        desk.leave(before);
+        (before.start, before.steps) = (state.start, state.steps + made);
+    }
+
+    /// Code has made so many steps.
+    pub fn went_by_code(&mut self, desk: &Desk<R>, made: u64) {
+        desk.leave(&mut self.state);
+        desk.accelerations(&mut self.qacc);
+        self.keeps_actuator = false;
+        self.state.steps += made;
         self.last.fill(Last::Step);
+        // What controls put in on the way is not known: of driven worlds there is no account any more.
+        self.ledger = self.ledger.take().filter(|_| self.inputs.ctrl.is_empty());
         self.ledger.iter_mut().for_each(|ledger| ledger.went_on(&self.state));
     }
 
@@ -181,7 +271,7 @@ impl<R: Real> Group<R> {
         goes_on: bool,
         one: impl Fn(u64, &mut Watched<R>) -> Result<()>,
     ) {
-        let Self { state, inputs, ledger, standing, before, qacc, .. } = self;
+        let Self { models, mirrored, state, inputs, ledger, standing, before, qacc, .. } = self;
         standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
         if standing.any() && !standing.mirror(state, inputs) {
             // Nobody is left; time goes on.
@@ -189,6 +279,7 @@ impl<R: Real> Group<R> {
             return;
         }
         let copies = standing.mask::<R>();
+        watched.sim.take_models(mirrored.of(models, standing));
         let guest = Guest::new(watched, state, inputs, ledger, copies);
         if n == 0 {
             self.failed = guest.watched.look().err().map(|error| (0, error));
@@ -203,6 +294,7 @@ impl<R: Real> Group<R> {
                 if !(goes_on && set_aside(standing, guest.watched, worlds, k, &error)) {
                     return Some((k, error));
                 }
+                guest.watched.sim.take_models(mirrored.of(models, standing));
                 if standing.healthy().is_none() {
                     guest.watched.sim.state.steps += if last == Last::Step { n - k } else { 0 };
                     return Some((u64::MAX, error));
@@ -212,13 +304,36 @@ impl<R: Real> Group<R> {
         self.failed = self.failed.take().filter(|(k, _)| *k != u64::MAX);
         self.last.fill(last);
         qacc.copy_from_slice(&guest.watched.sim.qacc);
+        self.actuator.copy_from_slice(&guest.watched.sim.placed.actuator);
+        self.keeps_actuator = self.failed.is_none() && !standing.any();
+    }
+
+    /// Forces of actuators in the last solve, if every world's were kept.
+    pub fn actuator(&self) -> Option<&[R]> {
+        let kept = self.keeps_actuator && !self.last.contains(&Last::Nothing);
+        kept.then_some(&*self.actuator)
     }
 }
 
-impl<R: Real> Holds<R> for Group<R> {
-    fn place(&mut self) -> Place<'_, R> {
-        let Self { state, before, qacc, .. } = self;
-        Place { state, before, qacc }
+/// The models of a group some of whose lanes repeat a world that is well.
+struct Mirrored<R: Real> {
+    copies: u64,
+    models: Option<SideBySide<R>>,
+}
+
+room!(Mirrored<R>: copies, models);
+
+impl<R: Real> Mirrored<R> {
+    /// Those of the lanes: copies have the model of the world that they repeat.
+    fn of<'a>(&'a mut self, own: &'a SideBySide<R>, standing: &Standing) -> &'a SideBySide<R> {
+        let copies = standing.mask::<R>();
+        let Some(from) = standing.healthy().filter(|_| copies != 0) else { return own };
+        if self.copies != copies {
+            let of = |lane: usize| if copies >> lane & 1 == 0 { lane } else { from };
+            let all = (0..R::LANES).map(|lane| own.of(of(lane)).clone());
+            (self.copies, self.models) = (copies, SideBySide::new(all.collect()).ok());
+        }
+        self.models.as_ref().unwrap_or(own)
     }
 }
 

@@ -1,11 +1,39 @@
 //! Which world sits in which lane of which group.
 
 use std::ops::Range;
+use std::sync::Arc;
 
+use crate::compile::Coming;
+use crate::model::{differ_in_numbers, Model};
+use crate::real::{Constant, Real};
 use crate::room::listed;
+use crate::settings::{Settings, Solver};
+use crate::solve::dofs::any_heap;
 
-/// Worlds of one model sit beside each other, in their own order; the last group of a model may
-/// have lanes to spare.
+/// What models have in common.
+#[derive(Clone)]
+pub struct Common {
+    /// By model its kind: models of one kind differ in numbers alone, and their worlds can stand side by
+    /// side.
+    pub kinds: Vec<usize>,
+    /// Machine code of a step, of models of one kind.
+    pub code: Option<Arc<Coming>>,
+}
+
+impl Common {
+    pub fn of<R: Real>(models: &[Arc<Model>], settings: &Settings) -> Self {
+        let own = Self::without_code(models);
+        let one = own.kinds.iter().all(|kind| *kind == 0);
+        Self { code: one.then(|| Coming::of::<R>(models.into(), settings)), ..own }
+    }
+
+    pub fn without_code(models: &[Arc<Model>]) -> Self {
+        Self { kinds: kinds(models), code: None }
+    }
+}
+
+/// Worlds of one model sit beside each other, then those whose models differ in numbers alone, in
+/// their own order; the last group of such models may have lanes to spare.
 pub(super) struct LaneLayout {
     /// The lanes of a group are two to this power.
     power: u32,
@@ -13,23 +41,24 @@ pub(super) struct LaneLayout {
     seat: Vec<usize>,
     /// All worlds in the order of their places.
     worlds: Vec<usize>,
-    /// By group: its model, and its worlds' range in `worlds`.
+    /// By group: the kind of its models, and its worlds' range in `worlds`.
     groups: Vec<(usize, Range<usize>)>,
 }
 
 impl LaneLayout {
-    /// `lanes`: a power of two; `model_of`: the model of each world.
-    pub fn new(lanes: usize, model_of: &[usize]) -> Self {
+    /// `lanes`: a power of two; `kinds`: the kind of each model, `model_of`: the model of each world.
+    pub fn new(lanes: usize, kinds: &[usize], model_of: &[usize]) -> Self {
+        let kind = |world: usize| kinds[model_of[world]];
         let mut worlds: Vec<usize> = (0..model_of.len()).collect();
-        worlds.sort_by_key(|world| model_of[*world]);
+        worlds.sort_by_key(|world| (kind(*world), model_of[*world]));
         let (mut seat, mut groups) = (vec![0; worlds.len()], Vec::new());
-        for same in worlds.chunk_by(|a, b| model_of[*a] == model_of[*b]) {
+        for same in worlds.chunk_by(|a, b| kind(*a) == kind(*b)) {
             for together in same.chunks(lanes) {
                 for (lane, world) in together.iter().enumerate() {
                     seat[*world] = groups.len() * lanes + lane;
                 }
                 let start = groups.last().map_or(0, |(_, range): &(usize, _)| end(range));
-                groups.push((model_of[together[0]], start..start + together.len()));
+                groups.push((kind(together[0]), start..start + together.len()));
             }
         }
         Self { power: lanes.trailing_zeros(), seat, worlds, groups }
@@ -61,8 +90,8 @@ impl LaneLayout {
         &self.worlds
     }
 
-    /// The model of a group.
-    pub fn model(&self, group: usize) -> usize {
+    /// The kind of a group's models.
+    pub fn kind(&self, group: usize) -> usize {
         self.groups[group].0
     }
 
@@ -76,11 +105,37 @@ fn end(range: &Range<usize>) -> usize {
     range.end
 }
 
-/// How many registers of so many lanes the worlds fill, if those of a model share them.
-pub(super) fn registers(lanes: usize, model_of: &[usize]) -> usize {
-    let mut counts = vec![0_usize; model_of.iter().max().map_or(0, |most| most + 1)];
-    model_of.iter().for_each(|model| counts[*model] += 1);
+/// How many registers of so many lanes the worlds fill, if those of a kind share them.
+fn registers(lanes: usize, kinds: &[usize], model_of: &[usize]) -> usize {
+    let mut counts = vec![0_usize; kinds.iter().max().map_or(0, |most| most + 1)];
+    model_of.iter().for_each(|model| counts[kinds[*model]] += 1);
     counts.into_iter().map(|count| count.div_ceil(lanes)).sum()
+}
+
+/// Whether worlds of a model can be stepped side by side, and gain by it. The pairs of a heap are
+/// found one world at a time, so are those who sleep; and Newton's method solves a heap so too.
+pub fn gains_by_lanes<N: Constant>(model: &Model<N>, settings: &Settings) -> bool {
+    let by_lane = settings.solver == Solver::Newton && any_heap(&model.islands());
+    model.dynamic_pairs.is_none() && !settings.sleep && !by_lane
+}
+
+/// Whether worlds of several models fill lanes well enough: those of a kind share a register, and
+/// a register costs about as much as three worlds alone.
+pub fn fills_lanes(kinds: &[usize], model_of: &[usize], lanes: usize) -> bool {
+    let one = kinds.iter().all(|kind| *kind == 0);
+    one || 3 * registers(lanes, kinds, model_of) <= model_of.len()
+}
+
+fn kinds(models: &[Arc<Model>]) -> Vec<usize> {
+    let mut first: Vec<&Arc<Model>> = vec![];
+    let mut kind = |model| {
+        let known = first.iter().position(|other| differ_in_numbers(other, model));
+        known.unwrap_or_else(|| {
+            first.push(model);
+            first.len() - 1
+        })
+    };
+    models.iter().map(&mut kind).collect()
 }
 
 #[cfg(test)]
@@ -89,16 +144,25 @@ mod tests {
 
     #[test]
     fn worlds_of_a_model_sit_together() {
-        let layout = LaneLayout::new(2, &[0, 1, 0, 1, 0]);
+        let layout = LaneLayout::new(2, &[0, 1], &[0, 1, 0, 1, 0]);
         assert_eq!(layout.groups(), 3);
         assert_eq!(layout.worlds(0), [0, 2]);
         assert_eq!(layout.worlds(1), [4]);
         assert_eq!(layout.worlds(2), [1, 3]);
-        assert_eq!((0..3).map(|group| layout.model(group)).collect::<Vec<_>>(), [0, 0, 1]);
+        assert_eq!((0..3).map(|group| layout.kind(group)).collect::<Vec<_>>(), [0, 0, 1]);
         for world in 0..5 {
             let (group, lane) = layout.of(world);
             assert_eq!(layout.worlds(group)[lane], world);
         }
-        assert_eq!(registers(2, &[0, 1, 0, 1, 0]), 3);
+        assert_eq!(registers(2, &[0, 1], &[0, 1, 0, 1, 0]), 3);
+    }
+
+    #[test]
+    fn worlds_of_a_kind_share_a_register() {
+        let layout = LaneLayout::new(4, &[0, 0, 1, 0], &[3, 2, 1, 0, 1]);
+        assert_eq!(layout.worlds(0), [3, 2, 4, 0]);
+        assert_eq!(layout.worlds(1), [1]);
+        assert_eq!([layout.kind(0), layout.kind(1)], [0, 1]);
+        assert_eq!(registers(4, &[0, 0, 1, 0], &[3, 2, 1, 0, 1]), 2);
     }
 }

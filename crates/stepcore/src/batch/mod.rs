@@ -6,6 +6,7 @@
 //! threads, and, because a lane is a world, in lanes or one by one.
 
 mod compiled_steps;
+mod contest;
 mod failed;
 mod group;
 mod lane_layout;
@@ -18,22 +19,24 @@ pub use group::Last;
 pub use rollout::Rollout;
 
 use std::sync::{Arc, Mutex};
+use std::time::Instant;
 
-use compiled_steps::{each, step_listed};
+use compiled_steps::{step_compiled, Given};
+use contest::Contest;
 use group::{in_batch, Group};
-use lane_layout::{registers, LaneLayout};
+use lane_layout::LaneLayout;
+pub use lane_layout::{fills_lanes, gains_by_lanes, Common};
 use rollout::Part;
 use workers::{Workers, Workspace};
 
-use crate::arrays::{Array, Given};
+use crate::arrays::{Array, Given as Arrays};
+use crate::compile::{Coming, Desk};
 use crate::error::{Error, Result};
-use crate::model::Model;
+use crate::model::{differ_in_numbers, Model, SideBySide};
 use crate::pool::{check_threads, lock};
-use crate::program::{Blocks, Program};
-use crate::real::Real;
-use crate::room::{can_be_had, Room};
-use crate::settings::{Settings, Solver};
-use crate::solve::dofs::any_heap;
+use crate::real::{Constant, Real};
+use crate::room::{can_be_had, listed, Room};
+use crate::settings::Settings;
 use crate::state::{Inputs, State};
 use crate::watch::{Care, Watched};
 
@@ -45,40 +48,24 @@ pub struct Batch<R: Real> {
     pub worlds: usize,
     /// Each different one of the worlds' models.
     models: Vec<Arc<Model>>,
+    /// By world.
+    model_of: Vec<usize>,
     dt: f64,
     layout: LaneLayout,
     groups: Vec<Group<R>>,
     workers: Workers<R>,
-    /// What makes the steps of small models.
-    list: Option<Blocks<R>>,
+    /// Machine code of a step; and what it works in, by thread, once it is there.
+    code: Option<Arc<Coming>>,
+    desks: Mutex<Vec<Desk<R>>>,
+    /// Where the stages do a part of the code's steps: which way is quicker.
+    contest: Contest,
     /// A world that fails stands still, and the others go on; else all stop with it.
     pub goes_on: bool,
 }
 
-/// Whether worlds of a model can be stepped side by side, and gain by it. The pairs of a heap are
-/// found one world at a time, so are those who sleep; and Newton's method solves a heap so too.
-pub fn gains_by_lanes(model: &Model, settings: &Settings) -> bool {
-    let by_lane = settings.solver == Solver::Newton && any_heap(&model.islands());
-    model.dynamic_pairs.is_none() && !settings.sleep && !by_lane
-}
-
-/// Whether worlds of several models fill lanes well enough: those of a model share a register, and
-/// a register costs about as much as three worlds alone.
-pub fn fills_lanes(model_of: &[usize], lanes: usize) -> bool {
-    3 * registers(lanes, model_of) <= model_of.len() || model_of.iter().all(|model| *model == 0)
-}
-
-/// The list of what a step executes, for worlds of one model that has one.
-pub fn program_of<R: Real>(models: &[Arc<Model>], settings: &Settings) -> Option<Program> {
-    match models {
-        [model] => Program::of::<R>(model, settings),
-        _ => None,
-    }
-}
-
 /// The index of the model of each world, if there is but one; refuses more worlds than the memory
 /// can hold.
-pub fn of_one_model(model: &Model, worlds: usize) -> Result<Vec<usize>> {
+pub fn of_one_model<N: Constant>(model: &Model<N>, worlds: usize) -> Result<Vec<usize>> {
     let bytes = worlds.checked_mul(bytes_a_world(model));
     if !bytes.is_some_and(can_be_had) {
         return Err(Error::value("n", worlds, "a number of worlds that the memory can hold"));
@@ -87,7 +74,7 @@ pub fn of_one_model(model: &Model, worlds: usize) -> Result<Vec<usize>> {
 }
 
 /// A little more than a world's numbers take here and in its user's arrays.
-fn bytes_a_world(model: &Model) -> usize {
+fn bytes_a_world<N: Constant>(model: &Model<N>) -> usize {
     let counts = Array::counts(model);
     let all = counts.iter().sum::<usize>() + 2 * counts[..Array::CHANGED].iter().sum::<usize>();
     1024 + 8 * (2 * all + model.nv)
@@ -113,17 +100,17 @@ impl<R: Real> Batch<R> {
         threads: usize,
     ) -> Result<Self> {
         settings.check()?;
-        let list = program_of::<R>(&models, settings);
-        Self::with_list(models, model_of, settings, threads, list.as_ref())
+        let common = Common::of::<R>(&models, settings);
+        Self::of_common(models, model_of, settings, threads, common)
     }
 
-    /// The same, the list of their steps at hand: that of `program_of`.
-    pub fn with_list(
+    /// The same of models of which it is known what they have in common.
+    pub fn of_common(
         models: Vec<Arc<Model>>,
         model_of: &[usize],
         settings: &Settings,
         threads: usize,
-        list: Option<&Program>,
+        Common { kinds, code }: Common,
     ) -> Result<Self> {
         settings.check()?;
         let worlds = model_of.len();
@@ -131,33 +118,65 @@ impl<R: Real> Batch<R> {
             return Err(Error::value("n", worlds, "at least 1 world"));
         }
         check_threads(threads)?;
-        let layout = LaneLayout::new(R::LANES, model_of);
-        let workers = Workers::new(&models, settings, &layout, worlds, threads)?;
+        let kinds = match R::LANES {
+            1 => (0..models.len()).collect(),
+            _ => kinds,
+        };
+        let layout = LaneLayout::new(R::LANES, &kinds, model_of);
+        let side_by_side = |index: usize| {
+            let own = layout.worlds(index).iter().map(|world| models[model_of[*world]].clone());
+            SideBySide::new(own.collect())
+        };
+        let mut all: Vec<SideBySide<R>> = vec![];
+        for index in 0..layout.groups() {
+            let known = all.last().filter(|last| {
+                layout.worlds(index).iter().all(|world| last.all_are(&models[model_of[*world]]))
+            });
+            let own = known.cloned().map_or_else(|| side_by_side(index), Ok)?;
+            all.push(own);
+        }
+        let workers = Workers::new(&all, settings, &layout, worlds, threads)?;
         let group = |index: usize| {
-            let (own, worlds) = (layout.model(index), layout.worlds(index).len());
+            let (own, worlds) = (layout.kind(index), layout.worlds(index).len());
             let watched =
                 index.is_multiple_of(layout.groups().div_ceil(WATCHED.div_ceil(R::LANES)));
             let least = watched.then_some(Care::Least);
             let care = if settings.ledger { Some(Care::Full) } else { least };
-            Group::new(&models[own], workers.initial_sleep(own), worlds, care)
+            Group::new(all[index].clone(), workers.initial_sleep(own), worlds, care)
         };
         let groups = (0..layout.groups()).map(group).collect();
+
         Ok(Self {
             worlds,
-            list: list.map(|list| Blocks::new(list, workers.threads)),
+            code,
+            desks: Mutex::default(),
+            contest: Contest::default(),
             dt: settings.dt,
             groups,
             workers,
             goes_on: false,
             models,
+            model_of: model_of.to_vec(),
             layout,
         })
     }
 
-    /// Memory of all worlds and of the threads' working spaces [bytes]; models are not in it.
+    /// Memory of all worlds and of the threads' working spaces [bytes]; models are not in it, but for
+    /// what lanes have of them.
     pub fn bytes(&self) -> usize {
-        let list = self.list.as_ref().map_or(0, Blocks::bytes);
-        size_of::<Self>() + self.layout.bytes() + self.groups.room() + self.workers.bytes() + list
+        let models = self.groups.chunk_by(|a, b| Arc::ptr_eq(&a.models.model, &b.models.model));
+        let models = match R::LANES {
+            1 => 0,
+            _ => models.map(|same| same[0].models.model.bytes()).sum(),
+        };
+        let desks = lock(&self.desks).room();
+        size_of::<Self>()
+            + self.layout.bytes()
+            + listed(&self.model_of)
+            + self.groups.room()
+            + self.workers.bytes()
+            + desks
+            + models
     }
 
     pub fn time(&self) -> f64 {
@@ -165,13 +184,50 @@ impl<R: Real> Batch<R> {
     }
 
     /// Refuses arrays of a world that cannot be stepped.
-    pub fn check(&self, world: usize, given: &Given) -> Result<()> {
+    pub fn check(&self, world: usize, given: &Arrays) -> Result<()> {
         given.check::<R>(self.model(world), Some(world))
     }
 
     /// The model of a world.
     pub fn model(&self, world: usize) -> &Arc<Model> {
-        &self.models[self.layout.model(self.layout.of(world).0)]
+        &self.models[self.model_of[world]]
+    }
+
+    /// Gives the worlds models that differ in numbers from those that they have, `model_of` as in
+    /// `of_models`: registers of worlds whose models stay the same are left alone. False: it cannot be
+    /// done so, and nothing has changed.
+    pub fn set_models(&mut self, models: &[Arc<Model>], model_of: &[usize]) -> bool {
+        let Self { groups, layout, workers, .. } = self;
+        if groups.iter().any(|group| group.standing.any()) {
+            return false;
+        }
+        let new = |world: usize| &models[model_of[world]];
+        let mut made = vec![];
+        for index in 0..layout.groups() {
+            let (own, worlds) = (&groups[index].models, layout.worlds(index));
+            let changed =
+                |(lane, world): &(usize, &usize)| !Arc::ptr_eq(own.of(*lane), new(**world));
+            let fits = |(lane, world): (usize, &usize)| {
+                differ_in_numbers(own.of(lane), new(*world)) && workers.takes(new(*world))
+            };
+            let changed: Vec<_> = worlds.iter().enumerate().filter(changed).collect();
+            if changed.is_empty() {
+                continue;
+            }
+            let models = || worlds.iter().map(|world| new(*world).clone()).collect();
+            match changed.into_iter().all(fits).then(|| SideBySide::new(models())) {
+                Some(Ok(models)) => made.push((index, models)),
+                _ => return false,
+            }
+        }
+        for (index, models) in made {
+            groups[index].take_models(models);
+        }
+        (self.models, self.model_of) = (models.to_vec(), model_of.to_vec());
+        // Code is that of the models before.
+        self.code = self.code.take().map(|code| code.of_other::<R>(models.into()));
+        lock(&self.desks).clear();
+        true
     }
 
     /// All worlds, those of one model beside each other.
@@ -181,7 +237,7 @@ impl<R: Real> Batch<R> {
 
     /// Takes a world's arrays, which were checked. Worlds come in order; lanes without a
     /// world of their own repeat the last one.
-    pub fn put(&mut self, world: usize, given: &Given) {
+    pub fn put(&mut self, world: usize, given: &Arrays) {
         let (index, own) = self.layout.of(world);
         self.groups[index].put(own, self.layout.worlds(index).len(), given);
     }
@@ -226,13 +282,37 @@ impl<R: Real> Batch<R> {
         for group in &mut self.groups {
             group.state.copy_to(&mut group.before);
             group.last.fill(Last::Nothing);
+            group.qacc.fill(R::zero());
         }
+    }
+
+    /// A world's last solve began with these arrays, and gave this acceleration.
+    pub fn begin(&mut self, world: usize, given: &Arrays, of: Last, qacc: &[f64]) {
+        let (index, own) = self.layout.of(world);
+        self.groups[index].begin(own, self.layout.worlds(index).len(), given, of, qacc);
+    }
+
+    /// The states in which the last solves of all groups began, with the worlds in their lanes.
+    pub fn begun_mut(&mut self) -> impl Iterator<Item = (&mut State<R>, &[usize])> {
+        let Self { groups, layout, .. } = self;
+        let groups = groups.iter_mut().enumerate();
+        groups.map(|(index, group)| (&mut group.before, layout.worlds(index)))
     }
 
     /// A world's acceleration in its last solve.
     pub fn qacc(&self, world: usize) -> impl Iterator<Item = f64> + '_ {
         let (group, lane) = self.layout.of(world);
         self.groups[group].qacc.iter().map(move |a| a.lane(lane))
+    }
+
+    /// The actuators' forces in the last solves, one world after the other, where they were kept.
+    pub fn actuator_forces(&self) -> Option<Vec<f64>> {
+        let mut forces = Vec::new();
+        for world in 0..self.worlds {
+            let (group, lane) = self.layout.of(world);
+            forces.extend(self.groups[group].actuator()?.iter().map(|force| force.lane(lane)));
+        }
+        Some(forces)
     }
 
     /// Of a world: the state in which its last solve began, its inputs, the lane where it is in
@@ -264,7 +344,7 @@ impl<R: Real> Batch<R> {
     /// Advances every world by `n` steps. If one leaves the finite numbers, all stand
     /// before the first step in which one did.
     pub fn step(&mut self, n: u64) -> Result<()> {
-        self.advance(n, true, |_, _, watched| watched.step(1))
+        self.advance(n, None)
     }
 
     /// Without `Settings::ledger`: that a world gained more energy than can be, and where from. It is
@@ -290,65 +370,88 @@ impl<R: Real> Batch<R> {
         let Self { workers, groups, layout, goes_on, .. } = self;
         workers.share(groups, 1, |workspace, index, group| {
             let forward = |_, watched: &mut Watched<R>| watched.forward();
-            let watched = workspace.space(layout.model(index));
+            let watched = workspace.space(layout.kind(index));
             group.run(watched, layout.worlds(index), 1, Last::Forward, *goes_on, forward)
         });
         first_failure(groups, layout).map_or(Ok(()), |(_, error)| Err(error))
     }
 
-    /// Steps `from..from + n` of a play.
-    pub fn play(&mut self, play: &mut Rollout, from: usize, n: usize) -> Result<()> {
-        let parts = play.parts(&self.layout, Array::counts(&self.models[0]));
+    /// Steps `from..from + n` of a rollout.
+    pub fn roll_out(&mut self, rollout: &mut Rollout, from: usize, n: usize) -> Result<()> {
+        let parts = rollout.parts(&self.layout, Array::counts(&self.models[0]));
         let parts: Vec<Mutex<Part>> = parts.into_iter().map(Mutex::new).collect();
-        self.advance(n as u64, false, |index, k, watched| {
-            let mut part = lock(&parts[index]);
-            let step = from + k as usize;
-            part.control(step, watched);
-            watched.step(1)?;
-            part.record(step, &watched.sim.state);
-            Ok(())
-        })?;
+        self.advance(n as u64, Some((&parts, from)))?;
         drop(parts);
-        self.stand(play, from, n);
+        self.stand(rollout, from, n);
         Ok(())
     }
 
-    /// In a play's states, worlds that failed stand where they failed.
-    fn stand(&self, play: &mut Rollout, from: usize, n: usize) {
+    /// In a rollout's states, worlds that failed stand where they failed.
+    fn stand(&self, rollout: &mut Rollout, from: usize, n: usize) {
         for world in 0..self.worlds {
             let Some(failed) = self.failed(world) else { continue };
             for step in from + failed.done as usize..from + n {
-                let at = world * play.steps + step;
-                for (list, own) in play.states.iter_mut().zip(&failed.state) {
+                let at = world * rollout.steps + step;
+                for (list, own) in rollout.states.iter_mut().zip(&failed.state) {
                     list[at * own.len()..(at + 1) * own.len()].copy_from_slice(own);
                 }
             }
         }
     }
 
-    /// Does `n` times `one`, a step, in every world. plain: it is no more than that, so that a list
-    /// may do it.
-    fn advance(
-        &mut self,
-        n: u64,
-        plain: bool,
-        one: impl Fn(usize, u64, &mut Watched<R>) -> Result<()> + Sync,
-    ) -> Result<()> {
-        let Self { workers, groups, layout, goes_on, list, .. } = self;
-        let run = |workspace: &mut Workspace<R>, index, group: &mut Group<R>, n| {
-            let one = |k, watched: &mut Watched<R>| one(index, k, watched);
-            let watched = workspace.space(layout.model(index));
+    /// Does `n` steps in every world; of a rollout from this one on.
+    fn advance(&mut self, n: u64, rollout: Option<(&[Mutex<Part>], usize)>) -> Result<()> {
+        let Self { workers, groups, layout, goes_on, code, desks, contest, .. } = self;
+        let coming = code.as_ref();
+        let code = coming.and_then(|coming| coming.code());
+        let contested = coming.is_some_and(|coming| coming.contested());
+        contest.begin();
+        // Steps `from..from + n` of a group by the stages.
+        let run = |workspace: &mut Workspace<R>,
+                   index,
+                   group: &mut Group<R>,
+                   given: Given,
+                   (from, n): (u64, u64)| {
+            let part = given.map(|(part, start)| (Mutex::new(part), start));
+            let one = |k, watched: &mut Watched<R>| {
+                let Some((part, start)) = &part else { return watched.step(1) };
+                let (mut part, step) = (lock(part), start + (from + k) as usize);
+                part.control(step, watched);
+                watched.step(1)?;
+                part.record(step, &watched.sim.state);
+                Ok(())
+            };
+            let watched = workspace.space(layout.kind(index));
             group.run(watched, layout.worlds(index), n, Last::Step, *goes_on, one);
         };
-        let list = list.as_ref().filter(|_| plain && n > 0);
-        workers.share_portions(groups, n, list.is_some(), |workspace, first, groups| {
-            groups.iter_mut().for_each(|group| group.state.copy_to(&mut group.start));
-            let run = |index, group: &mut Group<R>, n| run(workspace, first + index, group, n);
-            match list {
-                Some(list) => step_listed(list, groups, n, run),
-                None => each(groups, n, run),
+        let started = Instant::now();
+        workers.share(groups, n, |workspace, index, group| {
+            group.state.copy_to(&mut group.start);
+            let mut part = rollout.map(|(parts, start)| (lock(&parts[index]), start));
+            let given = part.as_mut().map(|(part, start)| (&mut **part, *start));
+            let Some(code) = code.filter(|_| n > 0) else {
+                return run(workspace, index, group, given, (0, n));
+            };
+            if contested && !contest.by_code(index) {
+                return contest.time(false, n, || run(workspace, index, group, given, (0, n)));
+            }
+            let by_code = || {
+                let own = lock(desks).pop();
+                let mut desk = own.unwrap_or_else(|| Desk::new(code.clone()));
+                step_compiled(&mut desk, group, n, given, |group, given, from, n| {
+                    run(workspace, index, group, given, (from, n));
+                });
+                lock(desks).push(desk);
+            };
+            if contested {
+                contest.time(true, n, by_code);
+            } else {
+                by_code();
             }
         });
+        if let Some(coming) = coming.filter(|_| code.is_none()) {
+            coming.stages_took(started.elapsed());
+        }
         let Some((done, error)) = first_failure(groups, layout) else { return Ok(()) };
         groups.iter_mut().for_each(|group| drop(group.take_said()));
         // All worlds go back, and then on to where this one was still well.
@@ -357,7 +460,9 @@ impl<R: Real> Batch<R> {
             group.start.copy_to(&mut group.before);
             group.last.fill(Last::Forward);
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
-            run(workspace, index, group, done);
+            let mut part = rollout.map(|(parts, start)| (lock(&parts[index]), start));
+            let given = part.as_mut().map(|(part, start)| (&mut **part, *start));
+            run(workspace, index, group, given, (0, done));
         });
         if let Error::Diverged(divergence) = &error {
             let (group, lane) = self.layout.of(divergence.world);

@@ -13,7 +13,7 @@ impl<R: Real> Batch<R> {
     /// Takes the arrays of all worlds; of those that cannot be stepped the first is refused, and
     /// nothing is taken.
     pub fn load(&mut self, given: &Givens) -> Result<()> {
-        let Self { worlds, workers, groups, layout, models, .. } = self;
+        let Self { worlds, workers, groups, layout, models, model_of, .. } = self;
         let refused = Mutex::new(None::<(usize, Error)>);
         let forms = models[0].has_forms();
         workers.transfer(*worlds, groups, 1, |first, portion| {
@@ -22,8 +22,8 @@ impl<R: Real> Batch<R> {
             if finite && !forms {
                 return;
             }
-            for (index, world) in own.iter().map(|world| (layout.of(*world).0, *world)) {
-                let model = &models[layout.model(index)];
+            for &world in own {
+                let model = &models[model_of[world]];
                 let given = given.of(world);
                 let outcome = match finite {
                     true => given.check_forms::<R>(model, Some(world)),

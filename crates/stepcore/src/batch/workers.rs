@@ -8,11 +8,11 @@ use super::group::Group;
 use super::lane_layout::LaneLayout;
 use crate::error::Result;
 use crate::model::memory::check_spaces;
-use crate::model::Model;
+use crate::model::{Model, SideBySide};
 use crate::pool::{lock, Pool};
-use crate::program::Blocks;
 use crate::real::Real;
-use crate::settings::Settings;
+use crate::settings::{Settings, Solver};
+use crate::sim::{check_masses, Sim};
 use crate::warm::Sleep;
 use crate::watch::Watched;
 
@@ -25,7 +25,8 @@ pub(super) struct Workers<R: Real> {
     pool: Option<Arc<Pool>>,
     /// No more than can have work.
     pub threads: usize,
-    /// By model: the spaces that no thread is using.
+    solver: Solver,
+    /// By kind of models: the spaces that no thread is using.
     spaces: Vec<Mutex<Vec<Watched<R>>>>,
     /// What a step of all groups took when it was last measured [ns].
     cost: AtomicU64,
@@ -33,33 +34,47 @@ pub(super) struct Workers<R: Real> {
 
 impl<R: Real> Workers<R> {
     pub fn new(
-        models: &[Arc<Model>],
+        models: &[SideBySide<R>],
         settings: &Settings,
         layout: &LaneLayout,
         worlds: usize,
         threads: usize,
     ) -> Result<Self> {
         let threads = threads.min(layout.groups());
-        let mut groups = vec![0; models.len()];
-        (0..layout.groups()).for_each(|group| groups[layout.model(group)] += 1);
-        let space =
-            |model: &Arc<Model>| Ok(Watched::new(model.clone(), settings.clone())?.among(worlds));
-        for (model, groups) in models.iter().zip(&groups) {
-            check_spaces(model, R::LANES * threads.min(*groups), "threads × lanes")?;
+        let kinds = 1 + layout.kind(layout.groups() - 1);
+        // By kind: the first group, and how many there are.
+        let mut groups = vec![(0, 0); kinds];
+        for group in (0..layout.groups()).rev() {
+            let (first, count) = &mut groups[layout.kind(group)];
+            (*first, *count) = (group, *count + 1);
         }
-        let spaces = models.iter().zip(groups).map(|(model, groups)| {
-            let own = (0..threads.min(groups)).map(|_| space(model));
+        for (first, count) in groups.iter().filter(|(_, count)| *count > 0) {
+            let model = models[*first].first();
+            check_spaces(model, R::LANES * threads.min(*count), "threads × lanes")?;
+        }
+        let space = |group: usize| {
+            let sim = Sim::side_by_side(models[group].clone(), settings.clone())?;
+            Ok(Watched::around(sim).among(worlds))
+        };
+        let spaces = groups.into_iter().map(|(first, count)| {
+            let own = (0..threads.min(count)).map(|_| space(first));
             Ok(Mutex::new(own.collect::<Result<Vec<_>>>()?))
         });
         let spaces = spaces.collect::<Result<Vec<_>>>()?;
-        Ok(Self { pool: Pool::new(threads)?, threads, spaces, cost: AtomicU64::new(u64::MAX) })
+        let cost = AtomicU64::new(u64::MAX);
+        Ok(Self { pool: Pool::new(threads)?, threads, solver: settings.solver, spaces, cost })
     }
 
-    /// Who sleeps in a world of a model that begins.
-    pub fn initial_sleep(&self, model: usize) -> Arc<Sleep<R>> {
+    /// Worlds of this model can be stepped.
+    pub fn takes(&self, model: &Model) -> bool {
+        check_masses::<R>(model, self.solver).is_ok()
+    }
+
+    /// Who sleeps in a world of a kind of models that begins.
+    pub fn initial_sleep(&self, kind: usize) -> Arc<Sleep<R>> {
         let space =
             |own: &Vec<Watched<R>>| own.first().map(|space| space.sim.initial_sleep().clone());
-        space(&lock(&self.spaces[model])).unwrap_or_default()
+        space(&lock(&self.spaces[kind])).unwrap_or_default()
     }
 
     /// Memory of the working spaces [bytes].
@@ -79,30 +94,8 @@ impl<R: Real> Workers<R> {
         steps: u64,
         work: impl Fn(&mut Workspace<R>, usize, &mut Group<R>) + Sync,
     ) {
-        self.share_portions(groups, steps, false, |workspace, first, portion| {
-            for (k, group) in portion.iter_mut().enumerate() {
-                work(workspace, first + k, group);
-            }
-        });
-    }
-
-    /// The same on some consecutive groups at a time, of which the first is given. blocks: as many as
-    /// a list takes side by side, or a multiple; an equal share of each thread where they are fewer.
-    pub fn share_portions(
-        &self,
-        groups: &mut [Group<R>],
-        steps: u64,
-        blocks: bool,
-        work: impl Fn(&mut Workspace<R>, usize, &mut [Group<R>]) + Sync,
-    ) {
         let started = Instant::now();
-        let count = groups.len();
-        let small = count.div_ceil(self.threads * PORTIONS).max(1);
-        let portion = match blocks {
-            true if count < self.threads * Blocks::<R>::MOST => count.div_ceil(self.threads),
-            true => small.next_multiple_of(Blocks::<R>::MOST),
-            false => small,
-        };
+        let portion = groups.len().div_ceil(self.threads * PORTIONS).max(1);
         let left = Mutex::new(groups.chunks_mut(portion).enumerate());
         let take_all = |_: usize| {
             let mut workspace = Workspace { workers: self, held: None };
@@ -110,7 +103,9 @@ impl<R: Real> Workers<R> {
                 // The lock is open again before the work begins.
                 let next = lock(&left).next();
                 let Some((index, portion_of_groups)) = next else { return };
-                work(&mut workspace, index * portion, portion_of_groups);
+                for (k, group) in portion_of_groups.iter_mut().enumerate() {
+                    work(&mut workspace, index * portion + k, group);
+                }
             }
         };
         let expected = self.cost.load(Ordering::Relaxed).saturating_mul(steps);
@@ -156,7 +151,7 @@ impl<R: Real> Workers<R> {
     }
 }
 
-/// Where a thread works: the space of one model at a time, which goes back to the others when it is
+/// Where a thread works: the space of one kind of models at a time, which goes back to the others when it is
 /// done with it.
 pub(super) struct Workspace<'a, R: Real> {
     workers: &'a Workers<R>,
@@ -164,12 +159,12 @@ pub(super) struct Workspace<'a, R: Real> {
 }
 
 impl<R: Real> Workspace<'_, R> {
-    /// The space of a model.
-    pub fn space(&mut self, model: usize) -> &mut Watched<R> {
-        if self.held.as_ref().is_none_or(|(held, _)| *held != model) {
+    /// The space of a kind of models.
+    pub fn space(&mut self, kind: usize) -> &mut Watched<R> {
+        if self.held.as_ref().is_none_or(|(held, _)| *held != kind) {
             self.put_back();
-            // There is one for every thread, or for every group of the model.
-            self.held = lock(&self.workers.spaces[model]).pop().map(|space| (model, space));
+            // There is one for every thread, or for every group of the kind.
+            self.held = lock(&self.workers.spaces[kind]).pop().map(|space| (kind, space));
         }
         match &mut self.held {
             Some((_, space)) => space,
@@ -178,8 +173,8 @@ impl<R: Real> Workspace<'_, R> {
     }
 
     fn put_back(&mut self) {
-        if let Some((model, space)) = self.held.take() {
-            lock(&self.workers.spaces[model]).push(space);
+        if let Some((kind, space)) = self.held.take() {
+            lock(&self.workers.spaces[kind]).push(space);
         }
     }
 }

@@ -37,7 +37,7 @@ pub struct Damped<R: Real> {
 room!(Damped<R>: metric, impulse, change, damped, block, blocks);
 
 impl<R: Real> Damped<R> {
-    pub fn new(model: &Model, late: &LateTrees) -> Self {
+    pub fn new(model: &Model<R::Value>, late: &LateTrees) -> Self {
         let place = |tree: &usize| late.spinning.binary_search(tree).ok();
         let trees = 0..model.trees.len();
         Self {
@@ -139,7 +139,7 @@ impl<R: Real> Placed<R> {
     /// Adds dt·B of a single free body.
     fn add_gyroscopic(
         &self,
-        model: &Model,
+        model: &Model<R::Value>,
         tree: usize,
         qvel: &[R],
         dt: R,

@@ -28,7 +28,7 @@ pub(super) struct Implicit<R: Real> {
 room!(Implicit<R>: matrix, change, bias, late, turns);
 
 impl<R: Real> Implicit<R> {
-    pub fn new(model: &Model, late: &LateTrees) -> Self {
+    pub fn new(model: &Model<R::Value>, late: &LateTrees) -> Self {
         let has =
             |list: &[usize]| (0..model.trees.len()).map(|tree| list.contains(&tree)).collect();
         Self {
@@ -84,14 +84,14 @@ struct Unsymmetric<R: Real> {
 room!(Unsymmetric<R>: lower, upper, inv_d);
 
 impl<R: Real> Unsymmetric<R> {
-    fn new(model: &Model) -> Self {
+    fn new(model: &Model<R::Value>) -> Self {
         let zeros = |n| vec![R::zero(); n];
         let n = model.row_dofs.len();
         Self { lower: zeros(n), upper: zeros(n), inv_d: zeros(model.nv) }
     }
 
     /// Copies a symmetric matrix.
-    fn fill(&mut self, model: &Model, dofs: Range<usize>, symmetric: &[R]) {
+    fn fill(&mut self, model: &Model<R::Value>, dofs: Range<usize>, symmetric: &[R]) {
         for k in dofs {
             let row = model.dofs[k].row.range();
             self.lower[row.clone()].copy_from_slice(&symmetric[row.clone()]);
@@ -101,14 +101,14 @@ impl<R: Real> Unsymmetric<R> {
 
     /// Adds to the entry in row i and column j, if the pattern has it.
     #[inline(always)]
-    fn add(&mut self, model: &Model, i: usize, j: usize, x: R) {
+    fn add(&mut self, model: &Model<R::Value>, i: usize, j: usize, x: R) {
         if let Some(at) = model.entry(i, j) {
             let half = if i >= j { &mut self.lower } else { &mut self.upper };
             half[at] += x;
         }
     }
 
-    fn factor(&mut self, model: &Model, dofs: Range<usize>) {
+    fn factor(&mut self, model: &Model<R::Value>, dofs: Range<usize>) {
         for k in dofs.rev() {
             let row = model.dofs[k].row;
             let inv = R::one() / self.lower[row.start];
@@ -133,7 +133,7 @@ impl<R: Real> Unsymmetric<R> {
     }
 
     /// x ← A⁻¹ x.
-    fn solve(&self, model: &Model, dofs: Range<usize>, x: &mut [R]) {
+    fn solve(&self, model: &Model<R::Value>, dofs: Range<usize>, x: &mut [R]) {
         for k in dofs.clone().rev() {
             let own = x[k];
             for at in model.dofs[k].row.range().skip(1) {

@@ -126,7 +126,7 @@ impl<R: Real> Sim<R> {
 
     /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); returns the correction's
     /// size beside the velocities of the step.
-    fn correct_midpoint(&mut self, model: &Model, dt: R, open: R::Mask, rows: bool) -> R {
+    fn correct_midpoint(&mut self, model: &Model<R::Value>, dt: R, open: R::Mask, rows: bool) -> R {
         let mut scale = if rows { self.smooth_gain() } else { R::zero() };
         let Next { iteration, trial, start, qvel, ahead, .. } = &mut self.next;
         let Some(Iteration { metric, places, slopes: own, change, correction }) = iteration else {

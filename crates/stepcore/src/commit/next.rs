@@ -89,7 +89,7 @@ pub(super) struct Iteration<R: Real> {
 room!(Iteration<R>: metric, places, slopes, change, correction);
 
 impl<R: Real> Iteration<R> {
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model<R::Value>) -> Self {
         let (zero, metric) = (R::zero(), Metric::coupled(model));
         Self {
             places: metric.places(model),
@@ -113,7 +113,7 @@ impl<R: Real> Next<R> {
         }
     }
 
-    pub fn new(model: &Model, plan: &Plan) -> Self {
+    pub fn new(model: &Model<R::Value>, plan: &Plan) -> Self {
         let does = |commit: Commit| plan.commit.contains(&commit);
         let middle = plan.scheme.stages == Stages::Middle;
         let zeros = |n| vec![R::zero(); n];

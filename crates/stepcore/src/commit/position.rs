@@ -6,7 +6,7 @@ use crate::scene::JointType;
 use crate::spatial::{Quat, V3};
 
 /// out ← qpos ⊕ dt·qvel. A free joint moves in world axes and turns in body axes.
-pub fn advance<R: Real>(model: &Model, qpos: &[R], qvel: &[R], dt: R, out: &mut [R]) {
+pub fn advance<R: Real>(model: &Model<R::Value>, qpos: &[R], qvel: &[R], dt: R, out: &mut [R]) {
     for joint in &model.joints {
         let (q, v) = (joint.qpos, joint.dof);
         match joint.kind {

@@ -89,7 +89,7 @@ impl<R: Real> Sim<R> {
 }
 
 /// Angular rates of balls and free joints become rates of the rotation vector `turned`.
-fn rates_on_the_group<R: Real>(model: &Model, turned: &[R], rate: &mut [R]) {
+fn rates_on_the_group<R: Real>(model: &Model<R::Value>, turned: &[R], rate: &mut [R]) {
     for joint in &model.joints {
         let first = match joint.kind {
             JointType::Ball => joint.dof,

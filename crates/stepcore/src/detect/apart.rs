@@ -6,7 +6,7 @@
 
 use crate::model::{Geom, Model, Pair, Spheres};
 use crate::place::Placed;
-use crate::real::{Mask, Real};
+use crate::real::{value, Mask, Real, Value};
 use crate::scene::GeomType;
 use crate::shapes::ShapeTest;
 use crate::spatial::{Pose, V3};
@@ -32,38 +32,78 @@ impl Spheres {
     }
 }
 
-/// No lane can have a contact: the pair is apart by `more` [m] where the law looks at the guess, and
-/// else by more than the distance at which contacts are listed.
+/// Lanes that may have a contact, none if the boxes are apart: in the others the pair is apart by `more` [m] where the
+/// law looks at the guess, and else by more than the distance at which contacts are listed. `poses`: by
+/// geom.
 #[inline(always)]
-pub(super) fn far<R: Real>(
-    model: &Model,
-    placed: &Placed<R>,
-    pair: &Pair,
+pub(super) fn near<R: Real, P>(
+    model: &Model<R::Value>,
+    poses: &[Pose<R>],
+    pair: &Pair<P>,
+    more: Option<R>,
+) -> R::Mask {
+    let near = outside(model, poses, pair, more).not();
+    if near.none() || boxed(pair.test) && boxes_far(model, poses, pair, more) {
+        return R::Mask::of(false);
+    }
+    near
+}
+
+/// The boxes of a pair are apart in every lane.
+#[inline(always)]
+fn boxes_far<R: Real, P>(
+    model: &Model<R::Value>,
+    poses: &[Pose<R>],
+    pair: &Pair<P>,
     more: Option<R>,
 ) -> bool {
     let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
-    let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
-    let listed = || model.material(pair).listed();
+    let (p1, p2) = (&poses[pair.geom1], &poses[pair.geom2]);
+    let more = more.unwrap_or_else(|| model.material(pair).listed());
     let between = p2.pos - p1.pos;
     if g1.kind == GeomType::Plane {
-        let height = between.x * p1.rot.m13 + between.y * p1.rot.m23 + between.z * p1.rot.m33;
-        let more = more.unwrap_or_else(|| R::of(listed()));
-        let above = height.gt(R::of(g2.reach) + more).all();
-        return above || boxed(pair.test) && over_plane(&p1.axis(2), height, g2, p2, more);
+        return over_plane(&p1.axis(2), above(&between, p1), g2, p2, more);
     }
-    let reach = g1.reach + g2.reach;
+    boxes_apart([g1, g2], [p1, p2], &between, more)
+}
+
+/// How high a point is over a plane.
+#[inline(always)]
+fn above<R: Real>(between: &V3<R>, plane: &Pose<R>) -> R {
+    between.x * plane.rot.m13 + between.y * plane.rot.m23 + between.z * plane.rot.m33
+}
+
+/// Lanes in which the pair's spheres are apart by as much.
+#[inline(always)]
+pub(super) fn outside<R: Real, P>(
+    model: &Model<R::Value>,
+    poses: &[Pose<R>],
+    pair: &Pair<P>,
+    more: Option<R>,
+) -> R::Mask {
+    let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
+    let (p1, p2) = (&poses[pair.geom1], &poses[pair.geom2]);
+    let material = model.material(pair);
+    let between = p2.pos - p1.pos;
+    if g1.kind == GeomType::Plane {
+        let more = more.unwrap_or_else(|| material.listed());
+        return above(&between, p1).gt(g2.reach.get() + more);
+    }
     let square = match more {
-        None => R::of((reach + listed()) * (reach + listed())),
+        None => {
+            let of = [&g1.reach, &g2.reach, &material.margin, &material.gap];
+            Value::calc(of, |[a, b, margin, gap]| {
+                let reach = a + b + (margin + gap);
+                reach * reach
+            })
+        }
         Some(more) => {
-            let reach = R::of(reach) + more;
+            let reach: R = Value::calc([&g1.reach, &g2.reach], |[a, b]| a + b);
+            let reach = reach + more;
             reach * reach
         }
     };
-    if between.dot(&between).gt(square).all() {
-        return true;
-    }
-    let more = || more.unwrap_or_else(|| R::of(listed()));
-    boxed(pair.test) && boxes_apart([g1, g2], [p1, p2], &between, more())
+    between.dot(&between).gt(square)
 }
 
 /// The exact test costs so much more than one of boxes that these are tried first. (That of two
@@ -75,23 +115,34 @@ fn boxed(test: ShapeTest) -> bool {
 }
 
 /// What is added to a distance for rounding [m].
-fn slack<R: Real>(reach: f64) -> R {
-    R::of((SURE + UNITS * R::epsilon()) * reach)
+fn slack<R: Real, const N: usize>(reaches: [&R::Value; N]) -> R {
+    Value::calc(reaches, |reaches| (SURE + UNITS * R::epsilon()) * reaches.iter().sum::<f64>())
 }
 
 /// A geom's box is above a plane by `more` [m] in every lane: `height` is its centre's.
-fn over_plane<R: Real>(up: &V3<R>, height: R, geom: &Geom, pose: &Pose<R>, more: R) -> bool {
-    let mut reach = more + slack(geom.reach);
+fn over_plane<R: Real>(
+    up: &V3<R>,
+    height: R,
+    geom: &Geom<R::Value>,
+    pose: &Pose<R>,
+    more: R,
+) -> bool {
+    let mut reach = more + slack([&geom.reach]);
     for k in 0..3 {
-        reach += up.dot(&pose.axis(k)).abs() * R::of(geom.half[k]);
+        reach += up.dot(&pose.axis(k)).abs() * geom.half[k].get();
     }
     height.gt(reach).all()
 }
 
 /// The boxes of two geoms are apart by `more` [m] in every lane, along the normal of some face.
-fn boxes_apart<R: Real>(geoms: [&Geom; 2], poses: [&Pose<R>; 2], between: &V3<R>, more: R) -> bool {
-    let [one, two] = geoms.map(|geom| geom.half.map(R::of));
-    let more = more + slack(geoms[0].reach + geoms[1].reach);
+fn boxes_apart<R: Real>(
+    geoms: [&Geom<R::Value>; 2],
+    poses: [&Pose<R>; 2],
+    between: &V3<R>,
+    more: R,
+) -> bool {
+    let [one, two] = geoms.map(|geom| value::get(&geom.half));
+    let more = more + slack([&geoms[0].reach, &geoms[1].reach]);
     let mut apart = R::Mask::of(false);
     // How far the first box reaches along the axes of the second.
     let mut along = [more; 3];

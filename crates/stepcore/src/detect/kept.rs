@@ -8,6 +8,7 @@
 use super::broad::{Bounds, Broad, Fixed};
 use crate::error::{Error, Result};
 use crate::model::{DynamicPairs, Model, Pair, Span};
+use crate::real::Constant;
 use crate::room::can_be_had;
 
 /// Of a geom's reach: by how much its box is larger on each side.
@@ -33,12 +34,12 @@ pub(crate) struct Lists {
 room!(Lists: own, fixed);
 
 impl Lists {
-    pub fn new(model: &Model) -> Self {
+    pub fn new<N: Constant>(model: &Model<N>) -> Self {
         let own = if model.dynamic_pairs.is_some() { model.dof_lists.clone() } else { vec![] };
         Self { fixed: own.len(), own }
     }
 
-    pub fn of<'a>(&'a self, model: &'a Model) -> &'a [usize] {
+    pub fn of<'a, N: Constant>(&'a self, model: &'a Model<N>) -> &'a [usize] {
         if model.dynamic_pairs.is_some() {
             &self.own
         } else {
@@ -51,7 +52,7 @@ impl Lists {
     }
 
     /// The dofs that move either body, ascending.
-    fn union(&mut self, model: &Model, bodies: [usize; 2]) -> Span {
+    fn union<N: Constant>(&mut self, model: &Model<N>, bodies: [usize; 2]) -> Span {
         let [one, two] = bodies.map(|body| model.bodies[body].closed);
         if one.len == 0 || two.len == 0 {
             return if one.len == 0 { two } else { one };
@@ -105,9 +106,9 @@ room!(Kept: boxes, spare, guessed, fixed, left, places, broad, numbers, before, 
 impl Kept {
     /// Takes the boxes of all solid geoms, made by `bounds`, and brings the pairs up to date; refuses
     /// more pairs than the memory holds.
-    pub fn refresh(
+    pub fn refresh<N: Constant>(
         &mut self,
-        model: &Model,
+        model: &Model<N>,
         heap: &DynamicPairs,
         lists: &mut Lists,
         guessed: bool,
@@ -157,9 +158,9 @@ impl Kept {
     }
 
     /// The boxes at hand; of what never moves they are made once.
-    fn take_boxes(
+    fn take_boxes<N: Constant>(
         &mut self,
-        model: &Model,
+        model: &Model<N>,
         heap: &DynamicPairs,
         guessed: bool,
         bounds: impl Fn(usize) -> Bounds,
@@ -182,12 +183,13 @@ impl Kept {
     }
 
     /// Keeps the pairs of boxes that stay within theirs, and finds those of the others.
-    fn search_again(&mut self, model: &Model) {
+    fn search_again<N: Constant>(&mut self, model: &Model<N>) {
         let Self { boxes, spare, left, places, broad, numbers, before, served, .. } = self;
         *served = true;
         for &place in &*left {
             let bounds = &boxes[place as usize];
-            spare[place as usize] = bounds.widened(SPARE * model.geoms[bounds.geom as usize].reach);
+            spare[place as usize] =
+                bounds.widened(SPARE * model.geoms[bounds.geom as usize].reach.lane(0));
         }
         let leaves = |geom: u32| left.binary_search(&places[geom as usize]).is_ok();
         numbers.extend(before.iter().filter(|(_, a, b)| !leaves(*a) && !leaves(*b)));
@@ -200,7 +202,7 @@ impl Kept {
     }
 
     /// Numbers what was found; more than the memory holds is refused, and searched for anew.
-    fn number(&mut self, model: &Model, heap: &DynamicPairs) -> Result<()> {
+    fn number<N: Constant>(&mut self, model: &Model<N>, heap: &DynamicPairs) -> Result<()> {
         let near = self.broad.found.pairs.len() + self.numbers.len();
         let fits = near <= self.fitting.max(FEW) || can_be_had(near.saturating_mul(NEAR));
         if self.broad.found.full || !fits {
@@ -225,14 +227,17 @@ impl Kept {
     }
 
     /// Makes the boxes within which a search is to hold.
-    fn widen(&mut self, model: &Model, heap: &DynamicPairs) {
+    fn widen<N: Constant>(&mut self, model: &Model<N>, heap: &DynamicPairs) {
         let fast = !self.served && !self.spare.is_empty() && self.plain == 0;
         self.plain = if fast { PLAIN } else { self.plain.saturating_sub(1) };
         self.served = false;
         self.spare.clear();
         for bounds in &self.boxes[..heap.moving] {
-            let more =
-                if self.plain > 0 { 0.0 } else { SPARE * model.geoms[bounds.geom as usize].reach };
+            let more = if self.plain > 0 {
+                0.0
+            } else {
+                SPARE * model.geoms[bounds.geom as usize].reach.lane(0)
+            };
             self.spare.push(bounds.widened(more));
         }
     }

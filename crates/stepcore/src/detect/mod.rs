@@ -26,11 +26,11 @@ use crate::error::{Error, Result};
 use crate::model::{Model, Pair, NONE};
 use crate::place::Placed;
 use crate::pool::Pool;
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real, Value};
 use crate::room::can_be_had;
 use crate::shapes::{self, Hint, Hints, ShapeTest, Touch};
 use crate::spatial::{Pose, V3};
-use apart::far;
+use apart::{near, outside};
 use core::cell::Cell;
 use kept::Kept;
 pub(crate) use kept::Lists;
@@ -38,10 +38,19 @@ use near::Found;
 use std::sync::{Arc, Mutex};
 use swept::Swept;
 
+/// Who tests some pairs.
+pub(crate) trait Elsewhere<R: Real>: Send + Sync {
+    fn takes(&self, pair: usize) -> bool;
+    /// A pair of these geoms, and where it may touch.
+    fn note(&mut self, pair: usize, near: R::Mask, geoms: [usize; 2], poses: &[Pose<R>]);
+    /// All are noted.
+    fn meet(&mut self);
+}
+
 /// One contact between the two geoms of a pair.
 #[derive(Clone, Debug)]
 pub struct Contact<R: Real> {
-    pub pair: Pair,
+    pub pair: Pair<R>,
     /// Which of the pair's contacts; keeps its meaning from step to step.
     pub part: usize,
     /// What touches: see `Touch::feature`.
@@ -80,17 +89,19 @@ pub struct Detected<R: Real> {
     /// By part of the near pairs, where threads share the work.
     found: Vec<Mutex<Found<R>>>,
     pub(crate) pool: Option<Arc<Pool>>,
+    /// Who tests some of the pairs.
+    pub(crate) elsewhere: Option<Box<dyn Elsewhere<R>>>,
     /// Every pair is tested exactly, however far apart.
     #[cfg(test)]
     pub(crate) exhaustive: bool,
 }
 
 room!(Detected<R>: contacts, grown, swept, lists, asleep, fitting, hints, kept, found,
-    pool; #[cfg(test)] exhaustive);
+    pool; elsewhere, #[cfg(test)] exhaustive);
 
 impl<R: Real> Detected<R> {
-    pub fn new(model: &Model, max_contacts: usize) -> Self {
-        let convex = |pair: &Pair| matches!(pair.test, ShapeTest::Convex(..));
+    pub fn new(model: &Model<R::Value>, max_contacts: usize) -> Self {
+        let convex = |pair: &Pair<R::Value>| matches!(pair.test, ShapeTest::Convex(..));
         let last = model.pairs.iter().rposition(convex).map_or(0, |last| last + 1);
         Self {
             hints: vec![Hint::default(); R::LANES * last],
@@ -103,6 +114,7 @@ impl<R: Real> Detected<R> {
             pool: None,
             asleep: vec![],
             fitting: FEW,
+            elsewhere: None,
             #[cfg(test)]
             exhaustive: false,
         }
@@ -112,7 +124,7 @@ impl<R: Real> Detected<R> {
     /// within that time (the row maker drops what stays apart); refuses more than the memory holds.
     pub fn detect(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         placed: &Placed<R>,
         ahead: Option<f64>,
         qpos: &[R],
@@ -146,7 +158,13 @@ impl<R: Real> Detected<R> {
     }
 
     /// Those of pairs that were listed when the model was compiled.
-    fn detect_fixed(&mut self, model: &Model, placed: &Placed<R>, qpos: &[R], ahead: bool) {
+    fn detect_fixed(
+        &mut self,
+        model: &Model<R::Value>,
+        placed: &Placed<R>,
+        qpos: &[R],
+        ahead: bool,
+    ) {
         let inside = !beyond(model, qpos);
         let sleeps = self.asleep.contains(&true);
         let asks = !ahead;
@@ -168,28 +186,43 @@ impl<R: Real> Detected<R> {
                 if sleeps && rests(pair.geom1) && rests(pair.geom2) {
                     continue;
                 }
-                self.meet_fixed(model, placed, pair, ahead);
+                self.meet_fixed(model, &placed.geom, pair, ahead);
             }
+        }
+        if let Some(elsewhere) = &mut self.elsewhere {
+            elsewhere.meet();
         }
     }
 
     /// The contacts of a pair that its spheres do not keep apart.
-    fn meet_fixed(&mut self, model: &Model, placed: &Placed<R>, pair: &Pair, ahead: bool) {
+    pub(crate) fn meet_fixed<P: Value<R>>(
+        &mut self,
+        model: &Model<R::Value>,
+        poses: &[Pose<R>],
+        pair: &Pair<P>,
+        ahead: bool,
+    ) {
         let more = ahead.then(|| self.swept.of(model, pair));
-        let far = far(model, placed, pair, more);
+        if let Some(elsewhere) = &mut self.elsewhere {
+            if elsewhere.takes(pair.index) {
+                let near = outside(model, poses, pair, more).not();
+                return elsewhere.note(pair.index, near, [pair.geom1, pair.geom2], poses);
+            }
+        }
+        let near = near(model, poses, pair, more);
         #[cfg(test)]
-        let far = far && !self.exhaustive;
-        if far {
+        let near = if self.exhaustive { R::Mask::of(true) } else { near };
+        if near.none() {
             return;
         }
-        let (within, listed) = listed(model, pair, more);
+        let listed = listed(model, pair, more);
         let hints = match pair.test {
             ShapeTest::Convex(..) => &mut self.hints[R::LANES * pair.index..][..R::LANES],
             _ => &mut [],
         };
         let hints = Cell::from_mut(hints).as_slice_of_cells();
-        meet(model, placed, pair, (within, hints), |part, touch| {
-            let mask = touch.exists.and(touch.dist.lt(listed));
+        meet(model, poses, pair, (within(model, pair, ahead), hints), |part, touch| {
+            let mask = near.and(touch.exists.and(touch.dist.lt(listed)));
             if mask.any() {
                 push(&mut self.contacts, &mut self.grown, Contact::of(pair, part, touch, mask));
             }
@@ -197,13 +230,13 @@ impl<R: Real> Detected<R> {
     }
 
     /// What the spans of rows point into: see `Situation::dof_lists`.
-    pub fn dof_lists<'a>(&'a self, model: &'a Model) -> &'a [usize] {
+    pub fn dof_lists<'a>(&'a self, model: &'a Model<R::Value>) -> &'a [usize] {
         self.lists.of(model)
     }
 }
 
 /// A geom that nothing moves, or whose tree sleeps. To those who sleep a mocap body is awake.
-fn rests(model: &Model, asleep: &[bool], geom: usize) -> bool {
+fn rests<N: Constant>(model: &Model<N>, asleep: &[bool], geom: usize) -> bool {
     let body = model.geoms[geom].body;
     let tree = model.bodies[body].tree;
     if tree == NONE {
@@ -212,18 +245,25 @@ fn rests(model: &Model, asleep: &[bool], geom: usize) -> bool {
     asleep.get(tree).is_some_and(|asleep| *asleep)
 }
 
-/// Below which distance the contacts of a pair are listed [m], for the exact test and by lane. `more`:
-/// how far the guess goes. Beyond it the row maker drops whatever stands in a lane because a
-/// neighbour is faster; but adhesion would pull there.
-fn listed<R: Real>(model: &Model, pair: &Pair, more: Option<R>) -> (f64, R) {
+/// Below which distance the contacts of a pair are listed [m]. `more`: how far the guess goes. Beyond
+/// it the row maker drops whatever stands in a lane because a neighbour is faster; but adhesion would
+/// pull there.
+fn listed<R: Real, P>(model: &Model<R::Value>, pair: &Pair<P>, more: Option<R>) -> R {
     match more {
-        Some(more) if model.adheres => (f64::INFINITY, more),
-        Some(_) => (f64::INFINITY, R::of(f64::INFINITY)),
-        None => {
-            let listed = model.material(pair).listed();
-            (listed, R::of(listed))
-        }
+        Some(more) if model.adheres => more,
+        Some(_) => R::of(f64::INFINITY),
+        None => model.material(pair).listed(),
     }
+}
+
+/// The same for the exact test, by lane.
+fn within<'a, N: Constant, P>(
+    model: &'a Model<N>,
+    pair: &Pair<P>,
+    ahead: bool,
+) -> impl Fn(usize) -> f64 + use<'a, N, P> {
+    let material = model.material(pair);
+    move |lane| if ahead { f64::INFINITY } else { material.listed_in(lane) }
 }
 
 /// Lists a contact.
@@ -235,9 +275,9 @@ fn push<R: Real>(contacts: &mut Vec<Contact<R>>, grown: &mut u64, contact: Conta
 }
 
 impl<R: Real> Contact<R> {
-    fn of(pair: &Pair, part: usize, touch: &Touch<R>, mask: R::Mask) -> Self {
+    fn of<P: Value<R>>(pair: &Pair<P>, part: usize, touch: &Touch<R>, mask: R::Mask) -> Self {
         Self {
-            pair: *pair,
+            pair: pair.get(),
             part,
             feature: touch.feature,
             mask,
@@ -268,18 +308,18 @@ impl<R: Real> Contact<R> {
 }
 
 /// In some lane a joint is where pairs that its range keeps apart may meet after all.
-fn beyond<R: Real>(model: &Model, qpos: &[R]) -> bool {
-    model.guards.iter().any(|guard| {
+fn beyond<R: Real>(model: &Model<R::Value>, qpos: &[R]) -> bool {
+    let beyond = model.guards.iter().fold(R::Mask::of(false), |beyond, guard| {
         let q = qpos[guard.at];
-        let inside = q.ge(R::of(guard.low)).and(q.le(R::of(guard.high)));
-        !inside.all()
-    })
+        beyond.or(q.ge(R::of(guard.low)).and(q.le(R::of(guard.high))).not())
+    });
+    beyond.seldom()
 }
 
 /// The smallest distance of a pair's geoms [m].
 pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 {
     let mut least = f64::INFINITY;
-    meet(model, placed, pair, (f64::INFINITY, &[]), |_, touch| {
+    meet(model, &placed.geom, pair, (|_| f64::INFINITY, &[]), |_, touch| {
         if touch.exists {
             least = least.min(touch.dist);
         }
@@ -290,29 +330,29 @@ pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 
 /// Boxes or spheres about a pair's geoms are apart by more than `more` [m]: much cheaper to tell
 /// than `distance`.
 pub(crate) fn boxes_apart(model: &Model, placed: &Placed<f64>, pair: &Pair, more: f64) -> bool {
-    far(model, placed, pair, Some(more))
+    !near(model, &placed.geom, pair, Some(more))
 }
 
 /// The exact test of one pair: `take(part, touch)` gets what is in each of its slots, if nearer than
 /// `within` [m].
 #[inline(always)]
-fn meet<R: Real>(
-    model: &Model,
-    placed: &Placed<R>,
-    pair: &Pair,
-    look: (f64, Hints),
+fn meet<R: Real, P>(
+    model: &Model<R::Value>,
+    poses: &[Pose<R>],
+    pair: &Pair<P>,
+    look: (impl Fn(usize) -> f64, Hints),
     take: impl FnMut(usize, &Touch<R>),
 ) {
-    meet_at(model, pair, [&placed.geom[pair.geom1], &placed.geom[pair.geom2]], look, take);
+    meet_at(model, pair, [&poses[pair.geom1], &poses[pair.geom2]], look, take);
 }
 
 /// The same with the two geoms at these poses.
 #[inline(always)]
-fn meet_at<R: Real>(
-    model: &Model,
-    pair: &Pair,
+fn meet_at<R: Real, P>(
+    model: &Model<R::Value>,
+    pair: &Pair<P>,
     [p1, p2]: [&Pose<R>; 2],
-    look: (f64, Hints),
+    look: (impl Fn(usize) -> f64, Hints),
     take: impl FnMut(usize, &Touch<R>),
 ) {
     let one = model.geoms[pair.geom1].shape(p1);

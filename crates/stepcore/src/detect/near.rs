@@ -1,15 +1,15 @@
 //! The contacts of a heap: of the pairs whose boxes overlap.
 
-use super::apart::far;
+use super::apart::near;
 use super::broad::Bounds;
 use super::kept::Kept;
 use super::swept::Swept;
-use super::{listed, meet, push, rests, Contact, Detected};
+use super::{listed, meet, push, rests, within, Contact, Detected};
 use crate::error::Result;
 use crate::model::{DynamicPairs, Model, Pair};
 use crate::place::Placed;
 use crate::pool::{inside, lock, Pool, WORTH_SHARING};
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real};
 use std::sync::Mutex;
 
 /// Of a geom's reach, and of roundings of its place: what boxes are larger by.
@@ -20,7 +20,7 @@ impl<R: Real> Detected<R> {
     /// Lists the contacts of a heap, in the order in which fixed pairs would stand.
     pub(super) fn detect_near(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         heap: &DynamicPairs,
         placed: &Placed<R>,
         ahead: bool,
@@ -50,7 +50,7 @@ const PARTS: usize = 4;
 
 /// What the exact tests of near pairs read.
 struct Near<'a, R: Real> {
-    model: &'a Model,
+    model: &'a Model<R::Value>,
     placed: &'a Placed<R>,
     kept: &'a Kept,
     /// Of laws that look at the guess.
@@ -63,11 +63,12 @@ impl<R: Real> Near<'_, R> {
         let Self { model, placed, kept, swept } = *self;
         for pair in pairs.iter().filter(|pair| kept.overlap(pair)) {
             let more = swept.map(|swept| swept.of(model, pair));
-            if far(model, placed, pair, more) {
+            if near(model, &placed.geom, pair, more).none() {
                 continue;
             }
-            let (within, listed) = listed(model, pair, more);
-            meet(model, placed, pair, (within, &[]), |part, touch| {
+            let listed = listed(model, pair, more);
+            let within = within(model, pair, swept.is_some());
+            meet(model, &placed.geom, pair, (within, &[]), |part, touch| {
                 let mask = touch.exists.and(touch.dist.lt(listed));
                 if mask.any() {
                     take(Contact::of(pair, part, touch, mask));
@@ -106,14 +107,15 @@ pub(super) struct Found<R: Real> {
 room!(Found<R>: contacts);
 
 /// The box that a geom stays in: its own, and `more` on each side.
-fn bounds<R: Real>(model: &Model, placed: &Placed<R>, index: usize, more: f64) -> Bounds {
+fn bounds<R: Real>(model: &Model<R::Value>, placed: &Placed<R>, index: usize, more: f64) -> Bounds {
     let (geom, pose) = (&model.geoms[index], &placed.geom[index]);
+    let reach = geom.reach.lane(0);
     let centre = [pose.pos.x, pose.pos.y, pose.pos.z].map(|x| x.lane(0));
-    let far = centre.iter().fold(geom.reach, |far, x| far.max(x.abs()));
-    let more = more + ROUNDING * geom.reach + UNITS * R::epsilon() * far;
+    let far = centre.iter().fold(reach, |far, x| far.max(x.abs()));
+    let more = more + ROUNDING * reach + UNITS * R::epsilon() * far;
     let size: [f64; 3] = std::array::from_fn(|i| {
-        let along = |j: usize| pose.rot[(i, j)].lane(0).abs() * geom.half[j];
-        (along(0) + along(1) + along(2)).min(geom.reach) + more
+        let along = |j: usize| pose.rot[(i, j)].lane(0).abs() * geom.half[j].lane(0);
+        (along(0) + along(1) + along(2)).min(reach) + more
     });
     Bounds {
         low: std::array::from_fn(|k| centre[k] - size[k]),

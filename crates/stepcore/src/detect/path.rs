@@ -33,16 +33,16 @@ pub(crate) struct TimeOfImpact<R: Real> {
 /// What has become of a contact where the geoms are at these poses: what is in its slot, or of a
 /// manifold what is nearest.
 #[inline(always)]
-fn same<R: Real>(
-    model: &Model,
-    pair: &Pair,
+fn same<R: Real, P>(
+    model: &Model<R::Value>,
+    pair: &Pair<P>,
     one: &Pose<R>,
     two: &Pose<R>,
     contact: &Contact<R>,
 ) -> Touch<R> {
     let mut found: Option<Touch<R>> = None;
     let nearest = pair.test.by_feature();
-    meet_at(model, pair, [one, two], (f64::INFINITY, &[]), |part, touch| match &mut found {
+    meet_at(model, pair, [one, two], (|_| f64::INFINITY, &[]), |part, touch| match &mut found {
         Some(best) if nearest => {
             let nearer = touch.exists.and(best.exists.not().or(touch.dist.lt(best.dist)));
             *best = touch.or_else(nearer, best);
@@ -62,7 +62,7 @@ fn same<R: Real>(
 /// Moves geom 2 of a contact's pair along `way` [m], as geom 1 sees it, in the lanes of `open`,
 /// until they are `near` [m].
 pub(crate) fn time_of_impact<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     placed: &Placed<R>,
     contact: &Contact<R>,
     way: &V3<R>,

@@ -13,7 +13,7 @@
 
 use crate::model::{Geom, Model, Pair, NEAR, NONE};
 use crate::place::Placed;
-use crate::real::Real;
+use crate::real::{Real, Value};
 use crate::spatial::Motion;
 
 /// Of a geom's size, and of its way: what rounding, in single precision too, cannot bridge.
@@ -41,7 +41,7 @@ impl<R: Real> Swept<R> {
     }
 
     /// Of all geoms that collide, by the guess at hand.
-    pub fn sweep(&mut self, model: &Model, placed: &Placed<R>, dt: f64) {
+    pub fn sweep(&mut self, model: &Model<R::Value>, placed: &Placed<R>, dt: f64) {
         let (zero, one) = (R::zero(), R::one());
         self.velocity.resize(model.nv, zero);
         self.motion.resize(model.bodies.len(), Motion::zero());
@@ -63,15 +63,15 @@ impl<R: Real> Swept<R> {
             // What cancels in the centre's velocity leaves rounding.
             let terms = motion.lin.dot(&motion.lin).sqrt() + spin * arm.dot(&arm).sqrt();
             let rounding = R::of(64.0 * R::epsilon()) * terms;
-            self.more[index] = dt * (speed + spin * R::of(geom.reach) + rounding);
+            self.more[index] = dt * (speed + spin * geom.reach.get() + rounding);
             let turn = R::of(0.5) * dt * spin;
             self.turn[index] = turn;
             turned = R::select(turn.le(most), turned.max(turn), turned);
         }
         let share = R::of(1.0 + ROUNDING) / (one - R::of(2.0) * turned);
-        let moves = |geom: &Geom| geom.collides && model.bodies[geom.body].tree != NONE;
+        let moves = |geom: &Geom<R::Value>| geom.collides && model.bodies[geom.body].tree != NONE;
         for (index, geom) in model.geoms.iter().enumerate().filter(|(_, geom)| moves(geom)) {
-            let least = R::of((NEAR + ROUNDING) * geom.reach);
+            let least = geom.reach.times(NEAR + ROUNDING);
             let more = self.more[index] * share + least;
             let counts = self.turn[index].le(most);
             self.more[index] = R::select(counts, more, R::of(f64::INFINITY));
@@ -80,10 +80,10 @@ impl<R: Real> Swept<R> {
 
     /// By how much the spheres of a pair are fattened, together: adhesion pulls through the whole gap.
     #[inline(always)]
-    pub fn of(&self, model: &Model, pair: &Pair) -> R {
+    pub fn of<P>(&self, model: &Model<R::Value>, pair: &Pair<P>) -> R {
         let more = self.more[pair.geom1] + self.more[pair.geom2];
         if model.adheres {
-            more.max(R::of(model.material(pair).listed()))
+            more.max(model.material(pair).listed())
         } else {
             more
         }
@@ -95,7 +95,7 @@ impl<R: Real> Swept<R> {
     }
 
     /// The motion of every body about its tree's origin.
-    fn motions(&mut self, model: &Model, placed: &Placed<R>) {
+    fn motions(&mut self, model: &Model<R::Value>, placed: &Placed<R>) {
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE) {
             let first = model.trees[body.tree].bodies.start == index;
             let mut motion = if first { Motion::zero() } else { self.motion[body.parent] };

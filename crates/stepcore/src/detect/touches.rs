@@ -43,8 +43,9 @@ impl Model {
             let pair = format!("{}-{}", one.kind.word(), two.kind.word());
             return Err(Error::value("geom1, geom2", pair, limit));
         };
+        let model = Model::<R::Value>::same(self);
         let mut found = PosedTouches::room(poses, test.most_touches());
-        let mut placed = Placed::<R>::new(self);
+        let mut placed = Placed::<R>::new(&model);
         let (bodies, geoms) = (self.chain_of([one.body, two.body]), [first, second]);
         let mut q = vec![R::zero(); self.nq];
         for start in (0..poses).step_by(R::LANES) {
@@ -53,10 +54,10 @@ impl Model {
                 let from = (start + lane).min(poses - 1) * self.nq;
                 q.iter_mut().zip(&qpos[from..]).for_each(|(q, given)| q.set_lane(lane, *given));
             }
-            placed.place_some(self, &q, &bodies, &geoms);
+            placed.place_some(&model, &q, &bodies, &geoms);
             let (p1, p2) = (&placed.geom[first], &placed.geom[second]);
-            let (a, b) = (one.shape(p1), two.shape(p2));
-            shapes::meet(test, &a, &b, (f64::INFINITY, &[]), |slot, touch| {
+            let (a, b) = (model.geoms[first].shape(p1), model.geoms[second].shape(p2));
+            shapes::meet(test, &a, &b, (|_| f64::INFINITY, &[]), |slot, touch| {
                 for lane in 0..R::LANES.min(poses - start) {
                     let at = (start + lane) * found.slots + slot;
                     let normal: [f64; 3] = touch.normal.map(|x| x.lane(lane)).into();

@@ -14,7 +14,7 @@ use super::{controller, muscle};
 use crate::clock::Clock;
 use crate::model::transmission::Pulls;
 use crate::model::{Model, Span};
-use crate::real::{elementary, Real};
+use crate::real::{elementary, Constant, Real, Value};
 use crate::scene::{self, Dynamics};
 use crate::state::{Inputs, State};
 
@@ -31,7 +31,7 @@ impl<R: Real> State<R> {
 
 /// The past controls after a step with the present ones.
 #[inline]
-pub(crate) fn remember<R: Real>(model: &Model, history: &[R], ctrl: &[R], out: &mut [R]) {
+pub(crate) fn remember<R: Real>(model: &Model<R::Value>, history: &[R], ctrl: &[R], out: &mut [R]) {
     if out.is_empty() {
         return;
     }
@@ -42,40 +42,56 @@ pub(crate) fn remember<R: Real>(model: &Model, history: &[R], ctrl: &[R], out: &
     }
 }
 
-impl scene::Actuator {
-    /// Time constant of a filter [s].
-    fn time_constant(&self) -> f64 {
-        self.dynprm[0].max(SHORTEST)
+impl<N: Constant> scene::Actuator<N> {
+    /// What follows of the time constant of a filter [s].
+    fn of_time_constant<R: Real>(&self, f: impl Fn(f64) -> f64) -> R
+    where
+        N: Value<R>,
+    {
+        N::calc([&self.dynprm[0]], |[tau]| f(tau.max(SHORTEST)))
     }
 
     /// ẇ under a control; with the length after which that is the same again (0: never).
-    fn rate<R: Real>(&self, act: R, ctrl: R, circle: f64) -> R {
+    fn rate<R: Real>(&self, act: R, ctrl: R, circle: f64) -> R
+    where
+        N: Value<R>,
+    {
         match self.dynamics {
             Dynamics::None => R::zero(),
             Dynamics::Integrator => ctrl,
             Dynamics::Filter | Dynamics::FilterExact => {
-                (nearest(ctrl, act, circle) - act) / R::of(self.time_constant())
+                (nearest(ctrl, act, circle) - act) / self.of_time_constant(|tau| tau)
             }
-            Dynamics::Muscle => muscle::rate(act, ctrl, self.dynprm),
+            Dynamics::Muscle => muscle::rate(act, ctrl, &self.dynprm),
         }
     }
 
     /// For how long ẇ acts in so many seconds [s].
-    fn span(&self, seconds: f64) -> f64 {
-        if self.dynamics != Dynamics::FilterExact {
-            return seconds;
+    fn span<R: Real>(&self, seconds: f64) -> R
+    where
+        N: Value<R>,
+    {
+        match self.dynamics {
+            Dynamics::FilterExact => {
+                self.of_time_constant(|tau| -tau * elementary::exp_m1(-seconds / tau))
+            }
+            _ => R::of(seconds),
         }
-        let tau = self.time_constant();
-        -tau * elementary::exp_m1(-seconds / tau)
     }
 
     /// An activation after a step in which it changes at a rate.
-    fn next<R: Real>(&self, act: R, rate: R, seconds: f64) -> R {
-        self.within(act + rate * R::of(self.span(seconds)))
+    fn next<R: Real>(&self, act: R, rate: R, seconds: f64) -> R
+    where
+        N: Value<R>,
+    {
+        self.within(act + rate * self.span::<R>(seconds))
     }
 
-    fn within<R: Real>(&self, act: R) -> R {
-        self.actrange.map_or(act, |[lo, hi]| act.clamp(R::of(lo), R::of(hi)))
+    fn within<R: Real>(&self, act: R) -> R
+    where
+        N: Value<R>,
+    {
+        self.actrange.as_ref().map_or(act, |[lo, hi]| act.clamp(lo.get(), hi.get()))
     }
 }
 
@@ -83,7 +99,7 @@ impl scene::Actuator {
 /// end of the step.
 #[inline(always)]
 pub(crate) fn signal<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     index: usize,
     now: Activations<R>,
     ctrl: impl FnOnce() -> R,
@@ -101,7 +117,7 @@ pub(crate) fn signal<R: Real>(
 
 /// The rates of all activations, and how fast those of controllers fade.
 pub(crate) fn rates<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     at: (&[R], &[R]),
     now: Activations<R>,
     inputs: &Inputs<R>,
@@ -127,7 +143,7 @@ pub(crate) fn rates<R: Real>(
 /// All activations after a step with these rates, which fade as they move.
 #[inline]
 pub(crate) fn advance<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     act: &[R],
     [rates, fading]: [&[R]; 2],
     seconds: f64,
@@ -157,7 +173,7 @@ pub(crate) fn advance<R: Real>(
 }
 
 /// Bristles move through a step of `rk4` as they begin it, as in MuJoCo.
-pub(crate) fn hold_bristles<R: Real>(model: &Model, first: &[R], rates: &mut [R]) {
+pub(crate) fn hold_bristles<R: Real>(model: &Model<R::Value>, first: &[R], rates: &mut [R]) {
     for index in model.controlled() {
         for (_, k) in
             controller::places(model, index).filter(|(kind, _)| *kind == controller::BRISTLE)
@@ -170,7 +186,7 @@ pub(crate) fn hold_bristles<R: Real>(model: &Model, first: &[R], rates: &mut [R]
 /// All activations in the middle of a step: of an exact filter what it does in half of it, of others
 /// the implicit midpoint rule, w_m = w + dt/2·ẇ(w_m).
 pub(crate) fn middle<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     now: Activations<R>,
     inputs: &Inputs<R>,
     out: &mut [R],
@@ -185,16 +201,16 @@ pub(crate) fn middle<R: Real>(
         let ctrl = actuator.held(model, now.ctrl(model, index, inputs));
         let rate = actuator.rate(now.act[k], ctrl, model.circles[index]);
         let span = match actuator.dynamics {
-            Dynamics::Filter => half / (1.0 + half / actuator.time_constant()),
+            Dynamics::Filter => actuator.of_time_constant(|tau| half / (1.0 + half / tau)),
             _ => actuator.span(half),
         };
-        out[k] = now.act[k] + rate * R::of(span);
+        out[k] = now.act[k] + rate * span;
     }
 }
 
 /// All activations after a step in the middle of which these were their rates.
 pub(crate) fn through_middle<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     now: Activations<R>,
     inputs: &Inputs<R>,
     [rates, fading]: [&[R]; 2],
@@ -216,7 +232,12 @@ pub(crate) fn through_middle<R: Real>(
 
 /// By activation, the length that a servo on a circle has; others are left alone.
 #[inline]
-pub(crate) fn centres<R: Real>(model: &Model, qpos: &[R], pulls: Pulls<R>, out: &mut [R]) {
+pub(crate) fn centres<R: Real>(
+    model: &Model<R::Value>,
+    qpos: &[R],
+    pulls: Pulls<R>,
+    out: &mut [R],
+) {
     if out.is_empty() {
         return;
     }
@@ -227,7 +248,7 @@ pub(crate) fn centres<R: Real>(model: &Model, qpos: &[R], pulls: Pulls<R>, out: 
 
 /// Takes whole turns off activations that are more than half a turn away from these lengths.
 #[inline]
-pub(crate) fn unwind<R: Real>(model: &Model, centres: &[R], act: &mut [R]) {
+pub(crate) fn unwind<R: Real>(model: &Model<R::Value>, centres: &[R], act: &mut [R]) {
     if act.is_empty() {
         return;
     }
@@ -236,7 +257,7 @@ pub(crate) fn unwind<R: Real>(model: &Model, centres: &[R], act: &mut [R]) {
     }
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// Those of servos on circles.
     fn on_circles(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let active = self.active().filter(|_| self.features.actuation);
@@ -249,7 +270,10 @@ impl Model {
     }
 
     /// The same of those that `of` picks.
-    fn alone(&self, of: fn(&scene::Actuator) -> bool) -> impl Iterator<Item = (usize, usize)> + '_ {
+    fn alone(
+        &self,
+        of: fn(&scene::Actuator<N>) -> bool,
+    ) -> impl Iterator<Item = (usize, usize)> + '_ {
         let all = self.activations.iter().enumerate();
         let own = |(index, span): (usize, &Span)| span.range().map(move |k| (index, k));
         let plain = move |index: usize| {
@@ -261,7 +285,7 @@ impl Model {
     /// Actuators with a controller that remembers something.
     fn controlled(&self) -> impl Iterator<Item = usize> + '_ {
         let all = self.actuators.iter().zip(&self.activations).enumerate();
-        let own = |(_, (actuator, span)): &(usize, (&scene::Actuator, &Span))| {
+        let own = |(_, (actuator, span)): &(usize, (&scene::Actuator<N>, &Span))| {
             actuator.enabled && actuator.controller.is_some() && span.len > 0
         };
         all.filter(own).map(|(index, _)| index)

@@ -20,7 +20,7 @@ use super::Kind;
 use crate::model::transmission::Pulls;
 use crate::model::Model;
 use crate::plan::acting::{Acts, ActuatorAt, Drive, Why};
-use crate::real::{Mask, Real};
+use crate::real::{value, Constant, Mask, Real, Value};
 use crate::scene::{self, Target};
 use crate::state::Inputs;
 
@@ -31,12 +31,15 @@ const AT_BOUND: f64 = 1e-10;
 /// So many roundings, where a number has so few digits that this is more.
 const ROUNDED: f64 = 16.0;
 
-impl scene::Actuator {
+impl<N: Constant> scene::Actuator<N> {
     /// A control within its bounds, where these are obeyed.
     #[inline(always)]
-    pub(super) fn held<R: Real>(&self, model: &Model, ctrl: R) -> R {
-        match self.ctrlrange {
-            Some([lo, hi]) if model.features.clampctrl => ctrl.clamp(R::of(lo), R::of(hi)),
+    pub(super) fn held<R: Real<Value = N>>(&self, model: &Model<N>, ctrl: R) -> R
+    where
+        N: Value<R>,
+    {
+        match &self.ctrlrange {
+            Some([lo, hi]) if model.features.clampctrl => ctrl.clamp(lo.get(), hi.get()),
             _ => ctrl,
         }
     }
@@ -66,8 +69,8 @@ pub(crate) fn drive(model: &Model, own: &scene::Actuator) -> ActuatorAt {
     }
 }
 
-fn within<R: Real>(x: R, bounds: Option<[f64; 2]>) -> R {
-    bounds.map_or(x, |[lo, hi]| x.clamp(R::of(lo), R::of(hi)))
+fn within<R: Real>(x: R, bounds: &Option<[R::Value; 2]>) -> R {
+    bounds.as_ref().map_or(x, |[lo, hi]| x.clamp(lo.get(), hi.get()))
 }
 
 /// What an actuator reads: its length and the rate of that; zeros where nothing depends on them.
@@ -79,7 +82,7 @@ struct Along<R: Real> {
 
 impl<R: Real> Along<R> {
     #[inline(always)]
-    fn of(model: &Model, index: usize, qpos: &[R], qvel: &[R], pulls: Pulls<R>) -> Self {
+    fn of(model: &Model<R::Value>, index: usize, qpos: &[R], qvel: &[R], pulls: Pulls<R>) -> Self {
         if !model.drives[index].feeds_back {
             return Self { length: R::zero(), velocity: R::zero() };
         }
@@ -94,19 +97,25 @@ impl<R: Real> Along<R> {
 /// What stands for the control: within its bounds, or the activation; of a servo on a circle the one
 /// of those that are the same which is nearest.
 #[inline(always)]
-fn input<R: Real>(model: &Model, index: usize, act: Activations<R>, ctrl: R, length: R) -> R {
-    let u = signal(model, index, act, || within(ctrl, model.drives[index].ctrlrange));
+fn input<R: Real>(
+    model: &Model<R::Value>,
+    index: usize,
+    act: Activations<R>,
+    ctrl: R,
+    length: R,
+) -> R {
+    let u = signal(model, index, act, || within(ctrl, &model.drives[index].ctrlrange));
     nearest(u, length, model.circles[index])
 }
 
 /// gain·u.
 #[inline(always)]
-fn asked<R: Real>(model: &Model, index: usize, at: Along<R>, u: R) -> R {
+fn asked<R: Real>(model: &Model<R::Value>, index: usize, at: Along<R>, u: R) -> R {
     let actuator = &model.actuators[index];
     if let Some(muscle) = &actuator.muscle_gain {
         return muscle.gain(at.length, at.velocity, actuator.lengthrange)[0] * u;
     }
-    let [constant, length, velocity] = actuator.gain.map(R::of);
+    let [constant, length, velocity] = value::get(&actuator.gain);
     if !model.drives[index].gain_varies {
         return constant * u;
     }
@@ -115,12 +124,12 @@ fn asked<R: Real>(model: &Model, index: usize, at: Along<R>, u: R) -> R {
 
 /// What the force has beside that.
 #[inline(always)]
-fn bias<R: Real>(actuator: &scene::Actuator, at: Along<R>) -> R {
+fn bias<R: Real>(actuator: &scene::Actuator<R::Value>, at: Along<R>) -> R {
     if let Some(muscle) = &actuator.muscle_bias {
         return muscle.bias(at.length, actuator.lengthrange);
     }
-    let [constant, length, velocity] = actuator.bias.map(R::of);
-    if actuator.bias[1] == 0.0 && actuator.bias[2] == 0.0 {
+    let [constant, length, velocity] = value::get(&actuator.bias);
+    if actuator.bias[1].vanishes() && actuator.bias[2].vanishes() {
         return constant;
     }
     constant + length * at.length + velocity * at.velocity
@@ -128,7 +137,7 @@ fn bias<R: Real>(actuator: &scene::Actuator, at: Along<R>) -> R {
 
 /// The force of every actuator before its gear and its bounds, by actuator.
 pub(crate) fn tensions<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     qpos: &[R],
     qvel: &[R],
     act: Activations<R>,
@@ -160,21 +169,21 @@ pub(crate) fn tensions<R: Real>(
 }
 
 /// Every force within the bounds of its own actuator; those of a tendon come first.
-pub(crate) fn bound<R: Real>(model: &Model, tensions: &mut [R]) {
+pub(crate) fn bound<R: Real>(model: &Model<R::Value>, tensions: &mut [R]) {
     for &Acts { index, .. } in &model.acting.actuator {
-        tensions[index] = within(tensions[index], model.drives[index].bounds);
+        tensions[index] = within(tensions[index], &model.drives[index].bounds);
     }
 }
 
 /// It pulls at a tendon that bounds the sum of its actuators.
-fn on_bounded_tendon(model: &Model, index: usize) -> bool {
+fn on_bounded_tendon<N: Constant>(model: &Model<N>, index: usize) -> bool {
     let bounds = |tendon: usize| model.tendons[tendon].actuatorfrcrange.is_some();
     matches!(model.actuators[index].target, Target::Tendon(tendon) if bounds(tendon))
 }
 
 /// Motors at tendons that bound what their currents do.
-fn bounded_motors(model: &Model) -> impl Iterator<Item = usize> + '_ {
-    let runs = |actuator: &scene::Actuator| {
+fn bounded_motors<N: Constant>(model: &Model<N>) -> impl Iterator<Item = usize> + '_ {
+    let runs = |actuator: &scene::Actuator<N>| {
         model.features.actuation && actuator.enabled && actuator.drives_motor()
     };
     let motors = model.actuators.iter().enumerate().filter(move |(_, actuator)| runs(actuator));
@@ -182,17 +191,17 @@ fn bounded_motors(model: &Model) -> impl Iterator<Item = usize> + '_ {
 }
 
 /// What their currents do, within each motor's own bounds, which come after those of the tendon.
-pub(crate) fn bound_motors<R: Real>(model: &Model, tensions: &mut [R]) {
+pub(crate) fn bound_motors<R: Real>(model: &Model<R::Value>, tensions: &mut [R]) {
     for index in bounded_motors(model) {
-        if let Some([lo, hi]) = model.actuators[index].forcerange {
-            tensions[index] = tensions[index].clamp(R::of(lo), R::of(hi));
+        if let Some([lo, hi]) = &model.actuators[index].forcerange {
+            tensions[index] = tensions[index].clamp(lo.get(), hi.get());
         }
     }
 }
 
 /// Their cogging and friction, which no bound holds.
 pub(crate) fn finish_motors<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     at: (&[R], &[R]),
     act: Activations<R>,
     inputs: &Inputs<R>,
@@ -207,20 +216,20 @@ pub(crate) fn finish_motors<R: Real>(
 }
 
 /// The actuators of a tendon.
-fn on_tendon(model: &Model, tendon: usize) -> impl Iterator<Item = usize> + '_ {
+fn on_tendon<N: Constant>(model: &Model<N>, tendon: usize) -> impl Iterator<Item = usize> + '_ {
     let pulls = move |index: &usize| model.actuators[*index].target == Target::Tendon(tendon);
     (0..model.actuators.len()).filter(pulls)
 }
 
-fn tension_of<R: Real>(model: &Model, tendon: usize, tensions: &[R]) -> R {
+fn tension_of<R: Real>(model: &Model<R::Value>, tendon: usize, tensions: &[R]) -> R {
     on_tendon(model, tendon).fold(R::zero(), |sum, index| sum + tensions[index])
 }
 
 /// The actuators of a tendon together stay within its `actuatorfrcrange`.
-pub(crate) fn clamp_tendons<R: Real>(model: &Model, tensions: &mut [R]) {
+pub(crate) fn clamp_tendons<R: Real>(model: &Model<R::Value>, tensions: &mut [R]) {
     for (tendon, limits) in model.tendons.iter().enumerate() {
-        let Some(range) = limits.actuatorfrcrange else { continue };
-        let share = share(tension_of(model, tendon, tensions), range);
+        let Some(range) = &limits.actuatorfrcrange else { continue };
+        let share = share(tension_of(model, tendon, tensions), value::get(range));
         for index in on_tendon(model, tendon) {
             tensions[index] *= share;
         }
@@ -230,24 +239,25 @@ pub(crate) fn clamp_tendons<R: Real>(model: &Model, tensions: &mut [R]) {
 /// By tendon, 1 where its actuators together are within its `actuatorfrcrange` once each of them is
 /// within its own bounds, 0 where they are at a bound: MuJoCo's rule, with its tolerance, of where they
 /// have slopes.
-pub(crate) fn free_tendons<R: Real>(model: &Model, tensions: &[R], free: &mut [R]) {
+pub(crate) fn free_tendons<R: Real>(model: &Model<R::Value>, tensions: &[R], free: &mut [R]) {
     free.fill(R::one());
     let near = R::of(AT_BOUND.max(ROUNDED * R::epsilon()));
     for (tendon, limits) in model.tendons.iter().enumerate() {
-        let Some([lo, hi]) = limits.actuatorfrcrange else { continue };
+        let Some(range) = &limits.actuatorfrcrange else { continue };
+        let [lo, hi] = value::get(range);
         let total = tension_of(model, tendon, tensions);
-        let above = total.gt(R::of(lo) + near * R::of(lo.abs()));
-        let below = total.lt(R::of(hi) - near * R::of(hi.abs()));
+        let above = total.gt(lo + near * lo.abs());
+        let below = total.lt(hi - near * hi.abs());
         free[tendon] = R::select(above.and(below), R::one(), R::zero());
     }
 }
 
 /// The part of a sum that its bounds let through.
-fn share<R: Real>(total: R, [lo, hi]: [f64; 2]) -> R {
+fn share<R: Real>(total: R, [lo, hi]: [R; 2]) -> R {
     let one = R::one();
-    let beyond = total.lt(R::of(lo)).or(total.gt(R::of(hi)));
+    let beyond = total.lt(lo).or(total.gt(hi));
     let whole = R::select(beyond.and(total.abs().gt(R::zero())), total, one);
-    R::select(beyond, total.clamp(R::of(lo), R::of(hi)) / whole, one)
+    R::select(beyond, total.clamp(lo, hi) / whole, one)
 }
 
 /// The force of all actuators together, by dof, before joints bound it.
@@ -266,28 +276,28 @@ pub(crate) fn clamp_joints<R: Real>(now: &Moment<R>, shares: &mut [R], free: &mu
     ask_of_joints(now, shares);
     let mut clamps = now.model.clamps.iter().peekable();
     for (dof, (share_of, free)) in shares.iter_mut().zip(free).enumerate() {
-        let own = |(joint, _): &&(usize, [f64; 2])| now.model.joints[*joint].dof == dof;
+        let own = |(joint, _): &&(usize, [R::Value; 2])| now.model.joints[*joint].dof == dof;
         [*share_of, *free] = match clamps.next_if(own) {
-            Some((_, range)) => let_through(*share_of, *range),
+            Some((_, range)) => let_through(*share_of, value::get(range)),
             None => [R::one(); 2],
         };
     }
 }
 
 /// The part of a sum that the bounds of a joint let through, and 1 where it is within them, else 0.
-pub(crate) fn let_through<R: Real>(total: R, range: [f64; 2]) -> [R; 2] {
-    let within = total.gt(R::of(range[0])).and(total.lt(R::of(range[1])));
+pub(crate) fn let_through<R: Real>(total: R, range: [R; 2]) -> [R; 2] {
+    let within = total.gt(range[0]).and(total.lt(range[1]));
     [share(total, range), R::select(within, R::one(), R::zero())]
 }
 
 /// It is a position servo, which stores energy.
-pub(crate) fn stores(model: &Model, index: usize) -> bool {
+pub(crate) fn stores<N: Constant>(model: &Model<N>, index: usize) -> bool {
     model.acts(index) && model.drives[index].drive == Drive::Spring
 }
 
 /// What a position servo stores under a control [J]; 0 of other actuators.
 pub(crate) fn stored_under<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     index: usize,
     qpos: &[R],
     pulls: Pulls<R>,
@@ -298,23 +308,24 @@ pub(crate) fn stored_under<R: Real>(
     if !stores(model, index) {
         return R::zero();
     }
-    let (k, half) = (R::of(-actuator.bias[1]), R::of(0.5));
+    let (k, half) = (actuator.bias[1].times(-1.0), R::of(0.5));
     let length = model.along[index].length(model, qpos, pulls);
     let u = input(model, index, act, ctrl, length);
     let at = Along { length, velocity: R::zero() };
-    let force = asked(model, index, at, u) + R::of(actuator.bias[0]) - k * length;
+    let force = asked(model, index, at, u) + actuator.bias[0].get() - k * length;
     let within = half * force * force / k;
-    let Some([lo, hi]) = actuator.forcerange else { return within };
-    let beyond = |bound: f64| R::of(bound) * (force - half * R::of(bound)) / k;
-    let high = R::select(force.gt(R::of(hi)), beyond(hi), within);
-    R::select(force.lt(R::of(lo)), beyond(lo), high)
+    let Some(range) = &actuator.forcerange else { return within };
+    let [lo, hi] = value::get(range);
+    let beyond = |bound: R| bound * (force - half * bound) / k;
+    let high = R::select(force.gt(hi), beyond(hi), within);
+    R::select(force.lt(lo), beyond(lo), high)
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// Servos whose force is bounded. Where it reaches its bound they do not damp, and swing about
     /// their target with all the energy that the bound gives.
     pub(crate) fn bounded_servos(&self) -> impl Iterator<Item = usize> + '_ {
-        let bounded = |own: &ActuatorAt| own.feeds_back && own.bounds.is_some();
+        let bounded = |own: &ActuatorAt<N>| own.feeds_back && own.bounds.is_some();
         let all = self.drives.iter().enumerate();
         all.filter(move |(_, own)| bounded(own)).map(|(index, _)| index)
     }
@@ -323,9 +334,9 @@ impl Model {
 /// Where no bound holds the force of an actuator; None: it has no bound.
 fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
     let (model, actuator) = (now.model, &now.model.actuators[index]);
-    let own = model.drives[index].bounds.map(|[lo, hi]| {
+    let own = model.drives[index].bounds.as_ref().map(|[lo, hi]| {
         let force = now.frames.tension[index];
-        force.gt(R::of(lo)).and(force.lt(R::of(hi)))
+        force.gt(lo.get()).and(force.lt(hi.get()))
     });
     let own = match actuator.orientation {
         None => own,
@@ -347,8 +358,8 @@ fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
 /// The force of a servo is at its bound.
 pub(crate) fn saturated<R: Real>(now: &Moment<R>, index: usize) -> R::Mask {
     let tension = now.frames.tension[index];
-    let range = now.model.drives[index].bounds;
-    range.map_or(R::Mask::of(false), |[lo, hi]| tension.le(R::of(lo)).or(R::of(hi).le(tension)))
+    let range = now.model.drives[index].bounds.as_ref();
+    range.map_or(R::Mask::of(false), |[lo, hi]| tension.le(lo.get()).or(hi.get().le(tension)))
 }
 
 /// What a servo may put in beyond its `power`, for all of its force to count as driving [W]. What stores
@@ -374,7 +385,7 @@ impl Forces for Actuator {
     const GROUP: Group = Group::Driven;
 
     /// Its place among the model's.
-    type At = usize;
+    type At<N: Constant> = usize;
 
     fn at(model: &Model, index: usize) -> Result<usize, Why> {
         match model.acts(index) {
@@ -407,7 +418,7 @@ impl Forces for Actuator {
             return;
         }
         let (along, pulls) = (model.along[index], now.frames.pulls);
-        let mut by = [R::of(actuator.bias[1]), R::of(actuator.bias[2])];
+        let mut by = [actuator.bias[1].get(), actuator.bias[2].get()];
         let mut beside = [R::zero(); 2];
         let at = (now.qpos, now.qvel);
         if let Some(work) = work(model, index, at, now.act, now.inputs, pulls) {
@@ -418,7 +429,7 @@ impl Forces for Actuator {
             let ctrl = now.act.ctrl(model, index, now.inputs);
             let u = input(model, index, now.act, ctrl, at.length);
             let slopes = actuator.muscle_gain.map_or_else(
-                || [R::of(actuator.gain[1]), R::of(actuator.gain[2])],
+                || [actuator.gain[1].get(), actuator.gain[2].get()],
                 |muscle| [R::zero(), muscle.gain(at.length, at.velocity, actuator.lengthrange)[1]],
             );
             by = [by[0] + slopes[0] * u, by[1] + slopes[1] * u];
@@ -438,7 +449,7 @@ impl Forces for Actuator {
     }
 
     #[inline(always)]
-    fn sloped(model: &Model, &index: &usize, each: &mut impl FnMut(usize)) {
+    fn sloped<N: Constant>(model: &Model<N>, &index: &usize, each: &mut impl FnMut(usize)) {
         if model.drives[index].feeds_back {
             let dofs = model.along[index].dofs(model);
             dofs.of(&model.dof_lists).iter().for_each(|dof| each(*dof));
@@ -446,10 +457,10 @@ impl Forces for Actuator {
     }
 
     #[inline(always)]
-    fn damps(model: &Model, &index: &usize) -> bool {
+    fn damps<N: Constant>(model: &Model<N>, &index: &usize) -> bool {
         let actuator = &model.actuators[index];
-        let varies = actuator.gain[2] != 0.0 || actuator.muscle_gain.is_some();
-        actuator.bias[2] != 0.0 || varies || actuator.drives_motor()
+        let varies = !actuator.gain[2].vanishes() || actuator.muscle_gain.is_some();
+        !actuator.bias[2].vanishes() || varies || actuator.drives_motor()
     }
 
     fn stored<R: Real>(now: &Moment<R>, &index: &usize, add: &mut impl FnMut(R)) {
@@ -473,7 +484,7 @@ impl Forces for Actuator {
                 let none = Along { length: R::zero(), velocity: R::zero() };
                 let ctrl = now.act.ctrl(model, index, now.inputs);
                 let u = input(model, index, now.act, ctrl, R::zero());
-                within(asked(model, index, none, u) + R::of(actuator.bias[0]), own.bounds)
+                within(asked(model, index, none, u) + actuator.bias[0].get(), &own.bounds)
             }
         };
         let mut work = |dof, arm: R| add(force * (arm * velocity(dof)));

@@ -13,7 +13,7 @@ use super::friction::Ways;
 use crate::detect::Contact;
 use crate::model::{Material, Model, Pair};
 use crate::place::Placed;
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real, Value};
 use crate::settings::Law;
 use crate::solve::law::SolRef;
 use crate::solve::{Push, Row, Rows, Set, Situation};
@@ -29,31 +29,35 @@ pub(super) struct Normal<R: Real> {
     pub velocity: R,
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// Under this law some contacts pull with forces that stand beside their rows.
     pub(crate) fn pulls_beside_rows(&self, law: Law) -> bool {
         self.sticks && law == Law::SolRef
     }
 }
 
-impl Material {
+impl<N: Constant> Material<N> {
     /// Below which distance a contact has rows [m].
-    pub(super) fn reach(&self) -> f64 {
-        if self.adhesion > 0.0 {
+    #[inline(always)]
+    pub(super) fn reach<R: Real>(&self) -> R
+    where
+        N: Value<R>,
+    {
+        if self.adhesion.is_positive() {
             self.listed()
         } else {
-            self.margin
+            self.margin.get()
         }
     }
 }
 
 impl<R: Real> Placed<R> {
     /// Adds what contacts pull with to the passive forces, as MuJoCo counts it.
-    pub(crate) fn pull_contacts(&mut self, model: &Model, contacts: &[Contact<R>]) {
+    pub(crate) fn pull_contacts(&mut self, model: &Model<R::Value>, contacts: &[Contact<R>]) {
         for contact in contacts {
             let material = model.material(&contact.pair);
-            let near = contact.mask.and(contact.dist.lt(R::of(material.reach())));
-            let pull = contact.normal * R::select(near, R::of(material.adhesion), R::zero());
+            let near = contact.mask.and(contact.dist.lt(material.reach()));
+            let pull = contact.normal * R::select(near, material.adhesion.get(), R::zero());
             let geoms = [contact.pair.geom1, contact.pair.geom2];
             for (geom, force) in geoms.into_iter().zip([pull, -pull]) {
                 for dof in model.bodies[model.geoms[geom].body].chain.of(&model.dof_lists) {
@@ -72,23 +76,23 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
-        (ways, set, first): (&Ways, Set, usize),
+        pair: &Pair<R>,
+        (ways, set, first): (&Ways<R>, Set, usize),
         normal: Normal<R>,
     ) {
         let material = now.model.material(pair);
-        if material.adhesion <= 0.0 {
+        if !material.adhesion.is_positive() {
             return;
         }
         let (zero, one) = (R::zero(), R::one());
-        let mask = contact.mask.and(contact.dist.lt(R::of(material.reach())));
-        let apart = mask.and(contact.dist.lt(R::of(material.margin)).not());
+        let mask = contact.mask.and(contact.dist.lt(material.reach()));
+        let apart = mask.and(contact.dist.lt(material.margin.get()).not());
         if apart.any() && material.condim > 1 {
             self.keep_normal(now, contact, material, (first, set), &normal, apart);
         }
         let edges = set == Set::Interval && material.condim > 1;
         let most = f64::from(2 * material.condim.max(2) - 2);
-        let (impulse, count) = (R::of(material.adhesion) * now.clock.dt, self.rows.len() - first);
+        let (impulse, count) = (material.adhesion.get() * now.clock.dt, self.rows.len() - first);
         for k in 0..count {
             // The fold of a pyramid is so many of its edges in one.
             let folded = ways.still > 0 && k + 1 == count;
@@ -117,7 +121,7 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        material: &Material,
+        material: &Material<R::Value>,
         (first, set): (usize, Set),
         normal: &Normal<R>,
         apart: R::Mask,
@@ -133,7 +137,7 @@ impl<R: Real> Rows<R> {
             }
             let row = &mut self.rows[first];
             let mut own = Row { a: normal.a, velocity: normal.velocity, ..row.clone() };
-            let r = contact.dist - R::of(material.margin);
+            let r = contact.dist - material.margin.get();
             normal.law.fill(&mut own, r, normal.weight, normal.least, dt);
             let both =
                 [(&mut row.a, own.a), (&mut row.velocity, own.velocity), (&mut row.t, own.t)];

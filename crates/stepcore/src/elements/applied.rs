@@ -5,7 +5,7 @@ use super::force::{Forces, Group, Moment, Sum};
 use super::Kind;
 use crate::model::{Model, NONE};
 use crate::plan::acting::{Acts, Why};
-use crate::real::Real;
+use crate::real::{Constant, Real};
 use crate::spatial::{Force, V3};
 
 pub(super) struct JointForce;
@@ -15,7 +15,7 @@ impl Forces for JointForce {
     const GROUP: Group = Group::Driven;
     const APPLIED: bool = true;
     /// The joint's first dof, and how many it has.
-    type At = (usize, usize);
+    type At<N: Constant> = (usize, usize);
 
     fn at(model: &Model, joint: usize) -> Result<(usize, usize), Why> {
         let joint = &model.joints[joint];
@@ -60,7 +60,7 @@ impl Forces for BodyForce {
     const GROUP: Group = Group::Driven;
     const APPLIED: bool = true;
     /// The body.
-    type At = usize;
+    type At<N: Constant> = usize;
 
     fn at(_: &Model, body: usize) -> Result<usize, Why> {
         Ok(body)
@@ -122,8 +122,9 @@ impl Forces for BodyForce {
     ) -> f64 {
         let body = &now.model.bodies[index];
         let [force, _] = given(now, index);
-        if body.mass > 0.0 {
-            force.iter().map(|f| f.lane(lane).powi(2)).sum::<f64>() / body.mass
+        let mass = body.mass.lane(lane);
+        if mass > 0.0 {
+            force.iter().map(|f| f.lane(lane).powi(2)).sum::<f64>() / mass
         } else {
             0.0
         }

@@ -2,7 +2,7 @@
 
 use super::equality::Held;
 use crate::model::{Ends, NONE};
-use crate::real::Real;
+use crate::real::{Real, Value};
 use crate::solve::{Rows, Situation};
 use crate::spatial::{rotate, splat, Motion, V3};
 
@@ -14,19 +14,24 @@ pub(super) struct Apart<R: Real> {
 }
 
 impl<R: Real> Rows<R> {
-    pub(super) fn connect(&mut self, now: &Situation<R>, index: usize, ends: &Ends) {
+    pub(super) fn connect(&mut self, now: &Situation<R>, index: usize, ends: &Ends<R::Value>) {
         let first = self.rows.len();
         let Apart { way, curving } = self.points(now, index, ends);
         let held = [0, 1, 2].map(|k| Held {
             gap: way[k],
             curving: curving[k],
-            invweight: ends.invweight[0],
+            invweight: ends.invweight[0].get(),
         });
         self.tie(now, index, first, way.dot(&way).sqrt(), &held);
     }
 
     /// The rows of the points alone.
-    pub(super) fn points(&mut self, now: &Situation<R>, index: usize, ends: &Ends) -> Apart<R> {
+    pub(super) fn points(
+        &mut self,
+        now: &Situation<R>,
+        index: usize,
+        ends: &Ends<R::Value>,
+    ) -> Apart<R> {
         let (placed, equality) = (now.placed, &now.model.equalities[index]);
         let [one, two] = ends.bodies;
         let point = |k: usize| {
@@ -41,7 +46,7 @@ impl<R: Real> Rows<R> {
             self.add_jacobian(now, one, &p1, &axis);
             self.add_jacobian(now, two, &p2, &-axis);
             self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
-            self.drop_rounding(now, ends.bodies, &p1, equality.mass, Motion::most_at);
+            self.drop_rounding(now, ends.bodies, &p1, equality.mass.get(), Motion::most_at);
         }
         let curving = self.acceleration(now, one, &p1) - self.acceleration(now, two, &p2);
         Apart { way: p1 - p2, curving }

@@ -13,7 +13,7 @@ use super::surface_velocity::drift;
 use crate::detect::path::time_of_impact;
 use crate::detect::Contact;
 use crate::model::{Model, Pair, NEAR, NONE};
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real, Value};
 use crate::settings::{Cone, Law};
 use crate::solve::law::{least_softness, target_at, weightless_softness, Near, OnGuess, SolRef};
 use crate::solve::{Guessed, Rows, Set, Situation};
@@ -58,9 +58,9 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
+        pair: &Pair<R>,
         along: &[V3<R>],
-        scales: &[f64],
+        scales: &[R],
     ) {
         let (bodies, points, first) = (bodies(now.model, pair), contact.points(), self.rows.len());
         match *along {
@@ -76,7 +76,7 @@ impl<R: Real> Rows<R> {
         }
         for (row, scale) in (first..).zip(scales) {
             self.drop_rounding_of(row, now, (bodies, &contact.pos), pair.mass, |motion, arm| {
-                motion.most_at(arm) * R::of(scale * scale)
+                motion.most_at(arm) * (*scale * *scale)
             });
         }
     }
@@ -85,20 +85,20 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
+        pair: &Pair<R>,
         about: &V3<R>,
-        scale: f64,
+        scale: R,
     ) {
         let bodies = bodies(now.model, pair);
         self.turning_jacobian(now, bodies, pair.dofs, about);
         self.push_scratch(now, pair.dofs);
         self.drop_rounding(now, bodies, &contact.pos, pair.mass, |motion, _| {
-            motion.ang.dot(&motion.ang) * R::of(scale * scale)
+            motion.ang.dot(&motion.ang) * (scale * scale)
         });
     }
 
-    pub(super) fn normal_row(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
-        self.sliding_rows(now, contact, pair, &[contact.normal], &[1.0]);
+    pub(super) fn normal_row(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair<R>) {
+        self.sliding_rows(now, contact, pair, &[contact.normal], &[R::one()]);
     }
 
     /// Rows of the ways of friction, in their measure.
@@ -106,8 +106,8 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
-        ways: &Ways,
+        pair: &Pair<R>,
+        ways: &Ways<R>,
     ) {
         self.rows_along(now, contact, pair, ways, false);
     }
@@ -117,8 +117,8 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
-        ways: &Ways,
+        pair: &Pair<R>,
+        ways: &Ways<R>,
         normal: bool,
     ) {
         if ways.list().is_empty() {
@@ -128,7 +128,7 @@ impl<R: Real> Rows<R> {
             return;
         }
         let axis = axes_of(contact, now);
-        let (mut along, mut scales) = ([contact.normal; 3], [1.0; 3]);
+        let (mut along, mut scales) = ([contact.normal; 3], [R::one(); 3]);
         let mut count = usize::from(normal);
         for way in ways.list().iter().filter(|way| !way.turns) {
             (along[count], scales[count]) = (axis(way), way.scale);
@@ -140,12 +140,12 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    fn least_softness(&self, first: usize, pair: &Pair) -> R {
+    fn least_softness(&self, first: usize, pair: &Pair<R>) -> R {
         let rows = &self.rows[first..];
-        if pair.invweight > 0.0 {
-            least_softness(rows, pair.mass)
-        } else {
+        if pair.invweight.is_zero() {
             weightless_softness(rows, pair.mass)
+        } else {
+            least_softness(rows, pair.mass)
         }
     }
 
@@ -159,12 +159,12 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
-        (first, set, mu): (usize, Set, f64),
+        pair: &Pair<R>,
+        (first, set, mu): (usize, Set, R),
         mask: R::Mask,
     ) {
         let block = self.push_block(first, set, mask, now, contact.element(), pair.mass);
-        block.mu = R::of(mu);
+        block.mu = mu;
         block.feature = contact.feature;
         block.kin = now.model.kin(pair, contact.part);
     }
@@ -173,44 +173,44 @@ impl<R: Real> Rows<R> {
     pub(super) fn soft_contact(&mut self, now: &Situation<R>, contact: &Contact<R>) {
         let (settings, dt, pair) = (now.settings, R::of(now.settings.dt), &contact.pair);
         let material = now.model.material(pair);
-        let mask = contact.mask.and(contact.dist.lt(R::of(material.reach())));
+        let mask = contact.mask.and(contact.dist.lt(material.reach()));
         if mask.none() || self.pyramids(now, core::array::from_ref(contact)) {
             return;
         }
-        let r = contact.dist - R::of(material.margin);
+        let r = contact.dist - material.margin.get();
         let mut law = SolRef::at(&material.soft, r, settings.dt, settings.refsafe);
         let ways = Ways::soft(pair.still, material);
-        let (weight, mu, impratio) = (pair.invweight, ways.slide, settings.impratio);
+        let (weight, mu, impratio) = (pair.invweight, ways.slide, R::of(settings.impratio));
         let first = self.rows.len();
         let most = settings.max_recovery_speed.under(Law::SolRef);
         self.rows_along(now, contact, pair, &ways, true);
         if let Some(most) = most {
             // The normal of a pyramid is its edges side by side, four with condim 3.
             let edges = settings.cone == Cone::Pyramidal && material.condim > 1;
-            let count = f64::from(2 * material.condim.max(2) - 2);
+            let count = R::of(f64::from(2 * material.condim.max(2) - 2));
             let weight = if edges { edge_weight(weight, mu, impratio) / count } else { weight };
             let row = &self.rows[first];
             let guess = self.dot(now.dof_lists, row, &now.placed.guess);
-            let most = target_at(row, law.softness * R::of(weight), guess, most);
+            let most = target_at(row, law.softness * weight, guess, most);
             let limited = law.at_most(row.velocity, r, most, dt);
             let left = (limited.kd - law.kd) * r * dt * dt;
             law = limited;
             self.note_unrecovered(mask, left);
         }
         let (a, velocity) = (self.rows[first].a, self.rows[first].velocity);
-        let normal = |least| Normal { law, weight: R::of(weight), least, a, velocity };
+        let normal = |least| Normal { law, weight, least, a, velocity };
         if material.condim == 1 {
             let least = self.least_softness(first, pair);
-            law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
+            law.fill(&mut self.rows[first], r, weight, least, dt);
             self.apply_adhesion(now, contact, pair, (&ways, Set::Interval, first), normal(least));
             return self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
         }
         if settings.cone == Cone::Elliptic {
             let least = self.least_softness(first, pair);
-            law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
+            law.fill(&mut self.rows[first], r, weight, least, dt);
             // MuJoCo's R_j = R₁ μ₁²/μ_j², in the measure of the ways.
-            let across_weight = R::of(weight / impratio * (ways.share * ways.share));
-            let across = law.of_friction(material.solreffriction, &material.soft, now.settings);
+            let across_weight = weight / impratio * (ways.share * ways.share);
+            let across = law.of_friction(&material.solreffriction, &material.soft, now.settings);
             for row in &mut self.rows[first + 1..] {
                 across.fill(row, R::zero(), across_weight, least, dt);
                 row.lo = R::of(f64::NEG_INFINITY);
@@ -221,7 +221,7 @@ impl<R: Real> Rows<R> {
             self.apply_adhesion(now, contact, pair, (&ways, Set::Convex, first), normal(least));
             return self.close(now, contact, pair, (first, Set::Convex, ways.mu), mask);
         }
-        let unmoved = R::Mask::of(weight == 0.0).and(self.rows[first].a.le(R::zero()));
+        let unmoved = R::Mask::of(weight.is_zero()).and(self.rows[first].a.le(R::zero()));
         self.pyramid(now, &ways, first);
         self.fill_pyramid(now, contact, (first, &ways), (law, r, unmoved, [a, velocity]), mask);
     }
@@ -232,20 +232,20 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        (first, ways): (usize, &Ways),
+        (first, ways): (usize, &Ways<R>),
         (law, r, unmoved, [a, velocity]): (SolRef<R>, R, R::Mask, [R; 2]),
         mask: R::Mask,
     ) {
         let pair = &contact.pair;
         let (dt, mu, still) = (R::of(now.settings.dt), ways.slide, ways.still);
-        let edge = edge_weight(pair.invweight, mu, now.settings.impratio);
+        let edge = edge_weight(pair.invweight, mu, R::of(now.settings.impratio));
         let edges = self.rows.len() - first;
         let least = self.least_softness(first, pair);
         for (k, row) in self.rows[first..].iter_mut().enumerate() {
             // The fold stands last: 2 or 4 equal rows in one.
             let folded = still > 0 && k + 1 == edges;
-            let weight = if folded { edge * 0.5 / still as f64 } else { edge };
-            law.fill(row, r, R::of(weight), least, dt);
+            let weight = if folded { edge * R::of(0.5) / R::of(still as f64) } else { edge };
+            law.fill(row, r, weight, least, dt);
         }
         if mask.and(unmoved).any() {
             self.split_unmoved_edges(law, first, edges - edges % 2, unmoved, dt);
@@ -253,7 +253,7 @@ impl<R: Real> Rows<R> {
         let drift = drift(now, contact, pair, ways);
         self.apply_surface_velocity(drift.as_ref(), ways, dt * law.b, (first, true));
         self.anchor(now, contact, pair, ways, drift.as_ref(), (first, true));
-        let normal = Normal { law, weight: R::of(pair.invweight), least, a, velocity };
+        let normal = Normal { law, weight: pair.invweight, least, a, velocity };
         self.apply_adhesion(now, contact, pair, (ways, Set::Interval, first), normal);
         self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
     }
@@ -287,7 +287,7 @@ impl<R: Real> Rows<R> {
 
     /// Replaces the rows from `first` on, the normal and the ways, by the edges J_n ± μ_j J_j, then
     /// the fold.
-    fn pyramid(&mut self, now: &Situation<R>, ways: &Ways, first: usize) {
+    fn pyramid(&mut self, now: &Situation<R>, ways: &Ways<R>, first: usize) {
         let moving = self.rows.len() - first - 1;
         if moving == 0 {
             return; // The normal row is the fold.
@@ -300,7 +300,7 @@ impl<R: Real> Rows<R> {
         }
         self.take_ways(first);
         for (way, tangent) in (1..).zip(&tangents[..moving]) {
-            self.push_edges(now, dofs, way, (velocity, *tangent), R::of(ways.mu));
+            self.push_edges(now, dofs, way, (velocity, *tangent), ways.mu);
         }
         if ways.still > 0 {
             self.push_normal(dofs, a, velocity);
@@ -309,12 +309,13 @@ impl<R: Real> Rows<R> {
 
     /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps, or where
     /// the shapes are so near that it may for what other rows do.
-    fn rigid_contact(&mut self, now: &Situation<R>, contact: &mut Contact<R>, pair: &Pair) {
+    fn rigid_contact(&mut self, now: &Situation<R>, contact: &mut Contact<R>, pair: &Pair<R>) {
         let law = OnGuess::new(now);
         let first = self.rows.len();
         self.normal_row(now, contact, pair);
-        let size = now.model.geoms[pair.geom1].reach.min(now.model.geoms[pair.geom2].reach);
-        let (mut phi, touching) = (contact.dist, contact.dist.le(R::of(NEAR * size)));
+        let [one, two] = [pair.geom1, pair.geom2].map(|geom| &now.model.geoms[geom].reach);
+        let size: R = Value::calc([one, two], |[one, two]| one.min(two));
+        let (mut phi, touching) = (contact.dist, contact.dist.le(R::of(NEAR) * size));
         let Guessed { closing, mut gained } = self.guessed(now, first, phi);
         let closing = contact.mask.and(closing);
         let mut mask = contact.mask.and(closing.or(touching));
@@ -336,7 +337,7 @@ impl<R: Real> Rows<R> {
             self.pop_row();
             return;
         }
-        let near = Near { phi, closing, gained, arrives, far: phi.gt(R::of(size)) };
+        let near = Near { phi, closing, gained, arrives, far: phi.gt(size) };
         let mut push = law.push(phi);
         if let Some(most) = now.settings.max_recovery_speed.under(now.settings.law) {
             let over = mask.and(push.gt(R::of(most)));
@@ -351,7 +352,7 @@ impl<R: Real> Rows<R> {
         law.distance(&mut self.rows[first], &near, now.settings.restitution, push);
         let material = now.model.material(pair);
         let ways = Ways::plain(pair.still, material);
-        if ways.mu <= 0.0 || material.condim == 1 {
+        if !ways.rubs || material.condim == 1 {
             return self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
         }
         self.friction_rows(now, contact, pair, &ways);
@@ -376,12 +377,12 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &mut Contact<R>,
-        pair: &Pair,
-        size: f64,
+        pair: &Pair<R>,
+        size: R,
         open: R::Mask,
     ) -> Ahead<R> {
         let way = self.way(now, contact, pair);
-        let met = time_of_impact(now.model, now.placed, contact, &way, R::of(NEAR * size), open);
+        let met = time_of_impact(now.model, now.placed, contact, &way, R::of(NEAR) * size, open);
         if met.turned.any() {
             for k in 0..3 {
                 contact.pos[k] = R::select(met.turned, met.pos[k], contact.pos[k]);
@@ -395,11 +396,11 @@ impl<R: Real> Rows<R> {
 
     /// How far geom 2 moves in the step as geom 1 sees it, by the guess [m]: the round shapes'
     /// centres, and the flat ones' nearest points.
-    fn way(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) -> V3<R> {
+    fn way(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair<R>) -> V3<R> {
         let half = R::of(0.5) * contact.dist;
         let [first, second] = [(pair.geom1, -R::one()), (pair.geom2, R::one())].map(|(g, side)| {
             let geom = &now.model.geoms[g];
-            let core = half + R::of(geom.kind.roundness(&geom.size));
+            let core = half + geom.kind.roundness(&geom.size);
             self.motion_by_guess(now, geom.body, &(contact.pos + contact.normal * (side * core)))
         });
         (second - first) * R::of(now.settings.dt)
@@ -423,27 +424,30 @@ impl<R: Real> Rows<R> {
 }
 
 /// The axis of a way of friction, drawn out by its scale.
-pub(super) fn axes_of<R: Real>(contact: &Contact<R>, now: &Situation<R>) -> impl Fn(&Way) -> V3<R> {
+pub(super) fn axes_of<R: Real>(
+    contact: &Contact<R>,
+    now: &Situation<R>,
+) -> impl Fn(&Way<R>) -> V3<R> {
     let (normal, tangents) = (contact.normal, contact.tangents(now.placed));
     move |way| {
         let axis = match way.axis {
             Axis::Normal => normal,
             Axis::Tangent(at) => tangents[at],
         };
-        if way.scale == 1.0 {
+        if way.scale == R::one() {
             axis
         } else {
-            axis * R::of(way.scale)
+            axis * way.scale
         }
     }
 }
 
 /// MuJoCo's inverse weight of an edge of a pyramid: 2 μ² (1 + μ²)/impratio of the normal's.
-fn edge_weight(normal: f64, mu: f64, impratio: f64) -> f64 {
-    normal * 2.0 * mu * mu / impratio * (1.0 + mu * mu)
+fn edge_weight<R: Real>(normal: R, mu: R, impratio: R) -> R {
+    normal * R::of(2.0) * mu * mu / impratio * (R::one() + mu * mu)
 }
 
-pub(super) fn bodies(model: &Model, pair: &Pair) -> [usize; 2] {
+pub(super) fn bodies<N: Constant, P>(model: &Model<N>, pair: &Pair<P>) -> [usize; 2] {
     [model.geoms[pair.geom1].body, model.geoms[pair.geom2].body]
 }
 

@@ -26,7 +26,7 @@
 use super::delay::{nearest, Activations};
 use crate::model::transmission::Pulls;
 use crate::model::Model;
-use crate::real::{Mask, Real};
+use crate::real::{value, Constant, Mask, Real, Value};
 use crate::scene::{self, Controller, Input, Motor};
 use crate::state::Inputs;
 
@@ -59,7 +59,10 @@ pub(super) struct Work<R: Real> {
 }
 
 /// Its activations: their kinds, with their places in act.
-pub(super) fn places(model: &Model, index: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+pub(super) fn places<N: Constant>(
+    model: &Model<N>,
+    index: usize,
+) -> impl Iterator<Item = (usize, usize)> + '_ {
     let own = model.actuators[index].controller.as_ref();
     let kinds = own.map_or([false; KINDS], Controller::remembers);
     (0..KINDS).filter(move |kind| kinds[*kind]).zip(model.activations[index].range())
@@ -84,7 +87,7 @@ pub(super) fn span<R: Real>(fading: R, seconds: f64) -> R {
 /// What the controller of an actuator does now; None where it has none.
 #[inline(always)]
 pub(super) fn work<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     index: usize,
     at: (&[R], &[R]),
     now: Activations<R>,
@@ -99,7 +102,7 @@ pub(super) fn work<R: Real>(
 /// moved by half a step first.
 fn work_of<R: Real>(
     own: &Controller,
-    model: &Model,
+    model: &Model<R::Value>,
     index: usize,
     (qpos, qvel): (&[R], &[R]),
     now: Activations<R>,
@@ -150,7 +153,7 @@ pub(super) fn bounded<R: Real>(own: &Controller, kind: usize, act: R) -> R {
 
 /// A controller with its controls, at a length and its rate.
 struct Along<'a, R: Real> {
-    actuator: &'a scene::Actuator,
+    actuator: &'a scene::Actuator<R::Value>,
     own: &'a Controller,
     circle: f64,
     ctrl: [Option<R>; 4],
@@ -158,6 +161,11 @@ struct Along<'a, R: Real> {
 }
 
 impl<R: Real> Along<'_, R> {
+    /// Nothing, kp and kv.
+    fn gains(&self) -> [R; 3] {
+        self.actuator.bias.each_ref().map(|x| Value::calc([x], |[x]| 0.0 - x))
+    }
+
     fn given(&self, input: Input) -> R {
         self.ctrl[input.slot()].unwrap_or(R::zero())
     }
@@ -175,7 +183,7 @@ impl<R: Real> Along<'_, R> {
             fading: [zero; KINDS],
         };
         let asked = self.asked(states, seconds, reach, &mut out);
-        let [_, kp, kv] = self.actuator.bias.map(|x| R::of(0.0 - x));
+        let [_, kp, kv] = self.gains();
         match &self.own.motor {
             None => (out.force, out.slopes) = (asked, [kp, kv]),
             Some(motor) => self.drive(motor, asked, states, reach, &mut out),
@@ -196,7 +204,7 @@ impl<R: Real> Along<'_, R> {
             targets[first] = states[SLEW] + rate * R::of(reach);
         }
         let target = nearest(targets[0], length, self.circle);
-        let [_, kp, kv] = self.actuator.bias.map(|x| R::of(0.0 - x));
+        let [_, kp, kv] = self.gains();
         let mut force = kp * (target - length) + kv * (targets[1] - velocity) + targets[2];
         if self.own.ki != 0.0 {
             let (x, error) = (states[INTEGRAL], target - length);
@@ -250,16 +258,17 @@ impl<R: Real> Along<'_, R> {
             let flows = resistance * heats * heats - states[HEAT] / R::of(path);
             out.rates[HEAT] = flows / R::of(capacity);
         }
-        let [_, kp, kv] = self.actuator.bias.map(|x| R::of(0.0 - x));
+        let [_, kp, kv] = self.gains();
         // Free: the controller makes up for the velocity, and what is left are its gains.
         let gains = cold * by_voltage;
         let braked = constant * constant * by_voltage;
         out.slopes = [R::select(free, gains * kp, zero), R::select(free, gains * kv, braked)];
         (out.driven, out.force) = (constant * current, constant * current);
-        if let Some([lo, hi]) = self.actuator.forcerange {
-            let within = out.force.gt(R::of(lo)).and(out.force.lt(R::of(hi)));
+        if let Some(range) = &self.actuator.forcerange {
+            let [lo, hi] = value::get(range);
+            let within = out.force.gt(lo).and(out.force.lt(hi));
             out.slopes = out.slopes.map(|slope| R::select(within, slope, zero));
-            out.force = out.force.clamp(R::of(lo), R::of(hi));
+            out.force = out.force.clamp(lo, hi);
         }
         let [amplitude, periods, phase] = motor.cogging;
         if amplitude != 0.0 {

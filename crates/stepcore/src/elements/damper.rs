@@ -4,27 +4,27 @@ use super::force::{Forces, Group, Moment, Sum};
 use super::Kind;
 use crate::model::Model;
 use crate::plan::acting::{Acts, DamperAt, Why};
-use crate::real::Real;
+use crate::real::{Constant, Real, Value};
 use crate::scene::{Coefficients, NONE};
 
 pub(super) struct Damper;
 
 /// −(a + b |v| + c v²) v: MuJoCo's polynomial, odd in v (documentation, "Polynomial forces").
 #[inline(always)]
-pub(super) fn pull<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
-    let mut damping = R::of(a);
-    if b != 0.0 || c != 0.0 {
-        damping += R::of(b) * velocity.abs() + R::of(c) * velocity * velocity;
+pub(super) fn pull<R: Real>([a, b, c]: &Coefficients<R::Value>, velocity: R) -> R {
+    let mut damping = a.get();
+    if !(b.vanishes() && c.vanishes()) {
+        damping += b.get() * velocity.abs() + c.get() * velocity * velocity;
     }
     -(damping * velocity)
 }
 
 /// Minus the derivative of that: a + 2 b |v| + 3 c v².
 #[inline(always)]
-pub(super) fn slope<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
-    let mut damping = R::of(a);
-    if b != 0.0 || c != 0.0 {
-        damping += R::of(2.0 * b) * velocity.abs() + R::of(3.0 * c) * velocity * velocity;
+pub(super) fn slope<R: Real>([a, b, c]: &Coefficients<R::Value>, velocity: R) -> R {
+    let mut damping = a.get();
+    if !(b.vanishes() && c.vanishes()) {
+        damping += b.times(2.0) * velocity.abs() + c.times(3.0) * velocity * velocity;
     }
     damping
 }
@@ -33,7 +33,7 @@ impl Forces for Damper {
     const KIND: Kind = Kind::Damper;
     const GROUP: Group = Group::Passive;
     const IN_JOINTS: bool = true;
-    type At = DamperAt;
+    type At<N: Constant> = DamperAt<N>;
 
     fn at(model: &Model, joint: usize) -> Result<DamperAt, Why> {
         let joint = &model.joints[joint];
@@ -45,7 +45,7 @@ impl Forces for Damper {
     }
 
     #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, at: &DamperAt, add: &mut impl FnMut(usize, R)) {
+    fn force<R: Real>(now: &Moment<R>, at: &DamperAt<R::Value>, add: &mut impl FnMut(usize, R)) {
         for k in at.first..at.first + at.count {
             add(k, pull(&at.law, now.qvel[k]));
         }
@@ -53,7 +53,7 @@ impl Forces for Damper {
 
     /// The sum of passive forces starts with dampers.
     #[inline(always)]
-    fn push<R: Real>(now: &Moment<R>, list: &[Acts<DamperAt>], sum: &mut Sum<R>) {
+    fn push<R: Real>(now: &Moment<R>, list: &[Acts<DamperAt<R::Value>>], sum: &mut Sum<R>) {
         sum.force.fill(R::zero());
         for Acts { at, .. } in list {
             Self::force(now, at, &mut |dof, force| sum.force[dof] = force);
@@ -61,17 +61,21 @@ impl Forces for Damper {
     }
 
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, at: &DamperAt, add: &mut impl FnMut(usize, usize, [R; 2])) {
+    fn slopes<R: Real>(
+        now: &Moment<R>,
+        at: &DamperAt<R::Value>,
+        add: &mut impl FnMut(usize, usize, [R; 2]),
+    ) {
         for k in at.first..at.first + at.count {
             add(k, k, [R::zero(), slope(&at.law, now.qvel[k])]);
         }
     }
 
-    fn sloped(_: &Model, at: &DamperAt, each: &mut impl FnMut(usize)) {
+    fn sloped<N: Constant>(_: &Model<N>, at: &DamperAt<N>, each: &mut impl FnMut(usize)) {
         (at.first..at.first + at.count).for_each(each);
     }
 
-    fn damps(_: &Model, _: &DamperAt) -> bool {
+    fn damps<N: Constant>(_: &Model<N>, _: &DamperAt<N>) -> bool {
         true
     }
 }

@@ -31,7 +31,7 @@ pub(crate) struct Activations<'a, R: Real> {
 impl<R: Real> Activations<'_, R> {
     /// The control that an actuator has: the present one, or that of its delay ago.
     #[inline(always)]
-    pub fn ctrl(&self, model: &Model, index: usize, inputs: &Inputs<R>) -> R {
+    pub fn ctrl(&self, model: &Model<R::Value>, index: usize, inputs: &Inputs<R>) -> R {
         let span = model.histories[index];
         if span.len == 0 || self.history.is_empty() {
             return inputs.ctrl[index];

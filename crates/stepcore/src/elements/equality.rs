@@ -4,7 +4,7 @@
 use super::constraint::{Constraint, Makings};
 use super::Element;
 use crate::model::{Equality, Model, Tie};
-use crate::real::{Mask, Real};
+use crate::real::{Mask, Real, Value};
 use crate::settings::Law;
 use crate::solve::law::{least_softness, OnGuess, SolRef};
 use crate::solve::{Part, Rows, Set, Situation, GROUP};
@@ -42,7 +42,7 @@ pub(super) struct Held<R: Real> {
     pub gap: R,
     /// J̇ v: its acceleration when no dof accelerates.
     pub curving: R,
-    pub invweight: f64,
+    pub invweight: R,
 }
 
 impl<R: Real> Rows<R> {
@@ -56,16 +56,16 @@ impl<R: Real> Rows<R> {
         size: R,
         held: &[Held<R>],
     ) {
-        let equality: &Equality = &now.model.equalities[index];
+        let equality: &Equality<R::Value> = &now.model.equalities[index];
         let (dt, law) = (now.settings.dt, OnGuess::new(now));
         let soft = || SolRef::at(&equality.soft, size, dt, now.settings.refsafe);
         let soft = (now.settings.law == Law::SolRef).then(soft);
         // Rows of one unit have one least softness.
         for (rows, held) in self.rows[first..].chunks_mut(GROUP).zip(held.chunks(GROUP)) {
-            let least = least_softness(rows, equality.mass);
+            let least = least_softness(rows, equality.mass.get());
             for (row, held) in rows.iter_mut().zip(held) {
                 if let Some(law) = &soft {
-                    law.fill(row, held.gap, R::of(held.invweight), least, R::of(dt));
+                    law.fill(row, held.gap, held.invweight, least, R::of(dt));
                     row.t -= R::of(dt) * held.curving;
                 } else {
                     law.equality(row, held.gap);
@@ -82,6 +82,6 @@ impl<R: Real> Rows<R> {
         }
         let element = Element::whole(equality.kind(), index);
         let active = now.inputs.eq_active(index);
-        self.push_block(first, Set::Interval, active, now, element, equality.mass);
+        self.push_block(first, Set::Interval, active, now, element, equality.mass.get());
     }
 }

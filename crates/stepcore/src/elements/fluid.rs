@@ -19,7 +19,7 @@ use super::Kind;
 use crate::model::fluid::{Ellipsoid, Part, Shape};
 use crate::model::{Model, NONE};
 use crate::plan::acting::Why;
-use crate::real::Real;
+use crate::real::{Constant, Real};
 use crate::spatial::{rotate, rotate_back, splat, Force, Motion, M3, V3};
 
 pub(super) struct Fluid;
@@ -46,7 +46,7 @@ impl<R: Real> Moving<R> {
         for &k in own.chain.of(&model.dof_lists) {
             moves.add_scaled(&frames.motion[k], now.qvel[k]);
         }
-        let lin = moves.at(&arm) - splat::<R>(&model.fluid.wind);
+        let lin = moves.at(&arm) - splat::<R, _>(&model.fluid.wind);
         let velocity = Motion { ang: rotate_back(&rot, &moves.ang), lin: rotate_back(&rot, &lin) };
         Self { rot, arm, velocity }
     }
@@ -65,7 +65,7 @@ impl Forces for Fluid {
     const GROUP: Group = Group::Passive;
 
     /// The body.
-    type At = usize;
+    type At<N: Constant> = usize;
 
     fn at(model: &Model, body: usize) -> Result<usize, Why> {
         let wet = model.bodies[body].tree != NONE && model.fluid.of_body[body].len > 0;
@@ -97,11 +97,11 @@ impl Forces for Fluid {
         }
     }
 
-    fn sloped(model: &Model, &body: &usize, each: &mut impl FnMut(usize)) {
+    fn sloped<N: Constant>(model: &Model<N>, &body: &usize, each: &mut impl FnMut(usize)) {
         model.bodies[body].chain.of(&model.dof_lists).iter().for_each(|k| each(*k));
     }
 
-    fn damps(_: &Model, _: &usize) -> bool {
+    fn damps<N: Constant>(_: &Model<N>, _: &usize) -> bool {
         true
     }
 
@@ -137,7 +137,7 @@ fn resistance<R: Real>(part: &Part, velocity: &Motion<R>) -> Force<R> {
         }
         Shape::Ellipsoid(own) => {
             let way = Way::of(own, v);
-            let (mass, inertia) = (splat::<R>(&own.mass), splat::<R>(&own.inertia));
+            let (mass, inertia) = (splat::<R, _>(&own.mass), splat::<R, _>(&own.inertia));
             let carried = v.component_mul(&mass);
             let spun = w.component_mul(&inertia);
             let twist = length(&w.component_mul(&splat(&own.turning)));
@@ -179,7 +179,7 @@ fn length<R: Real>(v: &V3<R>) -> R {
 
 impl<R: Real> Way<R> {
     fn of(own: &Ellipsoid, v: &V3<R>) -> Self {
-        let across = splat::<R>(&own.across);
+        let across = splat::<R, _>(&own.across);
         let g = v.component_mul(&across);
         let gg = g.component_mul(&across);
         let (n, d) = (g.dot(v), gg.dot(v));
@@ -220,7 +220,7 @@ impl<R: Real> Slope<R> {
                 }
             }
             Shape::Ellipsoid(own) => {
-                let (mass, inertia) = (splat::<R>(&own.mass), splat::<R>(&own.inertia));
+                let (mass, inertia) = (splat::<R, _>(&own.mass), splat::<R, _>(&own.inertia));
                 let (m, i) = (M3::from_diagonal(&mass), M3::from_diagonal(&inertia));
                 let carried = cross(&v.component_mul(&mass));
                 let spun = cross(&w.component_mul(&inertia));
@@ -230,7 +230,7 @@ impl<R: Real> Slope<R> {
                     - M3::identity() * viscous;
                 let lin_by_w = carried - cross_v * magnus;
                 let ang_by_v = carried - cross_v * m;
-                let turning = splat::<R>(&own.turning);
+                let turning = splat::<R, _>(&own.turning);
                 let kw = w.component_mul(&turning);
                 let twist = length(&kw);
                 let ang_by_w = spun
@@ -245,7 +245,7 @@ impl<R: Real> Slope<R> {
     /// Of Kutta's lift and the drag.
     fn way(own: &Ellipsoid, v: &V3<R>) -> M3<R> {
         let way = Way::of(own, v);
-        let across = M3::from_diagonal(&splat::<R>(&own.across));
+        let across = M3::from_diagonal(&splat::<R, _>(&own.across));
         let (unit, square) = (v * way.per_speed, way.speed * way.speed);
         let (by_n, by_d) = (way.g * way.n.recip_or_zero(), way.gg * way.per_d);
         // The gradients of A beside A, of the lift's factor beside it, and of the drag.

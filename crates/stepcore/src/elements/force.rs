@@ -5,13 +5,13 @@ use super::{Element, Kind};
 use crate::model::transmission::Pulls;
 use crate::model::Model;
 use crate::plan::acting::{Acts, Why};
-use crate::real::Real;
+use crate::real::{Constant, Real};
 use crate::spatial::{rotate, splat, Force, Motion, M3, V3};
 use crate::state::Inputs;
 
 /// What forces depend on: a model at a state, with its inputs.
 pub(crate) struct Moment<'a, R: Real> {
-    pub model: &'a Model,
+    pub model: &'a Model<R::Value>,
     pub frames: Frames<'a, R>,
     pub qpos: &'a [R],
     pub qvel: &'a [R],
@@ -36,7 +36,7 @@ pub(crate) struct Frames<'a, R: Real> {
 impl<R: Real> Frames<'_, R> {
     /// Centre of mass of a body in the world [m].
     #[inline(always)]
-    pub fn centre(&self, model: &Model, body: usize) -> V3<R> {
+    pub fn centre(&self, model: &Model<R::Value>, body: usize) -> V3<R> {
         self.xpos[body] + rotate(&self.xmat[body], &splat(&model.bodies[body].ipos))
     }
 }
@@ -65,7 +65,7 @@ pub(crate) trait Forces {
     const KIND: Kind;
     const GROUP: Group;
     /// One element that acts, as numbers that never change: what its formulas read beside the state.
-    type At: Copy + std::fmt::Debug;
+    type At<N: Constant>: std::fmt::Debug;
     /// Acts in joints themselves, each dof by itself: `euler` takes its damping too.
     const IN_JOINTS: bool = false;
     /// Acts only where the user applies forces.
@@ -82,14 +82,14 @@ pub(crate) trait Forces {
     }
 
     /// One of these as it acts, or why it never does.
-    fn at(model: &Model, index: usize) -> Result<Self::At, Why>;
+    fn at(model: &Model, index: usize) -> Result<Self::At<f64>, Why>;
 
     /// Calls `add(dof, force)` for every dof that one element pushes on [N or N·m].
-    fn force<R: Real>(now: &Moment<R>, at: &Self::At, add: &mut impl FnMut(usize, R));
+    fn force<R: Real>(now: &Moment<R>, at: &Self::At<R::Value>, add: &mut impl FnMut(usize, R));
 
     /// Adds the forces of all that act.
     #[inline(always)]
-    fn push<R: Real>(now: &Moment<R>, list: &[Acts<Self::At>], sum: &mut Sum<R>) {
+    fn push<R: Real>(now: &Moment<R>, list: &[Acts<Self::At<R::Value>>], sum: &mut Sum<R>) {
         for Acts { at, .. } in list {
             Self::force(now, at, &mut |dof, force| sum.force[dof] += force);
         }
@@ -100,22 +100,30 @@ pub(crate) trait Forces {
     /// What acts along a length has one for every pair of arms, both ways: aᵢ aⱼ times the stiffness
     /// and damping along the length (`Transmission::pairs`). Nothing where both are zero.
     #[inline(always)]
-    fn slopes<R: Real>(_: &Moment<R>, _at: &Self::At, _add: &mut impl FnMut(usize, usize, [R; 2])) {
+    fn slopes<R: Real>(
+        _: &Moment<R>,
+        _at: &Self::At<R::Value>,
+        _add: &mut impl FnMut(usize, usize, [R; 2]),
+    ) {
     }
 
     /// Calls `each(dof)` for every dof on which one element can have slopes, at whatever state.
     #[inline(always)]
-    fn sloped(_: &Model, _at: &Self::At, _each: &mut impl FnMut(usize)) {}
+    fn sloped<N: Constant>(_: &Model<N>, _at: &Self::At<N>, _each: &mut impl FnMut(usize)) {}
 
     /// One element has damping, at some state.
     #[inline(always)]
-    fn damps(_: &Model, _at: &Self::At) -> bool {
+    fn damps<N: Constant>(_: &Model<N>, _at: &Self::At<N>) -> bool {
         false
     }
 
     /// Calls `add(i, j, damping)` for the entries of one element's slopes, if it damps.
     #[inline(always)]
-    fn damping<R: Real>(now: &Moment<R>, at: &Self::At, add: &mut impl FnMut(usize, usize, R)) {
+    fn damping<R: Real>(
+        now: &Moment<R>,
+        at: &Self::At<R::Value>,
+        add: &mut impl FnMut(usize, usize, R),
+    ) {
         if Self::damps(now.model, at) {
             Self::slopes(now, at, &mut |i, j, [_, damping]| add(i, j, damping));
         }
@@ -126,7 +134,7 @@ pub(crate) trait Forces {
     #[inline(always)]
     fn holding<R: Real>(
         now: &Moment<R>,
-        at: &Self::At,
+        at: &Self::At<R::Value>,
         add: &mut impl FnMut(usize, usize, [R; 2]),
     ) {
         let zero = R::zero();
@@ -150,7 +158,7 @@ pub(crate) trait Forces {
 
     /// Calls `add` for every part of what one element stores at the positions at hand [J].
     #[inline(always)]
-    fn stored<R: Real>(_: &Moment<R>, _at: &Self::At, _add: &mut impl FnMut(R)) {}
+    fn stored<R: Real>(_: &Moment<R>, _at: &Self::At<R::Value>, _add: &mut impl FnMut(R)) {}
 
     /// Whether any of them can put power in.
     #[inline(always)]
@@ -163,7 +171,7 @@ pub(crate) trait Forces {
     #[inline(always)]
     fn power<R: Real>(
         _: &Moment<R>,
-        _at: &Self::At,
+        _at: &Self::At<R::Value>,
         _velocity: &impl Fn(usize) -> R,
         _add: &mut impl FnMut(R),
     ) {
@@ -173,7 +181,7 @@ pub(crate) trait Forces {
     /// inertia M that it acts on [W/s], whatever its unit. `inertia`: by dof.
     fn strength<R: Real>(
         now: &Moment<R>,
-        at: &Self::At,
+        at: &Self::At<R::Value>,
         lane: usize,
         inertia: &dyn Fn(usize) -> f64,
     ) -> f64 {

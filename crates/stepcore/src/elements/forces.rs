@@ -15,7 +15,7 @@ use super::{Element, Kind};
 use crate::integrator::Late;
 use crate::model::{Model, NONE};
 use crate::plan::acting::{Acting, Acts, Why};
-use crate::real::Real;
+use crate::real::{Constant, Real};
 
 macro_rules! forces {
     ($($list:ident: $kind:ident),+ $(,)?) => {
@@ -82,7 +82,7 @@ macro_rules! forces {
         }
 
         /// Calls `each(dofs)` for every element that can have slopes, with the dofs of these.
-        pub(crate) fn sloped(model: &Model, mut each: impl FnMut(&[usize])) {
+        pub(crate) fn sloped<N: Constant>(model: &Model<N>, mut each: impl FnMut(&[usize])) {
             let mut dofs = Vec::new();
             $(for Acts { at, .. } in &model.acting.$list {
                 dofs.clear();
@@ -121,7 +121,7 @@ macro_rules! forces {
         }
 
             /// By tree: it has a damping that an integrator takes late.
-        fn damped(model: &Model, late: Late) -> Vec<bool> {
+        fn damped<N: Constant>(model: &Model<N>, late: Late) -> Vec<bool> {
             let mut found = vec![false; model.trees.len()];
             $(if late == Late::All || $kind::IN_JOINTS {
                 let all = model.acting.$list.iter();
@@ -199,7 +199,7 @@ forces!(
     held: Held,
 );
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// Its work is put in from outside: a motor's, or an applied force's.
     pub fn drives(&self, element: Element) -> bool {
         match element.kind {

@@ -9,6 +9,7 @@
 //! regulariser R_j = R₁ μ₁²/μ_j² is one number for all.
 
 use crate::model::{Material, Model, Pair};
+use crate::real::{Constant, Real, Value};
 use crate::settings::Law;
 
 /// MuJoCo's `mjMINMU`: under `solref` no coefficient of friction is smaller.
@@ -25,48 +26,51 @@ pub(crate) enum Axis {
 
 /// One way that has a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Way {
+pub(crate) struct Way<R: Real> {
     pub axis: Axis,
     /// It turns about its axis instead of sliding along it.
     pub turns: bool,
     /// μ_j/μ: of its row beside J_j.
-    pub scale: f64,
+    pub scale: R,
 }
 
-/// In the order of `Material::friction`.
-const DIRECTIONS: [Way; MOST_WAYS] = [
-    Way { axis: Axis::Tangent(0), turns: false, scale: 1.0 },
-    Way { axis: Axis::Tangent(1), turns: false, scale: 1.0 },
-    Way { axis: Axis::Normal, turns: true, scale: 1.0 },
-    Way { axis: Axis::Tangent(0), turns: true, scale: 1.0 },
-    Way { axis: Axis::Tangent(1), turns: true, scale: 1.0 },
+/// In the order of `Material::friction`: what each way is along or about, and whether it turns.
+const DIRECTIONS: [(Axis, bool); MOST_WAYS] = [
+    (Axis::Tangent(0), false),
+    (Axis::Tangent(1), false),
+    (Axis::Normal, true),
+    (Axis::Tangent(0), true),
+    (Axis::Tangent(1), true),
 ];
 
 /// The ways of a contact that have rows.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Ways {
-    list: [Way; MOST_WAYS],
+pub(crate) struct Ways<R: Real> {
+    list: [Way<R>; MOST_WAYS],
     count: usize,
     /// Ways that have none because nothing can move in them.
     pub still: usize,
     /// The coefficient of the first: that of the cone.
-    pub mu: f64,
+    pub mu: R,
+    /// Some coefficient is not zero.
+    pub rubs: bool,
     /// MuJoCo's μ₁, which its regularisers go by, and its share of μ.
-    pub slide: f64,
-    pub share: f64,
+    pub slide: R,
+    pub share: R,
 }
 
 /// In how many ways the friction of a pair's contacts has rows: under `solref`, and under the
 /// other laws; and how many of its ways nothing can move in.
 pub fn ways(model: &Model, pair: &Pair) -> (usize, usize, usize) {
     let material = model.material(pair);
-    let (soft, plain) = (Ways::soft(pair.still, material), Ways::plain(pair.still, material));
+    let soft = Ways::<f64>::soft(pair.still, material);
+    let plain = Ways::<f64>::plain(pair.still, material);
     (soft.list().len(), plain.list().len(), soft.still)
 }
 
-impl Ways {
+impl<R: Real> Ways<R> {
     /// Under the law: of a contact whose tangents are `still`.
-    pub fn under(law: Law, still: [bool; 2], material: &Material) -> Self {
+    pub fn under(law: Law, still: [bool; 2], material: &Material<R::Value>) -> Self {
         if law == Law::SolRef {
             Self::soft(still, material)
         } else {
@@ -75,64 +79,66 @@ impl Ways {
     }
 
     /// Under `solref`: every coefficient is at least MuJoCo's least.
-    pub fn soft(still: [bool; 2], material: &Material) -> Self {
+    pub fn soft(still: [bool; 2], material: &Material<R::Value>) -> Self {
         Self::of(still, material, LEAST)
     }
 
     /// Under the other laws: a way without friction has no row.
-    pub fn plain(still: [bool; 2], material: &Material) -> Self {
+    pub fn plain(still: [bool; 2], material: &Material<R::Value>) -> Self {
         Self::of(still, material, 0.0)
     }
 
-    fn of(fixed: [bool; 2], material: &Material, least: f64) -> Self {
+    fn of(fixed: [bool; 2], material: &Material<R::Value>, least: f64) -> Self {
+        let own = &material.friction;
+        let bounded = |mu: &R::Value| Value::calc([mu], |[mu]| mu.max(least));
+        let one = R::one();
+        // Most coefficients are equal, and a division takes as long as a row's other numbers.
+        let ratio = |a: &R::Value, b: &R::Value| match a == b {
+            true => one,
+            false => Value::calc([a, b], |[a, b]| a.max(least) / b.max(least)),
+        };
         let mut ways = Self {
-            list: DIRECTIONS,
+            list: DIRECTIONS.map(|(axis, turns)| Way { axis, turns, scale: one }),
             count: 0,
             still: 0,
-            mu: 0.0,
-            slide: material.friction[0].max(least),
-            share: 1.0,
+            mu: R::zero(),
+            rubs: false,
+            slide: bounded(&own[0]),
+            share: one,
         };
         let directions = material.condim.saturating_sub(1) as usize;
-        for (direction, friction) in material.friction.iter().enumerate().take(directions) {
-            let mu = friction.max(least);
+        let mut first = None;
+        for (direction, friction) in own.iter().enumerate().take(directions) {
             if fixed.get(direction) == Some(&true) {
                 ways.still += 1;
-            } else if mu > 0.0 {
-                if ways.count == 0 {
-                    ways.mu = mu;
-                    ways.share = ratio(ways.slide, mu);
-                }
-                let scale = ratio(mu, ways.mu);
-                ways.list[ways.count] = Way { scale, ..DIRECTIONS[direction] };
+            } else if least > 0.0 || friction.is_positive() {
+                let first = *first.get_or_insert_with(|| {
+                    ways.mu = bounded(friction);
+                    ways.share = ratio(&own[0], friction);
+                    friction
+                });
+                let (axis, turns) = DIRECTIONS[direction];
+                ways.list[ways.count] = Way { axis, turns, scale: ratio(friction, first) };
                 ways.count += 1;
             }
         }
         if ways.count == 0 {
             ways.mu = ways.slide;
         }
+        ways.rubs = ways.count > 0 || least > 0.0 || own[0].is_positive();
         ways
     }
 
-    pub fn list(&self) -> &[Way] {
+    pub fn list(&self) -> &[Way<R>] {
         &self.list[..self.count]
     }
 
     /// What one unit of a cone row's impulse is of its own [1, or m].
-    pub fn scale_of_row(&self, row: usize) -> f64 {
+    pub fn scale_of_row(&self, row: usize) -> R {
         match row.checked_sub(1).and_then(|way| self.list().get(way)) {
             Some(way) => way.scale,
-            None => 1.0,
+            None => R::one(),
         }
-    }
-}
-
-/// Most coefficients are equal, and a division takes as long as a row's other numbers.
-fn ratio(a: f64, b: f64) -> f64 {
-    if a == b {
-        1.0
-    } else {
-        a / b
     }
 }
 
@@ -156,7 +162,7 @@ mod tests {
     #[test]
     fn ways_are_in_the_measure_of_the_first() {
         let all = material(6, [0.5, 0.5, 0.01, 0.002, 0.002]);
-        let ways = Ways::soft([false; 2], &all);
+        let ways = Ways::<f64>::soft([false; 2], &all);
         let found: Vec<_> = ways.list().iter().map(|way| (way.axis, way.turns)).collect();
         let (first, second) = (Axis::Tangent(0), Axis::Tangent(1));
         let want = [(first, false), (second, false), (Axis::Normal, true)];
@@ -171,15 +177,15 @@ mod tests {
     #[test]
     fn ways_without_friction_or_motion_have_no_rows() {
         let torsion = material(4, [0.0, 0.0, 0.01, 0.002, 0.002]);
-        assert_eq!(Ways::plain([false; 2], &torsion).list().len(), 1);
-        assert_eq!(Ways::plain([false; 2], &torsion).mu, 0.01);
-        let least = Ways::soft([false; 2], &torsion);
+        assert_eq!(Ways::<f64>::plain([false; 2], &torsion).list().len(), 1);
+        assert_eq!(Ways::<f64>::plain([false; 2], &torsion).mu, 0.01);
+        let least = Ways::<f64>::soft([false; 2], &torsion);
         assert_eq!((least.list().len(), least.mu, least.list()[2].scale), (3, 1e-5, 0.01 / 1e-5));
-        let one = Ways::soft([true, false], &material(3, [0.8, 0.4, 0.0, 0.0, 0.0]));
+        let one = Ways::<f64>::soft([true, false], &material(3, [0.8, 0.4, 0.0, 0.0, 0.0]));
         assert_eq!((one.list().len(), one.still), (1, 1));
         assert_eq!((one.mu, one.slide, one.share), (0.4, 0.8, 2.0));
-        let none = Ways::soft([true; 2], &material(3, [0.8, 0.8, 0.0, 0.0, 0.0]));
+        let none = Ways::<f64>::soft([true; 2], &material(3, [0.8, 0.8, 0.0, 0.0, 0.0]));
         assert_eq!((none.list().len(), none.still, none.mu), (0, 2, 0.8));
-        assert!(Ways::plain([false; 2], &material(1, [0.8; 5])).list().is_empty());
+        assert!(Ways::<f64>::plain([false; 2], &material(1, [0.8; 5])).list().is_empty());
     }
 }

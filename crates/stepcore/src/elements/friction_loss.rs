@@ -4,7 +4,7 @@ use super::constraint::{Constraint, Makings};
 use super::{Element, Kind};
 use crate::model::transmission::{Rubbing, Transmission};
 use crate::model::Model;
-use crate::real::{Mask, Real};
+use crate::real::{Mask, Real, Value};
 use crate::settings::Law;
 use crate::solve::law::{least_softness, OnGuess, SolRef};
 use crate::solve::{Rows, Set, Situation};
@@ -45,7 +45,7 @@ pub(crate) fn rubbing(model: &Model) -> Vec<Rubbing> {
         }
     });
     let tendons = model.tendons.iter().enumerate().map(|(index, tendon)| Rubbing {
-        along: Transmission::Tendon(index, 1.0),
+        along: Transmission::Tendon(index, None),
         element: Element::whole(Kind::TendonFriction, index),
         most: tendon.frictionloss,
         soft: tendon.friction.clone(),
@@ -57,22 +57,29 @@ pub(crate) fn rubbing(model: &Model) -> Vec<Rubbing> {
 }
 
 impl<R: Real> Rows<R> {
-    fn friction_loss(&mut self, now: &Situation<R>, loss: &Rubbing) {
+    fn friction_loss(&mut self, now: &Situation<R>, loss: &Rubbing<R::Value>) {
         let (settings, dt) = (now.settings, now.settings.dt);
         // Half a step's for the mean velocity, and half for the last: see `commit/end_of_step_rows.rs`.
         let most = if now.halves() { 0.5 * dt } else { dt };
         self.scratch_along(now, loss.along, loss.dofs, false);
         let first = self.rows.len();
         let row = self.push_scratch(now, loss.dofs);
-        row.lo = R::of(-most * loss.most);
-        row.hi = R::of(most * loss.most);
+        row.lo = loss.most.times(-most);
+        row.hi = loss.most.times(most);
         if settings.law == Law::SolRef {
             let law = SolRef::at(&loss.soft, R::zero(), dt, settings.refsafe).without_position();
-            let least = least_softness(slice::from_ref(row), loss.mass);
-            law.fill(row, R::zero(), R::of(loss.invweight), least, R::of(dt));
+            let least = least_softness(slice::from_ref(row), loss.mass.get());
+            law.fill(row, R::zero(), loss.invweight.get(), least, R::of(dt));
         } else {
             OnGuess::new(now).friction(row);
         }
-        self.push_block(first, Set::Interval, R::Mask::of(true), now, loss.element, loss.mass);
+        self.push_block(
+            first,
+            Set::Interval,
+            R::Mask::of(true),
+            now,
+            loss.element,
+            loss.mass.get(),
+        );
     }
 }

@@ -6,10 +6,11 @@
 
 use super::applied::on_dofs;
 use super::force::{Forces, Group, Moment};
+use super::gravity::weight;
 use super::Kind;
 use crate::model::{Body, Model, NONE};
 use crate::plan::acting::{Acts, MassAt, Why};
-use crate::real::Real;
+use crate::real::{Constant, Real, Value};
 use crate::spatial::{splat, V3};
 
 /// On joints without `actuatorgravcomp`.
@@ -20,17 +21,22 @@ pub(super) struct DrivenCompensation;
 pub(super) struct Held;
 
 fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
-    let Body { tree, gravcomp, mass, .. } = model.bodies[body];
+    let Body { tree, gravcomp, mass, .. } = &model.bodies[body];
     match gravcomp * mass {
-        mass if model.compensates && tree != NONE && mass != 0.0 => Ok(MassAt { body, mass }),
+        mass if model.compensates && *tree != NONE && mass != 0.0 => Ok(MassAt { body, mass }),
         _ => Err(Why::Unsaid),
     }
 }
 
 /// Calls `add(dof, force)` for what holds a body, whole, on dofs that drives hold or on the others.
-fn whole<R: Real>(now: &Moment<R>, at: &MassAt, driven: bool, add: &mut impl FnMut(usize, R)) {
+fn whole<R: Real>(
+    now: &Moment<R>,
+    at: &MassAt<R::Value>,
+    driven: bool,
+    add: &mut impl FnMut(usize, R),
+) {
     let model = now.model;
-    let force = splat::<R>(&(model.gravity * -at.mass));
+    let force = -weight(now, at);
     on_dofs(now, at.body, &force, &V3::zeros(), &mut |k, force| {
         if model.joints[model.dofs[k].joint].actuatorgravcomp == driven {
             add(k, force);
@@ -54,7 +60,7 @@ fn given<R: Real>(now: &Moment<R>, dof: usize) -> Option<R> {
 }
 
 /// There is an actuator that can give it.
-fn drives(model: &Model) -> bool {
+fn drives<N: Constant>(model: &Model<N>) -> bool {
     model.features.actuation && !model.actuators.is_empty()
 }
 
@@ -62,13 +68,13 @@ impl Forces for Compensation {
     const KIND: Kind = Kind::GravityCompensation;
     const GROUP: Group = Group::Passive;
 
-    type At = MassAt;
+    type At<N: Constant> = MassAt<N>;
 
     fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
         at(model, body)
     }
 
-    fn force<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(usize, R)) {
+    fn force<R: Real>(now: &Moment<R>, at: &MassAt<R::Value>, add: &mut impl FnMut(usize, R)) {
         whole(now, at, false, add);
     }
 }
@@ -77,7 +83,7 @@ impl Forces for DrivenCompensation {
     const KIND: Kind = Kind::GravityCompensation;
     const GROUP: Group = Group::Driven;
 
-    type At = MassAt;
+    type At<N: Constant> = MassAt<N>;
 
     fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
         let driven = model.joints.iter().any(|joint| joint.actuatorgravcomp);
@@ -88,7 +94,7 @@ impl Forces for DrivenCompensation {
         }
     }
 
-    fn force<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(usize, R)) {
+    fn force<R: Real>(now: &Moment<R>, at: &MassAt<R::Value>, add: &mut impl FnMut(usize, R)) {
         whole(now, at, true, &mut |dof, force| {
             add(dof, given(now, dof).map_or(force, |part| force * part));
         });
@@ -101,7 +107,7 @@ impl Forces for DrivenCompensation {
 
     fn power<R: Real>(
         now: &Moment<R>,
-        at: &MassAt,
+        at: &MassAt<R::Value>,
         velocity: &impl Fn(usize) -> R,
         add: &mut impl FnMut(R),
     ) {
@@ -117,17 +123,17 @@ impl Forces for DrivenCompensation {
 impl Forces for Held {
     const KIND: Kind = Kind::GravityCompensation;
     const GROUP: Group = Group::Weight;
-    type At = MassAt;
+    type At<N: Constant> = MassAt<N>;
 
     fn at(model: &Model, body: usize) -> Result<MassAt, Why> {
         at(model, body)
     }
 
-    fn force<R: Real>(_: &Moment<R>, _: &MassAt, _add: &mut impl FnMut(usize, R)) {}
+    fn force<R: Real>(_: &Moment<R>, _: &MassAt<R::Value>, _add: &mut impl FnMut(usize, R)) {}
 
     /// m g·c times the share: what the weight stores less.
-    fn stored<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(R)) {
-        let gravity = splat::<R>(&now.model.gravity);
-        add(R::of(at.mass) * gravity.dot(&now.frames.centre(now.model, at.body)));
+    fn stored<R: Real>(now: &Moment<R>, at: &MassAt<R::Value>, add: &mut impl FnMut(R)) {
+        let gravity = splat::<R, _>(&now.model.gravity);
+        add(at.mass.get() * gravity.dot(&now.frames.centre(now.model, at.body)));
     }
 }

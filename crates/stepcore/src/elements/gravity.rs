@@ -8,15 +8,20 @@ use super::force::{Forces, Group, Moment, Sum};
 use super::{Element, Kind};
 use crate::model::Model;
 use crate::plan::acting::{Acts, MassAt, Why};
-use crate::real::Real;
+use crate::real::{Constant, Real, Value};
 use crate::spatial::{splat, V3};
 
 pub(super) struct Gravity;
 
+/// m g.
+pub(super) fn weight<R: Real>(now: &Moment<R>, at: &MassAt<R::Value>) -> V3<R> {
+    V3::from_fn(|k, _| Value::calc([&now.model.gravity[k], &at.mass], |[g, m]| g * m))
+}
+
 impl Forces for Gravity {
     const KIND: Kind = Kind::Gravity;
     const GROUP: Group = Group::Weight;
-    type At = MassAt;
+    type At<N: Constant> = MassAt<N>;
 
     #[inline(always)]
     fn count(model: &Model) -> usize {
@@ -35,19 +40,19 @@ impl Forces for Gravity {
         }
     }
 
-    fn force<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(usize, R)) {
-        let weight = splat::<R>(&(now.model.gravity * at.mass));
+    fn force<R: Real>(now: &Moment<R>, at: &MassAt<R::Value>, add: &mut impl FnMut(usize, R)) {
+        let weight = weight(now, at);
         on_dofs(now, at.body, &weight, &V3::zeros(), add);
     }
 
     /// The bias forces hold it.
-    fn push<R: Real>(_: &Moment<R>, _: &[Acts<MassAt>], _: &mut Sum<R>) {}
+    fn push<R: Real>(_: &Moment<R>, _: &[Acts<MassAt<R::Value>>], _: &mut Sum<R>) {}
 
     /// −m g·c, zero at the world's origin; of fixed bodies too.
     #[inline(always)]
-    fn stored<R: Real>(now: &Moment<R>, at: &MassAt, add: &mut impl FnMut(R)) {
-        let gravity = splat::<R>(&now.model.gravity);
+    fn stored<R: Real>(now: &Moment<R>, at: &MassAt<R::Value>, add: &mut impl FnMut(R)) {
+        let gravity = splat::<R, _>(&now.model.gravity);
         let centre = now.frames.centre(now.model, at.body);
-        add(-(R::of(at.mass) * gravity.dot(&centre)));
+        add(-(at.mass.get() * gravity.dot(&centre)));
     }
 }

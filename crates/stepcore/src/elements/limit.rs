@@ -4,7 +4,7 @@ use super::constraint::{Constraint, Makings};
 use super::{Element, Kind};
 use crate::model::transmission::{Limited, Transmission};
 use crate::model::{Model, Span, NEAR};
-use crate::real::{Mask, Real};
+use crate::real::{Mask, Real, Value};
 use crate::scene::JointType;
 use crate::solve::law::{least_softness, Near, OnGuess, SolRef};
 use crate::solve::{Guessed, Rows, Set, Situation};
@@ -24,9 +24,9 @@ impl Constraint for Limit {
         let by_position = !now.settings.law.on_guess();
         for bound in now.model.limited.iter().filter(|bound| !now.all_rest(bound.along)) {
             let length = bound.along.length(now.model, now.qpos, now.placed.pulls());
-            let [lo, hi] = bound.range;
-            let both = [length - R::of(lo), R::of(hi) - length];
-            let margin = R::of(bound.margin);
+            let [lo, hi] = &bound.range;
+            let both = [length - lo.get(), hi.get() - length];
+            let margin = bound.margin.get();
             if by_position && both.iter().all(|phi| phi.lt(margin).none()) {
                 continue;
             }
@@ -61,7 +61,7 @@ pub(crate) fn limited(model: &Model) -> Vec<Limited> {
     });
     let tendons = model.tendons.iter().enumerate().filter_map(|(index, tendon)| {
         Some(Limited {
-            along: Transmission::Tendon(index, 1.0),
+            along: Transmission::Tendon(index, None),
             kind: Kind::TendonLimit,
             index,
             range: tendon.range?,
@@ -106,9 +106,9 @@ impl<R: Real> Rows<R> {
 
     /// The row of a bound that is so far away: of the lower one, from which φ grows with the length, or
     /// of the upper one.
-    fn limit(&mut self, now: &Situation<R>, bound: &Limited, side: usize, phi: R) {
+    fn limit(&mut self, now: &Situation<R>, bound: &Limited<R::Value>, side: usize, phi: R) {
         let settings = now.settings;
-        let near = phi.lt(R::of(bound.margin));
+        let near = phi.lt(bound.margin.get());
         // `penalty` is a law of contacts alone: limits stay MuJoCo's.
         let by_position = !settings.law.on_guess();
         if by_position && near.none() {
@@ -118,10 +118,10 @@ impl<R: Real> Rows<R> {
         let first = self.rows.len();
         let row = self.push_scratch(now, bound.dofs);
         let mask = if by_position {
-            let r = phi - R::of(bound.margin);
+            let r = phi - bound.margin.get();
             let law = SolRef::at(&bound.soft, r, settings.dt, settings.refsafe);
-            let least = least_softness(slice::from_ref(row), bound.mass);
-            law.fill(row, r, R::of(bound.invweight), least, R::of(settings.dt));
+            let least = least_softness(slice::from_ref(row), bound.mass.get());
+            law.fill(row, r, bound.invweight.get(), least, R::of(settings.dt));
             near
         } else {
             let Guessed { closing, gained } = self.guessed(now, first, phi);
@@ -129,8 +129,8 @@ impl<R: Real> Rows<R> {
             let near = Near { phi, closing, gained, arrives, far };
             let law = OnGuess::new(now);
             law.distance(&mut self.rows[first], &near, 0.0, law.push(phi));
-            let [lo, hi] = bound.range;
-            closing.or(phi.le(R::of(NEAR * (hi - lo))))
+            let [lo, hi] = bound.range.each_ref();
+            closing.or(phi.le(Value::calc([lo, hi], |[lo, hi]| NEAR * (hi - lo))))
         };
         let element = Element::part(bound.kind, bound.index, side);
         // A length that no joint changes has no row, as in MuJoCo: any impulse would do nothing.
@@ -139,6 +139,6 @@ impl<R: Real> Rows<R> {
             self.pop_row();
             return;
         }
-        self.push_block(first, Set::Interval, mask, now, element, bound.mass);
+        self.push_block(first, Set::Interval, mask, now, element, bound.mass.get());
     }
 }

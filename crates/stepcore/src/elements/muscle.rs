@@ -11,7 +11,7 @@
 //! FL is 1 at L = 1 and 0 at lmin and lmax, of four parabolas; FV is 0 at V = −1, 1 at 0 and fvmax from
 //! fvmax − 1 on; FP is 0 up to L = 1, then a parabola, then its tangent.
 
-use crate::real::{Mask, Real};
+use crate::real::{Mask, Real, Value};
 use crate::scene::Muscle;
 
 /// MuJoCo's `mjMINVAL`: what divides is no smaller.
@@ -97,16 +97,16 @@ impl Muscle {
 }
 
 /// ẇ: a filter that is slower where the muscle is active, and has another time constant when it relaxes.
-pub(super) fn rate<R: Real>(act: R, ctrl: R, [rise, fall, width]: [f64; 3]) -> R {
+pub(super) fn rate<R: Real, N: Value<R>>(act: R, ctrl: R, [rise, fall, width]: &[N; 3]) -> R {
     let (zero, one) = (R::zero(), R::one());
     let slow = R::of(0.5) + R::of(1.5) * act.clamp(zero, one);
-    let (rise, fall) = (R::of(rise) * slow, R::of(fall) / slow);
+    let (rise, fall) = (rise.get() * slow, fall.get() / slow);
     let left = ctrl.clamp(zero, one) - act;
-    let tau = if width < SMALLEST {
+    let tau = if width.lane(0) < SMALLEST {
         R::select(left.gt(zero), rise, fall)
     } else {
         // A step of fifth order from 0 to 1.
-        let x = (left / R::of(width) + R::of(0.5)).clamp(zero, one);
+        let x = (left / width.get() + R::of(0.5)).clamp(zero, one);
         let step = x * x * x * (R::of(3.0) * x * (R::of(2.0) * x - R::of(5.0)) + R::of(10.0));
         fall + (rise - fall) * step
     };

@@ -2,6 +2,7 @@
 
 use super::{Element, Kind, Named};
 use crate::model::{Model, Tie};
+use crate::real::Constant;
 use crate::scene::Target;
 
 /// A name in quotes, or the index of what has no name.
@@ -44,7 +45,7 @@ impl core::fmt::Display for Words {
     }
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// What a user calls an element; it must be one of this model.
     pub fn element_name(&self, element: Element) -> String {
         self.element_words(element).to_string()

@@ -8,7 +8,7 @@
 
 use super::activation::Activations;
 use crate::model::Model;
-use crate::real::{Mask, Real};
+use crate::real::{Mask, Real, Value};
 use crate::scene::Target;
 use crate::spatial::{Quat, V3};
 use crate::state::Inputs;
@@ -20,7 +20,7 @@ pub(super) struct Turn<R: Real> {
 }
 
 pub(super) fn turn<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     index: usize,
     (qpos, qvel): (&[R], &[R]),
     act: Activations<R>,
@@ -38,14 +38,14 @@ pub(super) fn turn<R: Real>(
         if own.quat { Quat { w: ctrl[3], v: vector }.normalized() } else { Quat::exp(&vector) };
     let here = Quat::of(&qpos[joint.qpos..]).normalized();
     let way = here.conjugate().mul(&target).log();
-    let [_, kp, kv] = actuator.bias.map(|x| R::of(0.0 - x));
+    let [_, kp, kv] = actuator.bias.each_ref().map(|x| Value::calc([x], |[x]| 0.0 - x));
     let torque = [way.x, way.y, way.z].map(|x| kp * x);
     let torque: [R; 3] = core::array::from_fn(|k| torque[k] - kv * qvel[joint.dof + k]);
-    let Some([_, most]) = actuator.forcerange else {
+    let Some([_, most]) = &actuator.forcerange else {
         return Some(Turn { force: torque[own.axis], free: R::Mask::of(true) });
     };
     let square = torque[0] * torque[0] + torque[1] * torque[1] + torque[2] * torque[2];
-    let (norm, most) = (square.sqrt(), R::of(most));
+    let (norm, most) = (square.sqrt(), most.get());
     let free = norm.lt(most);
     let share = R::select(free, R::one(), most * norm.recip_or_zero());
     Some(Turn { force: torque[own.axis] * share, free })

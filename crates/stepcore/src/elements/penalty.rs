@@ -12,7 +12,7 @@ use super::friction::{Way, Ways};
 use super::surface_velocity::drift;
 use crate::detect::Contact;
 use crate::model::{Pair, Span};
-use crate::real::{Mask, Real};
+use crate::real::{Mask, Real, Value};
 use crate::settings::Settings;
 use crate::solve::{Push, Row, Rows, Situation};
 
@@ -33,11 +33,11 @@ impl<R: Real> Rows<R> {
         let damping = R::of(2.0 * settings.penalty_damping_ratio) * (k * mass).sqrt();
         let force = -(k * contact.dist) - damping * row.velocity;
         let material = now.model.material(pair);
-        let net = force - R::of(material.adhesion);
+        let net = force - material.adhesion.get();
         self.push_apart(now, contact, row.dofs, row.y, dt * net, mask);
         let ways = Ways::plain(pair.still, material);
-        if material.condim > 1 && ways.mu > 0.0 && mask.any() {
-            let bound = R::of(ways.mu) * force.max(R::zero());
+        if material.condim > 1 && ways.rubs && mask.any() {
+            let bound = ways.mu * force.max(R::zero());
             self.rub(now, contact, pair, &ways, dt * bound, mask);
         }
     }
@@ -47,8 +47,8 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
-        ways: &Ways,
+        pair: &Pair<R>,
+        ways: &Ways<R>,
         bound: R,
         mask: R::Mask,
     ) {
@@ -60,7 +60,7 @@ impl<R: Real> Rows<R> {
         }
         let rows = self.rows[first..].iter().zip(ways.list());
         let slides = rows.clone().filter(|(_, way)| !way.turns);
-        let most = |a: R, (row, _): (&Row<R>, &Way)| a.max(row.a);
+        let most = |a: R, (row, _): (&Row<R>, &Way<R>)| a.max(row.a);
         let a = slides.fold(R::zero(), most);
         let a = R::select(a.gt(R::zero()), a, rows.clone().fold(R::zero(), most));
         let mut square = R::zero();
@@ -99,7 +99,7 @@ impl<R: Real> Rows<R> {
 }
 
 /// The velocity that the damper of a way sees: turning is as fast to end as sliding with this A.
-fn eased<R: Real>(row: &Row<R>, way: &Way, a: R) -> R {
+fn eased<R: Real>(row: &Row<R>, way: &Way<R>, a: R) -> R {
     if way.turns {
         row.velocity * (a * row.a.recip_or_zero())
     } else {

@@ -4,7 +4,7 @@
 use super::contact::{axes_of, bodies};
 use super::friction::Ways;
 use crate::detect::Contact;
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real, Value};
 use crate::settings::{Cone, Law};
 use crate::solve::law::Spring;
 use crate::solve::{Rows, Situation};
@@ -48,26 +48,26 @@ impl<R: Real> Rows<R> {
         let (pair, material) = (&first.pair, now.model.material(&first.pair));
         let limited = settings.max_recovery_speed.under(Law::SolRef).is_some();
         let slides = material.condim == 3 && pair.still == [false; 2];
-        let plain = slides && material.adhesion <= 0.0 && pair.invweight > 0.0;
+        let plain = slides && !material.adhesion.is_positive() && !pair.invweight.is_zero();
         if settings.cone != Cone::Pyramidal || !plain || limited {
             return false;
         }
-        let ways = Ways::soft(pair.still, material);
+        let ways = Ways::<R>::soft(pair.still, material);
         let [one, two] = ways.list() else { return false };
-        let reach = R::of(material.reach());
+        let reach: R = material.reach();
         let masks = contacts.each_ref().map(|contact| contact.mask.and(contact.dist.lt(reach)));
         let alike = |contact: &Contact<R>| contact.normal == first.normal;
         if !masks.iter().all(|mask| mask.any()) || !contacts[1..].iter().all(alike) {
             return false;
         }
         let axis = axes_of(first, now);
-        let (along, mu) = ([first.normal, axis(one), axis(two)], R::of(ways.mu));
+        let (along, mu) = ([first.normal, axis(one), axis(two)], ways.mu);
         let (own, at) = ((bodies(now.model, pair), pair), contacts.each_ref().map(Contact::points));
         let Some(made) = self.lift_pyramids(now, own, &at, &along, mu) else { return false };
         let spring = Spring::new(&material.soft, settings.dt, settings.refsafe);
         let nothing = (R::Mask::of(false), [R::zero(); 2]);
         for (which, (contact, mask)) in contacts.iter().zip(masks).enumerate() {
-            let (row, r) = (self.rows.len(), contact.dist - R::of(material.margin));
+            let (row, r) = (self.rows.len(), contact.dist - material.margin.get());
             self.push_pyramid(&made, which, pair, mu);
             let law = (spring.at(r), r, nothing.0, nothing.1);
             self.fill_pyramid(now, contact, (row, &ways), law, mask);

@@ -5,7 +5,7 @@
 use super::applied::on_dofs;
 use super::force::Moment;
 use crate::model::{Body, NONE};
-use crate::real::Real;
+use crate::real::{value, Constant, Real};
 use crate::spatial::{rotate, rotate_back, V3};
 
 /// Differences of principal moments of inertia below this part of their mean are rounding.
@@ -23,13 +23,14 @@ pub(crate) fn force<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut
     }
     let turn = &now.frames.xmat[index];
     let own = rotate_back(turn, &omega);
-    let moment = rotate(turn, &(body.inertia.map(R::of) * own)).cross(&omega);
+    let moment = rotate(turn, &(value::matrix(&body.inertia) * own)).cross(&omega);
     on_dofs(now, index, &V3::zeros(), &moment, add);
 }
 
 /// Such a body turns freely about any axis.
-fn isotropic(body: &Body) -> bool {
-    let mean = body.inertia.trace() / 3.0;
-    let apart = body.inertia - nalgebra::Matrix3::from_diagonal_element(mean);
+pub(crate) fn isotropic<N: Constant>(body: &Body<N>) -> bool {
+    let inertia = body.inertia.map(|x| x.lane(0));
+    let mean = inertia.trace() / 3.0;
+    let apart = inertia - nalgebra::Matrix3::from_diagonal_element(mean);
     apart.iter().all(|x| x.abs() <= ISOTROPIC * mean)
 }

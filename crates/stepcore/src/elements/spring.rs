@@ -6,7 +6,7 @@ use super::force::{Forces, Group, Moment};
 use super::Kind;
 use crate::model::Model;
 use crate::plan::acting::{SpringAt, Why};
-use crate::real::Real;
+use crate::real::{value, Constant, Real, Value};
 use crate::scene::{Coefficients, JointType, NONE};
 use crate::spatial::Quat;
 
@@ -15,8 +15,12 @@ pub(super) struct Spring;
 /// Calls `add(part, force)` with −(a + b x + c x²) s for every part of a stretch s, x being its
 /// length: MuJoCo's polynomial (documentation, "Polynomial forces").
 #[inline(always)]
-pub(super) fn pull<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnMut(usize, R)) {
-    let [mut k, b, c] = law.map(R::of);
+pub(super) fn pull<R: Real>(
+    law: &Coefficients<R::Value>,
+    stretch: &[R],
+    mut add: impl FnMut(usize, R),
+) {
+    let [mut k, b, c] = value::get(law);
     if !linear(law) {
         let x = length(stretch);
         k += b * x + c * x * x;
@@ -28,26 +32,26 @@ pub(super) fn pull<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnM
 
 /// Minus the derivative of that along the stretch: a + 2 b x + 3 c x².
 #[inline(always)]
-pub(super) fn slope<R: Real>(law: &Coefficients, stretch: &[R]) -> R {
-    let ([a, b, c], x) = (law.map(R::of), length(stretch));
+pub(super) fn slope<R: Real>(law: &Coefficients<R::Value>, stretch: &[R]) -> R {
+    let ([a, b, c], x) = (value::get(law), length(stretch));
     a + R::of(2.0) * b * x + R::of(3.0) * c * x * x
 }
 
 /// a x²/2 + b x³/3 + c x⁴/4, the first part by part.
 #[inline(always)]
-pub(super) fn energy<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnMut(R)) {
-    let [a, b, c] = *law;
+pub(super) fn energy<R: Real>(law: &Coefficients<R::Value>, stretch: &[R], mut add: impl FnMut(R)) {
+    let [a, b, c] = law;
     for s in stretch {
-        add(R::of(0.5 * a) * *s * *s);
+        add(a.times(0.5) * *s * *s);
     }
     if !linear(law) {
         let x = length(stretch);
-        add((R::of(b / 3.0) + R::of(0.25 * c) * x) * x * x * x);
+        add((Value::calc([b], |[b]| b / 3.0) + c.times(0.25) * x) * x * x * x);
     }
 }
 
-fn linear([_, b, c]: &Coefficients) -> bool {
-    *b == 0.0 && *c == 0.0
+fn linear<N: Constant>([_, b, c]: &Coefficients<N>) -> bool {
+    b.vanishes() && c.vanishes()
 }
 
 /// Of one number with its sign.
@@ -63,7 +67,7 @@ impl Forces for Spring {
     const KIND: Kind = Kind::Spring;
     const GROUP: Group = Group::Passive;
     const IN_JOINTS: bool = true;
-    type At = SpringAt;
+    type At<N: Constant> = SpringAt<N>;
 
     fn at(model: &Model, joint: usize) -> Result<SpringAt, Why> {
         let joint = &model.joints[joint];
@@ -75,17 +79,21 @@ impl Forces for Spring {
     }
 
     #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, at: &SpringAt, add: &mut impl FnMut(usize, R)) {
+    fn force<R: Real>(now: &Moment<R>, at: &SpringAt<R::Value>, add: &mut impl FnMut(usize, R)) {
         stretches(now.model, at, now.qpos, |first, stretch| {
             pull(&at.law, stretch, |k, force| add(first + k, force));
         });
     }
 
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, at: &SpringAt, add: &mut impl FnMut(usize, usize, [R; 2])) {
+    fn slopes<R: Real>(
+        now: &Moment<R>,
+        at: &SpringAt<R::Value>,
+        add: &mut impl FnMut(usize, usize, [R; 2]),
+    ) {
         if linear(&at.law) {
             // Wherever the joint is.
-            let slope = R::of(at.law[0]);
+            let slope = at.law[0].get();
             (at.dof..at.dof + at.kind.dofs()).for_each(|k| add(k, k, [slope, R::zero()]));
             return;
         }
@@ -97,12 +105,12 @@ impl Forces for Spring {
         });
     }
 
-    fn sloped(_: &Model, at: &SpringAt, each: &mut impl FnMut(usize)) {
+    fn sloped<N: Constant>(_: &Model<N>, at: &SpringAt<N>, each: &mut impl FnMut(usize)) {
         (at.dof..at.dof + at.kind.dofs()).for_each(each);
     }
 
     #[inline(always)]
-    fn stored<R: Real>(now: &Moment<R>, at: &SpringAt, add: &mut impl FnMut(R)) {
+    fn stored<R: Real>(now: &Moment<R>, at: &SpringAt<R::Value>, add: &mut impl FnMut(R)) {
         stretches(now.model, at, now.qpos, |_, stretch| energy(&at.law, stretch, &mut *add));
     }
 }
@@ -111,12 +119,12 @@ impl Forces for Spring {
 /// free joint's way and its turn apart.
 #[inline(always)]
 fn stretches<R: Real>(
-    model: &Model,
-    joint: &SpringAt,
+    model: &Model<R::Value>,
+    joint: &SpringAt<R::Value>,
     qpos: &[R],
     mut each: impl FnMut(usize, &[R]),
 ) {
-    let rest = |k: usize| R::of(model.qpos_spring[joint.qpos + k]);
+    let rest = |k: usize| model.qpos_spring[joint.qpos + k].get();
     let turn = |at: usize| {
         let q = Quat::of(&qpos[joint.qpos + at..joint.qpos + at + 4]).normalized();
         let zero = Quat::of(&[rest(at), rest(at + 1), rest(at + 2), rest(at + 3)]);

@@ -19,23 +19,29 @@ use super::friction::{Axis, Way, Ways, MOST_WAYS};
 use super::surface_velocity::Drift;
 use crate::detect::Contact;
 use crate::model::{Pair, NONE};
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real, Value};
 use crate::scene::{GeomType, Softness};
 use crate::settings::Settings;
-use crate::solve::law::SolRef;
+use crate::solve::law::Spring;
 use crate::solve::{Anchor, Block, Rows, Set, Situation};
 use crate::spatial::V3;
 use crate::warm::{SLIP, SLIPS};
 
 /// dt K d of the friction rows of a contact whose normal has the overlap `r`.
-fn pull<R: Real>(own: Option<[f64; 2]>, soft: &Softness, r: R, settings: &Settings) -> R {
-    let mut solref = own.unwrap_or(soft.solref);
-    if solref[0] > 0.0 && solref[1] == 0.0 {
-        // A time constant alone, which is all that damping needs: critically damped.
-        solref[1] = 1.0;
-    }
-    let soft = Softness { solref, ..*soft };
-    R::of(settings.dt) * SolRef::at(&soft, r, settings.dt, settings.refsafe).kd
+fn pull<R: Real>(
+    own: Option<&[R::Value; 2]>,
+    soft: &Softness<R::Value>,
+    r: R,
+    settings: &Settings,
+) -> R {
+    let [time, ratio] = own.unwrap_or(&soft.solref);
+    // A time constant alone, which is all that damping needs: critically damped.
+    let alone = time.is_positive() && ratio.vanishes();
+    let spring = match alone {
+        true => Spring::critical(time, &soft.solimp, settings.dt, settings.refsafe),
+        false => Spring::of([time, ratio], &soft.solimp, settings.dt, settings.refsafe),
+    };
+    R::of(settings.dt) * spring.at(r).kd
 }
 
 impl<R: Real> Rows<R> {
@@ -45,8 +51,8 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
-        ways: &Ways,
+        pair: &Pair<R>,
+        ways: &Ways<R>,
         drift: Option<&Drift<R>>,
         (first, edges): (usize, bool),
     ) {
@@ -54,12 +60,12 @@ impl<R: Real> Rows<R> {
             return;
         }
         let material = now.model.material(pair);
-        let r = contact.dist - R::of(material.margin);
-        let own = material.solreffriction.filter(|_| !edges);
+        let r = contact.dist - material.margin.get();
+        let own = material.solreffriction.as_ref().filter(|_| !edges);
         let pull = pull(own, &material.soft, r, now.settings);
         let mut anchor = self.moved(now, contact, pair, ways, drift, (first, edges));
         anchor.pull = pull;
-        let mu = R::of(ways.mu);
+        let mu = ways.mu;
         for (k, slip) in anchor.along.iter().enumerate().take(ways.list().len()) {
             let by = if edges { pull * (mu * *slip) } else { pull * *slip };
             self.shift_target(k, by, (first, edges));
@@ -72,13 +78,13 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        pair: &Pair,
-        ways: &Ways,
+        pair: &Pair<R>,
+        ways: &Ways<R>,
         drift: Option<&Drift<R>>,
         (first, edges): (usize, bool),
     ) -> Anchor<R> {
         let tangents = contact.tangents(now.placed);
-        let axis = |way: &Way| match way.axis {
+        let axis = |way: &Way<R>| match way.axis {
             Axis::Normal => contact.normal,
             Axis::Tangent(at) => tangents[at],
         };
@@ -87,7 +93,7 @@ impl<R: Real> Rows<R> {
         let spin = self.spin_of_flatter(now, pair, n) * R::of(now.settings.dt);
         let wound = n * turn.dot(n);
         (slide, turn) = (carried(&slide, n, spin), carried(&(turn - wound), n, spin) + wound);
-        let per_edge = R::of(0.5 / ways.mu);
+        let per_edge = R::of(0.5) / ways.mu;
         let mut along = [R::zero(); MOST_WAYS];
         for (k, way) in ways.list().iter().enumerate() {
             let velocity = if edges {
@@ -102,9 +108,9 @@ impl<R: Real> Rows<R> {
             let velocity = drift.map_or(velocity, |drift| velocity + drift[k]);
             let slip = if way.turns { &mut turn } else { &mut slide };
             if now.first_stage {
-                *slip += axis(way) * (velocity * R::of(now.settings.dt / way.scale));
+                *slip += axis(way) * (velocity * (R::of(now.settings.dt) / way.scale));
             }
-            along[k] = axis(way).dot(slip) * R::of(way.scale);
+            along[k] = axis(way).dot(slip) * way.scale;
         }
         Anchor { block: self.blocks.len(), slide, turn, along, pull: R::zero() }
     }
@@ -126,7 +132,7 @@ impl<R: Real> Rows<R> {
 
     /// How fast the flatter of two geoms turns about the normal [rad/s]; both equally flat: their
     /// mean.
-    fn spin_of_flatter(&mut self, now: &Situation<R>, pair: &Pair, normal: &V3<R>) -> R {
+    fn spin_of_flatter(&mut self, now: &Situation<R>, pair: &Pair<R>, normal: &V3<R>) -> R {
         let flat = |geom: usize| match now.model.geoms[geom].kind {
             GeomType::Plane | GeomType::HField => 100,
             kind => kind as u8,

@@ -22,8 +22,8 @@ pub(super) type Drift<R> = [R; MOST_WAYS];
 pub(super) fn drift<R: Real>(
     now: &Situation<R>,
     contact: &Contact<R>,
-    pair: &Pair,
-    ways: &Ways,
+    pair: &Pair<R>,
+    ways: &Ways<R>,
 ) -> Option<Drift<R>> {
     let [slide, turn] = apart(now.model, now.placed, contact, pair)?;
     let tangents = contact.tangents(now.placed);
@@ -33,7 +33,7 @@ pub(super) fn drift<R: Real>(
             Way { axis: Axis::Tangent(at), turns: false, .. } => tangents[*at].dot(&slide),
             Way { axis: Axis::Normal, .. } => contact.normal.dot(&turn),
             _ => R::zero(),
-        } * R::of(way.scale);
+        } * way.scale;
     }
     Some(drift)
 }
@@ -41,10 +41,10 @@ pub(super) fn drift<R: Real>(
 /// The velocity and the angular velocity that the surface of geom 2 has beyond that of geom 1 where
 /// they touch; None where neither moves.
 fn apart<R: Real>(
-    model: &Model,
+    model: &Model<R::Value>,
     placed: &Placed<R>,
     contact: &Contact<R>,
-    pair: &Pair,
+    pair: &Pair<R>,
 ) -> Option<[V3<R>; 2]> {
     let geoms = [pair.geom1, pair.geom2];
     if geoms.iter().all(|geom| model.geoms[*geom].belt.is_none()) {
@@ -55,7 +55,12 @@ fn apart<R: Real>(
 }
 
 /// The velocity of a geom's surface at a point beyond that of its body, and its angular velocity.
-fn surface<R: Real>(model: &Model, placed: &Placed<R>, geom: usize, at: &V3<R>) -> [V3<R>; 2] {
+fn surface<R: Real>(
+    model: &Model<R::Value>,
+    placed: &Placed<R>,
+    geom: usize,
+    at: &V3<R>,
+) -> [V3<R>; 2] {
     let Some([slide, turn]) = &model.geoms[geom].belt else { return [V3::zeros(); 2] };
     let pose = &placed.geom[geom];
     let [slide, turn] = [slide, turn].map(|v| pose.rot * v.map(R::of));
@@ -92,12 +97,12 @@ impl<R: Real> Rows<R> {
     pub(super) fn apply_surface_velocity(
         &mut self,
         drift: Option<&Drift<R>>,
-        ways: &Ways,
+        ways: &Ways<R>,
         rate: R,
         (first, edges): (usize, bool),
     ) {
         let Some(drift) = drift else { return };
-        let measure = if edges { rate * R::of(ways.mu) } else { rate };
+        let measure = if edges { rate * ways.mu } else { rate };
         for (way, drift) in drift.iter().enumerate().take(ways.list().len()) {
             self.shift_target(way, measure * *drift, (first, edges));
         }

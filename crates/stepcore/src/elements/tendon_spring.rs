@@ -5,7 +5,8 @@ use super::{damper, spring, Kind};
 use crate::model::transmission::Transmission;
 use crate::model::Model;
 use crate::plan::acting::{TendonAt, Why};
-use crate::real::{Mask, Real};
+use crate::real::value::{self, none};
+use crate::real::{Constant, Mask, Real};
 use crate::scene::NONE;
 
 pub(super) struct TendonSpring;
@@ -15,17 +16,14 @@ pub(super) struct TendonDamper;
 #[inline(always)]
 fn stretch<R: Real>(now: &Moment<R>, index: usize) -> R {
     let (length, [lo, hi]) =
-        (now.frames.pulls.length[index], now.model.tendons[index].springlength);
-    let (below, above) = (length - R::of(lo), length - R::of(hi));
-    if lo == hi {
-        return below;
-    }
+        (now.frames.pulls.length[index], value::get(&now.model.tendons[index].springlength));
+    let (below, above) = (length - lo, length - hi);
     let slack = R::zero();
     R::select(below.lt(slack), below, R::select(above.gt(slack), above, slack))
 }
 
 fn along<R: Real>(now: &Moment<R>, index: usize, mut each: impl FnMut(usize, R)) {
-    Transmission::Tendon(index, 1.0).arms(now.model, now.qpos, now.frames.pulls, &mut each);
+    Transmission::Tendon(index, None).arms(now.model, now.qpos, now.frames.pulls, &mut each);
 }
 
 /// A slope along a tendon as entries of its dofs.
@@ -35,27 +33,27 @@ fn spread<R: Real>(
     slopes: [R; 2],
     add: &mut impl FnMut(usize, usize, [R; 2]),
 ) {
-    let tendon = Transmission::Tendon(index, 1.0);
+    let tendon = Transmission::Tendon(index, None);
     tendon.pairs(now.model, now.qpos, now.frames.pulls, |i, j, product: R| {
         add(i, j, slopes.map(|slope| product * slope));
     });
 }
 
-fn dofs(model: &Model, index: usize, each: &mut impl FnMut(usize)) {
+fn dofs<N: Constant>(model: &Model<N>, index: usize, each: &mut impl FnMut(usize)) {
     model.tendons[index].dofs.of(&model.dof_lists).iter().for_each(|dof| each(*dof));
 }
 
 fn rate<R: Real>(now: &Moment<R>, index: usize) -> R {
-    Transmission::Tendon(index, 1.0).velocity(now.model, now.qpos, now.qvel, now.frames.pulls)
+    Transmission::Tendon(index, None).velocity(now.model, now.qpos, now.qvel, now.frames.pulls)
 }
 
 /// The force of springs and dampers along a tendon, positive where it lengthens it [N].
 pub(crate) fn tendon_force<R: Real>(now: &Moment<R>, index: usize) -> R {
     let (tendon, mut sum) = (&now.model.tendons[index], R::zero());
-    if tendon.stiffness != NONE {
+    if !none(&tendon.stiffness) {
         spring::pull(&tendon.stiffness, &[stretch(now, index)], |_, force| sum += force);
     }
-    if tendon.damping != NONE {
+    if !none(&tendon.damping) {
         sum += damper::pull(&tendon.damping, rate(now, index));
     }
     sum
@@ -64,7 +62,7 @@ pub(crate) fn tendon_force<R: Real>(now: &Moment<R>, index: usize) -> R {
 impl Forces for TendonSpring {
     const KIND: Kind = Kind::TendonSpring;
     const GROUP: Group = Group::Passive;
-    type At = TendonAt;
+    type At<N: Constant> = TendonAt<N>;
 
     fn at(model: &Model, tendon: usize) -> Result<TendonAt, Why> {
         match model.tendons[tendon].stiffness {
@@ -75,7 +73,7 @@ impl Forces for TendonSpring {
     }
 
     #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(usize, R)) {
+    fn force<R: Real>(now: &Moment<R>, at: &TendonAt<R::Value>, add: &mut impl FnMut(usize, R)) {
         let mut pull = R::zero();
         spring::pull(&at.law, &[stretch(now, at.tendon)], |_, force| pull = force);
         along(now, at.tendon, |dof, arm| add(dof, arm * pull));
@@ -83,20 +81,24 @@ impl Forces for TendonSpring {
 
     /// Slack, it has none.
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(usize, usize, [R; 2])) {
+    fn slopes<R: Real>(
+        now: &Moment<R>,
+        at: &TendonAt<R::Value>,
+        add: &mut impl FnMut(usize, usize, [R; 2]),
+    ) {
         let (zero, by) = (R::zero(), stretch(now, at.tendon));
-        let [lo, hi] = now.model.tendons[at.tendon].springlength;
-        let slack = by.le(zero).and(by.ge(zero)).and(R::Mask::of(lo < hi));
+        let [lo, hi] = value::get::<R, _, 2>(&now.model.tendons[at.tendon].springlength);
+        let slack = by.le(zero).and(by.ge(zero)).and(lo.lt(hi));
         let slope = R::select(slack, zero, spring::slope(&at.law, &[by]));
         spread(now, at.tendon, [slope, zero], add);
     }
 
-    fn sloped(model: &Model, at: &TendonAt, each: &mut impl FnMut(usize)) {
+    fn sloped<N: Constant>(model: &Model<N>, at: &TendonAt<N>, each: &mut impl FnMut(usize)) {
         dofs(model, at.tendon, each);
     }
 
     #[inline(always)]
-    fn stored<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(R)) {
+    fn stored<R: Real>(now: &Moment<R>, at: &TendonAt<R::Value>, add: &mut impl FnMut(R)) {
         spring::energy(&at.law, &[stretch(now, at.tendon)], &mut *add);
     }
 }
@@ -104,7 +106,7 @@ impl Forces for TendonSpring {
 impl Forces for TendonDamper {
     const KIND: Kind = Kind::TendonDamper;
     const GROUP: Group = Group::Passive;
-    type At = TendonAt;
+    type At<N: Constant> = TendonAt<N>;
 
     fn at(model: &Model, tendon: usize) -> Result<TendonAt, Why> {
         match model.tendons[tendon].damping {
@@ -115,22 +117,26 @@ impl Forces for TendonDamper {
     }
 
     #[inline(always)]
-    fn force<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(usize, R)) {
+    fn force<R: Real>(now: &Moment<R>, at: &TendonAt<R::Value>, add: &mut impl FnMut(usize, R)) {
         let pull = damper::pull(&at.law, rate(now, at.tendon));
         along(now, at.tendon, |dof, arm| add(dof, arm * pull));
     }
 
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, at: &TendonAt, add: &mut impl FnMut(usize, usize, [R; 2])) {
+    fn slopes<R: Real>(
+        now: &Moment<R>,
+        at: &TendonAt<R::Value>,
+        add: &mut impl FnMut(usize, usize, [R; 2]),
+    ) {
         let slope = damper::slope(&at.law, rate(now, at.tendon));
         spread(now, at.tendon, [R::zero(), slope], add);
     }
 
-    fn sloped(model: &Model, at: &TendonAt, each: &mut impl FnMut(usize)) {
+    fn sloped<N: Constant>(model: &Model<N>, at: &TendonAt<N>, each: &mut impl FnMut(usize)) {
         dofs(model, at.tendon, each);
     }
 
-    fn damps(_: &Model, _: &TendonAt) -> bool {
+    fn damps<N: Constant>(_: &Model<N>, _: &TendonAt<N>) -> bool {
         true
     }
 }

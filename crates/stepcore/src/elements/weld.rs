@@ -14,7 +14,7 @@
 use super::connect::Apart;
 use super::equality::Held;
 use crate::model::{Ends, NONE};
-use crate::real::{Mask, Real};
+use crate::real::{Mask, Real, Value};
 use crate::solve::{Rows, Situation};
 use crate::spatial::{rotate, Motion, Quat, M3, V3};
 
@@ -22,13 +22,19 @@ use crate::spatial::{rotate, Motion, Quat, M3, V3};
 const ROUNDINGS: f64 = 8.0;
 
 impl<R: Real> Rows<R> {
-    pub(super) fn weld(&mut self, now: &Situation<R>, index: usize, ends: &Ends, scale: f64) {
+    pub(super) fn weld(
+        &mut self,
+        now: &Situation<R>,
+        index: usize,
+        ends: &Ends<R::Value>,
+        scale: f64,
+    ) {
         let first = self.rows.len();
         let Apart { way, curving } = self.points(now, index, ends);
-        let zero = Held { gap: R::zero(), curving: R::zero(), invweight: 0.0 };
+        let zero = Held { gap: R::zero(), curving: R::zero(), invweight: R::zero() };
         let mut held = [zero; 6];
         for k in 0..3 {
-            held[k] = Held { gap: way[k], curving: curving[k], invweight: ends.invweight[0] };
+            held[k] = Held { gap: way[k], curving: curving[k], invweight: ends.invweight[0].get() };
         }
         self.turns(now, index, ends, scale, &mut held[3..]);
         let square = held.iter().fold(R::zero(), |sum, held| sum + held.gap * held.gap);
@@ -40,7 +46,7 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         index: usize,
-        ends: &Ends,
+        ends: &Ends<R::Value>,
         scale: f64,
         held: &mut [Held<R>],
     ) {
@@ -56,9 +62,13 @@ impl<R: Real> Rows<R> {
             // Body 1 relative to body 2.
             self.turning_jacobian(now, [two, one], equality.dofs, &along);
             self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
-            self.drop_rounding(now, ends.bodies, &at, equality.mass, |motion: &Motion<R>, _| {
-                motion.ang.dot(&motion.ang) * R::of(0.25 * scale * scale)
-            });
+            self.drop_rounding(
+                now,
+                ends.bodies,
+                &at,
+                equality.mass.get(),
+                |motion: &Motion<R>, _| motion.ang.dot(&motion.ang) * R::of(0.25 * scale * scale),
+            );
             let mut gap = R::of(scale) * turn.v[k];
             if let Some(row) = self.rows.last().filter(|row| row.a.le(R::zero()).any()) {
                 // What nothing turns has the load gap/R, and R is least: not of a rounding.
@@ -66,7 +76,8 @@ impl<R: Real> Rows<R> {
                 gap = R::select(row.a.le(R::zero()).and(rounding), R::zero(), gap);
             }
             let bent = R::of(0.25) * relative.dot(&relative) * gap;
-            held[k] = Held { gap, curving: along.dot(&gains) - bent, invweight: ends.invweight[1] };
+            held[k] =
+                Held { gap, curving: along.dot(&gains) - bent, invweight: ends.invweight[1].get() };
         }
     }
 }

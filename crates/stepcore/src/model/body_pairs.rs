@@ -55,7 +55,8 @@ fn sorted(model: &Model, pair: &Pair) -> [usize; 2] {
 
 fn of_pair(model: &Model, pair: &Pair) -> Spheres {
     let reach = model.geoms[pair.geom1].reach + model.geoms[pair.geom2].reach;
-    let least = reach + model.material(pair).listed();
+    let listed: f64 = model.material(pair).listed();
+    let least = reach + listed;
     let geoms = [pair.geom1, pair.geom2].map(|geom| geom as u32);
     Spheres { geoms, square: least * least, apart: pair.apart }
 }

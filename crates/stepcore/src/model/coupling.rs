@@ -7,6 +7,7 @@
 //! Every dof's row is its whole chain of these parents, so that the factors of a tree serve as they
 //! are. Where nothing couples branches, parents are those of the tree.
 
+use crate::real::Constant;
 use std::collections::{BTreeSet, HashMap};
 
 use super::{Model, Span, Union};
@@ -89,7 +90,7 @@ pub(super) fn close(model: &mut Model) {
     }
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// Joins the trees that the metric of `discrete` couples.
     pub(super) fn join_coupled(&self, union: &mut Union) {
         sloped(self, |dofs| {

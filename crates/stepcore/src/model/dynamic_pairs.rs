@@ -14,6 +14,7 @@ use super::parts::{DynamicPairs, KINDS};
 use super::{Material, Model, Pair, Span, NONE};
 use crate::elements::text;
 use crate::error::{Error, Result};
+use crate::real::Constant;
 use crate::scene::{Geom, GeomType, Scene};
 use crate::shapes::{height_field, ShapeTest};
 use crate::spatial::Pose;
@@ -194,7 +195,8 @@ impl DynamicPairs {
         for (_, index) in explicit(scene, model) {
             let pair = &scene.pairs[index];
             let material = Material::of_pair(scene, pair);
-            let listed = 0.5 * material.listed();
+            let listed: f64 = material.listed();
+            let listed = 0.5 * listed;
             for geom in [pair.geom1, pair.geom2] {
                 self.listed[geom] = self.listed[geom].max(listed);
             }
@@ -203,7 +205,7 @@ impl DynamicPairs {
         }
     }
 
-    fn test(&self, model: &Model, one: usize, two: usize) -> Option<ShapeTest> {
+    fn test<N: Constant>(&self, model: &Model<N>, one: usize, two: usize) -> Option<ShapeTest> {
         self.tests[model.geoms[one].kind as usize][model.geoms[two].kind as usize]
     }
 
@@ -233,7 +235,7 @@ impl DynamicPairs {
     }
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// The number of a pair of a heap; None where the two never meet.
     pub(crate) fn number(&self, heap: &DynamicPairs, a: usize, b: usize) -> Option<u64> {
         let (one, two) = (self.geoms[a].body, self.geoms[b].body);
@@ -258,7 +260,7 @@ impl Model {
         Some(((bodies * 2 + side) * heap.most * heap.most + within) as u64)
     }
 
-    /// A pair of a heap by its number, without its dofs.
+    /// A pair of a heap by its number, without its dofs. There is one world.
     pub(crate) fn near_pair(&self, heap: &DynamicPairs, number: u64, a: usize, b: usize) -> Pair {
         let (a, b) = self.ordered(a, b);
         let (x, y) = (&self.geoms[a], &self.geoms[b]);
@@ -277,7 +279,8 @@ impl Model {
             material,
             index: number as usize,
             slot: number as usize * MOST_TOUCHES,
-            invweight: self.bodies[x.body].invweight[0] + self.bodies[y.body].invweight[0],
+            invweight: self.bodies[x.body].invweight[0].lane(0)
+                + self.bodies[y.body].invweight[0].lane(0),
             dofs: Span::default(),
             mass: super::pairs::touched_mass(self, x.body, y.body),
             still: still.filter(|_| condim > 1).copied().unwrap_or([false; 2]),
@@ -306,7 +309,7 @@ impl Model {
     /// In a heap it has no dofs.
     pub fn pair(&self, index: usize) -> Option<Pair> {
         match &self.dynamic_pairs {
-            None => self.pairs.get(index).copied(),
+            None => self.pairs.get(index).map(|pair| pair.lane(0)),
             Some(heap) => {
                 let (a, b) = self.contact_geoms(index)?;
                 Some(self.near_pair(heap, index as u64, a, b))

@@ -16,7 +16,7 @@ pub fn compile(scene: &Scene, model: &mut Model, poses: &[Pose<f64>], unions: &m
             }
             EqualityType::Joint => Tie::Lengths(coupling(model, q, Transmission::Joint)),
             EqualityType::Tendon => {
-                Tie::Lengths(coupling(model, q, |tendon| Transmission::Tendon(tendon, 1.0)))
+                Tie::Lengths(coupling(model, q, |tendon| Transmission::Tendon(tendon, None)))
             }
         };
         let chains = match &tie {

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::PI;
 
 /// Everything that the fluid resists.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Fluid {
     /// Velocity of the fluid [m/s].
     pub wind: Vector3<f64>,
@@ -20,7 +20,7 @@ pub struct Fluid {
 }
 
 /// A shape on a body.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Part {
     /// Its frame in the body's [m].
     pub pos: Vector3<f64>,
@@ -31,7 +31,7 @@ pub struct Part {
 }
 
 /// What resists by the square of a velocity.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
     /// A box, axis by axis: force [N·s²/m²] and moment [N·m·s²].
     Box {
@@ -43,7 +43,7 @@ pub enum Shape {
 
 /// The coefficients of an ellipsoid of semi-axes r. Areas, volumes and moments are multiplied by the
 /// fluid's density.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Ellipsoid {
     /// (r_j r_k)² beside the largest of the three: by them the area across a velocity goes.
     pub across: Vector3<f64>,

@@ -3,7 +3,8 @@
 
 use super::parts::Span;
 use crate::elements::{Element, Kind};
-use crate::scene::{self, Coefficients, Softness, Target};
+use crate::real::{value::none, Constant};
+use crate::scene::{Coefficients, Softness, Target};
 use nalgebra::Vector3;
 use std::ops::Range;
 
@@ -13,13 +14,13 @@ pub enum Transmission {
     /// Of a hinge or a slide its position; of a ball the angle by which it is turned, never
     /// negative.
     Joint(usize),
-    /// A joint behind a gear, which has one entry for each dof. The length of a ball is the part of
-    /// its rotation vector along the gear; a free joint has none.
-    Geared(usize, [f64; 6]),
+    /// A joint behind a gear, which has one entry for each dof, from this place of `Model::gears` on.
+    /// The length of a ball is the part of its rotation vector along the gear; a free joint has none.
+    Geared(usize, usize),
     /// A ball or a free joint whose axes of rotation are those of the frame in which it stands.
-    InParent(usize, [f64; 6]),
-    /// A tendon, and a gear by which its length is multiplied.
-    Tendon(usize, f64),
+    InParent(usize, usize),
+    /// A tendon, and the place of a gear by which its length is multiplied; None: 1.
+    Tendon(usize, Option<usize>),
     /// A linkage, whose arms hold its gear.
     Linkage(usize),
     /// One dof, of which only the rate matters.
@@ -28,44 +29,44 @@ pub enum Transmission {
 
 /// A length that goes no further than its range.
 #[derive(Clone, Debug)]
-pub(crate) struct Limited {
+pub(crate) struct Limited<N = f64> {
     pub along: Transmission,
     pub kind: Kind,
     pub index: usize,
-    pub range: [f64; 2],
+    pub range: [N; 2],
     /// 0: there is a lower bound, 1: an upper one.
     pub sides: Range<usize>,
-    pub margin: f64,
-    pub soft: Softness,
+    pub margin: N,
+    pub soft: Softness<N>,
     /// Into `Model::dof_lists`.
     pub dofs: Span,
-    pub invweight: f64,
-    pub mass: f64,
+    pub invweight: N,
+    pub mass: N,
 }
 
 /// A length with dry friction.
 #[derive(Clone, Debug)]
-pub(crate) struct Rubbing {
+pub(crate) struct Rubbing<N = f64> {
     pub along: Transmission,
     pub element: Element,
     /// The largest force.
-    pub most: f64,
-    pub soft: Softness,
+    pub most: N,
+    pub soft: Softness<N>,
     /// Into `Model::dof_lists`.
     pub dofs: Span,
-    pub invweight: f64,
-    pub mass: f64,
+    pub invweight: N,
+    pub mass: N,
 }
 
 /// A point of a body, in its frame [m].
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     pub body: usize,
     pub pos: Vector3<f64>,
 }
 
 /// What a stretch of a tendon goes round.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Round {
     pub geom: usize,
     /// Of a sphere, else of a cylinder without ends.
@@ -75,7 +76,7 @@ pub struct Round {
 }
 
 /// A dof that moves the ends of a stretch or its geom against each other.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mover {
     pub dof: usize,
     /// Its place among the tendon's dofs.
@@ -85,7 +86,7 @@ pub struct Mover {
 }
 
 /// The path between two sites that follow each other.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Stretch {
     pub ends: [Point; 2],
     pub round: Option<Round>,
@@ -95,7 +96,7 @@ pub struct Stretch {
 }
 
 /// How its length comes about.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Course {
     /// (joint, coefficient)
     Fixed(Vec<(usize, f64)>),
@@ -104,7 +105,7 @@ pub enum Course {
 
 /// A tendon, compiled.
 #[derive(Clone, Debug)]
-pub struct Tendon {
+pub struct Tendon<N = f64> {
     pub name: String,
     pub course: Course,
     /// Into `Model::dof_lists`: every dof that moves a body it passes, ascending, with all ancestors.
@@ -115,28 +116,28 @@ pub struct Tendon {
     pub arms: Span,
     /// Something reads its length in a step.
     pub used: bool,
-    pub range: Option<[f64; 2]>,
-    pub margin: f64,
+    pub range: Option<[N; 2]>,
+    pub margin: N,
     /// As found where the scene leaves it to be found.
-    pub springlength: [f64; 2],
+    pub springlength: [N; 2],
     /// Zero where MJCF's flags switch springs and dampers off.
-    pub stiffness: Coefficients,
-    pub damping: Coefficients,
-    pub armature: f64,
-    pub frictionloss: f64,
-    pub actuatorfrcrange: Option<[f64; 2]>,
-    pub limit: Softness,
-    pub friction: Softness,
+    pub stiffness: Coefficients<N>,
+    pub damping: Coefficients<N>,
+    pub armature: N,
+    pub frictionloss: N,
+    pub actuatorfrcrange: Option<[N; 2]>,
+    pub limit: Softness<N>,
+    pub friction: Softness<N>,
     /// Length and arms J at qpos0, and J M⁻¹ Jᵀ there: MuJoCo's `tendon_length0` and
     /// `tendon_invweight0`.
-    pub length0: f64,
-    pub arms0: Vec<f64>,
-    pub invweight: f64,
+    pub length0: N,
+    pub arms0: Vec<N>,
+    pub invweight: N,
     /// Mass of the trees that it touches, for residuals.
-    pub mass: f64,
+    pub mass: N,
 }
 
-impl Tendon {
+impl<N: Constant> Tendon<N> {
     /// Its poses are needed: it runs over points of bodies.
     pub fn spatial(&self) -> bool {
         matches!(self.course, Course::Spatial(_))
@@ -144,17 +145,19 @@ impl Tendon {
 
     /// It has a spring or a damper.
     pub fn pulls(&self) -> bool {
-        self.stiffness != scene::NONE || self.damping != scene::NONE
+        !(none(&self.stiffness) && none(&self.damping))
     }
 
     /// It has a force, an inertia or a row of its own.
     pub(super) fn acts(&self) -> bool {
-        self.pulls() || self.armature > 0.0 || self.frictionloss > 0.0 || self.range.is_some()
+        self.pulls()
+            || !(self.armature.vanishes() && self.frictionloss.vanishes())
+            || self.range.is_some()
     }
 }
 
 /// The length of an actuator that is neither a joint's nor a tendon's.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Linkage {
     pub course: Target,
     pub gear: [f64; 6],
@@ -167,7 +170,7 @@ pub struct Linkage {
 }
 
 /// A dof that moves one of the ends of a linkage, and not both alike.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moved {
     pub dof: usize,
     /// Its place among the linkage's dofs.
@@ -177,52 +180,52 @@ pub struct Moved {
 
 /// An equality, with what its rows share.
 #[derive(Clone, Debug)]
-pub struct Equality {
+pub struct Equality<N = f64> {
     pub name: String,
-    pub tie: Tie,
+    pub tie: Tie<N>,
     pub active: bool,
-    pub soft: Softness,
+    pub soft: Softness<N>,
     /// As those of a `Pair`. Empty: nothing that it ties can move, and it has no rows.
     pub dofs: Span,
-    pub mass: f64,
+    pub mass: N,
 }
 
 /// What an equality holds.
 #[derive(Clone, Debug)]
-pub enum Tie {
+pub enum Tie<N = f64> {
     /// The two points are one.
-    Connect(Ends),
+    Connect(Ends<N>),
     /// The two frames are one; their turn times `torquescale`.
-    Weld { ends: Ends, torquescale: f64 },
+    Weld { ends: Ends<N>, torquescale: f64 },
     /// A length follows another.
-    Lengths(Coupling),
+    Lengths(Coupling<N>),
 }
 
 /// A frame on each of two bodies.
 #[derive(Clone, Debug)]
-pub struct Ends {
+pub struct Ends<N = f64> {
     pub bodies: [usize; 2],
     /// In the frames of the bodies [m].
-    pub pos: [Vector3<f64>; 2],
+    pub pos: [Vector3<N>; 2],
     /// w x y z.
     pub quat: [[f64; 4]; 2],
     /// Sums of both bodies' invweight: translation and rotation.
-    pub invweight: [f64; 2],
+    pub invweight: [N; 2],
 }
 
 /// L₁ − L₁⁰ is a polynomial of L₂ − L₂⁰, the lengths of joints or of tendons.
 #[derive(Clone, Debug)]
-pub struct Coupling {
+pub struct Coupling<N = f64> {
     pub first: Transmission,
     pub second: Option<Transmission>,
     /// The lengths at the initial configuration.
-    pub rest: [f64; 2],
-    pub polycoef: [f64; 5],
+    pub rest: [N; 2],
+    pub polycoef: [N; 5],
     /// Sum of both invweights.
-    pub invweight: f64,
+    pub invweight: N,
 }
 
-impl Equality {
+impl<N: Constant> Equality<N> {
     /// How many rows it has.
     pub fn rows(&self) -> usize {
         match self.tie {

@@ -2,6 +2,7 @@
 //! no tendon is: that of a site, and of a slider-crank.
 
 use super::{Linkage, Model, Moved, Span, Transmission};
+use crate::real::Constant;
 use crate::scene::{self, Dynamics, JointType, Scene, Target};
 
 /// Everything that concerns actuators but what they do to inertias.
@@ -57,14 +58,22 @@ pub fn reflect(model: &mut Model) {
     }
 }
 
+/// The place of a gear.
+fn stored(model: &mut Model, gear: [f64; 6]) -> usize {
+    model.gears.extend(gear);
+    model.gears.len() - gear.len()
+}
+
 fn transmission(model: &mut Model, actuator: &scene::Actuator) -> Transmission {
     let gear = actuator.gear;
     match actuator.target {
         Target::InParent(joint) if model.joints[joint].kind.dofs() > 1 => {
-            Transmission::InParent(joint, gear)
+            Transmission::InParent(joint, stored(model, gear))
         }
-        Target::Joint(joint) | Target::InParent(joint) => Transmission::Geared(joint, gear),
-        Target::Tendon(tendon) => Transmission::Tendon(tendon, gear[0]),
+        Target::Joint(joint) | Target::InParent(joint) => {
+            Transmission::Geared(joint, stored(model, gear))
+        }
+        Target::Tendon(tendon) => Transmission::Tendon(tendon, Some(stored(model, gear))),
         course @ Target::Site { site, reference } => {
             link(model, course, gear, [site, reference.unwrap_or(site)], reference.is_some())
         }
@@ -141,7 +150,7 @@ fn circle(model: &Model, actuator: &scene::Actuator) -> f64 {
     }
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// The force of an actuator takes part.
     #[inline(always)]
     pub fn acts(&self, index: usize) -> bool {

@@ -1,31 +1,43 @@
 //! What the contacts of two geoms are made of: mixed from both, given by an explicit pair, or
 //! overridden for all. MuJoCo documentation, "Contact parameters" and "Contact override".
 
+use crate::real::{Constant, Real, Value};
 use crate::scene::{ExplicitPair, Geom, Scene, Softness};
 
 /// One for all pairs that mix to the same.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Material {
+pub struct Material<N = f64> {
     /// 1: no friction; 3: sliding; 4: and torsion; 6: and rolling.
     pub condim: u32,
     /// Coefficients of sliding along both tangents [1], torsion [m], rolling about both [m].
-    pub friction: [f64; 5],
+    pub friction: [N; 5],
     /// A contact has a row below `margin`, and is listed below `margin + gap` [m].
-    pub margin: f64,
-    pub gap: f64,
-    pub soft: Softness,
+    pub margin: N,
+    pub gap: N,
+    pub soft: Softness<N>,
     /// The solref of friction rows of a cone. None: that of `soft`.
-    pub solreffriction: Option<[f64; 2]>,
+    pub solreffriction: Option<[N; 2]>,
     /// With how much a contact can pull [N].
-    pub adhesion: f64,
+    pub adhesion: N,
+}
+
+impl<N: Constant> Material<N> {
+    /// Below which distance contacts are listed [m].
+    #[inline(always)]
+    pub fn listed<R: Real>(&self) -> R
+    where
+        N: Value<R>,
+    {
+        N::calc([&self.margin, &self.gap], |[margin, gap]| margin + gap)
+    }
+
+    /// The same of a lane.
+    pub fn listed_in(&self, lane: usize) -> f64 {
+        self.margin.lane(lane) + self.gap.lane(lane)
+    }
 }
 
 impl Material {
-    /// Below which distance contacts are listed [m].
-    pub fn listed(&self) -> f64 {
-        self.margin + self.gap
-    }
-
     /// Of two geoms of a scene that no explicit pair names.
     pub fn of_geoms(scene: &Scene, a: usize, b: usize) -> Self {
         Self::mixed(&scene.geoms[a], &scene.geoms[b]).overridden(scene)

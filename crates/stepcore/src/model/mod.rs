@@ -6,6 +6,7 @@
 mod at_qpos0;
 mod body_pairs;
 mod build;
+mod by_world;
 mod check;
 mod coupling;
 mod dynamic_pairs;
@@ -38,6 +39,10 @@ pub mod transmission;
 mod tree;
 mod union;
 
+use crate::real::Constant;
+pub(crate) use by_world::differ_in_numbers;
+pub(crate) use by_world::ByLane;
+pub use by_world::SideBySide;
 pub(crate) use dynamic_pairs::MANY as MANY_TREES;
 pub use lengths::{
     Coupling, Course, Ends, Equality, Linkage, Moved, Mover, Point, Round, Stretch, Tendon, Tie,
@@ -59,12 +64,12 @@ use crate::plan::makers::Maker;
 use crate::plan::places::Places;
 use crate::scene::{Actuator, Features, JointType, Key, Sensor};
 use fluid::Fluid;
-use nalgebra::Vector3;
+use nalgebra::{Scalar, Vector3};
 use std::collections::HashSet;
 
 /// A scene, compiled.
 #[derive(Clone, Debug, Default)]
-pub struct Model {
+pub struct Model<N: Scalar = f64> {
     pub name: String,
     /// Entries of qpos, and of qvel.
     pub nq: usize,
@@ -79,6 +84,8 @@ pub struct Model {
     /// again (0: never).
     pub along: Vec<Transmission>,
     pub circles: Vec<f64>,
+    /// What transmissions point into.
+    pub gears: Vec<N>,
     /// By actuator, and by input of its controller: whose control that is.
     pub feeders: Vec<[Option<usize>; 4]>,
     pub linkages: Vec<Linkage>,
@@ -87,45 +94,45 @@ pub struct Model {
     /// Some geoms or pairs adhere: their contacts can pull. See `pulls_beside_rows`.
     pub sticks: bool,
     /// Joints whose actuators together are bounded, and the bounds.
-    pub clamps: Vec<(usize, [f64; 2])>,
-    pub gravity: Vector3<f64>,
+    pub clamps: Vec<(usize, [N; 2])>,
+    pub gravity: Vector3<N>,
     pub magnetic: Vector3<f64>,
     pub features: Features,
-    pub bodies: Vec<Body>,
+    pub bodies: Vec<Body<N>>,
     /// Bodies whose poses are inputs; and of what they carry the bodies without a dof, in order.
     pub mocaps: Vec<usize>,
     pub carried: Vec<usize>,
-    pub joints: Vec<Joint>,
-    pub dofs: Vec<Dof>,
-    pub trees: Vec<Tree>,
-    pub geoms: Vec<Geom>,
+    pub joints: Vec<Joint<N>>,
+    pub dofs: Vec<Dof<N>>,
+    pub trees: Vec<Tree<N>>,
+    pub geoms: Vec<Geom<N>>,
     pub sites: Vec<Site>,
-    pub tendons: Vec<Tendon>,
+    pub tendons: Vec<Tendon<N>>,
     /// Some body is held up against gravity.
     pub compensates: bool,
     /// What resists where the bodies move through a fluid.
     pub fluid: Fluid,
     pub sensors: Vec<Sensor>,
     /// Empty in a heap.
-    pub pairs: Vec<Pair>,
+    pub pairs: Vec<Pair<N>>,
     /// By pair, and by two bodies: what a step asks of them first.
     pub spheres: Vec<Spheres>,
     pub body_pairs: Vec<BodyPair>,
     /// There are too many pairs that could meet for a list of them.
     pub dynamic_pairs: Option<DynamicPairs>,
-    pub materials: Vec<Material>,
+    pub materials: Vec<Material<N>>,
     /// Geoms of explicit pairs, the smaller index first: they are no candidates beside that.
     pub explicit: HashSet<(usize, usize)>,
     /// Pairs of bodies whose geoms never meet, the smaller index first.
     pub excludes: HashSet<(usize, usize)>,
     /// What pairs that are apart rely on.
     pub guards: Vec<Guard>,
-    pub equalities: Vec<Equality>,
-    pub actuators: Vec<Actuator>,
+    pub equalities: Vec<Equality<N>>,
+    pub actuators: Vec<Actuator<N>>,
     pub keys: Vec<Key>,
     pub qpos0: Vec<f64>,
     /// Where each joint's spring is at rest (MuJoCo's `qpos_spring`).
-    pub qpos_spring: Vec<f64>,
+    pub qpos_spring: Vec<N>,
     /// Lists of dofs that spans point into.
     pub dof_lists: Vec<usize>,
     /// The mass matrix's pattern: see `Dof::row`.
@@ -133,15 +140,15 @@ pub struct Model {
     /// An element couples dofs of different branches or trees: see `model/coupling.rs`.
     pub couples: bool,
     /// What has a range, and what has friction loss.
-    pub(crate) limited: Vec<Limited>,
-    pub(crate) rubbing: Vec<Rubbing>,
+    pub(crate) limited: Vec<Limited<N>>,
+    pub(crate) rubbing: Vec<Rubbing<N>>,
     slots: Slots,
     /// What a step places, what makes rows, and what pushes.
     pub(crate) makers: Vec<Maker>,
     pub(crate) places: Places,
-    pub(crate) acting: Acting,
+    pub(crate) acting: Acting<N>,
     /// By actuator.
-    pub(crate) drives: Vec<ActuatorAt>,
+    pub(crate) drives: Vec<ActuatorAt<N>>,
 }
 
 /// Nearer than this share of the size of what meets, a row stays: whether the guess of bodies
@@ -149,12 +156,6 @@ pub struct Model {
 pub const NEAR: f64 = 1.0 / 1024.0;
 
 impl Model {
-    /// What a pair's contacts are made of.
-    #[inline(always)]
-    pub fn material(&self, pair: &Pair) -> &Material {
-        &self.materials[pair.material]
-    }
-
     /// Where a material stands in the list; it is added if it is new.
     pub(super) fn material_index(&mut self, material: Material) -> usize {
         // Neighbours are mostly alike.
@@ -163,6 +164,14 @@ impl Model {
             self.materials.push(material);
             self.materials.len() - 1
         })
+    }
+}
+
+impl<N: Constant> Model<N> {
+    /// What a pair's contacts are made of.
+    #[inline(always)]
+    pub fn material<P>(&self, pair: &Pair<P>) -> &Material<N> {
+        &self.materials[pair.material]
     }
 
     /// A body that stands where its user puts it: it is awake.
@@ -185,28 +194,28 @@ impl Model {
 
     /// One free joint and nothing jointed on it, the mass a ball's about the joint's own
     /// centre: it has no gyroscopic force, and its mass matrix is diagonal.
-    pub fn free_ball(&self, tree: &Tree) -> bool {
+    pub fn free_ball(&self, tree: &Tree<N>) -> bool {
         let body = &self.bodies[tree.bodies.start];
         let i = &body.inertia;
-        let isotropic =
-            i.m11 == i.m22 && i.m22 == i.m33 && i.m12 == 0.0 && i.m13 == 0.0 && i.m23 == 0.0;
-        let alone = tree.bodies.len == 1 && self.free_alone(tree);
-        alone && isotropic && body.ipos == Vector3::zeros()
+        let zero = [&i.m12, &i.m13, &i.m23, &body.ipos.x, &body.ipos.y, &body.ipos.z];
+        let [a, b, c] = [&i.m11, &i.m22, &i.m33].map(|i| i.lane(0));
+        let isotropic = a == b && b == c && zero.into_iter().all(Constant::vanishes);
+        tree.bodies.len == 1 && self.free_alone(tree) && isotropic
     }
 
     /// A single free body, whatever is fixed to it.
-    pub fn free_alone(&self, tree: &Tree) -> bool {
+    pub fn free_alone(&self, tree: &Tree<N>) -> bool {
         let joints = self.bodies[tree.bodies.start].joints.of(&self.joints);
         tree.dofs.len == 6 && joints[0].kind == JointType::Free
     }
 
     /// Single free bodies whose bias force has a derivative that `implicitfast` takes.
-    pub fn gyroscopic(&self, tree: &Tree) -> bool {
+    pub fn gyroscopic(&self, tree: &Tree<N>) -> bool {
         self.features.coriolis && self.free_alone(tree) && !self.free_ball(tree)
     }
 
     /// Trees whose bias force changes with velocities.
-    pub fn turns(&self, tree: &Tree) -> bool {
+    pub fn turns(&self, tree: &Tree<N>) -> bool {
         self.features.coriolis && !tree.slides_only && !self.free_ball(tree)
     }
 

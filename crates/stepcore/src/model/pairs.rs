@@ -6,6 +6,7 @@ use super::tree::Unions;
 use super::{Material, Model, Pair, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
+use crate::real::Constant;
 use crate::scene::{ExplicitPair, GeomType, Scene};
 use crate::shapes::ShapeTest;
 use crate::spatial::Pose;
@@ -46,7 +47,7 @@ pub enum Never {
     Explicit,
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// Two bodies that nothing in a step moves against each other.
     pub(super) fn stand_still(&self, body1: usize, body2: usize) -> bool {
         let (one, two) = (&self.bodies[body1], &self.bodies[body2]);
@@ -234,8 +235,8 @@ pub(super) fn not_built(model: &Model, a: usize, b: usize) -> Error {
 }
 
 /// Mass of the trees of both bodies, each once.
-pub(super) fn touched_mass(model: &Model, body1: usize, body2: usize) -> f64 {
+pub(super) fn touched_mass<N: Constant>(model: &Model<N>, body1: usize, body2: usize) -> f64 {
     let (one, two) = (model.bodies[body1].tree, model.bodies[body2].tree);
-    let mass = |tree: usize| if tree == NONE { 0.0 } else { model.trees[tree].mass };
+    let mass = |tree: usize| if tree == NONE { 0.0 } else { model.trees[tree].mass.lane(0) };
     mass(one) + if one == two { 0.0 } else { mass(two) }
 }

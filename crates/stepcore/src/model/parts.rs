@@ -1,7 +1,7 @@
 //! What a compiled model consists of: bodies, joints and geoms, and the pairs that can meet. What
 //! has a length is in `lengths.rs`.
 
-use crate::real::Real;
+use crate::real::{Constant, Real, Value};
 use crate::scene::{Coefficients, GeomType, JointType, SleepPolicy, Softness};
 use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
@@ -35,14 +35,14 @@ impl Span {
 
 /// A body with its place in the tree, and its mass put together.
 #[derive(Clone, Debug)]
-pub struct Body {
+pub struct Body<N = f64> {
     pub name: String,
     pub parent: usize,
     /// The nearest ancestor-or-self with a joint or a mocap pose; 0 (the world) for a fixed body.
     pub weld: usize,
     /// `NONE` for a fixed body.
     pub tree: usize,
-    pub pos: Vector3<f64>,
+    pub pos: Vector3<N>,
     /// w x y z.
     pub quat: [f64; 4],
     pub joints: Span,
@@ -53,15 +53,15 @@ pub struct Body {
     /// The same, with the dofs that the metric of `discrete` couples to these: `model/coupling.rs`.
     pub closed: Span,
     /// [kg]
-    pub mass: f64,
+    pub mass: N,
     /// Centre of mass in body axes [m].
-    pub ipos: Vector3<f64>,
+    pub ipos: Vector3<N>,
     /// Orientation of its principal axes in body axes, w x y z; only sensors read it.
-    pub iquat: [f64; 4],
+    pub iquat: [N; 4],
     /// About the centre of mass, in body axes [kg·m²].
-    pub inertia: Matrix3<f64>,
+    pub inertia: Matrix3<N>,
     /// Mean inverse mass and inverse inertia at qpos0: MuJoCo's `body_invweight0`.
-    pub invweight: [f64; 2],
+    pub invweight: [N; 2],
     /// The share of its weight that holds it up.
     pub gravcomp: f64,
     /// Its place among `Model::mocaps`.
@@ -74,29 +74,29 @@ pub struct Body {
 
 /// A joint with its places in qpos and qvel.
 #[derive(Clone, Debug)]
-pub struct Joint {
+pub struct Joint<N = f64> {
     pub name: String,
     pub kind: JointType,
     pub body: usize,
     /// Its first entry of qpos, and its first dof.
     pub qpos: usize,
     pub dof: usize,
-    pub pos: Vector3<f64>,
+    pub pos: Vector3<N>,
     /// Unit length.
     pub axis: Vector3<f64>,
-    pub range: Option<[f64; 2]>,
+    pub range: Option<[N; 2]>,
     pub margin: f64,
     pub reference: f64,
     /// Zero where MJCF's flags switch springs and dampers off.
-    pub stiffness: Coefficients,
-    pub damping: Coefficients,
-    pub actuatorfrcrange: Option<[f64; 2]>,
-    pub limit: Softness,
+    pub stiffness: Coefficients<N>,
+    pub damping: Coefficients<N>,
+    pub actuatorfrcrange: Option<[N; 2]>,
+    pub limit: Softness<N>,
     /// Its share of what holds bodies up against gravity counts as its actuators' force.
     pub actuatorgravcomp: bool,
 }
 
-impl Joint {
+impl<N> Joint<N> {
     /// Number of dofs.
     pub fn dofs(&self) -> usize {
         self.kind.dofs()
@@ -105,7 +105,7 @@ impl Joint {
 
 /// One entry of qvel.
 #[derive(Clone, Debug)]
-pub struct Dof {
+pub struct Dof<N = f64> {
     pub joint: usize,
     pub body: usize,
     pub tree: usize,
@@ -117,19 +117,19 @@ pub struct Dof {
     /// Row of the mass matrix, in `Model::row_dofs` and every array laid out like
     /// it: this dof, then its ancestors, nearest first.
     pub row: Span,
-    pub armature: f64,
-    pub frictionloss: f64,
-    pub friction: Softness,
+    pub armature: N,
+    pub frictionloss: N,
+    pub friction: Softness<N>,
     /// MuJoCo's `dof_invweight0`.
-    pub invweight: f64,
+    pub invweight: N,
 }
 
 /// A body that moves against the world, and all that hangs on it.
 #[derive(Clone, Debug)]
-pub struct Tree {
+pub struct Tree<N = f64> {
     pub bodies: Span,
     pub dofs: Span,
-    pub mass: f64,
+    pub mass: N,
     /// Only slide joints.
     pub slides_only: bool,
     /// The mass matrix, its factors and the bias force never change: it only slides, or it
@@ -138,25 +138,25 @@ pub struct Tree {
     /// Its poses enter a step: something turns, collides or is tied.
     pub seen: bool,
     /// It moves in a plane, and nothing else of it is asked for.
-    pub plane: Option<Plane>,
+    pub plane: Option<Plane<N>>,
     pub sleep: SleepPolicy,
 }
 
 /// A shape on a body.
 #[derive(Clone, Debug)]
-pub struct Geom {
+pub struct Geom<N = f64> {
     pub name: String,
     pub body: usize,
     pub kind: GeomType,
-    pub size: [f64; 3],
-    pub pos: Vector3<f64>,
+    pub size: [N; 3],
+    pub pos: Vector3<N>,
     pub quat: [f64; 4],
     /// Its z in the body's frame: the axis of a capsule.
     pub axis: Vector3<f64>,
     /// Radius of the sphere about `pos` that holds the shape; infinite for a plane.
-    pub reach: f64,
+    pub reach: N,
     /// Half sizes of the box about its frame that holds it [m]; infinite for a plane.
-    pub half: [f64; 3],
+    pub half: [N; 3],
     /// As in the scene.
     pub contype: u32,
     pub conaffinity: u32,
@@ -176,19 +176,19 @@ pub struct Geom {
     /// Its surface moves, by a velocity and an angular velocity in its frame.
     pub belt: Option<[Vector3<f64>; 2]>,
     /// Of a geom on a tree that moves in a plane.
-    pub in_plane: Option<Box<FlatGeom>>,
+    pub in_plane: Option<Box<FlatGeom<N>>>,
 }
 
-impl Geom {
+impl<N> Geom<N> {
     /// The shape that it is, at a pose.
     #[inline(always)]
-    pub fn shape<'a, R: Real>(&'a self, pose: &'a Pose<R>) -> Shape<'a, R> {
+    pub fn shape<'a, R: Real<Value = N>>(&'a self, pose: &'a Pose<R>) -> Shape<'a, R> {
         Shape { pose, size: &self.size, hull: self.hull.as_deref(), field: self.field.as_deref() }
     }
 }
 
 /// A named frame on a body.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Site {
     pub name: String,
     pub body: usize,
@@ -202,7 +202,7 @@ pub struct Site {
 /// Two geoms that can meet, with everything their contacts share.
 /// Ordered as MuJoCo orders them: by geom type first, so `geom1`'s type ≤ `geom2`'s.
 #[derive(Clone, Copy, Debug)]
-pub struct Pair {
+pub struct Pair<N = f64> {
     pub geom1: usize,
     pub geom2: usize,
     pub test: ShapeTest,
@@ -213,16 +213,39 @@ pub struct Pair {
     /// The first of its slots among those of contacts: as many as its test has touches.
     pub slot: usize,
     /// Sum of both bodies' translational invweight.
-    pub invweight: f64,
+    pub invweight: N,
     /// Into `Model::dof_lists`: union of both bodies' chains, ascending. In a heap: see `DynamicPairs`.
     pub dofs: Span,
     /// Mass of the trees that the contact touches, for residuals.
-    pub mass: f64,
+    pub mass: N,
     /// Tangents along which nothing can move, known when compiled (see `model/fixed_tangents.rs`).
     pub still: [bool; 2],
     /// The ranges of joints keep the two apart: it is tested only while one of `Model::guards`
     /// is left (see `model/range_separation.rs`).
     pub apart: bool,
+}
+
+impl<N: Constant> Pair<N> {
+    /// As it is in a lane.
+    pub fn lane(&self, lane: usize) -> Pair {
+        self.with(|x| x.lane(lane))
+    }
+
+    /// As steps read it.
+    #[inline(always)]
+    pub fn get<R: Real>(&self) -> Pair<R>
+    where
+        N: Value<R>,
+    {
+        self.with(Value::get)
+    }
+
+    #[inline(always)]
+    fn with<M>(&self, of: impl Fn(&N) -> M) -> Pair<M> {
+        let Self { geom1, geom2, test, material, index, slot, dofs, still, apart, .. } = *self;
+        let (invweight, mass) = (of(&self.invweight), of(&self.mass));
+        Pair { geom1, geom2, test, material, index, slot, invweight, dofs, mass, still, apart }
+    }
 }
 
 /// The positions of a joint within which pairs are apart: its range, widened.
@@ -236,7 +259,7 @@ pub struct Guard {
 }
 
 /// Two spheres about the centres of two geoms.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spheres {
     pub geoms: [u32; 2],
     /// Square of the distance above which nothing in them is listed [m²]; infinite with a plane.
@@ -247,7 +270,7 @@ pub struct Spheres {
 
 /// Consecutive pairs of the same two bodies, or those of them that share their first geom, and a
 /// sphere about what each of the two has in them.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyPair {
     pub spheres: Spheres,
     /// Into `Model::pairs`; none where they are in the body_pairs that follow.
@@ -259,50 +282,50 @@ pub struct BodyPair {
 /// The plane in which a tree moves, and what it needs of the tree: all as at qpos0, and turned with
 /// the body from there on.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plane {
+pub struct Plane<N = f64> {
     /// Which of the world's axes is its normal.
     pub normal: usize,
     /// By body of the tree.
-    pub bodies: Vec<FlatBody>,
+    pub bodies: Vec<FlatBody<N>>,
     /// By joint of the tree.
-    pub joints: Vec<FlatJoint>,
+    pub joints: Vec<FlatJoint<N>>,
     pub(super) first_joint: usize,
 }
 
 /// Vectors of two entries are along the plane's axes.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FlatBody {
+pub struct FlatBody<N = f64> {
     /// Moment of inertia about the normal through the centre of mass [kg·m²].
-    pub moment: f64,
+    pub moment: N,
     /// Orientation.
     pub rot: Matrix3<f64>,
     pub quat: Quat<f64>,
     /// From the parent's origin, as the parent turns [m].
-    pub pos: [f64; 2],
+    pub pos: [N; 2],
     /// From its own origin to its centre of mass [m].
-    pub centre: [f64; 2],
+    pub centre: [N; 2],
 }
 
 /// The pose of a geom on a body of such a tree, from the body's origin.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FlatGeom {
+pub struct FlatGeom<N = f64> {
     /// The plane's axes.
     pub axes: [usize; 2],
-    pub pos: [f64; 2],
+    pub pos: [N; 2],
     pub rot: Matrix3<f64>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub struct FlatJoint {
+pub struct FlatJoint<N = f64> {
     /// Of a hinge: ±1, along the normal; 0 of a slide.
     pub turns: f64,
     /// Of a hinge, from the body's origin [m].
-    pub anchor: [f64; 2],
+    pub anchor: [N; 2],
     /// Of a slide.
     pub axis: [f64; 2],
 }
 
-impl Plane {
+impl<N> Plane<N> {
     /// The world's axes in the plane; with the normal before them they are right-handed.
     #[inline(always)]
     pub fn axes(&self) -> [usize; 2] {
@@ -311,7 +334,7 @@ impl Plane {
 
     /// Of a joint of this tree.
     #[inline(always)]
-    pub fn joints_of(&self, body: &Body) -> &[FlatJoint] {
+    pub fn joints_of(&self, body: &Body<N>) -> &[FlatJoint<N>] {
         let first = body.joints.start - self.first_joint;
         &self.joints[first..first + body.joints.len]
     }
@@ -326,7 +349,7 @@ pub(super) fn across(normal: usize) -> [usize; 2] {
 pub(super) const KINDS: usize = 8;
 
 /// What all pairs that could meet share.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct DynamicPairs {
     /// Geoms that may meet some other: ascending those that may move, then those that never do.
     pub solid: Vec<usize>,

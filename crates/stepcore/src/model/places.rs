@@ -2,9 +2,10 @@
 
 use super::{Model, NONE};
 use crate::plan::places::{Part, Place, Places, Way};
+use crate::real::Constant;
 use crate::scene::{GeomType, JointType};
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// How a body is placed whose pose is no input.
     #[inline(always)]
     pub(crate) fn way(&self, index: usize) -> Way {

@@ -200,7 +200,7 @@ impl<'a> Search<'a> {
             pair: index,
             geoms,
             bodies,
-            least: material.listed() + ROUNDING * size,
+            least: material.listed_in(0) + ROUNDING * size,
             qpos: model.qpos0.clone(),
         }
     }

@@ -5,6 +5,7 @@ use super::dynamic_pairs::MOST_TOUCHES;
 use super::parts::{Slots, SIDES};
 use super::{Model, Pair, Span, NONE};
 use crate::elements::{Element, Kind};
+use crate::real::Constant;
 use std::ops::Range;
 
 impl Slots {
@@ -18,7 +19,7 @@ impl Slots {
     }
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// The slot of an equality, friction loss, limit or contact.
     pub fn slot(&self, element: Element) -> u64 {
         let (index, part) = (element.index as usize, element.part as usize);
@@ -39,7 +40,7 @@ impl Model {
 
     /// The slots in which a contact of a pair may have been in the step before: its own, or any of
     /// the pair's where contacts are known by feature.
-    pub fn kin(&self, pair: &Pair, part: usize) -> Range<u64> {
+    pub fn kin<P>(&self, pair: &Pair<P>, part: usize) -> Range<u64> {
         let first = (self.slots.contacts + pair.slot) as u64;
         if pair.test.by_feature() {
             return first..first + pair.test.most_touches() as u64;

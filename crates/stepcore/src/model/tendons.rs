@@ -1,6 +1,7 @@
 //! Tendons compiled: their stretches, the dofs that move them, and what they are at qpos0.
 
 use super::{Course, Model, Mover, Point, Round, Span, Stretch, Tendon};
+use crate::real::Constant;
 use crate::scene::{self, GeomType, Scene, Stop, Target};
 
 /// Compiles the tendons, all but what they are at qpos0 and their inverse weights.
@@ -130,22 +131,22 @@ fn movers(model: &Model, ends: [Point; 2], round: Option<Round>, dofs: &[usize])
     dofs.iter().enumerate().filter_map(mover).collect()
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// Tendons whose armature couples dofs of which neither moves the other: see
     /// `place/tendon_inertia.rs`.
     pub fn armature_beyond_the_tree(&self) -> Vec<bool> {
-        let beyond = |tendon: &Tendon| {
+        let beyond = |tendon: &Tendon<N>| {
             let dofs = tendon.dofs.of(&self.dof_lists);
             let moved: Vec<usize> =
                 (dofs.iter().copied()).filter(|dof| self.moved_by(tendon, *dof)).collect();
             let apart = |i: &usize| moved.iter().any(|j| self.entry(*i, *j).is_none());
-            tendon.armature > 0.0 && moved.iter().any(apart)
+            !tendon.armature.vanishes() && moved.iter().any(apart)
         };
         self.tendons.iter().map(beyond).collect()
     }
 
     /// A dof can change the length of a tendon.
-    fn moved_by(&self, tendon: &Tendon, dof: usize) -> bool {
+    fn moved_by(&self, tendon: &Tendon<N>, dof: usize) -> bool {
         match &tendon.course {
             Course::Fixed(parts) => parts.iter().any(|(joint, _)| self.joints[*joint].dof == dof),
             Course::Spatial(stretches) => {
@@ -156,7 +157,7 @@ impl Model {
 
     /// By tree: the armature of a spatial tendon is part of its mass matrix.
     pub(super) fn weighted_by_tendons(&self) -> Vec<bool> {
-        self.trees_of_tendons(|tendon| tendon.armature > 0.0)
+        self.trees_of_tendons(|tendon| !tendon.armature.vanishes())
     }
 
     /// By tree: a spatial tendon that steps read runs over a body of it.
@@ -164,7 +165,7 @@ impl Model {
         self.trees_of_tendons(|tendon| tendon.used)
     }
 
-    fn trees_of_tendons(&self, which: impl Fn(&Tendon) -> bool) -> Vec<bool> {
+    fn trees_of_tendons(&self, which: impl Fn(&Tendon<N>) -> bool) -> Vec<bool> {
         let mut found = vec![false; self.trees.len()];
         for tendon in self.tendons.iter().filter(|tendon| which(tendon) && tendon.spatial()) {
             for dof in tendon.dofs.of(&self.dof_lists) {

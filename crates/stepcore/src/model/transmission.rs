@@ -6,7 +6,7 @@
 pub(crate) use super::lengths::{Limited, Rubbing};
 pub use super::Transmission;
 use super::{Linkage, Model, Span};
-use crate::real::Real;
+use crate::real::{Constant, Real, Value};
 use crate::scene::JointType;
 use crate::spatial::{Quat, V3};
 
@@ -37,7 +37,7 @@ impl<R: Real> Reach<R> {
 
 impl Transmission {
     /// The dofs that move the length and all their ancestors, in `Model::dof_lists`.
-    pub fn dofs(self, model: &Model) -> Span {
+    pub fn dofs<N: Constant>(self, model: &Model<N>) -> Span {
         match self {
             Self::Joint(joint) | Self::Geared(joint, _) | Self::InParent(joint, _) => {
                 let joint = &model.joints[joint];
@@ -51,19 +51,23 @@ impl Transmission {
 
     /// [m or rad]
     #[inline(always)]
-    pub fn length<R: Real>(self, model: &Model, qpos: &[R], pulls: Pulls<R>) -> R {
+    pub fn length<R: Real>(self, model: &Model<R::Value>, qpos: &[R], pulls: Pulls<R>) -> R {
         match self {
             Self::Joint(joint) => Reach::of(model, joint, qpos).length,
             Self::Geared(joint, gear) | Self::InParent(joint, gear) => {
                 let joint = &model.joints[joint];
                 match joint.kind {
-                    JointType::Hinge | JointType::Slide => R::of(gear[0]) * qpos[joint.qpos],
+                    JointType::Hinge | JointType::Slide => {
+                        model.gears[gear].get() * qpos[joint.qpos]
+                    }
                     // A rotation leaves its own axis where it is: in both frames it is the same.
-                    JointType::Ball => turned(joint.qpos, qpos).log().dot(&axis(&gear[..3])),
+                    JointType::Ball => {
+                        turned(joint.qpos, qpos).log().dot(&axis(&model.gears[gear..]))
+                    }
                     JointType::Free => R::zero(),
                 }
             }
-            Self::Tendon(tendon, gear) => R::of(gear) * pulls.length[tendon],
+            Self::Tendon(tendon, gear) => factor::<R>(model, gear) * pulls.length[tendon],
             Self::Linkage(linkage) => pulls.length[model.linkages[linkage].length],
             Self::Dof(_) => R::zero(),
         }
@@ -71,7 +75,13 @@ impl Transmission {
 
     /// What moves along the arms: of a hinge, a slide or a tendon the rate of its length [m/s or rad/s].
     #[inline(always)]
-    pub fn velocity<R: Real>(self, model: &Model, qpos: &[R], qvel: &[R], pulls: Pulls<R>) -> R {
+    pub fn velocity<R: Real>(
+        self,
+        model: &Model<R::Value>,
+        qpos: &[R],
+        qvel: &[R],
+        pulls: Pulls<R>,
+    ) -> R {
         let along = |dofs: Span, arms: Span| {
             let mut sum = R::zero();
             for (dof, arm) in dofs.of(&model.dof_lists).iter().zip(arms.of(pulls.arms)) {
@@ -83,7 +93,7 @@ impl Transmission {
             Self::Joint(joint) => qvel[model.joints[joint].dof],
             Self::Dof(k) => qvel[k],
             Self::Geared(joint, gear) if model.joints[joint].dofs() == 1 => {
-                R::of(gear[0]) * qvel[model.joints[joint].dof]
+                model.gears[gear].get() * qvel[model.joints[joint].dof]
             }
             Self::Geared(..) | Self::InParent(..) => {
                 let mut sum = R::zero();
@@ -92,7 +102,7 @@ impl Transmission {
             }
             Self::Tendon(tendon, gear) => {
                 let tendon = &model.tendons[tendon];
-                R::of(gear) * along(tendon.dofs, tendon.arms)
+                factor::<R>(model, gear) * along(tendon.dofs, tendon.arms)
             }
             Self::Linkage(linkage) => {
                 let Linkage { dofs, arms, .. } = model.linkages[linkage];
@@ -105,7 +115,7 @@ impl Transmission {
     #[inline(always)]
     pub fn arms<R: Real>(
         self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         pulls: Pulls<R>,
         mut each: impl FnMut(usize, R),
@@ -116,21 +126,21 @@ impl Transmission {
             }
             Self::Geared(joint, gear) => {
                 let joint = &model.joints[joint];
-                (0..joint.dofs()).for_each(|k| each(joint.dof + k, R::of(gear[k])));
+                (0..joint.dofs()).for_each(|k| each(joint.dof + k, model.gears[gear + k].get()));
             }
             Self::InParent(joint, gear) => {
                 let joint = &model.joints[joint];
                 let moves = joint.dofs() - 3;
-                (0..moves).for_each(|k| each(joint.dof + k, R::of(gear[k])));
+                (0..moves).for_each(|k| each(joint.dof + k, model.gears[gear + k].get()));
                 let back = turned(joint.qpos + joint.kind.positions() - 4, qpos).conjugate();
-                let turns = back.rotate(&axis(&gear[moves..moves + 3]));
+                let turns = back.rotate(&axis(&model.gears[gear + moves..]));
                 (0..3).for_each(|k| each(joint.dof + moves + k, turns[k]));
             }
             Self::Tendon(tendon, gear) => {
-                let tendon = &model.tendons[tendon];
+                let (tendon, gear) = (&model.tendons[tendon], factor::<R>(model, gear));
                 let arms = tendon.arms.of(pulls.arms);
                 for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(arms) {
-                    each(*dof, R::of(gear) * *arm);
+                    each(*dof, gear * *arm);
                 }
             }
             Self::Linkage(linkage) => {
@@ -144,7 +154,7 @@ impl Transmission {
     }
 
     /// Calls `each` with every dof that can move the length.
-    pub fn movers(self, model: &Model, mut each: impl FnMut(usize)) {
+    pub fn movers<N: Constant>(self, model: &Model<N>, mut each: impl FnMut(usize)) {
         match self {
             Self::Joint(joint) | Self::Geared(joint, _) | Self::InParent(joint, _) => {
                 let joint = &model.joints[joint];
@@ -163,13 +173,14 @@ impl Transmission {
     #[inline(always)]
     pub fn pairs<R: Real>(
         self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         pulls: Pulls<R>,
         mut each: impl FnMut(usize, usize, R),
     ) {
         if let Some((dof, arm)) = self.only_arm(model) {
-            return each(dof, dof, R::of(arm) * R::of(arm));
+            let arm: R = factor(model, arm);
+            return each(dof, dof, arm * arm);
         }
         self.all_arms(model, qpos, pulls, &mut |i, a: R| {
             self.all_arms(model, qpos, pulls, &mut |j, b: R| each(i, j, a * b));
@@ -178,10 +189,10 @@ impl Transmission {
 
     /// The dof and the arm of what follows one dof at all positions alike: of a hinge or a slide.
     #[inline(always)]
-    fn only_arm(self, model: &Model) -> Option<(usize, f64)> {
+    fn only_arm<N: Constant>(self, model: &Model<N>) -> Option<(usize, Option<usize>)> {
         let (joint, arm) = match self {
-            Self::Joint(joint) => (joint, 1.0),
-            Self::Geared(joint, gear) => (joint, gear[0]),
+            Self::Joint(joint) => (joint, None),
+            Self::Geared(joint, gear) => (joint, Some(gear)),
             _ => return None,
         };
         let joint = &model.joints[joint];
@@ -192,7 +203,7 @@ impl Transmission {
     #[inline(never)]
     fn all_arms<R: Real>(
         self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         pulls: Pulls<R>,
         each: &mut dyn FnMut(usize, R),
@@ -207,14 +218,20 @@ fn turned<R: Real>(from: usize, qpos: &[R]) -> Quat<R> {
     Quat::of(&qpos[from..from + 4]).normalized()
 }
 
-fn axis<R: Real>(gear: &[f64]) -> V3<R> {
-    V3::new(R::of(gear[0]), R::of(gear[1]), R::of(gear[2]))
+/// A gear; 1 without one.
+#[inline(always)]
+fn factor<R: Real>(model: &Model<R::Value>, gear: Option<usize>) -> R {
+    gear.map_or(R::one(), |at| model.gears[at].get())
+}
+
+fn axis<R: Real>(gear: &[R::Value]) -> V3<R> {
+    V3::new(gear[0].get(), gear[1].get(), gear[2].get())
 }
 
 impl<R: Real> Reach<R> {
     /// Length and arms of a joint at once.
     #[inline(always)]
-    pub fn of(model: &Model, joint: usize, qpos: &[R]) -> Self {
+    pub fn of(model: &Model<R::Value>, joint: usize, qpos: &[R]) -> Self {
         let joint = &model.joints[joint];
         let first = joint.dof;
         if joint.kind == JointType::Ball {
@@ -247,13 +264,14 @@ mod tests {
     #[test]
     fn arms_are_derivatives() {
         for kind in [JointType::Slide, JointType::Hinge, JointType::Ball] {
-            let model = model(kind);
+            let mut model = model(kind);
+            model.gears.push(-2.5);
             let mut start = model.qpos0.clone();
             let push: Vec<f64> = (0..model.nv).map(|k| 0.4 - 0.3 * k as f64).collect();
             advance(&model, &model.qpos0, &push, 1.0, &mut start);
             let mut all = vec![Transmission::Joint(0)];
             if kind != JointType::Ball {
-                all.push(Transmission::Geared(0, [-2.5, 0.0, 0.0, 0.0, 0.0, 0.0]));
+                all.push(Transmission::Geared(0, 0));
             }
             for along in all {
                 let mut arms = vec![0.0; model.nv];

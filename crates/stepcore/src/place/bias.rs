@@ -5,22 +5,23 @@ use super::Placed;
 use crate::model::{Model, Tree};
 use crate::real::Real;
 use crate::scene::JointType;
-use crate::spatial::{splat, Motion};
+use crate::spatial::{splat, Motion, V3};
 
 impl<R: Real> Placed<R> {
     /// Velocity of each body, and its acceleration when no dof accelerates.
-    pub(super) fn velocities(&mut self, model: &Model, qvel: &[R], tree: &Tree) {
-        let up = if model.features.gravity {
-            -splat::<R>(&model.gravity)
-        } else {
-            splat(&Default::default())
-        };
+    pub(super) fn velocities(
+        &mut self,
+        model: &Model<R::Value>,
+        qvel: &[R],
+        tree: &Tree<R::Value>,
+    ) {
+        let up = if model.features.gravity { -splat::<R, _>(&model.gravity) } else { V3::zeros() };
         for index in tree.bodies.range() {
             let body = &model.bodies[index];
             let (mut v, mut a) = if body.parent >= tree.bodies.start {
                 (self.velocity[body.parent], self.acceleration[body.parent])
             } else {
-                (Motion::zero(), Motion { ang: splat(&Default::default()), lin: up })
+                (Motion::zero(), Motion { ang: V3::zeros(), lin: up })
             };
             for joint in body.joints.of(&model.joints) {
                 // Axes of slides and hinges are fixed in the frame before the joint. A
@@ -47,16 +48,16 @@ impl<R: Real> Placed<R> {
     }
 
     /// Acceleration of a body when no dof accelerates, gravity taken out.
-    pub fn free_acceleration(&self, model: &Model, body: usize) -> Motion<R> {
+    pub fn free_acceleration(&self, model: &Model<R::Value>, body: usize) -> Motion<R> {
         let mut a = self.acceleration[body];
         if model.features.gravity {
-            a.lin += splat::<R>(&model.gravity);
+            a.lin += splat::<R, _>(&model.gravity);
         }
         a
     }
 
     /// Velocities, where something asks for them, and the bias force.
-    pub(super) fn bias_in_space(&mut self, model: &Model, qvel: &[R], tree: usize) {
+    pub(super) fn bias_in_space(&mut self, model: &Model<R::Value>, qvel: &[R], tree: usize) {
         if model.features.coriolis || !model.equalities.is_empty() {
             self.velocities(model, qvel, &model.trees[tree]);
         }
@@ -64,7 +65,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// The force on each dof that holds those accelerations.
-    pub(super) fn bias_of_tree(&mut self, model: &Model, tree: usize) {
+    pub(super) fn bias_of_tree(&mut self, model: &Model<R::Value>, tree: usize) {
         let tree = &model.trees[tree];
         if !model.features.coriolis {
             return self.weight_of_tree(model, tree);
@@ -80,9 +81,12 @@ impl<R: Real> Placed<R> {
     }
 
     /// The same without what velocities contribute: the force that carries the weight.
-    fn weight_of_tree(&mut self, model: &Model, tree: &Tree) {
-        let gravity = if model.features.gravity { model.gravity } else { Default::default() };
-        let up = Motion { ang: splat(&Default::default()), lin: -splat::<R>(&gravity) };
+    fn weight_of_tree(&mut self, model: &Model<R::Value>, tree: &Tree<R::Value>) {
+        let up = match model.features.gravity {
+            true => -splat::<R, _>(&model.gravity),
+            false => -V3::zeros(),
+        };
+        let up = Motion { ang: V3::zeros(), lin: up };
         for index in tree.bodies.range() {
             self.wrench[index] = self.inertia[index].mul(&up);
         }
@@ -90,7 +94,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// Passes wrenches down to the root and projects them on the dofs: `bias`.
-    fn wrench_to_dofs(&mut self, model: &Model, tree: &Tree) {
+    fn wrench_to_dofs(&mut self, model: &Model<R::Value>, tree: &Tree<R::Value>) {
         for index in tree.bodies.range().rev() {
             let body = &model.bodies[index];
             for k in body.dofs.range() {

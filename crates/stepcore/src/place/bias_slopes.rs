@@ -30,7 +30,7 @@ pub(crate) struct BiasSlopes<R: Real> {
 room!(BiasSlopes<R>: maps, carried);
 
 impl<R: Real> BiasSlopes<R> {
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model<R::Value>) -> Self {
         Self {
             maps: vec![[Force::zero(); 6]; model.bodies.len()],
             carried: vec![Motion::zero(); model.nv],
@@ -42,8 +42,8 @@ impl<R: Real> BiasSlopes<R> {
     pub fn of_tree(
         &mut self,
         placed: &Placed<R>,
-        model: &Model,
-        tree: &Tree,
+        model: &Model<R::Value>,
+        tree: &Tree<R::Value>,
         qvel: &[R],
         mut add: impl FnMut(usize, [R; 2]),
     ) {
@@ -75,7 +75,13 @@ impl<R: Real> BiasSlopes<R> {
     }
 
     /// mⱼ of every dof.
-    fn carry(&mut self, placed: &Placed<R>, model: &Model, tree: &Tree, qvel: &[R]) {
+    fn carry(
+        &mut self,
+        placed: &Placed<R>,
+        model: &Model<R::Value>,
+        tree: &Tree<R::Value>,
+        qvel: &[R],
+    ) {
         for index in tree.bodies.range() {
             let body = &model.bodies[index];
             let inside = body.parent >= tree.bodies.start;

@@ -32,7 +32,7 @@ pub struct Effective<R: Real> {
 room!(Effective<R>: dt, matrix, places, shift, parts);
 
 impl<R: Real> Effective<R> {
-    pub(super) fn new(model: &Model, metric: &Metric<R>, dt: R) -> Self {
+    pub(super) fn new(model: &Model<R::Value>, metric: &Metric<R>, dt: R) -> Self {
         let places = metric.places(model);
         let sloped = model.sloped();
         let trees = model.trees.iter().zip(sloped);
@@ -78,7 +78,7 @@ impl<R: Real> Placed<R> {
     /// M̂ and its factors, if rows are solved in it; M is there.
     pub(super) fn weigh_effective(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         qvel: &[R],
         act: Activations<R>,

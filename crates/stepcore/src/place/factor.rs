@@ -32,7 +32,7 @@ pub struct Metric<R: Real> {
 room!(Metric<R>: l, inv_d, rows, left, diagonal, dofs, above);
 
 impl<R: Real> Metric<R> {
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model<R::Value>) -> Self {
         Self {
             l: vec![R::one(); model.row_dofs.len()],
             inv_d: vec![R::one(); model.nv],
@@ -45,7 +45,7 @@ impl<R: Real> Metric<R> {
     }
 
     /// With the pattern of the metric of `discrete`: each dof's row is its closed chain.
-    pub fn coupled(model: &Model) -> Self {
+    pub fn coupled(model: &Model<R::Value>) -> Self {
         let chain = |k: usize| model.dofs[k].closed.of(&model.dof_lists);
         let dofs: Vec<usize> = (0..model.nv).flat_map(|k| chain(k).iter().rev()).copied().collect();
         let mut start = 0;
@@ -67,7 +67,7 @@ impl<R: Real> Metric<R> {
     }
 
     /// Where each entry of M stands in this matrix, in the layout of `Model::row_dofs`.
-    pub fn places(&self, model: &Model) -> Vec<usize> {
+    pub fn places(&self, model: &Model<R::Value>) -> Vec<usize> {
         let rows = model.dofs.iter().enumerate();
         let entries =
             rows.flat_map(|(k, dof)| dof.row.of(&model.row_dofs).iter().map(move |j| (k, *j)));
@@ -266,7 +266,7 @@ fn left(row: Span) -> Span {
 }
 
 impl<R: Real> Placed<R> {
-    pub(super) fn factor_mass(&mut self, tree: &Tree) {
+    pub(super) fn factor_mass(&mut self, tree: &Tree<R::Value>) {
         if self.effective.is_some() {
             return;
         }
@@ -275,7 +275,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// out ← M x.
-    pub fn mul_mass(&self, model: &Model, x: &[R], out: &mut [R]) {
+    pub fn mul_mass(&self, model: &Model<R::Value>, x: &[R], out: &mut [R]) {
         out.fill(R::zero());
         for k in 0..model.nv {
             let row = model.dofs[k].row;

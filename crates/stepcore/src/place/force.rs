@@ -22,7 +22,7 @@ impl<R: Real> Placed<R> {
     /// The forces of actuators, and what joints let through of them.
     pub(crate) fn tensions(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         qvel: &[R],
         act: Activations<R>,
@@ -52,7 +52,7 @@ impl<R: Real> Placed<R> {
 
     pub(super) fn smooth_force(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         qvel: &[R],
         act: Activations<R>,

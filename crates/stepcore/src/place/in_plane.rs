@@ -8,7 +8,7 @@
 use super::kinematics_in_plane::{turned, Turn};
 use super::Placed;
 use crate::model::{Model, Plane, Tree};
-use crate::real::Real;
+use crate::real::{Real, Value};
 use crate::spatial::{Motion, V3};
 
 pub(super) type V2<R> = [R; 2];
@@ -85,7 +85,7 @@ fn power<R: Real>((w, v): (R, V2<R>), (moment, force): (R, V2<R>)) -> R {
     w * moment + (v[0] * force[0] + v[1] * force[1])
 }
 
-impl Plane {
+impl<N> Plane<N> {
     #[inline(always)]
     fn of<R: Real>(&self, v: &V3<R>) -> V2<R> {
         let [x, y] = self.axes();
@@ -100,16 +100,21 @@ impl Plane {
 
 impl<R: Real> Placed<R> {
     /// See `weigh`.
-    pub(super) fn weigh_in_plane(&mut self, model: &Model, tree: &Tree, plane: &Plane) {
+    pub(super) fn weigh_in_plane(
+        &mut self,
+        model: &Model<R::Value>,
+        tree: &Tree<R::Value>,
+        plane: &Plane<R::Value>,
+    ) {
         let origin = self.origin[model.bodies[tree.bodies.start].tree];
         for (index, flat) in tree.bodies.range().zip(&plane.bodies) {
             let body = &model.bodies[index];
             let at = plane.of(&(self.xpos[index] - origin));
-            let arm = turned(self.in_plane[index].turn.1, flat.centre);
+            let arm = turned(self.in_plane[index].turn.1, &flat.centre);
             let centre = [at[0] + arm[0], at[1] + arm[1]];
-            let mass = R::of(body.mass);
+            let mass = body.mass.get();
             let h = centre.map(|x| mass * x);
-            let i = R::of(flat.moment) + (h[0] * centre[0] + h[1] * centre[1]);
+            let i = flat.moment.get() + (h[0] * centre[0] + h[1] * centre[1]);
             let own = Moments { mass, h, i };
             (self.in_plane[index].own, self.in_plane[index].composite) = (own, own);
         }
@@ -128,16 +133,24 @@ impl<R: Real> Placed<R> {
                 let motion = plane.motion(&self.motion[model.row_dofs[at]]);
                 self.mass[at] = power(motion, momentum);
             }
-            self.mass[dof.row.start] += R::of(dof.armature);
+            self.mass[dof.row.start] += dof.armature.get();
         }
         self.weigh_tendons(model, tree);
     }
 
     /// See `bias_of_tree`.
-    pub(super) fn bias_in_plane(&mut self, model: &Model, qvel: &[R], tree: &Tree, plane: &Plane) {
+    pub(super) fn bias_in_plane(
+        &mut self,
+        model: &Model<R::Value>,
+        qvel: &[R],
+        tree: &Tree<R::Value>,
+        plane: &Plane<R::Value>,
+    ) {
         let none = (R::zero(), [R::zero(); 2]);
-        let gravity = if model.features.gravity { model.gravity } else { Default::default() };
-        let up = plane.axes().map(|k| R::of(-gravity[k]));
+        let up = match model.features.gravity {
+            true => plane.axes().map(|k| -model.gravity[k].get()),
+            false => [-R::zero(); 2],
+        };
         for index in tree.bodies.range() {
             let body = &model.bodies[index];
             let (mut velocity, mut a) = if body.parent >= tree.bodies.start {

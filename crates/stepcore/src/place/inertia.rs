@@ -2,12 +2,12 @@
 
 use super::Placed;
 use crate::model::{Model, Tree};
-use crate::real::Real;
+use crate::real::{value, Real, Value};
 use crate::spatial::{rotate, splat, Inertia, M3, V3};
 
 impl<R: Real> Placed<R> {
     /// Where everything is, and the mass matrix there with its factors.
-    pub(crate) fn masses(&mut self, model: &Model, qpos: &[R]) {
+    pub(crate) fn masses(&mut self, model: &Model<R::Value>, qpos: &[R]) {
         self.positions(model, qpos);
         for tree in &model.trees {
             self.weigh(model, tree);
@@ -16,7 +16,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// The mass matrix of the tree.
-    pub(super) fn weigh(&mut self, model: &Model, tree: &Tree) {
+    pub(super) fn weigh(&mut self, model: &Model<R::Value>, tree: &Tree<R::Value>) {
         self.inertias(model, tree);
         for k in tree.dofs.range() {
             let dof = &model.dofs[k];
@@ -24,21 +24,21 @@ impl<R: Real> Placed<R> {
             for at in dof.row.range() {
                 self.mass[at] = self.motion[model.row_dofs[at]].dot(&momentum);
             }
-            self.mass[dof.row.start] += R::of(dof.armature);
+            self.mass[dof.row.start] += dof.armature.get();
         }
         self.weigh_tendons(model, tree);
     }
 
     /// Inertia of each body, and of all that hangs on it.
-    pub(super) fn inertias(&mut self, model: &Model, tree: &Tree) {
+    pub(super) fn inertias(&mut self, model: &Model<R::Value>, tree: &Tree<R::Value>) {
         let origin = &self.origin[model.bodies[tree.bodies.start].tree];
         for index in tree.bodies.range() {
             let body = &model.bodies[index];
             let m = &self.xmat[index];
             let centre = self.xpos[index] - origin + rotate(m, &splat(&body.ipos));
-            let inertia = body.inertia.map(R::of);
+            let inertia = value::matrix(&body.inertia);
             let turned = turn(m, &inertia);
-            self.inertia[index] = Inertia::about_origin(R::of(body.mass), &centre, &turned);
+            self.inertia[index] = Inertia::about_origin(body.mass.get(), &centre, &turned);
             self.composite[index] = self.inertia[index];
         }
         for index in tree.bodies.range().rev() {

@@ -3,7 +3,7 @@
 use super::Placed;
 use crate::model::{Joint, Model, NONE};
 use crate::plan::places::{Part, Way};
-use crate::real::Real;
+use crate::real::{Constant, Real};
 use crate::scene::JointType;
 use crate::spatial::{principal, rotate, splat, Motion, Quat, M3, V3};
 use nalgebra::Vector3;
@@ -14,12 +14,12 @@ const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 /// Turns a body's frame about a joint's anchor, which is returned.
 #[inline(always)]
 fn turn_about<R: Real>(
-    joint: &Joint,
+    joint: &Joint<R::Value>,
     pos: &mut V3<R>,
     quat: &mut Quat<R>,
     turned: impl Fn(&Quat<R>) -> Quat<R>,
 ) -> V3<R> {
-    if joint.pos == Vector3::zeros() {
+    if joint.pos.iter().all(Constant::vanishes) {
         *quat = turned(quat);
         return *pos;
     }
@@ -41,7 +41,7 @@ fn turned<R: Real>(rot: &M3<R>, direction: &Vector3<f64>) -> V3<R> {
 
 impl<R: Real> Placed<R> {
     /// Hangs a body on its parent and moves it through its joints in order.
-    pub(super) fn place_body(&mut self, model: &Model, qpos: &[R], index: usize) {
+    pub(super) fn place_body(&mut self, model: &Model<R::Value>, qpos: &[R], index: usize) {
         if let Some(at) = model.bodies[index].mocap {
             let (pos, quat) = self.mocap[at];
             (self.xpos[index], self.xquat[index], self.xmat[index]) = (pos, quat, quat.matrix());
@@ -57,7 +57,7 @@ impl<R: Real> Placed<R> {
 
     /// Moves a body so.
     #[inline(always)]
-    pub(super) fn place_by(&mut self, model: &Model, qpos: &[R], index: usize, way: Way) {
+    pub(super) fn place_by(&mut self, model: &Model<R::Value>, qpos: &[R], index: usize, way: Way) {
         match way {
             Way::Free { qpos: at, dof } => self.free_body(model, &qpos[at..at + 7], index, dof),
             Way::Sliding => self.slide_body(model, qpos, index),
@@ -66,7 +66,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    fn free_body(&mut self, model: &Model, q: &[R], index: usize, dof: usize) {
+    fn free_body(&mut self, model: &Model<R::Value>, q: &[R], index: usize, dof: usize) {
         self.xpos[index] = V3::new(q[0], q[1], q[2]);
         self.xquat[index] = Quat::of(&q[3..7]).normalized();
         self.xmat[index] = self.xquat[index].matrix();
@@ -74,7 +74,7 @@ impl<R: Real> Placed<R> {
         self.free_motion(index, dof);
     }
 
-    fn joint_body(&mut self, model: &Model, qpos: &[R], index: usize) {
+    fn joint_body(&mut self, model: &Model<R::Value>, qpos: &[R], index: usize) {
         let body = &model.bodies[index];
         let (parent, joints) = (body.parent, body.joints.of(&model.joints));
         let offset = rotate(&self.xmat[parent], &splat(&body.pos));
@@ -132,7 +132,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// A body that never turns keeps its orientation, its axes and its offset.
-    fn slide_body(&mut self, model: &Model, qpos: &[R], index: usize) {
+    fn slide_body(&mut self, model: &Model<R::Value>, qpos: &[R], index: usize) {
         let body = &model.bodies[index];
         let mut pos = self.xpos[body.parent] + self.offset[index];
         for joint in body.joints.of(&model.joints) {
@@ -147,7 +147,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// Turns (axis, anchor) of hinges and balls into motions about the tree's origin.
-    fn about_origin(&mut self, model: &Model, index: usize) {
+    fn about_origin(&mut self, model: &Model<R::Value>, index: usize) {
         let body = &model.bodies[index];
         let origin = self.origin[body.tree];
         for joint in body.joints.of(&model.joints) {
@@ -176,7 +176,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// The pose of a geom, whole.
-    pub fn place_geom(&mut self, model: &Model, index: usize) {
+    pub fn place_geom(&mut self, model: &Model<R::Value>, index: usize) {
         let geom = &model.geoms[index];
         self.place_geom_centre(model, index);
         match &geom.in_plane {
@@ -189,7 +189,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    fn place_geom_centre(&mut self, model: &Model, index: usize) {
+    fn place_geom_centre(&mut self, model: &Model<R::Value>, index: usize) {
         let geom = &model.geoms[index];
         let body = geom.body;
         match &geom.in_plane {
@@ -203,7 +203,7 @@ impl<R: Real> Placed<R> {
 
     /// As much of a colliding geom's pose as its contacts need.
     #[inline(always)]
-    pub(super) fn place_part(&mut self, model: &Model, index: usize, part: Part) {
+    pub(super) fn place_part(&mut self, model: &Model<R::Value>, index: usize, part: Part) {
         match part {
             Part::Centre => self.place_geom_centre(model, index),
             Part::Axis => {

@@ -18,7 +18,7 @@ use crate::elements::actuator::{ask_of_joints, let_through};
 use crate::elements::force::Moment;
 use crate::model::transmission::Transmission;
 use crate::model::{Linkage, Model};
-use crate::real::{Mask, Real};
+use crate::real::{value, Mask, Real};
 use crate::scene::Target;
 use crate::spatial::{rotate, rotate_back, splat, Force, Quat, M3, V3};
 use crate::state::Inputs;
@@ -39,7 +39,7 @@ struct Frame<R: Real> {
 
 impl<R: Real> Placed<R> {
     /// Lengths and arms of linkages; bodies must have been placed.
-    pub(super) fn place_linkages(&mut self, model: &Model) {
+    pub(super) fn place_linkages(&mut self, model: &Model<R::Value>) {
         for linkage in &model.linkages {
             let (length, grips) = match linkage.course {
                 Target::Site { site, reference: None } => {
@@ -62,7 +62,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    fn pull(&mut self, model: &Model, linkage: &Linkage, grips: &[Grip<R>; 2]) {
+    fn pull(&mut self, model: &Model<R::Value>, linkage: &Linkage, grips: &[Grip<R>; 2]) {
         self.tendon_arms[linkage.arms.range()].fill(R::zero());
         for moved in &linkage.movers {
             let (motion, tree) = (&self.motion[moved.dof], model.dofs[moved.dof].tree);
@@ -81,7 +81,7 @@ impl<R: Real> Placed<R> {
     /// for all of their actuators together. `guess` is overwritten.
     pub(crate) fn place_adhesion(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         (qpos, qvel): (&[R], &[R]),
         act: Activations<R>,
         inputs: &Inputs<R>,
@@ -106,7 +106,8 @@ impl<R: Real> Placed<R> {
         for (joint, range) in &model.clamps {
             let dof = model.joints[*joint].dof;
             let within = model.nv + model.tendons.len() + dof;
-            [self.shares[dof], self.shares[within]] = let_through(self.guess[dof], *range);
+            [self.shares[dof], self.shares[within]] =
+                let_through(self.guess[dof], value::get(range));
         }
         self.driven_by_bounded_joints(model, R::one());
     }
@@ -114,7 +115,7 @@ impl<R: Real> Placed<R> {
     /// What actuators ask of each dof, into `guess`.
     fn ask_of_joints(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         (qpos, qvel): (&[R], &[R]),
         act: Activations<R>,
         inputs: &Inputs<R>,
@@ -126,7 +127,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// Adds what bounded joints let through of what is asked of them, so many times.
-    fn driven_by_bounded_joints(&mut self, model: &Model, times: R) {
+    fn driven_by_bounded_joints(&mut self, model: &Model<R::Value>, times: R) {
         for (joint, _) in &model.clamps {
             let dof = model.joints[*joint].dof;
             self.force[dof] += times * self.shares[dof] * self.guess[dof];
@@ -135,14 +136,14 @@ impl<R: Real> Placed<R> {
 
     fn grip_contacts(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         linkage: &Linkage,
         body: usize,
         contacts: &[Contact<R>],
     ) {
         let near = |contact: &Contact<R>| {
             let material = model.material(&contact.pair);
-            contact.mask.and(contact.dist.lt(R::of(material.listed())))
+            contact.mask.and(contact.dist.lt(material.listed()))
         };
         let bodies = |contact: &Contact<R>| {
             [contact.pair.geom1, contact.pair.geom2].map(|geom| model.geoms[geom].body)
@@ -164,14 +165,14 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    fn frame(&self, model: &Model, site: usize) -> Frame<R> {
+    fn frame(&self, model: &Model<R::Value>, site: usize) -> Frame<R> {
         let site = &model.sites[site];
         let pos = self.xpos[site.body] + rotate(&self.xmat[site.body], &splat(&site.pos));
         let quat = self.xquat[site.body].mul(&Quat::splat(&site.quat));
         Frame { pos, rot: quat.matrix(), quat }
     }
 
-    fn thrust(&self, model: &Model, site: usize, gear: &[f64; 6]) -> [Grip<R>; 2] {
+    fn thrust(&self, model: &Model<R::Value>, site: usize, gear: &[f64; 6]) -> [Grip<R>; 2] {
         let at = self.frame(model, site);
         let [along, about] = halves(gear);
         let grip =
@@ -179,7 +180,12 @@ impl<R: Real> Placed<R> {
         [grip, Grip { point: at.pos, force: V3::zeros(), moment: V3::zeros() }]
     }
 
-    fn offset_of(&self, model: &Model, sites: [usize; 2], gear: &[f64; 6]) -> (R, [Grip<R>; 2]) {
+    fn offset_of(
+        &self,
+        model: &Model<R::Value>,
+        sites: [usize; 2],
+        gear: &[f64; 6],
+    ) -> (R, [Grip<R>; 2]) {
         let [at, from] = sites.map(|site| self.frame(model, site));
         let [along, about] = halves(gear);
         let mut length = R::zero();
@@ -194,7 +200,13 @@ impl<R: Real> Placed<R> {
         (length, [own, Grip { point: from.pos, force: -force, moment: -moment }])
     }
 
-    fn crank(&self, model: &Model, sites: [usize; 2], rod: f64, gear: f64) -> (R, [Grip<R>; 2]) {
+    fn crank(
+        &self,
+        model: &Model<R::Value>,
+        sites: [usize; 2],
+        rod: f64,
+        gear: f64,
+    ) -> (R, [Grip<R>; 2]) {
         let [pin, slider] = sites.map(|site| self.frame(model, site));
         let axis = V3::new(slider.rot[(0, 2)], slider.rot[(1, 2)], slider.rot[(2, 2)]);
         let (v, zero, one) = (pin.pos - slider.pos, R::zero(), R::one());

@@ -103,12 +103,12 @@ room!(Placed<R>: xpos, xquat, xmat, offset, mocap, placed, resting, geom, origin
 
 impl<R: Real> Placed<R> {
     /// For those who place, and do not step.
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model<R::Value>) -> Self {
         Self::with(model, None, false)
     }
 
     /// For steps of these settings.
-    pub fn for_steps(model: &Model, settings: &Settings) -> Self {
+    pub fn for_steps(model: &Model<R::Value>, settings: &Settings) -> Self {
         let scheme = settings.integrator.scheme();
         let in_space = scheme.turning == Some(Turning::Trees);
         Self::with(model, scheme.stiffness.then(|| R::of(settings.dt)), in_space)
@@ -116,7 +116,7 @@ impl<R: Real> Placed<R> {
 
     /// effective: the step in whose metric rows are solved, if not in M [s].
     /// in_space: see `Placed::in_space`.
-    fn with(model: &Model, effective: Option<R>, in_space: bool) -> Self {
+    fn with(model: &Model<R::Value>, effective: Option<R>, in_space: bool) -> Self {
         let planes = model.trees.iter().any(|tree| tree.plane.is_some());
         let (nbody, nv) = (model.bodies.len(), model.nv);
         let zero = R::zero();
@@ -163,7 +163,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// Whatever no step changes: fixed bodies, and all of a tree that only slides.
-    fn place_constants(&mut self, model: &Model) {
+    fn place_constants(&mut self, model: &Model<R::Value>) {
         let qpos: Vec<R> = model.qpos0.iter().map(|q| R::of(*q)).collect();
         let still = vec![R::zero(); model.nv];
         for body in 1..model.bodies.len() {
@@ -189,7 +189,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// Positions only: bodies, geoms and the motion of every dof.
-    pub fn positions(&mut self, model: &Model, qpos: &[R]) {
+    pub fn positions(&mut self, model: &Model<R::Value>, qpos: &[R]) {
         self.resting.forget();
         R::enter(Stage::Kinematics);
         let trees = model.trees.iter().flat_map(|tree| tree.bodies.range());
@@ -207,7 +207,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// The same where a step needs it.
-    pub fn positions_in_step(&mut self, model: &Model, qpos: &[R]) {
+    pub fn positions_in_step(&mut self, model: &Model<R::Value>, qpos: &[R]) {
         R::enter(Stage::Kinematics);
         for body in &model.carried {
             self.place_body(model, qpos, *body);
@@ -231,7 +231,7 @@ impl<R: Real> Placed<R> {
     /// The poses of some bodies, each after its parent, and of some geoms on them.
     pub(crate) fn place_some(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         bodies: &[usize],
         geoms: &[usize],
@@ -273,7 +273,7 @@ impl<R: Real> Placed<R> {
     /// The smooth dynamics at (qpos, qvel): M, its factors, and the forces.
     pub(crate) fn dynamics(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         qvel: &[R],
         act: Activations<R>,
@@ -309,7 +309,7 @@ impl<R: Real> Placed<R> {
 
     /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees whose
     /// dynamics are constant, and whose bodies move all the same, and those that move in a plane.
-    pub fn all_bodies(&mut self, model: &Model, qvel: &[R]) {
+    pub fn all_bodies(&mut self, model: &Model<R::Value>, qvel: &[R]) {
         self.resting.forget();
         for tree in &model.trees {
             self.inertias(model, tree);
@@ -327,7 +327,7 @@ impl<R: Real> Placed<R> {
     /// The whole stage, ending with the guess û.
     pub(crate) fn place(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         qvel: &[R],
         act: Activations<R>,
@@ -367,6 +367,6 @@ impl<R: Real> Placed<R> {
 }
 
 /// Where a fixed body stands, as its scene has it.
-fn pose_of<R: Real>(body: &Body) -> (V3<R>, Quat<R>) {
+fn pose_of<R: Real>(body: &Body<R::Value>) -> (V3<R>, Quat<R>) {
     (splat(&body.pos), Quat::splat(&body.quat))
 }

@@ -49,7 +49,7 @@ impl<R: Real> Placed<R> {
     /// Before a placing: whether each tree sleeps and has no velocities, and its entries of qpos.
     pub(crate) fn rest(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
         trees: impl Iterator<Item = (bool, [usize; 2])>,
     ) {

@@ -27,9 +27,9 @@ impl<R: Real> Placed<R> {
     /// Length and arms of the tendons that are needed; bodies must have been placed.
     pub(super) fn place_tendons(
         &mut self,
-        model: &Model,
+        model: &Model<R::Value>,
         qpos: &[R],
-        needed: impl Fn(&Tendon) -> bool,
+        needed: impl Fn(&Tendon<R::Value>) -> bool,
     ) {
         for (index, tendon) in model.tendons.iter().enumerate().filter(|(_, t)| needed(t)) {
             match &tendon.course {
@@ -53,7 +53,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// The arms of fixed tendons, which no position changes.
-    pub(super) fn constant_arms(&mut self, model: &Model) {
+    pub(super) fn constant_arms(&mut self, model: &Model<R::Value>) {
         for tendon in &model.tendons {
             let Course::Fixed(parts) = &tendon.course else { continue };
             for (joint, coef) in parts {
@@ -70,7 +70,12 @@ impl<R: Real> Placed<R> {
     }
 
     /// Adds the arms of a stretch; returns its share of the length.
-    fn place_stretch(&mut self, model: &Model, tendon: &Tendon, stretch: &Stretch) -> R {
+    fn place_stretch(
+        &mut self,
+        model: &Model<R::Value>,
+        tendon: &Tendon<R::Value>,
+        stretch: &Stretch,
+    ) -> R {
         let pull = self.pull_of(model, stretch);
         let share = R::of(stretch.share);
         let geom = stretch.round.map(|round| model.geoms[round.geom].body);
@@ -105,7 +110,7 @@ impl<R: Real> Placed<R> {
         share * pull.length
     }
 
-    fn pull_of(&self, model: &Model, stretch: &Stretch) -> Pull<R> {
+    fn pull_of(&self, model: &Model<R::Value>, stretch: &Stretch) -> Pull<R> {
         let ends = [self.point(&stretch.ends[0]), self.point(&stretch.ends[1])];
         match &stretch.round {
             None => straight(ends),
@@ -117,7 +122,7 @@ impl<R: Real> Placed<R> {
     /// pulls: a force that lengthens it by 1 N pushes the body there by this direction [N].
     pub(crate) fn tendon_pulls(
         &self,
-        model: &Model,
+        model: &Model<R::Value>,
         index: usize,
         mut each: impl FnMut(usize, V3<R>, V3<R>),
     ) {
@@ -134,7 +139,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    fn around(&self, model: &Model, ends: [V3<R>; 2], round: &Round) -> Pull<R> {
+    fn around(&self, model: &Model<R::Value>, ends: [V3<R>; 2], round: &Round) -> Pull<R> {
         let pose = self.pose_of(model, round.geom);
         let side = round.side.as_ref().map(|side| self.point(side));
         let obstacle =
@@ -159,7 +164,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// Where a geom is, whether or not it collides.
-    fn pose_of(&self, model: &Model, index: usize) -> Pose<R> {
+    fn pose_of(&self, model: &Model<R::Value>, index: usize) -> Pose<R> {
         let geom = &model.geoms[index];
         let pos = self.xpos[geom.body] + rotate(&self.xmat[geom.body], &splat(&geom.pos));
         Pose { pos, rot: self.xquat[geom.body].mul(&Quat::splat(&geom.quat)).matrix() }

@@ -6,20 +6,20 @@
 
 use super::Placed;
 use crate::model::{Course, Model, Stretch, Tendon, Tree, NONE};
-use crate::real::Real;
+use crate::real::{Constant, Real, Value};
 use crate::spatial::V3;
 
 impl<R: Real> Placed<R> {
     /// Adds the armature of tendons to a tree's part of the mass matrix.
-    pub(super) fn weigh_tendons(&mut self, model: &Model, tree: &Tree) {
+    pub(super) fn weigh_tendons(&mut self, model: &Model<R::Value>, tree: &Tree<R::Value>) {
         let own = tree.dofs.range();
-        for tendon in model.tendons.iter().filter(|tendon| tendon.armature > 0.0) {
+        for tendon in model.tendons.iter().filter(|tendon| !tendon.armature.vanishes()) {
             let dofs = tendon.dofs.of(&model.dof_lists);
             let arms = tendon.arms.of(&self.tendon_arms);
             for (k, &i) in dofs.iter().enumerate().filter(|(_, dof)| own.contains(dof)) {
                 for (l, &j) in dofs[..=k].iter().enumerate() {
                     if let Some(at) = model.entry(i, j) {
-                        self.mass[at] += R::of(tendon.armature) * arms[k] * arms[l];
+                        self.mass[at] += tendon.armature.get() * arms[k] * arms[l];
                     }
                 }
             }
@@ -27,13 +27,13 @@ impl<R: Real> Placed<R> {
     }
 
     /// Adds their bias forces to those of the trees.
-    pub(super) fn bias_of_tendons(&mut self, model: &Model) {
+    pub(super) fn bias_of_tendons(&mut self, model: &Model<R::Value>) {
         if !model.features.coriolis {
             return;
         }
-        for tendon in model.tendons.iter().filter(|tendon| tendon.armature > 0.0) {
+        for tendon in model.tendons.iter().filter(|tendon| !tendon.armature.vanishes()) {
             let Course::Spatial(_) = &tendon.course else { continue };
-            let pull = R::of(tendon.armature) * self.free_acceleration_along(model, tendon);
+            let pull = tendon.armature.get() * self.free_acceleration_along(model, tendon);
             let arms = tendon.arms.of(&self.tendon_arms);
             for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(arms) {
                 self.bias[*dof] += *arm * pull;
@@ -42,7 +42,11 @@ impl<R: Real> Placed<R> {
     }
 
     /// d²L/dt² of a spatial tendon while no dof accelerates.
-    pub(crate) fn free_acceleration_along(&self, model: &Model, tendon: &Tendon) -> R {
+    pub(crate) fn free_acceleration_along(
+        &self,
+        model: &Model<R::Value>,
+        tendon: &Tendon<R::Value>,
+    ) -> R {
         let mut sum = R::zero();
         if let Course::Spatial(stretches) = &tendon.course {
             for stretch in stretches {
@@ -54,7 +58,7 @@ impl<R: Real> Placed<R> {
 
     /// d²/dt² |b − a| while no dof accelerates: along the line the difference of what both ends do,
     /// and the square of how fast they turn about each other over the length.
-    fn acceleration_of(&self, model: &Model, stretch: &Stretch) -> R {
+    fn acceleration_of(&self, model: &Model<R::Value>, stretch: &Stretch) -> R {
         let [a, b] = [0, 1].map(|end| {
             let point = &stretch.ends[end];
             (self.point(point), self.free_motion_of(model, point.body, &self.point(point)))
@@ -68,7 +72,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// Velocity and acceleration of a body point while no dof accelerates.
-    fn free_motion_of(&self, model: &Model, body: usize, at: &V3<R>) -> [V3<R>; 2] {
+    fn free_motion_of(&self, model: &Model<R::Value>, body: usize, at: &V3<R>) -> [V3<R>; 2] {
         let tree = model.bodies[body].tree;
         if tree == NONE {
             return [V3::zeros(); 2];

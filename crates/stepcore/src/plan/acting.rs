@@ -16,7 +16,7 @@ pub enum Why {
 }
 
 /// One element that acts.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Acts<A> {
     /// Its place in the list that its kind belongs to.
     pub index: usize,
@@ -25,33 +25,33 @@ pub(crate) struct Acts<A> {
 
 /// The damper of a joint: its dofs, and the polynomial.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct DamperAt {
+pub(crate) struct DamperAt<N = f64> {
     pub first: usize,
     pub count: usize,
-    pub law: Coefficients,
+    pub law: Coefficients<N>,
 }
 
 /// The spring of a joint: its kind, its first places in qpos and qvel, and the polynomial.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct SpringAt {
+pub(crate) struct SpringAt<N = f64> {
     pub kind: JointType,
     pub qpos: usize,
     pub dof: usize,
-    pub law: Coefficients,
+    pub law: Coefficients<N>,
 }
 
 /// A spring or a damper of a tendon.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct TendonAt {
+pub(crate) struct TendonAt<N = f64> {
     pub tendon: usize,
-    pub law: Coefficients,
+    pub law: Coefficients<N>,
 }
 
 /// A mass that is pulled at, or held [kg].
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct MassAt {
+pub(crate) struct MassAt<N = f64> {
     pub body: usize,
-    pub mass: f64,
+    pub mass: N,
 }
 
 /// What an actuator is to an account of energy.
@@ -64,7 +64,7 @@ pub(crate) enum Drive {
 
 /// What there is of an actuator's formula.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct ActuatorAt {
+pub(crate) struct ActuatorAt<N = f64> {
     pub drive: Drive,
     /// Its force depends on its length or on the rate of that; and its gain does.
     pub feeds_back: bool,
@@ -74,29 +74,29 @@ pub(crate) struct ActuatorAt {
     /// A controller, or a servo of orientations, says what its force is.
     pub elsewhere: bool,
     /// Bounds of its control, and of its force.
-    pub ctrlrange: Option<[f64; 2]>,
-    pub bounds: Option<[f64; 2]>,
+    pub ctrlrange: Option<[N; 2]>,
+    pub bounds: Option<[N; 2]>,
 }
 
 /// All that acts in a model, one list a kind; and what never does.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Acting {
-    pub damper: Vec<Acts<DamperAt>>,
-    pub spring: Vec<Acts<SpringAt>>,
-    pub tendon_spring: Vec<Acts<TendonAt>>,
-    pub tendon_damper: Vec<Acts<TendonAt>>,
-    pub compensation: Vec<Acts<MassAt>>,
+pub(crate) struct Acting<N = f64> {
+    pub damper: Vec<Acts<DamperAt<N>>>,
+    pub spring: Vec<Acts<SpringAt<N>>>,
+    pub tendon_spring: Vec<Acts<TendonAt<N>>>,
+    pub tendon_damper: Vec<Acts<TendonAt<N>>>,
+    pub compensation: Vec<Acts<MassAt<N>>>,
     /// By body.
     pub fluid: Vec<Acts<usize>>,
     /// By actuator.
     pub actuator: Vec<Acts<usize>>,
-    pub driven_compensation: Vec<Acts<MassAt>>,
+    pub driven_compensation: Vec<Acts<MassAt<N>>>,
     /// The first dof of a joint, and their number.
     pub joint_force: Vec<Acts<(usize, usize)>>,
     /// By body.
     pub body_force: Vec<Acts<usize>>,
-    pub gravity: Vec<Acts<MassAt>>,
-    pub held: Vec<Acts<MassAt>>,
+    pub gravity: Vec<Acts<MassAt<N>>>,
+    pub held: Vec<Acts<MassAt<N>>>,
     pub left_out: Vec<(Element, Why)>,
     /// Something acts by itself that is there without anybody, and that drives.
     pub passive: bool,

@@ -69,19 +69,23 @@ pub struct Plan {
     /// Impulses start from the last step's; and something of them is handed to the next.
     pub(crate) warm_start: bool,
     pub(crate) keeps: bool,
-    /// Sweeps over friction alone after each solve.
+    /// Sweeps over friction alone after each solve, and where one is the last: see `Rows::inertia`.
     pub(crate) noslip: u32,
+    pub(crate) noslip_cost: f64,
+    /// Sweeps end by a share of the mass of their island.
+    pub(crate) weighs: bool,
     pub(crate) late: LateTrees,
     pub(crate) commit: Vec<Commit>,
 }
 
-room!(Plan: scheme, inside, solves_once, sleeps, warm_start, keeps, noslip, late, commit);
+room!(Plan: scheme, inside, solves_once, sleeps, warm_start, keeps, noslip, noslip_cost, weighs, late, commit);
 
 impl Plan {
     pub fn of(model: &Model, settings: &Settings) -> Self {
         let scheme = settings.integrator.scheme();
         let late = LateTrees::of(model, scheme);
         let equalities = model.equalities.is_empty();
+        let noslip_cost = settings.cost_floor(settings.noslip_tolerance);
         Self {
             scheme,
             inside: match settings.inside() {
@@ -96,6 +100,8 @@ impl Plan {
                 Law::SolRef => settings.noslip_iterations,
                 _ => 0,
             },
+            noslip_cost,
+            weighs: noslip_cost + settings.cost_floor(settings.cost_tolerance) > 0.0,
             commit: Commit::list(model, settings, &late),
             late,
         }

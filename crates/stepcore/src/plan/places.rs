@@ -14,7 +14,7 @@ pub(crate) enum Way {
 }
 
 /// What of a geom's pose contacts ask for.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Part {
     Centre,
     /// And one axis.
@@ -23,7 +23,7 @@ pub(crate) enum Part {
 }
 
 /// Something on a tree that sleeps with it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Place<T> {
     pub index: usize,
     pub tree: usize,
@@ -31,7 +31,7 @@ pub(crate) struct Place<T> {
 }
 
 /// What a step places.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Places {
     pub bodies: Vec<Place<Way>>,
     pub geoms: Vec<Place<Part>>,

@@ -5,13 +5,13 @@
 //! find them among single lanes, a compiler takes eight numbers of single precision apart and puts
 //! them together again. What vectors a processor has is the business of the crate `wide`.
 
-use bytemuck::cast;
+use bytemuck::{bytes_of, bytes_of_mut, cast};
 use core::fmt::Debug;
 use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 use num_traits::{One, Zero};
 use wide::{f32x8, f64x4, CmpLe, CmpLt};
 
-use super::{elementary, Mask, Real};
+use super::{elementary, Constant, Mask, Real, Value, PACK};
 
 /// How many worlds of `f64` stand side by side: of fewer, a register would ask as often what there is
 /// to do; of more, it would make the rows of more worlds that touch in other places.
@@ -44,7 +44,9 @@ pub trait Word<const W: usize>: Copy + Debug + PartialEq + Send + Sync + 'static
 }
 
 /// A number of which lanes are made, and what is done with all of them.
-pub trait Number<const W: usize>: Real<Mask = bool, One = Self> + PartialOrd + Into<f64> {
+pub trait Number<const W: usize>:
+    Real<Mask = bool, One = Self, Value = f64> + PartialOrd + Into<f64>
+{
     type Bits: Word<W>;
     fn repeat(x: Self) -> [Self; W];
     fn plus(a: [Self; W], b: [Self; W]) -> [Self; W];
@@ -56,6 +58,8 @@ pub trait Number<const W: usize>: Real<Mask = bool, One = Self> + PartialOrd + I
     fn less(a: [Self; W], b: [Self; W]) -> [Self::Bits; W];
     fn at_most(a: [Self; W], b: [Self; W]) -> [Self::Bits; W];
     fn choose(mask: [Self::Bits; W], yes: [Self; W], no: [Self; W]) -> [Self; W];
+    fn bytes(a: &[Self; W]) -> &[u8];
+    fn bytes_mut(a: &mut [Self; W]) -> &mut [u8];
 }
 
 /// A number and its bits, `$w` of them in vectors of `$vector`: so many of these, by index.
@@ -140,6 +144,14 @@ macro_rules! number {
                 fn at_most(a: [Self; $w], b: [Self; $w]) -> [$bits; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at].cmp_le(b[$at])),*])
+                }
+                #[inline(always)]
+                fn bytes(a: &[Self; $w]) -> &[u8] {
+                    bytes_of(a)
+                }
+                #[inline(always)]
+                fn bytes_mut(a: &mut [Self; $w]) -> &mut [u8] {
+                    bytes_of_mut(a)
                 }
                 #[inline(always)]
                 fn choose(
@@ -264,9 +276,60 @@ impl<T: Number<W>, const W: usize> One for Lanes<T, W> {
     }
 }
 
+/// The same number in all lanes, or one a lane.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ByWorld<R, const W: usize> {
+    Same(f64),
+    Each(Box<Each<R, W>>),
+}
+
+/// The numbers of all lanes, rounded and as they are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Each<R, const W: usize> {
+    rounded: R,
+    given: [f64; W],
+}
+
+impl<T: Number<W>, const W: usize> Constant for ByWorld<Lanes<T, W>, W> {
+    /// The last lanes repeat the last number.
+    fn by_lane(numbers: &[f64]) -> Self {
+        let (first, last) = (numbers[0], numbers.len() - 1);
+        if numbers.iter().all(|x| x.to_bits() == first.to_bits()) {
+            return Self::Same(first);
+        }
+        let given = core::array::from_fn(|lane| numbers[lane.min(last)]);
+        Self::Each(Box::new(Each { rounded: Lanes(given.map(T::of)), given }))
+    }
+    #[inline(always)]
+    fn lane(&self, lane: usize) -> f64 {
+        match self {
+            Self::Same(x) => *x,
+            Self::Each(each) => each.given[lane],
+        }
+    }
+}
+
+impl<T: Number<W>, const W: usize> Value<Lanes<T, W>> for ByWorld<Lanes<T, W>, W> {
+    #[inline(always)]
+    fn get(&self) -> Lanes<T, W> {
+        match self {
+            Self::Same(x) => Lanes::of(*x),
+            Self::Each(each) => each.rounded,
+        }
+    }
+    #[inline(always)]
+    fn calc<const N: usize>(of: [&Self; N], f: impl Fn([f64; N]) -> f64) -> Lanes<T, W> {
+        if of.iter().all(|x| matches!(x, Self::Same(_))) {
+            return Lanes::of(f(of.map(|x| x.lane(0))));
+        }
+        Lanes(core::array::from_fn(|lane| T::of(f(of.map(|x| x.lane(lane))))))
+    }
+}
+
 impl<T: Number<W>, const W: usize> Real for Lanes<T, W> {
     type Mask = LaneMask<T::Bits, W>;
     type One = T;
+    type Value = ByWorld<Self, W>;
     const LANES: usize = W;
 
     #[inline(always)]
@@ -302,6 +365,14 @@ impl<T: Number<W>, const W: usize> Real for Lanes<T, W> {
         // What is not finite makes no number of 0.
         let zero = self * Self::zero();
         zero.le(zero)
+    }
+    #[inline(always)]
+    fn pack(&self, to: &mut [u8; PACK]) {
+        to.copy_from_slice(T::bytes(&self.0));
+    }
+    #[inline(always)]
+    fn unpack(&mut self, from: &[u8; PACK]) {
+        T::bytes_mut(&mut self.0).copy_from_slice(from);
     }
     #[inline(always)]
     fn sqrt(self) -> Self {

@@ -54,6 +54,7 @@ macro_rules! scalar {
     ($one:ty) => {
         type Mask = bool;
         type One = $one;
+        type Value = f64;
         const LANES: usize = 1;
 
         #[inline(always)]
@@ -78,11 +79,12 @@ pub mod elementary;
 mod lanes;
 mod stage;
 pub(crate) mod traced;
+pub(crate) mod value;
 
 pub use count::Count;
 pub use counted::{Counted, FUNCTION};
 pub use dual::{Dual, WAYS};
-pub use lanes::{LaneMask, Lanes, LanesF32, WIDEST, WIDTH};
+pub use lanes::{ByWorld, LaneMask, Lanes, LanesF32, WIDEST, WIDTH};
 pub use stage::Stage;
 
 /// One truth value a lane.
@@ -99,8 +101,8 @@ pub trait Mask: Copy + Debug + Send + Sync + 'static {
     fn none(self) -> bool {
         !self.any()
     }
-    /// `any`, where that rarely is so and leads to much work: the list of a step (`program/`)
-    /// leaves it to the steps in which it is.
+    /// `any`, where that rarely is so and leads to much work: machine code (`compile/`) leaves
+    /// it to the stages.
     #[inline(always)]
     fn seldom(self) -> bool {
         self.any()
@@ -111,6 +113,18 @@ pub trait Mask: Copy + Debug + Send + Sync + 'static {
     }
     fn lane(&self, lane: usize) -> bool;
     fn from_lanes(value: impl Fn(usize) -> bool) -> Self;
+}
+
+/// Bytes of a number in machine code: of all lanes.
+pub const PACK: usize = 64;
+
+/// What the turns of a loop change: see `Real::repeat_while`.
+pub trait Turns<R: Real> {
+    /// Lanes in which another turn follows.
+    fn live(&self) -> R::Mask;
+    /// Goes through all numbers, and through all masks, `live` the first, always in one order.
+    fn numbers(&mut self, of: &mut dyn FnMut(&mut R));
+    fn masks(&mut self, of: &mut dyn FnMut(&mut R::Mask));
 }
 
 /// The closed set of operations a stage may use.
@@ -133,7 +147,9 @@ pub trait Real:
 {
     type Mask: Mask;
     /// The number of one lane, as precise.
-    type One: Real<Mask = bool, One = Self::One>;
+    type One: Real<Mask = bool, One = Self::One, Value = f64>;
+    /// A number of the model, which may differ by world.
+    type Value: Value<Self>;
     /// How many worlds one value holds.
     const LANES: usize;
 
@@ -180,6 +196,28 @@ pub trait Real:
     fn steepness(self) -> f64 {
         0.0
     }
+    /// Turn after turn, at most so many, while some lane is live. Turns change what `it` names and
+    /// nothing else that is read later, and all do the same.
+    #[inline(always)]
+    fn repeat_while<T: Turns<Self>>(most: u32, it: &mut T, mut turn: impl FnMut(&mut T)) {
+        for _ in 0..most {
+            if it.live().none() {
+                break;
+            }
+            turn(it);
+        }
+    }
+    /// As machine code holds it: the bytes of its lanes, as often as they fit. Numbers that no code
+    /// computes with have none.
+    #[inline(always)]
+    fn pack(&self, _to: &mut [u8; PACK]) {}
+    #[inline(always)]
+    fn unpack(&mut self, _from: &[u8; PACK]) {}
+    /// The largest of all lanes, to report: nothing that is computed follows from it.
+    #[inline(always)]
+    fn largest(self) -> f64 {
+        (0..Self::LANES).map(|lane| self.lane(lane)).fold(f64::NEG_INFINITY, f64::max)
+    }
     /// What follows belongs to this stage: only a number that counts asks.
     #[inline(always)]
     fn enter(_: Stage) {}
@@ -203,6 +241,61 @@ pub trait Real:
     #[inline(always)]
     fn recip_or_zero(self) -> Self {
         Self::select(self.gt(Self::zero()), Self::one() / self, Self::zero())
+    }
+}
+
+/// A number of a model.
+pub trait Constant: Clone + Debug + PartialEq + Send + Sync + 'static {
+    /// By lane: in all of them zero or in none, infinite or not.
+    fn by_lane(numbers: &[f64]) -> Self;
+    /// That of one lane.
+    fn lane(&self, lane: usize) -> f64;
+
+    /// In every lane, or in none.
+    #[inline(always)]
+    fn vanishes(&self) -> bool {
+        self.lane(0) == 0.0
+    }
+    #[inline(always)]
+    fn is_positive(&self) -> bool {
+        self.lane(0) > 0.0
+    }
+    /// In every lane, or in none.
+    #[inline(always)]
+    fn is_infinite(&self) -> bool {
+        self.lane(0).is_infinite()
+    }
+}
+
+/// As steps of this `Real` read it.
+pub trait Value<R: Real>: Constant {
+    fn get(&self) -> R;
+    /// What follows of some of them, in each lane in double precision, and then rounded.
+    fn calc<const N: usize>(of: [&Self; N], f: impl Fn([f64; N]) -> f64) -> R;
+    #[inline(always)]
+    fn times(&self, by: f64) -> R {
+        Self::calc([self], |[x]| x * by)
+    }
+}
+
+impl Constant for f64 {
+    fn by_lane(numbers: &[f64]) -> Self {
+        numbers[0]
+    }
+    #[inline(always)]
+    fn lane(&self, _: usize) -> f64 {
+        *self
+    }
+}
+
+impl<R: Real> Value<R> for f64 {
+    #[inline(always)]
+    fn get(&self) -> R {
+        R::of(*self)
+    }
+    #[inline(always)]
+    fn calc<const N: usize>(of: [&Self; N], f: impl Fn([f64; N]) -> f64) -> R {
+        R::of(f(of.map(|x| *x)))
     }
 }
 
@@ -270,6 +363,13 @@ macro_rules! scalar_real {
             #[inline(always)]
             fn is_finite(self) -> bool {
                 <$t>::is_finite(self)
+            }
+            fn pack(&self, to: &mut [u8; PACK]) {
+                to.chunks_exact_mut(size_of::<$t>())
+                    .for_each(|to| to.copy_from_slice(&self.to_ne_bytes()));
+            }
+            fn unpack(&mut self, from: &[u8; PACK]) {
+                *self = <$t>::from_ne_bytes(core::array::from_fn(|k| from[k]));
             }
             #[inline(always)]
             fn sqrt(self) -> Self {

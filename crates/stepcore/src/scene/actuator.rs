@@ -1,21 +1,22 @@
 //! Actuators.
 
 use super::{Coefficients, NONE};
+use crate::real::Constant;
 
 /// A motor, a servo or a muscle. Its force is gain·u + bias: u is the control, or the activation where
 /// there is one; gain and bias depend on the length along which it pulls and on the rate of that, both
 /// of them times the gear. What it pulls at feels gear × force.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Actuator {
+pub struct Actuator<N = f64> {
     pub name: String,
     pub target: Target,
     /// The first alone for a hinge, a slide, a tendon and a crank; of a ball an axis; of a free joint
     /// and of a site a direction and an axis.
-    pub gear: [f64; 6],
+    pub gear: [N; 6],
     /// gain = g₀ + g₁·length + g₂·velocity; bias likewise. A motor: 1, and zeros. A position servo:
     /// kp, and 0, −kp, −kv. A velocity servo: kv, and 0, 0, −kv.
-    pub gain: [f64; 3],
-    pub bias: [f64; 3],
+    pub gain: [N; 3],
+    pub bias: [N; 3],
     /// In place of these: the force of a muscle.
     pub muscle_gain: Option<Muscle>,
     pub muscle_bias: Option<Muscle>,
@@ -34,18 +35,18 @@ pub struct Actuator {
     pub dynamics: Dynamics,
     /// Of a filter: its time constant [s]. Of a muscle: those of activation and deactivation [s], and
     /// the width of control over which one becomes the other.
-    pub dynprm: [f64; 3],
+    pub dynprm: [N; 3],
     /// Bounds of the control, of the activation, and of the force before the gear. None: none.
-    pub ctrlrange: Option<[f64; 2]>,
-    pub actrange: Option<[f64; 2]>,
-    pub forcerange: Option<[f64; 2]>,
+    pub ctrlrange: Option<[N; 2]>,
+    pub actrange: Option<[N; 2]>,
+    pub forcerange: Option<[N; 2]>,
     /// The force is that of the activation at the end of the step.
     pub actearly: bool,
     /// The least and greatest length that it can have, which muscles refer to.
     pub lengthrange: [f64; 2],
     /// Given, times gear², to the joint or tendon that it pulls at.
-    pub damping: Coefficients,
-    pub armature: f64,
+    pub damping: Coefficients<N>,
+    pub armature: N,
     /// Its control is that of so long ago [s], kept in so many samples; 0: the present one.
     pub delay: f64,
     pub nsample: usize,
@@ -242,7 +243,7 @@ impl Default for Actuator {
     }
 }
 
-impl Actuator {
+impl<N: Constant> Actuator<N> {
     /// How many past controls it keeps: those that it reads.
     pub fn history(&self) -> usize {
         if self.delay > 0.0 {
@@ -265,14 +266,16 @@ impl Actuator {
 
     /// Its force depends on a length, or how fast that changes.
     pub fn feeds_back(&self) -> bool {
-        let depends = |term: &[f64; 3]| term[1] != 0.0 || term[2] != 0.0;
+        let depends = |term: &[N; 3]| !(term[1].vanishes() && term[2].vanishes());
         self.drives_motor() || self.is_muscle() || depends(&self.bias) || depends(&self.gain)
     }
 
     pub fn is_muscle(&self) -> bool {
         self.muscle_gain.is_some() || self.muscle_bias.is_some()
     }
+}
 
+impl Actuator {
     /// Its control is a length: gain · (u − length), but for a constant.
     pub fn holds_a_length(&self) -> bool {
         let fixed = self.gain[1] == 0.0 && self.gain[2] == 0.0 && !self.is_muscle();

@@ -1,6 +1,7 @@
 //! Geoms: shapes on bodies.
 
 use super::Softness;
+use crate::real::{Real, Value};
 
 /// Shapes, in MuJoCo's order: it decides which of a pair is geom 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -32,11 +33,11 @@ impl GeomType {
 
     /// How far the surface of this size is from the core that it rounds off [m]: a sphere's
     /// centre, a capsule's axis.
-    pub fn roundness(self, size: &[f64; 3]) -> f64 {
+    pub fn roundness<R: Real, N: Value<R>>(self, size: &[N; 3]) -> R {
         if matches!(self, Self::Sphere | Self::Capsule) {
-            size[0]
+            size[0].get()
         } else {
-            0.0
+            R::zero()
         }
     }
 }

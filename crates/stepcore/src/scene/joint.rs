@@ -36,7 +36,7 @@ impl JointType {
 
 /// Coefficients a, b, c of a polynomial force by the powers of what it answers to, the first
 /// power first: MuJoCo's, see `elements/spring.rs` and `elements/damper.rs`.
-pub type Coefficients = [f64; 3];
+pub type Coefficients<N = f64> = [N; 3];
 
 /// No force.
 pub const NONE: Coefficients = [0.0; 3];

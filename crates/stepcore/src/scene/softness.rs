@@ -3,9 +3,9 @@
 /// A spring-damper pair and an impedance curve: MuJoCo's `solref`, `solimp`.
 /// MuJoCo documentation, "Solver parameters".
 #[derive(Clone, Debug, PartialEq)]
-pub struct Softness {
+pub struct Softness<N = f64> {
     /// Time constant [s] and damping ratio, both > 0; or −stiffness and −damping, both ≤ 0.
-    pub solref: [f64; 2],
+    pub solref: [N; 2],
     /// d0, dwidth, width [m or rad], midpoint, power.
     pub solimp: [f64; 5],
 }

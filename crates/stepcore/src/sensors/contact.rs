@@ -2,7 +2,7 @@
 
 use super::Reading;
 use crate::model::Model;
-use crate::real::Real;
+use crate::real::{Constant, Real};
 use crate::scene::{ObjectType, Reduce, Sensor, SensorField, SensorObject};
 use crate::spatial::V3;
 
@@ -18,7 +18,7 @@ struct Told {
     torque: V3<f64>,
 }
 
-impl Model {
+impl<N: Constant> Model<N> {
     /// Whether a body is another, or hangs on it.
     pub(super) fn hangs_on(&self, mut body: usize, top: usize) -> bool {
         while body > top {

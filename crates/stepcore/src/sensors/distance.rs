@@ -60,7 +60,7 @@ impl<R: Real> Reading<'_, R> {
         let [a, b]: [Shape<f64>; 2] =
             [geoms[ends[0]].shape(&poses[0]), geoms[ends[1]].shape(&poses[1])];
         let mut best: Option<Gap> = None;
-        meet(test, &a, &b, (most, &[]), |_, touch| {
+        meet(test, &a, &b, (|_| most, &[]), |_, touch| {
             if !touch.exists || best.as_ref().is_some_and(|best| best.dist <= touch.dist) {
                 return;
             }

@@ -26,7 +26,7 @@ impl<R: Real> Reading<'_, R> {
             }
             T::ActuatorPos => {
                 let along = model.along[index];
-                out.push(along.length(model, qpos, self.sim.placed.pulls()).lane(lane));
+                out.push(along.length(&self.sim.model, qpos, self.sim.placed.pulls()).lane(lane));
             }
             T::ActuatorVel => {
                 out.push(self.sim.actuator_velocity(index, lane));
@@ -40,8 +40,10 @@ impl<R: Real> Reading<'_, R> {
             }
             T::TendonPos => out.push(self.sim.placed.tendon_length[index].lane(lane)),
             T::TendonVel => {
-                let along = Transmission::Tendon(index, 1.0);
-                out.push(along.velocity(model, qpos, qvel, self.sim.placed.pulls()).lane(lane));
+                let along = Transmission::Tendon(index, None);
+                out.push(
+                    along.velocity(&self.sim.model, qpos, qvel, self.sim.placed.pulls()).lane(lane),
+                );
             }
             T::JointLimitPos => out.push(self.limit(Kind::Limit, index, |row| row.gap)),
             T::JointLimitVel => out.push(self.limit(Kind::Limit, index, |row| row.velocity)),

@@ -169,7 +169,7 @@ impl<'a, R: Real> Reading<'a, R> {
     }
 
     fn model(&self) -> &Model {
-        &self.sim.model
+        self.sim.model_of(self.lane)
     }
 
     /// Forces of the solve between bodies.

@@ -7,7 +7,7 @@
 
 use super::touch::{Touch, Touches};
 use super::Shape;
-use crate::real::{Mask, Real, WIDEST};
+use crate::real::{Constant, Mask, Real, WIDEST};
 use crate::spatial::{Pose, M3, V3};
 
 /// A test of one pair of shapes in one world.
@@ -29,7 +29,8 @@ pub fn by_lane<R: Real, T: OneWorld<N>, const N: usize>(
     let mut exists = [[false; WIDEST]; N];
     for lane in 0..R::LANES {
         let (p1, p2) = (pose(one.pose, lane), pose(two.pose, lane));
-        let touches = test(lane).touches(&one.at(&p1), &two.at(&p2));
+        let touches =
+            test(lane).touches(&one.at(&p1, &size(one, lane)), &two.at(&p2, &size(two, lane)));
         for (slot, touch) in touches.iter().enumerate() {
             exists[slot][lane] = touch.exists;
             let to = &mut out[slot];
@@ -56,6 +57,11 @@ pub fn empty<R: Real>() -> Touch<R> {
         exists: R::Mask::of(false),
         feature: R::zero(),
     }
+}
+
+/// One lane of a size.
+fn size<R: Real>(shape: &Shape<R>, lane: usize) -> [f64; 3] {
+    shape.size.each_ref().map(|x| x.lane(lane))
 }
 
 /// One lane of a pose.
@@ -92,7 +98,7 @@ mod tests {
     #[test]
     fn every_lane_is_its_own_world() {
         let (one, two) = (at::<Lanes>(|k| k as f64), at(|k| 2.5 * k as f64));
-        let size = [1.0; 3];
+        let size = [1.0; 3].map(|x| Constant::by_lane(&[x]));
         let shape = |pose| Shape { pose, size: &size, hull: None, field: None };
         let [first, second] = by_lane(|_| Both, &shape(&one), &shape(&two));
         for lane in 0..<Lanes>::LANES {

@@ -11,7 +11,7 @@ use super::boxes::{edge, others, segments_gap, Block, Segment};
 use super::by_lane::{empty, OneWorld};
 use super::touch::{Touch, Touches};
 use super::Shape;
-use crate::real::{Mask, Real};
+use crate::real::{value, Constant, Mask, Real, Value};
 use crate::spatial::V3;
 
 /// Of the sizes: rounding of a distance.
@@ -40,16 +40,16 @@ impl OneWorld<2> for CapsuleBox {
             axis: Segment {
                 middle: cuboid.to_local(&(one.pose.pos - cuboid.pos)),
                 along: cuboid.to_local(&one.pose.axis(2)),
-                half: R::of(one.size[1]),
+                half: one.size[1].get(),
             },
-            radius: R::of(one.size[0]),
+            radius: one.size[0].get(),
             cuboid: Block {
                 centre: V3::zeros(),
                 axes: [V3::x(), V3::y(), V3::z()],
-                half: two.size.map(R::of),
+                half: value::get(two.size),
             },
         };
-        let size = one.size[1] + two.size.iter().sum::<f64>();
+        let size = one.size[1].lane(0) + two.size.iter().map(|x| x.lane(0)).sum::<f64>();
         let way = lying.way_out();
         let mut out = if way.gap.lane(0) > ROUNDING * size {
             lying.beside(&way, size)

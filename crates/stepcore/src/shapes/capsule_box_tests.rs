@@ -9,7 +9,12 @@ use crate::real::{Lanes, Mask, Real};
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Vector3};
 
-fn meet<R: Real>(a: &Pose<R>, sa: &[f64; 3], b: &Pose<R>, sb: &[f64; 3]) -> Vec<Touch<R>> {
+fn meet<R: Real<Value = f64>>(
+    a: &Pose<R>,
+    sa: &[f64; 3],
+    b: &Pose<R>,
+    sb: &[f64; 3],
+) -> Vec<Touch<R>> {
     let (one, two) = (bare(a, sa), bare(b, sb));
     let all: [Touch<R>; 2] = CapsuleBox.touches(&one, &two);
     all.into_iter().filter(|touch| touch.exists.lane(0)).collect()

@@ -6,7 +6,7 @@ use super::separation::{normal, Pairing, Separation};
 use super::solid::{plain, Core, Solid};
 use super::touch::{Touch, Touches};
 use super::{Hint, Shape};
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real};
 use crate::scene::GeomType;
 use core::cell::Cell;
 
@@ -51,12 +51,13 @@ impl<const N: usize> OneWorld<N> for Convex<'_> {
 
 /// The core and the radius of a shape.
 pub fn solid<'a, R: Real>(kind: GeomType, shape: &Shape<'a, R>) -> Solid<'a, R> {
-    let [a, b, _] = *shape.size;
+    let size = shape.size.each_ref().map(|x| x.lane(0));
+    let [a, b, _] = size;
     let (core, radius) = match kind {
         GeomType::Capsule => (Core::Segment(b), a),
-        GeomType::Ellipsoid => (Core::Ellipsoid(*shape.size), 0.0),
+        GeomType::Ellipsoid => (Core::Ellipsoid(size), 0.0),
         GeomType::Cylinder => (Core::Cylinder(a, b), 0.0),
-        GeomType::Box => (Core::Box(*shape.size), 0.0),
+        GeomType::Box => (Core::Box(size), 0.0),
         GeomType::Mesh => (shape.hull.map_or(Core::Point, Core::Hull), 0.0),
         GeomType::Sphere | GeomType::Plane | GeomType::HField => (Core::Point, a),
     };

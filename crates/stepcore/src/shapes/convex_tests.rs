@@ -6,7 +6,7 @@ use super::convex::Convex;
 use super::hull::Hull;
 use super::touch::{Touch, Touches};
 use super::Shape;
-use crate::real::{Dual, Lanes, Mask, Real};
+use crate::real::{Constant, Dual, Lanes, Mask, Real};
 use crate::scene::GeomType::{self, Box, Capsule, Cylinder, Ellipsoid, Mesh, Sphere};
 use crate::spatial::{Pose, Quat, M3, V3};
 
@@ -73,7 +73,7 @@ fn deepest(touches: &[Touch<f64>]) -> Touch<f64> {
 
 fn shape<'a, R: Real>(
     pose: &'a Pose<R>,
-    size: &'a [f64; 3],
+    size: &'a [R::Value; 3],
     hull: Option<&'a Hull>,
 ) -> Shape<'a, R> {
     Shape { pose, size, hull, field: None }
@@ -97,7 +97,7 @@ impl Case {
         let sizes = [random.size(), random.size()];
         Self { kinds, poses, sizes, hulls: [random.hull(), random.hull()] }
     }
-    fn shape<'a, R: Real>(&'a self, i: usize, pose: &'a Pose<R>) -> Shape<'a, R> {
+    fn shape<'a, R: Real<Value = f64>>(&'a self, i: usize, pose: &'a Pose<R>) -> Shape<'a, R> {
         shape(pose, &self.sizes[i], Some(&self.hulls[i]))
     }
     fn touches(&self) -> Touches<f64, 8> {
@@ -284,7 +284,9 @@ fn lanes_are_scalars_bit_for_bit() {
             pose
         };
         let (p, q) = (wide(0), wide(1));
-        let lanes = touch(kinds, &case.shape(0, &p), &case.shape(1, &q));
+        let sizes = case.sizes.map(|size| size.map(|x| Constant::by_lane(&[x])));
+        let own = |i: usize, pose| shape(pose, &sizes[i], Some(&case.hulls[i]));
+        let lanes = touch(kinds, &own(0, &p), &own(1, &q));
         for (lane, world) in worlds.iter().enumerate() {
             case.poses = *world;
             for (t, u) in case.touches().iter().zip(&lanes) {

@@ -8,6 +8,7 @@
 use super::contact_feature::{feature, Corner, Feature, Polygon, CORNERS};
 use super::separation::{Cause, Separation};
 use super::solid::{Core, Solid};
+use super::spread::spread;
 use crate::real::Real;
 use crate::spatial::V3;
 
@@ -475,28 +476,13 @@ fn chosen<R: Real>(
     // Of places that are even but for rounding the first.
     let even = points.list[low].apart.lane(0) + border;
     low = (0..low).find(|i| points.list[*i].apart.lane(0) <= even).unwrap_or(low);
-    let mut picked = [false; ROOM];
-    picked[low] = true;
-    let mut nearest = [f64::INFINITY; ROOM];
-    let mut last = low;
-    for _ in 1..most.min(points.count) {
-        let mut best = (4.0 * border * border, None);
-        for i in 0..points.count {
-            nearest[i] = nearest[i].min(square(&points.list[i], &points.list[last]));
-            if !picked[i] && nearest[i] > best.0 {
-                best = (nearest[i], Some(i));
-            }
-        }
-        let Some(next) = best.1 else { break };
-        picked[next] = true;
-        last = next;
-    }
-    out.count = 0;
-    for i in 0..points.count {
-        if picked[i] {
-            out.points[out.count] = points.list[i];
-            out.count += 1;
-        }
+    let mut places = [low; MOST];
+    let apart = |i: usize, j: usize| square(&points.list[i], &points.list[j]);
+    let places = &mut places[..most.min(points.count)];
+    out.count = spread::<ROOM>(points.count, places, 1, 4.0 * border * border, apart);
+    places[..out.count].sort_unstable();
+    for (to, at) in out.points.iter_mut().zip(&places[..out.count]) {
+        *to = points.list[*at];
     }
     out
 }

@@ -40,6 +40,7 @@ mod separation;
 mod shape_test;
 mod solid;
 pub(crate) mod sphere;
+mod spread;
 #[cfg(test)]
 mod tests;
 pub(crate) mod touch;
@@ -55,7 +56,7 @@ use by_lane::by_lane;
 use convex::Convex;
 use height_field::{HeightField, OnField};
 
-use crate::real::Real;
+use crate::real::{value, Real};
 use crate::spatial::{Pose, V3};
 use core::cell::Cell;
 
@@ -64,7 +65,7 @@ use core::cell::Cell;
 pub struct Shape<'a, R: Real> {
     pub pose: &'a Pose<R>,
     /// As a geom's: see `scene::Geom::size`.
-    pub size: &'a [f64; 3],
+    pub size: &'a [R::Value; 3],
     /// Of a mesh, and of a height field.
     pub hull: Option<&'a Hull>,
     pub field: Option<&'a HeightField>,
@@ -73,14 +74,14 @@ pub struct Shape<'a, R: Real> {
 impl<'a, R: Real> Shape<'a, R> {
     /// The same shape at another pose, in other numbers.
     #[inline(always)]
-    pub fn at<S: Real>(&self, pose: &'a Pose<S>) -> Shape<'a, S> {
-        Shape { pose, size: self.size, hull: self.hull, field: self.field }
+    pub fn at<S: Real>(&self, pose: &'a Pose<S>, size: &'a [S::Value; 3]) -> Shape<'a, S> {
+        Shape { pose, size, hull: self.hull, field: self.field }
     }
 
     /// The size in this number.
     #[inline(always)]
     pub fn sizes(&self) -> V3<R> {
-        V3::new(R::of(self.size[0]), R::of(self.size[1]), R::of(self.size[2]))
+        V3::from(value::get(self.size))
     }
 }
 
@@ -99,13 +100,13 @@ pub struct Hint {
 pub type Hints<'a> = &'a [Cell<Hint>];
 
 /// Tests a pair exactly: `take(slot, touch)` gets what is in each of its slots. Of shapes that are
-/// `within` [m] apart or more a slot may tell nothing.
+/// `within` [m] apart or more, which is by lane, a slot may tell nothing.
 #[inline(always)]
 pub fn meet<R: Real>(
     test: ShapeTest,
     one: &Shape<R>,
     two: &Shape<R>,
-    (within, hints): (f64, Hints),
+    (within, hints): (impl Fn(usize) -> f64, Hints),
     mut take: impl FnMut(usize, &Touch<R>),
 ) {
     let (p1, p2) = (one.pose, two.pose);
@@ -120,23 +121,24 @@ pub fn meet<R: Real>(
         ShapeTest::PlaneCylinder => all(&plane::plane_cylinder(p1, p2, s2.x, s2.y)),
         ShapeTest::PlaneBox => all(&plane::plane_box(p1, p2, s2)),
         ShapeTest::PlaneMesh => {
-            let test = |_| plane_mesh::PlaneMesh { within };
+            let test = |lane| plane_mesh::PlaneMesh { within: within(lane) };
             all(&by_lane::<R, _, { plane_mesh::MOST }>(test, one, two));
         }
         ShapeTest::SphereSphere => all(&sphere::sphere_sphere(p1, s1.x, p2, s2.x)),
         ShapeTest::SphereCapsule => all(&sphere::sphere_capsule(p1, s1.x, p2, s2.x, s2.y)),
         ShapeTest::SphereBox => all(&sphere::sphere_box(p1, s1.x, p2, s2)),
         ShapeTest::OnField(kind) => {
-            let test = |_| OnField { kind, within };
+            let test = |lane| OnField { kind, within: within(lane) };
             all(&by_lane::<R, _, { height_field::MOST }>(test, one, two));
         }
         ShapeTest::SphereCylinder => {
             all(&cylinder::sphere_cylinder(p1, s1.x, p2, s2.x, s2.y));
         }
         ShapeTest::CapsuleBox => all(&by_lane(|_| capsule_box::CapsuleBox, one, two)),
-        ShapeTest::BoxBox => all(&by_lane(|_| boxes::Boxes { within }, one, two)),
+        ShapeTest::BoxBox => all(&by_lane(|lane| boxes::Boxes { within: within(lane) }, one, two)),
         ShapeTest::Convex(a, b) => {
-            let test = |lane| Convex { one: a, two: b, within, hint: hints.get(lane) };
+            let test =
+                |lane| Convex { one: a, two: b, within: within(lane), hint: hints.get(lane) };
             match convex::most(a, b) {
                 1 => all(&by_lane::<R, _, 1>(test, one, two)),
                 2 => all(&by_lane::<R, _, 2>(test, one, two)),

@@ -7,9 +7,10 @@
 
 use super::by_lane::{empty, OneWorld};
 use super::hull::Hull;
+use super::spread::spread;
 use super::touch::{Touch, Touches};
 use super::Shape;
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real};
 use crate::spatial::V3;
 
 /// The most contacts.
@@ -40,7 +41,7 @@ impl OneWorld<MOST> for PlaneMesh {
         let centre = normal.dot(&(mesh.pos - plane.pos));
         let own = mesh.rot.transpose() * normal;
         let up = V3::new(own.x.lane(0), own.y.lane(0), own.z.lane(0));
-        let size = two.size.iter().fold(0.0, |a: f64, b| a.max(*b));
+        let size = two.size.iter().fold(0.0, |a: f64, b| a.max(b.lane(0)));
         let mut touches = [empty(); MOST];
         let lowest = hull.support(&-up);
         let least = centre.lane(0) + up.dot(&hull.vertices[lowest]);
@@ -84,10 +85,8 @@ fn polygon(
     let stride = 1 + (count + corners.len()) / ROOM;
     found.sort_unstable();
     // Of even ones the first, whatever rounding says.
-    let mut first = found.iter().copied().find(|vertex| height(*vertex) <= even);
-    if !all {
-        first = every.clone().find(|vertex| height(*vertex) <= even);
-    }
+    let first = |vertex: &usize| height(*vertex) <= even;
+    let first = if all { found.iter().copied().find(first) } else { every.clone().find(first) };
     let lowest = first.unwrap_or(lowest);
     let mut list = List { vertices: [lowest; ROOM], count: 1 };
     let others = |vertex: &usize| *vertex != lowest;
@@ -102,8 +101,16 @@ fn polygon(
     if must < MOST {
         corners.iter().step_by(stride).for_each(|vertex| list.put(*vertex));
     }
-    let mut chosen = [lowest; MOST];
-    let kept = spread(hull, &list.vertices[..list.count], must, &mut chosen);
+    // All that act if they fit, else the lowest; then what is furthest from these.
+    let vertex = |place: usize| &hull.vertices[list.vertices[place]];
+    let mut places = core::array::from_fn::<usize, MOST, _>(|place| place);
+    let mut kept = list.count.min(MOST);
+    if list.count > MOST {
+        kept = if must < MOST { must } else { 1 };
+        let apart = |i: usize, j: usize| (vertex(i) - vertex(j)).norm_squared();
+        kept = spread::<ROOM>(list.count, &mut places, kept, 0.0, apart);
+    }
+    let mut chosen = places.map(|place| list.vertices[place]);
     chosen[..kept].sort_unstable();
     (chosen, kept)
 }
@@ -166,35 +173,6 @@ impl List {
             self.count += 1;
         }
     }
-}
-
-/// Chooses of a list of vertices, whose first is the lowest: the first `must` of it if they all
-/// fit, else the lowest, and those that are furthest from the ones chosen before.
-fn spread(hull: &Hull, list: &[usize], must: usize, chosen: &mut [usize; MOST]) -> usize {
-    if list.len() <= MOST {
-        chosen[..list.len()].copy_from_slice(list);
-        return list.len();
-    }
-    let apart = |a: usize, b: usize| (hull.vertices[a] - hull.vertices[b]).norm_squared();
-    let mut kept = if must < MOST { must } else { 1 };
-    chosen[..kept].copy_from_slice(&list[..kept]);
-    // From each of the list to the nearest of the chosen ones.
-    let mut nearest = [f64::INFINITY; ROOM];
-    let mut known = 0;
-    while kept < MOST {
-        let mut best = (list[0], f64::NEG_INFINITY);
-        for (&vertex, nearest) in list.iter().zip(&mut nearest) {
-            let new = chosen[known..kept].iter().map(|c| apart(*c, vertex));
-            *nearest = new.fold(*nearest, f64::min);
-            if *nearest > best.1 {
-                best = (vertex, *nearest);
-            }
-        }
-        known = kept;
-        chosen[kept] = best.0;
-        kept += 1;
-    }
-    kept
 }
 
 #[cfg(test)]

@@ -78,6 +78,14 @@ impl ShapeTest {
         matches!(self, Self::PlaneCapsule | Self::SphereCapsule | Self::CapsuleCapsule)
     }
 
+    /// It is made in one world after the other: see `by_lane.rs`.
+    pub fn by_lane(self) -> bool {
+        matches!(
+            self,
+            Self::PlaneMesh | Self::CapsuleBox | Self::BoxBox | Self::Convex(..) | Self::OnField(_)
+        )
+    }
+
     /// Of two shapes in the order of their types; None: not built yet.
     pub fn of(one: GeomType, two: GeomType) -> Option<Self> {
         TESTS.iter().find(|(a, b, _)| (*a, *b) == (one, two)).map(|(.., test)| *test)

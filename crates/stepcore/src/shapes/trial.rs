@@ -31,7 +31,7 @@ pub fn at(x: f64, y: f64, z: f64) -> Pose<f64> {
 }
 
 /// A shape that its size alone describes.
-pub fn bare<'a, R: Real>(pose: &'a Pose<R>, size: &'a [f64; 3]) -> Shape<'a, R> {
+pub fn bare<'a, R: Real>(pose: &'a Pose<R>, size: &'a [R::Value; 3]) -> Shape<'a, R> {
     Shape { pose, size, hull: None, field: None }
 }
 

@@ -18,7 +18,7 @@ pub(crate) use trees::Sleeper;
 use crate::commit::Next;
 use crate::error::Result;
 use crate::model::{Model, Tie, Tree, NONE};
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real};
 use crate::scene::SleepPolicy;
 use crate::sim::{At, Effort, Sim};
 use crate::state::State;
@@ -27,11 +27,11 @@ use std::sync::Arc;
 
 impl<R: Real> Sleep<R> {
     /// By body: whether it sleeps.
-    pub fn bodies(&self, model: &Model) -> Vec<bool> {
+    pub fn bodies(&self, model: &Model<R::Value>) -> Vec<bool> {
         model.bodies.iter().map(|body| self.has(body.tree)).collect()
     }
 
-    fn fill(&mut self, model: &Model) {
+    fn fill(&mut self, model: &Model<R::Value>) {
         if self.slow.len() != model.trees.len() {
             *self = Self::new();
             self.slow.resize(model.trees.len(), 0);
@@ -79,7 +79,7 @@ impl<R: Real> Sim<R> {
     /// Who sleeps in a world that has just been made: the islands of trees that are to sleep from the
     /// start. Those that touch others are awake.
     pub(crate) fn sleep_from_start(&mut self) -> Result<()> {
-        let starts = |tree: &Tree| tree.sleep == SleepPolicy::Init;
+        let starts = |tree: &Tree<R::Value>| tree.sleep == SleepPolicy::Init;
         if !self.plan.sleeps || !self.model.trees.iter().any(starts) {
             return Ok(());
         }
@@ -218,7 +218,8 @@ impl<R: Real> Sim<R> {
             }
         }
         // What pulls at one of its ends when the other moves.
-        for tendon in model.tendons.iter().filter(|tendon| tendon.pulls() || tendon.armature > 0.0)
+        for tendon in
+            model.tendons.iter().filter(|tendon| tendon.pulls() || !tendon.armature.vanishes())
         {
             for two in tendon.dofs.of(&model.dof_lists).windows(2) {
                 union.join(tree_of(two[0]), tree_of(two[1]));
@@ -293,7 +294,7 @@ impl<R: Real> Next<R> {
 }
 
 /// A force is applied to a tree.
-fn pushed<R: Real>(model: &Model, inputs: &crate::state::Inputs<R>, tree: usize) -> bool {
+fn pushed<R: Real>(model: &Model<R::Value>, inputs: &crate::state::Inputs<R>, tree: usize) -> bool {
     let (dofs, bodies) = (model.trees[tree].dofs.range(), model.trees[tree].bodies.range());
     let acts = |forces: &[R]| forces.iter().any(|force| !force.is_zero());
     let xfrc = 6 * bodies.start..6 * bodies.end;

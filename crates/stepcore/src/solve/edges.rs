@@ -43,7 +43,7 @@ impl<R: Real> Rows<R> {
     pub(crate) fn lift_pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,
-        own: ([usize; 2], &Pair),
+        own: ([usize; 2], &Pair<R>),
         at: &[[V3<R>; 2]; N],
         along: &[V3<R>; WAYS],
         mu: R,
@@ -64,7 +64,7 @@ impl<R: Real> Rows<R> {
     fn lift_free_pyramids<const N: usize>(
         &mut self,
         now: &Situation<R>,
-        (bodies, pair): ([usize; 2], &Pair),
+        (bodies, pair): ([usize; 2], &Pair<R>),
         at: &[[V3<R>; 2]; N],
         along: &[V3<R>; WAYS],
         mu: R,
@@ -108,7 +108,7 @@ impl<R: Real> Rows<R> {
         &mut self,
         made: &Pyramids<R, N>,
         which: usize,
-        pair: &Pair,
+        pair: &Pair<R>,
         mu: R,
     ) {
         let start = made.y + which * EDGES * pair.dofs.len;

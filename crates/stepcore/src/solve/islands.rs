@@ -52,7 +52,7 @@ impl Islands {
 
 impl<R: Real> Rows<R> {
     /// Measures the islands of the rows at hand; `mass` in the layout of `Model::row_dofs`.
-    pub(crate) fn weigh_islands(&mut self, model: &Model, mass: &[R]) {
+    pub(crate) fn weigh_islands(&mut self, model: &Model<R::Value>, mass: &[R]) {
         let Self { islands, live, inertia, .. } = self;
         inertia.clear();
         inertia.resize(model.trees.len(), R::zero());

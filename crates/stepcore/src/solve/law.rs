@@ -6,7 +6,7 @@
 //! Baumgarte (1972) and Stewart & Trinkle (1996).
 
 use super::rows::{Row, Situation};
-use crate::real::{elementary, Mask, Real};
+use crate::real::{elementary, Constant, Mask, Real, Value};
 use crate::scene::Softness;
 use crate::settings::{Law, Settings};
 
@@ -31,38 +31,53 @@ pub struct SolRef<R: Real> {
 
 /// What `solref` and `solimp` say whatever the violation is.
 #[derive(Clone, Copy)]
-pub struct Spring<'a> {
-    soft: &'a Softness,
+pub struct Spring<'a, R: Real> {
+    solimp: &'a [f64; 5],
     d0: f64,
     dw: f64,
-    stiffness: f64,
-    b: f64,
+    stiffness: R,
+    b: R,
 }
 
-impl<'a> Spring<'a> {
-    pub fn new(soft: &'a Softness, dt: f64, refsafe: bool) -> Self {
-        let (d0, dw) = (impedance(soft.solimp[0]), impedance(soft.solimp[1]));
-        let [s0, s1] = soft.solref;
-        let (stiffness, b) = if s0 > 0.0 {
-            let tc = if refsafe { s0.max(2.0 * dt) } else { s0 };
-            (1.0 / (dw * dw * tc * tc * s1 * s1), 2.0 / (dw * tc))
+impl<'a, R: Real> Spring<'a, R> {
+    pub fn new(soft: &'a Softness<R::Value>, dt: f64, refsafe: bool) -> Self {
+        Self::of(soft.solref.each_ref(), &soft.solimp, dt, refsafe)
+    }
+
+    /// The same of `solref` and `solimp`.
+    #[inline(always)]
+    pub fn of([s0, s1]: [&R::Value; 2], solimp: &'a [f64; 5], dt: f64, refsafe: bool) -> Self {
+        let (d0, dw) = (impedance(solimp[0]), impedance(solimp[1]));
+        let (stiffness, b) = if s0.is_positive() {
+            let tc = |s0: f64| if refsafe { s0.max(2.0 * dt) } else { s0 };
+            let stiffness = Value::calc([s0, s1], |[s0, s1]| {
+                let tc = tc(s0);
+                1.0 / (dw * dw * tc * tc * s1 * s1)
+            });
+            (stiffness, Value::calc([s0], |[s0]| 2.0 / (dw * tc(s0))))
         } else {
-            (-s0 / (dw * dw), -s1 / dw)
+            (Value::calc([s0], |[s0]| -s0 / (dw * dw)), Value::calc([s1], |[s1]| -s1 / dw))
         };
-        Self { soft, d0, dw, stiffness, b }
+        Self { solimp, d0, dw, stiffness, b }
+    }
+
+    /// Of a time constant alone: critically damped.
+    pub fn critical(time: &R::Value, solimp: &'a [f64; 5], dt: f64, refsafe: bool) -> Self {
+        let ratio = R::Value::by_lane(&[1.0]);
+        Self::of([time, &ratio], solimp, dt, refsafe)
     }
 
     /// At the violation `r` (its size, for a block).
     #[inline(always)]
-    pub fn at<R: Real>(&self, r: R) -> SolRef<R> {
-        let d = impedance_at(self.soft, self.d0, self.dw, r);
-        SolRef { b: R::of(self.b), kd: R::of(self.stiffness) * d, softness: (R::one() - d) / d }
+    pub fn at(&self, r: R) -> SolRef<R> {
+        let d = impedance_at(self.solimp, self.d0, self.dw, r);
+        SolRef { b: self.b, kd: self.stiffness * d, softness: (R::one() - d) / d }
     }
 }
 
 impl<R: Real> SolRef<R> {
     /// At the violation `r` (its size, for a block).
-    pub fn at(soft: &Softness, r: R, dt: f64, refsafe: bool) -> Self {
+    pub fn at(soft: &Softness<R::Value>, r: R, dt: f64, refsafe: bool) -> Self {
         Spring::new(soft, dt, refsafe).at(r)
     }
 
@@ -82,10 +97,14 @@ impl<R: Real> SolRef<R> {
 
     /// The same for the tangents of a cone: without position, and with the damper of a `solref` of
     /// their own where they have one.
-    pub fn of_friction(self, own: Option<[f64; 2]>, soft: &Softness, settings: &Settings) -> Self {
+    pub fn of_friction(
+        self,
+        own: &Option<[R::Value; 2]>,
+        soft: &Softness<R::Value>,
+        settings: &Settings,
+    ) -> Self {
         let Some(solref) = own else { return self.without_position() };
-        let soft = Softness { solref, solimp: soft.solimp };
-        let b = Self::at(&soft, R::zero(), settings.dt, settings.refsafe).b;
+        let b = Spring::of(solref.each_ref(), &soft.solimp, settings.dt, settings.refsafe).b;
         Self { b, ..self.without_position() }
     }
 
@@ -115,21 +134,21 @@ pub fn target_at<R: Real>(row: &Row<R>, c: R, guess: R, most: f64) -> R {
 /// the friction on it is what holds a wheel with a fixed axle. MuJoCo's `mjMINVAL` does this for
 /// numbers near 1. Where nothing moves any row, `mass` stands for 1/A.
 #[inline(always)]
-pub fn least_softness<R: Real>(rows: &[Row<R>], mass: f64) -> R {
+pub fn least_softness<R: Real>(rows: &[Row<R>], mass: R) -> R {
     R::of(LEAST_SOFTNESS * R::epsilon()) * most_moved(rows, mass)
 }
 
 /// The same for the rows of a contact without inverse weight. Only this stands between them and
 /// loads without end, whose rounding moves what they press on by ε/R: R is ε^⅔ of A, so that
 /// neither that nor R itself shows.
-pub fn weightless_softness<R: Real>(rows: &[Row<R>], mass: f64) -> R {
+pub fn weightless_softness<R: Real>(rows: &[Row<R>], mass: R) -> R {
     let share = if R::epsilon() < 1e-10 { WEIGHTLESS } else { WEIGHTLESS_F32 };
     R::of(share) * most_moved(rows, mass)
 }
 
-fn most_moved<R: Real>(rows: &[Row<R>], mass: f64) -> R {
+fn most_moved<R: Real>(rows: &[Row<R>], mass: R) -> R {
     let most = rows.iter().fold(R::zero(), |most, row| most.max(row.a));
-    R::select(most.gt(R::zero()), most, R::of(1.0 / mass))
+    R::select(most.gt(R::zero()), most, R::one() / mass)
 }
 
 fn impedance(d: f64) -> f64 {
@@ -137,8 +156,8 @@ fn impedance(d: f64) -> f64 {
 }
 
 /// d(r): from d0 at r = 0 along two power curves to dw at |r| = width.
-fn impedance_at<R: Real>(soft: &Softness, d0: f64, dw: f64, r: R) -> R {
-    let [_, _, width, mid, power] = soft.solimp;
+fn impedance_at<R: Real>(solimp: &[f64; 5], d0: f64, dw: f64, r: R) -> R {
+    let [_, _, width, mid, power] = *solimp;
     if d0 == dw || width <= 0.0 {
         return R::of(0.5 * (d0 + dw));
     }

@@ -20,7 +20,7 @@ room!(Live: union, blocks);
 
 impl<R: Real> Rows<R> {
     /// Sets the island of every block, and its place there.
-    pub(crate) fn find_islands(&mut self, model: &Model, dof_lists: &[usize]) {
+    pub(crate) fn find_islands(&mut self, model: &Model<R::Value>, dof_lists: &[usize]) {
         let Some(Live { union, blocks: counts }) = &mut self.live else { return };
         union.reset(model.trees.len());
         counts.clear();

@@ -29,13 +29,13 @@ mod tests;
 
 pub(crate) use derivative::Differentiated;
 pub(crate) use direct::{Choice, GROUP};
-pub(crate) use limits::Report;
+pub(crate) use limits::{Limits, Report};
 #[cfg(test)]
 pub(crate) use live::Live;
 pub(crate) use pgs::Noslip;
 pub(crate) use rows::{Anchor, Guessed, CONE};
 pub use rows::{Block, Part, Push, Row, Rows, Set, Situation};
-pub(crate) use solver::{Solve, Solvers, Sweeper, Unconstrained};
+pub(crate) use solver::{Solve, Solvers, Unconstrained};
 
 use crate::elements::Role;
 use crate::model::Span;
@@ -50,8 +50,8 @@ const ROUNDED: f64 = 1024.0;
 
 /// A = J M⁻¹ Jᵀ of a row may be rounding.
 #[inline(always)]
-fn suspect<R: Real>(a: R, mass: f64) -> R::Mask {
-    (a * R::of(mass)).lt(R::of(SUSPECT * R::epsilon() * R::epsilon()))
+fn suspect<R: Real>(a: R, mass: R) -> R::Mask {
+    (a * mass).lt(R::of(SUSPECT * R::epsilon() * R::epsilon()))
 }
 
 impl<R: Real> Rows<R> {
@@ -109,7 +109,7 @@ impl<R: Real> Rows<R> {
         now: &Situation<R>,
         bodies: [usize; 2],
         at: &V3<R>,
-        mass: f64,
+        mass: R,
         size: impl Fn(&Motion<R>, &V3<R>) -> R,
     ) {
         if let Some(last) = self.rows.len().checked_sub(1) {
@@ -128,12 +128,12 @@ impl<R: Real> Rows<R> {
         index: usize,
         now: &Situation<R>,
         (bodies, at): ([usize; 2], &V3<R>),
-        mass: f64,
+        mass: R,
         size: impl Fn(&Motion<R>, &V3<R>) -> R,
     ) {
         let row = &self.rows[index];
         let suspect = suspect(row.a, mass);
-        if !suspect.seldom() {
+        if suspect.none() {
             return;
         }
         // What A would be if no term cancelled another.

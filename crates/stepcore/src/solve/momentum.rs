@@ -34,7 +34,7 @@ const DEPTH: usize = 4;
 const NOISE: f64 = 16.0;
 /// Rounding errors of u that a step may add.
 const ERRORS: f64 = 16.0;
-/// Blocks are dealt into 2^BITS heaps by their ranks' hashes.
+/// Blocks are dealt into 2^BITS buckets by their ranks' hashes.
 const BITS: u32 = 4;
 
 /// Impulses by row of the island, and u by dof of the island.
@@ -55,7 +55,7 @@ impl<R> Room for Point<R> {
 type Moves<R> = Point<[R; DEPTH]>;
 
 /// Blocks of neighbouring hashes, visited together.
-struct Heap {
+struct Bucket {
     hash: u64,
     /// Its turn in this sweep.
     key: u64,
@@ -86,13 +86,13 @@ pub(super) struct Momentum<R: Real> {
     /// Blocks and their ranks, and the same by hash.
     ranked: Vec<(u32, usize)>,
     hashed: Vec<(u64, usize)>,
-    heaps: Vec<Heap>,
+    buckets: Vec<Bucket>,
     /// The order of one sweep.
     visit: Vec<usize>,
 }
 
 room!(Momentum<R>: moves, gram, slopes, errors, before, after, rows, dofs, d, seen, ranked, hashed,
-    heaps, visit);
+    buckets, visit);
 
 impl<R> Point<R> {
     fn new() -> Self {
@@ -155,7 +155,7 @@ impl<R: Real> Momentum<R> {
             seen: Vec::new(),
             ranked: Vec::new(),
             hashed: Vec::new(),
-            heaps: Vec::new(),
+            buckets: Vec::new(),
             visit: Vec::new(),
         }
     }
@@ -201,7 +201,7 @@ impl<R: Real> Momentum<R> {
         self.after.u.resize(dofs_len, R::zero());
     }
 
-    /// Deals blocks, given with their ranks, into heaps, unless they are those at hand.
+    /// Deals blocks, given with their ranks, into buckets, unless they are those at hand.
     fn deal(&mut self, ranked: impl Iterator<Item = (u32, usize)> + Clone) {
         if ranked.clone().eq(self.ranked.iter().copied()) {
             return;
@@ -212,26 +212,26 @@ impl<R: Real> Momentum<R> {
         let hashes = self.ranked.iter().map(|(rank, at)| (hash(u64::from(*rank)), *at));
         self.hashed.extend(hashes);
         self.hashed.sort_unstable();
-        self.heaps.clear();
+        self.buckets.clear();
         for (at, (hash, _)) in self.hashed.iter().enumerate() {
             let hash = hash >> (64 - BITS);
-            match self.heaps.last_mut() {
-                Some(heap) if heap.hash == hash => heap.end = at + 1,
-                _ => self.heaps.push(Heap { hash, key: 0, start: at, end: at + 1 }),
+            match self.buckets.last_mut() {
+                Some(bucket) if bucket.hash == hash => bucket.end = at + 1,
+                _ => self.buckets.push(Bucket { hash, key: 0, start: at, end: at + 1 }),
             }
         }
     }
 
-    /// The order of a sweep: the heaps in a new order, each forwards or backwards.
+    /// The order of a sweep: the buckets in a new order, each forwards or backwards.
     pub fn order(&mut self, sweep: u32) -> &[usize] {
-        for heap in &mut self.heaps {
-            heap.key = hash(heap.hash << 32 | u64::from(sweep));
+        for bucket in &mut self.buckets {
+            bucket.key = hash(bucket.hash << 32 | u64::from(sweep));
         }
-        self.heaps.sort_unstable_by_key(|heap| heap.key);
+        self.buckets.sort_unstable_by_key(|bucket| bucket.key);
         self.visit.clear();
-        for heap in &self.heaps {
-            let blocks = self.hashed[heap.start..heap.end].iter().map(|h| h.1);
-            if heap.key & 1 == 0 {
+        for bucket in &self.buckets {
+            let blocks = self.hashed[bucket.start..bucket.end].iter().map(|h| h.1);
+            if bucket.key & 1 == 0 {
                 self.visit.extend(blocks);
             } else {
                 self.visit.extend(blocks.rev());

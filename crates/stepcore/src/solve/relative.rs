@@ -8,7 +8,7 @@ use super::rows::{Rows, Situation};
 use super::suspect;
 use crate::model::{Model, Pair, Span, NONE};
 use crate::place::Metric;
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real};
 use crate::scene::JointType;
 use crate::spatial::{Motion, V3};
 
@@ -159,7 +159,7 @@ impl<R: Real> Rows<R> {
     pub(super) fn lift_pyramid(
         &mut self,
         now: &Situation<R>,
-        (bodies, pair): ([usize; 2], &Pair),
+        (bodies, pair): ([usize; 2], &Pair<R>),
         at: &[V3<R>; 2],
         [n, a, b]: &[V3<R>; 3],
         mu: R,
@@ -288,7 +288,7 @@ impl<R: Real, const N: usize> Sums<R, N> {
 
 /// The list is that of one or two free bodies, whose inertias nothing ties together.
 fn all_free<R: Real, const N: usize>(
-    model: &Model,
+    model: &Model<R::Value>,
     list: &[usize],
     sides: &[Option<Side<R, N>>; 2],
 ) -> bool {
@@ -298,7 +298,7 @@ fn all_free<R: Real, const N: usize>(
 }
 
 /// The dofs are those of one free body.
-pub(super) fn is_free(model: &Model, chain: &[usize]) -> bool {
+pub(super) fn is_free<N: Constant>(model: &Model<N>, chain: &[usize]) -> bool {
     let [first, .., last] = chain else { return false };
     chain.len() == SIX && *last == first + SIX - 1 && model.dofs[*first].row.len == 1
 }

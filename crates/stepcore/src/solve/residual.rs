@@ -72,7 +72,7 @@ impl<R: Real> Rows<R> {
 
     /// The scalar residual of one block [m/s]; 0 in lanes without it.
     pub fn block_residual(&self, dof_lists: &[usize], block: &Block<R>) -> R {
-        let per_mass = R::of(1.0 / block.mass);
+        let per_mass = R::one() / block.mass;
         let mut worst = R::zero();
         self.natural_map(dof_lists, block, |at, delta, _| {
             worst = worst.max(delta.abs() * (self.rows[at].a * per_mass).sqrt());

@@ -77,7 +77,11 @@ impl<R: Real> Row<R> {
 
     /// The row of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Row<S> {
-        let of = |x: &R| S::of(x.lane(lane));
+        self.in_numbers(|x| S::of(x.lane(lane)))
+    }
+
+    /// The same in other numbers.
+    pub(crate) fn in_numbers<S: Real>(&self, of: impl Fn(&R) -> S) -> Row<S> {
         let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, beside, velocity, gap } = self;
         Row {
             dofs: *dofs,
@@ -140,7 +144,7 @@ pub struct Block<R: Real> {
     /// Friction of a cone.
     pub mu: R,
     /// Mass of the trees that the block touches, for its residual.
-    pub mass: f64,
+    pub mass: R,
     /// What the block came from.
     pub element: Element,
     pub role: Role,
@@ -167,19 +171,28 @@ impl<R: Real> Block<R> {
 
     /// The block of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Block<S> {
+        self.in_numbers(|mask| mask.lane(lane), |x| S::of(x.lane(lane)))
+    }
+
+    /// The same in other numbers.
+    pub(crate) fn in_numbers<S: Real>(
+        &self,
+        lanes: impl Fn(&R::Mask) -> S::Mask,
+        of: impl Fn(&R) -> S,
+    ) -> Block<S> {
         let Self { rows, set, mask, mu, mass, element, role, slot, kin, feature, island, rank } =
             self;
         Block {
             rows: *rows,
             set: *set,
-            mask: mask.lane(lane),
-            mu: S::of(mu.lane(lane)),
-            mass: *mass,
+            mask: lanes(mask),
+            mu: of(mu),
+            mass: of(mass),
             element: *element,
             role: *role,
             slot: *slot,
             kin: kin.clone(),
-            feature: S::of(feature.lane(lane)),
+            feature: of(feature),
             island: *island,
             rank: *rank,
         }
@@ -232,13 +245,13 @@ pub struct Rows<R: Real> {
     pub(crate) direct: Direct<R>,
     pub(crate) saved_solve: SavedSolve<R>,
     /// Some island may hold so many trees that the order of elimination matters.
-    pub(super) heap: bool,
+    pub(crate) heap: bool,
     /// By tree: see `Model::islands`.
     pub(super) islands: Vec<usize>,
     /// By island; none in a heap, where they say nothing of the islands of a step.
-    pub(super) island_dofs: Vec<usize>,
+    pub(crate) island_dofs: Vec<usize>,
     /// By island: the trace of the mass matrix, where a tolerance is a share of it.
-    pub(super) inertia: Vec<R>,
+    pub(crate) inertia: Vec<R>,
     /// By slot: see `Model::ranks`.
     ranks: Vec<u32>,
     /// Islands of the rows at hand take the place of both.
@@ -262,7 +275,7 @@ pub(crate) struct Guessed<R: Real> {
 
 /// Everything the row makers read.
 pub struct Situation<'a, R: Real> {
-    pub model: &'a Model,
+    pub model: &'a Model<R::Value>,
     pub placed: &'a Placed<R>,
     /// What the spans of rows point into: `Model::dof_lists`, and in a heap what follows it.
     pub dof_lists: &'a [usize],
@@ -293,7 +306,7 @@ impl<R: Real> Situation<'_, R> {
 }
 
 impl<R: Real> Rows<R> {
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model<R::Value>) -> Self {
         let islands = model.islands();
         let heap = model.dynamic_pairs.is_some() || any_heap(&islands);
         Self {
@@ -322,7 +335,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// Without a model, for rows made by hand.
-    pub(super) fn bare(nv: usize) -> Self {
+    pub(crate) fn bare(nv: usize) -> Self {
         let u = vec![R::zero(); nv];
         Self {
             rows: Vec::new(),
@@ -346,6 +359,18 @@ impl<R: Real> Rows<R> {
             live: None,
             parts: Vec::new(),
             pool: None,
+        }
+    }
+
+    /// The blocks and rows of others, without what the stages keep beside them.
+    pub(crate) fn like(other: &Self) -> Self {
+        Self {
+            rows: other.rows.clone(),
+            blocks: other.blocks.clone(),
+            y: other.y.clone(),
+            heap: other.heap,
+            island_dofs: other.island_dofs.clone(),
+            ..Self::bare(0)
         }
     }
 
@@ -409,7 +434,7 @@ impl<R: Real> Rows<R> {
         mask: R::Mask,
         now: &Situation<R>,
         element: Element,
-        mass: f64,
+        mass: R,
     ) -> &mut Block<R> {
         let rows = Span { start: first, len: self.rows.len() - first };
         assert!(set == Set::Interval || rows.len <= CONE, "a cone of {} rows", rows.len);

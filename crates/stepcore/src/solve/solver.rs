@@ -123,29 +123,3 @@ fn sweep<R: Real>(
     }
     pgs.solve(dof_lists, inv_d, rows, limits)
 }
-
-/// Sweeps alone, whatever the settings say: where there is nothing else to solve.
-pub(crate) struct Sweeper<R: Real>(Pgs<R>);
-
-impl<R: Real> Sweeper<R> {
-    pub fn new() -> Self {
-        Self(Pgs::new())
-    }
-}
-
-impl<R: Real> Room for Sweeper<R> {
-    fn room(&self) -> usize {
-        self.0.room()
-    }
-}
-
-impl<R: Real> Solve<R> for Sweeper<R> {
-    fn solve(
-        &mut self,
-        settings: &Settings,
-        free: Unconstrained<R>,
-        rows: &mut Rows<R>,
-    ) -> Result<Report<R>> {
-        Ok(sweep(&mut self.0, Limits::of(settings), free, rows))
-    }
-}

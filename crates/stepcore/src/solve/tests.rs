@@ -120,7 +120,7 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
             set: *set,
             mask: R::Mask::of(true),
             mu: R::of(*mu),
-            mass: 1.0,
+            mass: R::one(),
             role: Role::Limit,
             element: Element::part(Kind::Contact, b, 0),
             slot: b as u64,

@@ -41,7 +41,7 @@ pub(super) fn seen_from(motion: &Motion<f64>, r: &V3<f64>) -> Motion<f64> {
 impl<R: Real> Sim<R> {
     /// The bodies at the present state, in one lane.
     pub fn bodies(&mut self, lane: usize) -> Bodies {
-        let model = self.model.clone();
+        let (model, plain) = (self.model.clone(), self.model_of(lane).clone());
         self.placed.carry(&self.inputs);
         self.placed.positions(&model, &self.state.qpos);
         self.placed.all_bodies(&model, &self.state.qvel);
@@ -54,11 +54,11 @@ impl<R: Real> Sim<R> {
             centre: vec![],
             subtree_mass: vec![],
             subtree_com: vec![],
-            root: roots(&model),
+            root: roots(&plain),
             cinert: vec![],
             cvel: vec![],
         };
-        bodies.weigh(&model);
+        bodies.weigh(&plain);
         bodies.cvel = (0..model.bodies.len())
             .map(|index| {
                 let tree = model.bodies[index].tree;

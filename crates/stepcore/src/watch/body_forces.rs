@@ -38,15 +38,16 @@ impl<R: Real> Sim<R> {
     }
 
     fn accelerations(&self, bodies: &Bodies, lane: usize) -> Vec<Motion<f64>> {
-        let (model, placed) = (&*self.model, &self.placed);
-        let up = if model.features.gravity { -splat::<f64>(&model.gravity) } else { V3::zeros() };
+        let (model, placed) = (&**self.model_of(lane), &self.placed);
+        let up =
+            if model.features.gravity { -splat::<f64, _>(&model.gravity) } else { V3::zeros() };
         let one = |m: &Motion<R>| Motion { ang: lane_of(&m.ang, lane), lin: lane_of(&m.lin, lane) };
         let of = |index: usize| {
             let body = &model.bodies[index];
             if body.tree == NONE {
                 return Motion { ang: V3::zeros(), lin: up };
             }
-            let mut all = one(&placed.free_acceleration(model, index));
+            let mut all = one(&placed.free_acceleration(&self.model, index));
             for k in body.chain.of(&model.dof_lists) {
                 all.add_scaled(&one(&placed.motion[*k]), self.qacc[*k].lane(lane));
             }
@@ -59,7 +60,7 @@ impl<R: Real> Sim<R> {
     }
 
     fn external_forces(&self, bodies: &Bodies, lane: usize) -> Vec<Force<f64>> {
-        let model = &*self.model;
+        let model = &**self.model_of(lane);
         let mut forces = vec![Force::zero(); model.bodies.len()];
         let mut push = |body: usize, at: &V3<f64>, force: &V3<f64>, moment: &V3<f64>| {
             if body != 0 {
@@ -108,7 +109,7 @@ impl<R: Real> Sim<R> {
         }
         for (tendon, force) in self.tension_of_tendons(lane).into_iter().enumerate() {
             if force != 0.0 {
-                self.placed.tendon_pulls(model, tendon, |body, at, along| {
+                self.placed.tendon_pulls(&self.model, tendon, |body, at, along| {
                     let pull = lane_of(&along, lane) * force;
                     push(body, &lane_of(&at, lane), &pull, &V3::zeros());
                 });

@@ -9,10 +9,9 @@
 
 use crate::arrays::{ArraySet, Given};
 use crate::error::Result;
-use crate::model::Model;
 use crate::real::Real;
 use crate::settings::Settings;
-use crate::sim::Sim;
+use crate::sim::{Effort, Sim};
 use crate::state::{Inputs, State};
 
 /// The state and the inputs at which a `Sim` last solved, and a `Sim` for what is computed aside.
@@ -38,6 +37,27 @@ enum At {
     Kept,
 }
 
+impl At {
+    /// Copies the state and the inputs of a solve that stands in `sim`.
+    fn copy_to<R: Real>(self, sim: &Sim<R>, state: &mut State<R>, inputs: &mut Inputs<R>) {
+        match self {
+            Self::Nowhere | Self::Kept => return,
+            Self::Here => sim.state.copy_to(state),
+            Self::Before => {
+                let before = &sim.next;
+                state.qpos.copy_from_slice(&before.qpos);
+                state.qvel.copy_from_slice(&before.qvel);
+                state.act.copy_from_slice(&before.act);
+                state.ctrl_history.copy_from_slice(&before.ctrl_history);
+                state.warm.clone_from(&before.warm);
+                before.sleep.copy_to(&mut state.sleep);
+                (state.start, state.steps) = (sim.state.start, sim.state.steps - 1);
+            }
+        }
+        sim.inputs.copy_to(inputs);
+    }
+}
+
 /// Where the `Sim` aside is.
 #[derive(Clone, Copy, PartialEq)]
 enum There {
@@ -50,7 +70,8 @@ enum There {
 room!(LastSolve<R>: at, start, inputs, aside, there);
 
 impl<R: Real> LastSolve<R> {
-    pub fn new(model: &Model) -> Self {
+    pub fn new(sim: &Sim<R>) -> Self {
+        let model = &sim.model;
         Self {
             at: At::Nowhere,
             start: State::new(model),
@@ -84,23 +105,44 @@ impl<R: Real> LastSolve<R> {
 
     /// Keeps the state and the inputs of a solve that stands in `sim`, which will do something else.
     pub fn keep(&mut self, sim: &Sim<R>) {
-        let Self { start, inputs, at, .. } = self;
-        match at {
-            At::Nowhere | At::Kept => return,
-            At::Here => sim.state.copy_to(start),
-            At::Before => {
-                let before = &sim.next;
-                start.qpos.copy_from_slice(&before.qpos);
-                start.qvel.copy_from_slice(&before.qvel);
-                start.act.copy_from_slice(&before.act);
-                start.ctrl_history.copy_from_slice(&before.ctrl_history);
-                start.warm.clone_from(&before.warm);
-                before.sleep.copy_to(&mut start.sleep);
-                (start.start, start.steps) = (sim.state.start, sim.state.steps - 1);
-            }
+        if matches!(self.at, At::Before | At::Here) {
+            self.at.copy_to(sim, &mut self.start, &mut self.inputs);
+            self.at = At::Kept;
         }
-        sim.inputs.copy_to(inputs);
-        *at = At::Kept;
+    }
+
+    /// The state and the inputs with which the last solve began.
+    pub fn begun(&self, sim: &Sim<R>) -> Option<(State<R>, Inputs<R>)> {
+        if self.at == At::Nowhere {
+            return None;
+        }
+        let (mut state, mut inputs) = (self.start.clone(), self.inputs.clone());
+        self.at.copy_to(sim, &mut state, &mut inputs);
+        Some((state, inputs))
+    }
+
+    /// The last solve began with these arrays, and with what `put` adds to the state.
+    pub fn begin(&mut self, given: &Given, put: impl FnOnce(&mut State<R>)) {
+        self.start.put(0, given);
+        self.inputs.put(0, given, ArraySet::ALL);
+        put(&mut self.start);
+        (self.at, self.there) = (At::Kept, There::Elsewhere);
+    }
+
+    /// Makes the solve that is kept again in `sim`, whose state and inputs stay; step: it was a step's.
+    pub fn make_again(&mut self, sim: &mut Sim<R>, step: bool) {
+        let (state, inputs, qacc) = (sim.state.clone(), sim.inputs.clone(), sim.qacc.clone());
+        let effort = sim.effort;
+        self.start.copy_to(&mut sim.state);
+        self.inputs.copy_to(&mut sim.inputs);
+        let made = if step { sim.step(1) } else { sim.forward() };
+        if made.is_err() {
+            sim.clear_solve();
+        }
+        (sim.state, sim.inputs, sim.qacc) = (state, inputs, qacc);
+        // It was counted when it was made first.
+        let Effort { sweeps, decrement, .. } = sim.effort;
+        sim.effort = Effort { sweeps, decrement, ..effort };
     }
 
     /// Lets `read` see a `Sim` at the state of the last solve, with that solve if `solve`. While there
@@ -123,7 +165,7 @@ impl<R: Real> LastSolve<R> {
                 return Ok(value);
             }
             At::Nowhere => {
-                given.check::<R>(&sim.model, None)?;
+                given.check::<R>(&sim.models[0], None)?;
                 sim.state.copy_to(&mut self.start);
                 self.start.put(0, given);
                 self.inputs.put(0, given, ArraySet::ALL);
@@ -162,10 +204,13 @@ fn sim_aside<'a, R: Real>(
     sim: &Sim<R>,
 ) -> Result<&'a mut Sim<R>> {
     Ok(match aside {
-        Some(aside) => aside,
+        Some(aside) => {
+            aside.take_models(&sim.models());
+            aside
+        }
         none => {
             let settings = Settings { sleep: false, ..sim.settings.clone() };
-            none.insert(Box::new(Sim::new(sim.model.clone(), settings)?))
+            none.insert(Box::new(Sim::side_by_side(sim.models(), settings)?))
         }
     })
 }

@@ -33,7 +33,7 @@ struct Ring<R: Real> {
 room!(Ring<R>: states, at, len);
 
 impl<R: Real> Ring<R> {
-    fn new(model: &Model) -> Self {
+    fn new(model: &Model<R::Value>) -> Self {
         let mut counts = Array::counts(model).into_iter();
         let empty = std::array::from_fn(|_| vec![R::zero(); counts.next().unwrap_or(0)]);
         Self { states: vec![empty; MEMORY], at: 0, len: 0 }
@@ -55,7 +55,7 @@ impl<R: Real> Ring<R> {
 }
 
 impl<R: Real> Past<R> {
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model<R::Value>) -> Self {
         Self { recent: Ring::new(model), milestones: Ring::new(model), steps: 0 }
     }
 

@@ -9,7 +9,7 @@ use crate::elements::friction::{Axis, Ways, MOST_WAYS};
 use crate::elements::{Element, Kind};
 use crate::error::Result;
 use crate::model::NONE;
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real};
 use crate::settings::Law;
 use crate::sim::Sim;
 use crate::solve::{Block, Push, Row, Set};
@@ -116,7 +116,7 @@ impl<R: Real> Sim<R> {
             self.parts_of_block(&blocks[at], &ways, lane, &mut parts);
             if self.model.pulls_beside_rows(law) {
                 parts[0] += self.pull_of(element, lane);
-                let margin = self.model.material(pair).margin;
+                let margin = self.model.material(pair).margin.lane(lane);
                 if contact.dist.lane(lane) >= margin {
                     // Beyond it the normal alone pulls, with the first row.
                     parts[1..].fill(0.0);
@@ -124,7 +124,7 @@ impl<R: Real> Sim<R> {
             }
         } else {
             for ((part, push), row) in parts.iter_mut().zip(self.pushes_of(element)).zip(0..) {
-                *part = push.impulse.lane(lane) * ways.scale_of_row(row);
+                *part = push.impulse.lane(lane) * ways.scale_of_row(row).lane(lane);
             }
         }
         let tangents = contact.tangents(&self.placed);
@@ -163,7 +163,7 @@ impl<R: Real> Sim<R> {
     fn parts_of_block(
         &self,
         block: &Block<R>,
-        ways: &Ways,
+        ways: &Ways<R>,
         lane: usize,
         parts: &mut [f64; 1 + MOST_WAYS],
     ) {
@@ -171,7 +171,7 @@ impl<R: Real> Sim<R> {
         let impulse = |at: usize| rows[at].total().lane(lane);
         if block.set != Set::Interval {
             for (at, part) in parts.iter_mut().enumerate().take(rows.len()) {
-                *part = impulse(at) * ways.scale_of_row(at);
+                *part = impulse(at) * ways.scale_of_row(at).lane(lane);
             }
             return;
         }
@@ -182,7 +182,7 @@ impl<R: Real> Sim<R> {
         if rows.len() > 1 {
             for (k, way) in ways.list().iter().enumerate() {
                 let across = if bounded(2 * k) { impulse(2 * k + 1) } else { 0.0 };
-                let mu = block.mu.lane(lane) * way.scale;
+                let mu = block.mu.lane(lane) * way.scale.lane(lane);
                 parts[k + 1] = mu * (impulse(2 * k) - across);
             }
         }
@@ -190,13 +190,13 @@ impl<R: Real> Sim<R> {
 
     /// What one unit of a row's impulse is of its own: torsion and rolling in a cone come in the
     /// measure of sliding (`elements/friction.rs`). Velocities of the row are the inverse of it.
-    pub fn scale_of_row(&self, block: &Block<R>, row: usize) -> f64 {
+    pub fn scale_of_row(&self, block: &Block<R>, row: usize, lane: usize) -> f64 {
         if block.set == Set::Interval || block.element.kind != Kind::Contact {
             return 1.0;
         }
         let Some(pair) = self.model.pair(block.element.index as usize) else { return 1.0 };
         let material = self.model.material(&pair);
-        Ways::under(self.settings.law, pair.still, material).scale_of_row(row)
+        Ways::<R>::under(self.settings.law, pair.still, material).scale_of_row(row).lane(lane)
     }
 
     /// How the rows that exist in a lane push each other, at the last solve.
@@ -225,9 +225,9 @@ impl<R: Real> Sim<R> {
                 Set::CoulombRound => 2.0,
                 Set::CoulombBox => 3.0,
             };
-            let scale = self.scale_of_row(block, within);
+            let scale = self.scale_of_row(block, within, lane);
             let (s, mu) = (row.inv_s.lane(lane), block.mu.lane(lane));
-            coupling.rows.push([s, block.mass, mu, set, scale]);
+            coupling.rows.push([s, block.mass.lane(lane), mu, set, scale]);
         }
         coupling
     }

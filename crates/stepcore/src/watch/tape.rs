@@ -85,7 +85,7 @@ pub(crate) fn taped<R: Real>(
     lane: usize,
     step: impl FnOnce(&mut Sim<R>, &mut Tape) -> Result<()>,
 ) -> Result<StepGains> {
-    let model = sim.model.clone();
+    let model = sim.model_of(lane).clone();
     let v0: Vec<f64> = sim.state.qvel.iter().map(|v| v.lane(lane)).collect();
     let before = sim.levels(lane);
     let late = sim.late_slopes(lane);

@@ -6,7 +6,7 @@ use crate::elements::Kind;
 use crate::error::Result;
 use crate::model::transmission::Transmission;
 use crate::model::Tie;
-use crate::real::{Mask, Real};
+use crate::real::{Constant, Mask, Real, Value};
 use crate::scene::Target;
 use crate::sim::{At, Sim};
 
@@ -14,7 +14,7 @@ impl<R: Real> Sim<R> {
     /// Rate of each tendon's length.
     pub fn tendon_velocity(&self) -> Vec<R> {
         let rate = |index| {
-            let along = Transmission::Tendon(index, 1.0);
+            let along = Transmission::Tendon(index, None);
             along.velocity(&self.model, &self.state.qpos, &self.state.qvel, self.placed.pulls())
         };
         (0..self.model.tendons.len()).map(rate).collect()
@@ -48,12 +48,12 @@ impl<R: Real> Sim<R> {
         let own = |index: usize| {
             let tendon = &model.tendons[index];
             let mut sum = tendon_force(&now, index);
-            if tendon.armature > 0.0 {
+            if !tendon.armature.vanishes() {
                 let dofs = tendon.dofs.of(&model.dof_lists).iter();
                 let arms = dofs.zip(tendon.arms.of(&placed.tendon_arms));
                 let free = placed.free_acceleration_along(model, tendon);
                 let all = arms.fold(free, |sum, (dof, arm)| sum + *arm * self.qacc[*dof]);
-                sum -= R::of(tendon.armature) * all;
+                sum -= tendon.armature.get() * all;
             }
             sum.lane(lane)
         };
@@ -62,7 +62,7 @@ impl<R: Real> Sim<R> {
         let mut sums: Vec<f64> = each.map(|at| if spatial(at) { own(at) } else { 0.0 }).collect();
         for (actuator, force) in model.actuators.iter().zip(&placed.actuator) {
             if let Target::Tendon(tendon) = actuator.target {
-                sums[tendon] += actuator.gear[0] * force.lane(lane);
+                sums[tendon] += actuator.gear[0].lane(lane) * force.lane(lane);
             }
         }
         self.tension_of_rows(lane, |tendon, force| sums[tendon] += force);

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 
 from stepcore.engine.plan.cost import StepCost
 from stepcore.engine.plan.entries import entries
-from stepcore.engine.plan.result import Plan, PlanEntry
+from stepcore.engine.plan.result import Code, Plan, PlanEntry
 
 if TYPE_CHECKING:
+    from stepcore._core import Settings
     from stepcore.engine.model import Model
     from stepcore.engine.sim import Sim
 
@@ -28,7 +29,6 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
     cost = StepCost(model, sim, time)
     listed = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
     source = model.scene._source
-    program, alone = model.core.program(cost.settings) or ((), True)
     return Plan(
         name=model.scene.name or "scene",
         settings=cost.settings,
@@ -37,11 +37,15 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
         stages=cost.stages,
         micros=cost.micros,
         at=cost.at,
-        program=tuple(program),
-        batched=not alone,
+        code=_code(model, cost.settings),
         read_bytes=source.read_bytes if source else 0,
         asset_bytes=source.asset_bytes if source else 0,
     )
+
+
+def _code(model: Model, settings: Settings) -> Code | None:
+    made = model.core.compiled(settings)
+    return made and Code(*made[:3], tuple(made[3]))
 
 
 def makes_rows(model: Model) -> bool:

@@ -41,8 +41,8 @@ def named(name: str, **options: Any) -> Task:
 
 
 # What `make` hands to `Env`, and `make_vec` to `VectorEnv`; other options are the task's.
-OF_ENV = ("settings", "render_mode", "width", "height")
-OF_VECTOR_ENV = (*OF_ENV, "max_episode_steps", "autoreset_mode", "threads", "lanes")
+OF_ENV = ("settings", "dtype", "render_mode", "width", "height")
+OF_VECTOR_ENV = (*OF_ENV, "max_episode_steps", "autoreset_mode", "copy", "threads", "lanes")
 
 
 def make(task: str, **options: Any) -> Env:

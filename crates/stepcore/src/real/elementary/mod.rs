@@ -18,7 +18,7 @@ mod trig;
 pub use arctan::atan2;
 pub use exponential::{exp, exp_m1, ln, pow};
 pub use lanes::{atan2_each, pow_each, sin_cos_each};
-pub use trig::sin_cos;
+pub use trig::{near_of, sin_cos};
 
 /// 1.5 · 2⁵²: added to a number below 2⁵¹ it rounds it to a whole one, whose last bits are
 /// then the last of the sum.

@@ -115,3 +115,25 @@ fn lanes_are_scalars() {
         }
     }
 }
+
+/// Operations on any numbers give the bits of those on `f64`.
+#[test]
+fn sines_are_the_same_by_the_operations_of_any_number() {
+    let mut bits = 0x9E37_79B9_7F4A_7C15_u64;
+    for turn in 0..200_000 {
+        bits ^= bits << 13;
+        bits ^= bits >> 7;
+        bits ^= bits << 17;
+        let unit = (bits >> 11) as f64 / (1_u64 << 53) as f64 - 0.5;
+        let quarter = core::f64::consts::FRAC_PI_2 * (turn % 64 - 32) as f64;
+        let size = [1e-9, 1e-3, 1.0, 10.0, 1e3, 3e6][turn as usize % 6];
+        for x in [unit * size, quarter, quarter + 1e-12 * unit, 0.0, -0.0, f64::NAN] {
+            let (sin, cos, near) = near_of(x);
+            assert_eq!(near, x.abs() <= 1_647_099.0);
+            let (s, c) = sin_cos(x);
+            if near {
+                assert_eq!((sin.to_bits(), cos.to_bits()), (s.to_bits(), c.to_bits()), "{x}");
+            }
+        }
+    }
+}

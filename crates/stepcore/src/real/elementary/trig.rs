@@ -6,6 +6,7 @@
 
 use super::reduce::quarters;
 use super::INTEGER;
+use crate::real::{Mask, Real};
 
 /// Up to here the three parts of π/2 are enough: 2²⁰ quarter turns.
 const NEAR: f64 = 1_647_099.0;
@@ -56,6 +57,44 @@ pub fn near(x: f64) -> (f64, f64) {
     let (sin, cos) = turned(angle, (rest - angle) - tail, shifted.to_bits());
     // Its own sign if it is a zero.
     (if x.abs() < TINY { x } else { sin }, cos)
+}
+
+/// The same of numbers of double precision that are no `f64`, by the same operations; and where it holds.
+pub fn near_of<R: Real>(x: R) -> (R, R, R::Mask) {
+    let (known, zero) = (R::of, R::zero());
+    let whole = |x: R| (x + known(INTEGER)) - known(INTEGER);
+    let n = (x * known(QUARTERS) + known(INTEGER)) - known(INTEGER);
+    let first = x - n * known(PARTS[0]);
+    let second = n * known(PARTS[1]);
+    let left = first - second;
+    let error = (first - left) - second;
+    let third = n * known(PARTS[2]);
+    let rest = left - third;
+    let tail = n * known(REST) - ((left - rest) - third) - error;
+    let angle = rest - tail;
+    let tail = (rest - angle) - tail;
+    let z = angle * angle;
+    let w = z * z;
+    let [s, c] = [SIN, COS].map(|list| list.map(known));
+    let r = s[1] + z * (s[2] + z * s[3]) + z * w * (s[4] + z * s[5]);
+    let (v, half) = (z * angle, known(0.5) * z);
+    let sin = angle - ((z * (known(0.5) * tail - v * r) - tail) - v * s[0]);
+    let r = z * (c[0] + z * (c[1] + z * c[2])) + w * w * (c[3] + z * (c[4] + z * c[5]));
+    let head = R::one() - half;
+    let cos = head + (((R::one() - head) - half) + (z * r - angle * tail));
+    // The last two bits of n: whether it is odd, and whether the half of what is even is.
+    let is_odd = |half: R| {
+        let off = half - whole(half);
+        off.lt(zero).or(zero.lt(off))
+    };
+    let half = n * known(0.5);
+    let odd = is_odd(half);
+    let back = is_odd(R::select(odd, half - known(0.5), half) * known(0.5));
+    let across = back.and(odd.not()).or(odd.and(back.not()));
+    let (s, c) = (R::select(odd, cos, sin), R::select(odd, sin, cos));
+    let (s, c) = (R::select(back, -s, s), R::select(across, -c, c));
+    let size = x.abs();
+    (R::select(size.lt(known(TINY)), x, s), c, size.le(known(NEAR)))
 }
 
 /// Sine and cosine of any angle; of what is not finite they are not numbers.

@@ -8,6 +8,17 @@ const SURE: f64 = 1e-6;
 pub(crate) enum Op {
     /// A number of the state: its place there.
     Input(u32),
+    /// A number of the world's model: its column.
+    Parameter(u32),
+    /// Leaves a number at a place of the state, for who works between two parts of a step.
+    Put(u32),
+    /// What a loop changes: its value where a turn begins, and after the last one. Reads the value
+    /// before the loop, and that at the end of a turn.
+    Enter,
+    Leave,
+    /// The same of a mask.
+    EnterMask,
+    LeaveMask,
     Add,
     Sub,
     Mul,
@@ -32,9 +43,29 @@ pub(crate) enum Op {
 }
 
 impl Op {
+    /// It stands for what a loop changes, where a turn begins.
+    pub fn enters(self) -> bool {
+        matches!(self, Self::Enter | Self::EnterMask)
+    }
+
+    /// The same after the last turn.
+    pub fn leaves(self) -> bool {
+        matches!(self, Self::Leave | Self::LeaveMask)
+    }
+
     /// It computes a mask.
     pub fn is_mask(self) -> bool {
-        matches!(self, Self::Lt | Self::Le | Self::Finite | Self::And | Self::Or | Self::Not)
+        matches!(
+            self,
+            Self::Lt
+                | Self::Le
+                | Self::Finite
+                | Self::And
+                | Self::Or
+                | Self::Not
+                | Self::EnterMask
+                | Self::LeaveMask
+        )
     }
 }
 
@@ -123,7 +154,7 @@ pub(crate) struct Facts {
 }
 
 impl Facts {
-    const NOTHING: Self =
+    pub const NOTHING: Self =
         Self { low: f64::NEG_INFINITY, high: f64::INFINITY, zero: false, plus: false };
 
     pub fn within(most: f64) -> Self {

@@ -1,7 +1,7 @@
 //! `Traced`: a number that writes down what is done with it.
 //!
-//! A step of traced numbers leaves the list of operations that a step executes for its model
-//! (`program/`). Numbers that are known, those of the model and of the settings, are computed at once;
+//! A step of traced numbers leaves the list of operations that a step executes for its model, of which
+//! `compile/` makes machine code. Numbers that are known, those of the model and of the settings, are computed at once;
 //! the others, the state and what follows from it, are entries of the list. A traced number stands
 //! for a register of worlds that differ: asked whether a mask holds anywhere it says yes, and
 //! whether it holds everywhere no, so that both sides of every choice are written down, and a
@@ -18,18 +18,23 @@
 //! says so, and the step goes on with nonsense; no mask holds any more then, so that sweeps end.
 
 mod facts;
+mod parameter;
 mod recorder;
 mod rules;
 
+#[cfg(test)]
+pub(crate) use facts::Facts;
 pub(crate) use facts::{Arg, Node, Op};
-pub(crate) use recorder::Recorder;
+pub(crate) use parameter::Parameter;
+pub(crate) use recorder::{Loop, Recorder, HANDED};
 
 use core::cell::Cell;
 use core::fmt::Debug;
 use core::ops::{Add, Div, Mul, Neg, Sub};
 use num_traits::{One, Zero};
 
-use super::{Mask, Real};
+use super::elementary::near_of;
+use super::{Constant, Mask, Real, Turns, Value};
 
 /// A number, or the entry of the list that computes one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,6 +68,22 @@ impl Traced {
     /// From here on, lists of this thread are for numbers of this unit roundoff.
     pub(crate) fn round_as(epsilon: f64) {
         EPSILON.set(epsilon);
+    }
+
+    /// Hands it over to who reads it where a mask holds: it stands for its place then.
+    pub(crate) fn handed(self, mask: TracedMask) -> Self {
+        match self {
+            Self::Node(node) => Self::Node(Recorder::put(node, mask.arg())),
+            known => known,
+        }
+    }
+
+    /// A place from `before` on is one from `first` on.
+    pub(crate) fn begins_at(&mut self, before: u32, first: u32) {
+        match self {
+            Self::Node(place) if *place >= before => *place = *place - before + first,
+            _ => {}
+        }
     }
 
     #[inline(always)]
@@ -122,6 +143,26 @@ impl Traced {
 }
 
 impl TracedMask {
+    /// Hands it over, as 1 or 0.
+    pub(crate) fn handed(self) -> Self {
+        let number = Traced::select(self, Traced::of(1.0), Traced::of(0.0));
+        match number.handed(Self::Known(true)) {
+            Traced::Known(value) => Self::Known(value != 0.0),
+            Traced::Node(place) => Self::Node(place),
+        }
+    }
+
+    /// As of a number.
+    pub(crate) fn begins_at(&mut self, before: u32, first: u32) {
+        if let Self::Node(place) = *self {
+            let mut number = Traced::Node(place);
+            number.begins_at(before, first);
+            if let Traced::Node(place) = number {
+                *self = Self::Node(place);
+            }
+        }
+    }
+
     pub(crate) fn arg(self) -> Arg {
         match self {
             Self::Known(value) => Arg::truth(value),
@@ -227,9 +268,27 @@ impl Neg for Traced {
     }
 }
 
+impl Value<Traced> for Parameter {
+    fn get(&self) -> Traced {
+        match self {
+            Self::Same(x) => Traced::of(*x),
+            Self::Each(index) => Traced::Node(Recorder::parameter(*index, Self::most(*index))),
+        }
+    }
+    fn calc<const N: usize>(of: [&Self; N], f: impl Fn([f64; N]) -> f64) -> Traced {
+        let number = |lane: usize| f(of.map(|x| x.lane(lane)));
+        if of.iter().all(|x| matches!(x, Self::Same(_))) {
+            return Traced::of(number(0));
+        }
+        let column: Vec<f64> = (0..Self::models()).map(|lane| rounded(number(lane))).collect();
+        Self::by_lane(&column).get()
+    }
+}
+
 impl Real for Traced {
     type Mask = TracedMask;
     type One = f64;
+    type Value = Parameter;
     const LANES: usize = 2;
 
     fn epsilon() -> f64 {
@@ -282,12 +341,50 @@ impl Real for Traced {
     fn sqrt(self) -> Self {
         self.one_of(Op::Sqrt)
     }
+    /// In double precision by its operations, of angles that are near.
     fn sin_cos(self) -> (Self, Self) {
+        if let (Self::Node(_), f64::EPSILON) = (self, EPSILON.get()) {
+            let (sin, cos, near) = near_of(self);
+            near.not().seldom();
+            return (sin, cos);
+        }
         (self.one_of(Op::Sin), self.one_of(Op::Cos))
     }
     #[inline(always)]
     fn atan2(self, x: Self) -> Self {
         self.of_two(x, Op::Atan2)
+    }
+    fn largest(self) -> f64 {
+        0.0
+    }
+    /// One turn is written down, of numbers that any turn may begin with.
+    fn repeat_while<T: Turns<Self>>(most: u32, it: &mut T, mut turn: impl FnMut(&mut T)) {
+        if it.live() == TracedMask::Known(false) || most == 0 {
+            return;
+        }
+        let own = Recorder::loops();
+        Recorder::begin_loop(most);
+        let mut live = 0;
+        it.numbers(&mut |x| {
+            live += 1;
+            *x = Self::Node(Recorder::enter_loop(Op::Enter, x.arg()));
+        });
+        it.masks(&mut |mask| {
+            *mask = TracedMask::Node(Recorder::enter_loop(Op::EnterMask, mask.arg()));
+        });
+        turn(it);
+        Recorder::end_turn(live);
+        let mut index = 0;
+        let mut next = || {
+            index += 1;
+            index - 1
+        };
+        it.numbers(&mut |x| {
+            *x = Self::Node(Recorder::leave_loop(own, next(), Op::Leave, x.arg()));
+        });
+        it.masks(&mut |mask| {
+            *mask = TracedMask::Node(Recorder::leave_loop(own, next(), Op::LeaveMask, mask.arg()));
+        });
     }
     #[inline(always)]
     fn powf(self, power: Self) -> Self {

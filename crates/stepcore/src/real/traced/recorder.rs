@@ -1,6 +1,7 @@
 //! The list under way: one a thread.
 
 use core::cell::RefCell;
+use core::ops::Range;
 use std::collections::HashMap;
 
 use super::facts::{Arg, Entries, Facts, Node, Op};
@@ -11,6 +12,22 @@ const DEEP: usize = 8;
 
 type Key = (Op, Vec<(bool, u64)>);
 
+/// The first place of what is handed over, until it is known how many there are for other numbers.
+pub(crate) const HANDED: u32 = 1 << 30;
+
+/// Entries that are executed again and again, while a mask holds somewhere.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Loop {
+    /// Its entries, those inside of it included.
+    pub entries: Range<usize>,
+    /// The most turns.
+    pub most: u32,
+    /// What turns change: the entries where a turn begins, and those after the last one.
+    pub changed: Vec<(u32, u32)>,
+    /// Of `changed` the mask that says in which lanes there is another turn.
+    pub live: usize,
+}
+
 /// A list under way.
 #[derive(Default)]
 pub(crate) struct Recorder {
@@ -18,6 +35,20 @@ pub(crate) struct Recorder {
     known: HashMap<Key, u32>,
     /// Masks that the list assumes to hold nowhere.
     pub assumed: Vec<u32>,
+    /// In the order in which they begin.
+    pub loops: Vec<Loop>,
+    /// By column: the entry that reads it.
+    parameters: HashMap<u32, u32>,
+    /// By entry that hands a number over: the masks without all of which nobody reads it.
+    pub puts: HashMap<u32, Vec<u32>>,
+    /// Numbers that are handed over already: their places.
+    handed: HashMap<(u32, (bool, u64)), u32>,
+    /// Entries before which somebody else works: of the part of the step that begins there the first.
+    pub cuts: Vec<usize>,
+    /// Places of the state for what is handed over, from `HANDED` on.
+    pub places: u32,
+    /// Those that have begun and not ended.
+    open: Vec<usize>,
     /// The list is of no use.
     pub given_up: bool,
     /// Entries after which it gives up.
@@ -44,6 +75,109 @@ impl Recorder {
     pub fn input(place: usize, most: f64) -> u32 {
         AT_HAND.with(|list| {
             list.borrow_mut().push(Op::Input(place as u32), vec![], Facts::within(most))
+        })
+    }
+
+    /// A loop begins.
+    pub fn begin_loop(most: u32) {
+        AT_HAND.with(|list| {
+            let list = &mut *list.borrow_mut();
+            let from = list.entries.nodes.len();
+            list.open.push(list.loops.len());
+            list.loops.push(Loop { entries: from..from, most, ..Loop::default() });
+        });
+    }
+
+    /// The loop at hand changes a number or a mask: the entry that stands for it where a turn begins.
+    pub fn enter_loop(op: Op, before: Arg) -> u32 {
+        AT_HAND.with(|list| {
+            let list = &mut *list.borrow_mut();
+            let entry = list.push(op, vec![before], Facts::NOTHING);
+            let Some(own) = list.open.last() else { return entry };
+            list.loops[*own].changed.push((entry, entry));
+            entry
+        })
+    }
+
+    /// The turn of the loop at hand ends: `live` of what it changes says where another one follows.
+    pub fn end_turn(live: usize) {
+        AT_HAND.with(|list| {
+            let list = &mut *list.borrow_mut();
+            let end = list.entries.nodes.len();
+            let Some(own) = list.open.pop() else { return };
+            list.loops[own].entries.end = end;
+            list.loops[own].live = live;
+            // What a turn computes is not known outside.
+            let from = list.loops[own].entries.start as u32;
+            list.known.retain(|_, entry| *entry < from);
+        });
+    }
+
+    /// After loop `own`: what it made of the number or mask `index`, which was this at the end of a turn.
+    pub fn leave_loop(own: usize, index: usize, op: Op, after: Arg) -> u32 {
+        AT_HAND.with(|list| {
+            let list = &mut *list.borrow_mut();
+            let entry = list.push(op, vec![after], Facts::NOTHING);
+            if let Some(changed) = list.loops[own].changed.get_mut(index) {
+                changed.1 = entry;
+            }
+            entry
+        })
+    }
+
+    /// How many loops have begun so far.
+    pub fn loops() -> usize {
+        AT_HAND.with(|list| list.borrow().loops.len())
+    }
+
+    /// A number of the model that differs by world: its column. Of these none is an infinity.
+    pub fn parameter(index: u32, most: f64) -> u32 {
+        AT_HAND.with(|list| {
+            let list = &mut *list.borrow_mut();
+            if let Some(entry) = list.parameters.get(&index) {
+                return *entry;
+            }
+            let entry = list.push(Op::Parameter(index), vec![], Facts::within(most));
+            list.parameters.insert(index, entry);
+            entry
+        })
+    }
+
+    /// Hands a number over that is read where a mask holds: its place.
+    pub fn put(x: u32, mask: Arg) -> u32 {
+        AT_HAND.with(|list| {
+            let list = &mut *list.borrow_mut();
+            if let Op::Input(place) = list.entries.nodes[x as usize].op {
+                return place;
+            }
+            if let Some(place) = list.handed.get(&(x, mask.key())) {
+                return *place;
+            }
+            let place = HANDED + list.places;
+            list.places += 1;
+            let entry = list.push(Op::Put(place), vec![Arg::Node(x)], Facts::NOTHING);
+            list.puts.insert(entry, mask.node().into_iter().collect());
+            list.handed.insert((x, mask.key()), place);
+            place
+        })
+    }
+
+    /// Somebody else works here, with what was handed over.
+    pub fn cut() {
+        AT_HAND.with(|list| {
+            let list = &mut *list.borrow_mut();
+            list.given_up |= !list.open.is_empty();
+            list.cuts.push(list.entries.nodes.len());
+        });
+    }
+
+    /// A number that they made: its entry and its place.
+    pub fn made() -> (u32, u32) {
+        AT_HAND.with(|list| {
+            let list = &mut *list.borrow_mut();
+            let place = HANDED + list.places;
+            list.places += 1;
+            (list.push(Op::Input(place), vec![], Facts::within(f64::INFINITY)), place)
         })
     }
 

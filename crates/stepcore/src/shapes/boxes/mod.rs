@@ -19,7 +19,7 @@ mod tests;
 use super::by_lane::{empty, OneWorld};
 use super::touch::Touches;
 use super::Shape;
-use crate::real::{Mask, Real};
+use crate::real::{value, Mask, Real};
 use crate::spatial::V3;
 use axes::Axes;
 pub(super) use nearest::segments_gap;
@@ -48,7 +48,7 @@ impl<R: Real> Block<R> {
         Self {
             centre: pose.pos - origin,
             axes: [0, 1, 2].map(|k| pose.axis(k)),
-            half: shape.size.map(R::of),
+            half: value::get(shape.size),
         }
     }
 

@@ -10,7 +10,7 @@ use nalgebra::{Rotation3, Vector3};
 
 type Size = [f64; 3];
 
-fn meet<R: Real>(a: &Pose<R>, sa: &Size, b: &Pose<R>, sb: &Size) -> Vec<Touch<R>> {
+fn meet<R: Real<Value = f64>>(a: &Pose<R>, sa: &Size, b: &Pose<R>, sb: &Size) -> Vec<Touch<R>> {
     let (one, two) = (bare(a, sa), bare(b, sb));
     let all: [Touch<R>; MOST] = Boxes { within: f64::INFINITY }.touches(&one, &two);
     all.into_iter().filter(|touch| touch.exists.lane(0)).collect()

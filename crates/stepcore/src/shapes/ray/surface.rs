@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 /// The triangles of a mesh as its file has them, shared with the scene, and where the geom's frame
 /// lies in those coordinates.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Surface {
     pub vertices: Arc<Vec<[f64; 3]>>,
     pub faces: Arc<Vec<[usize; 3]>>,

@@ -83,7 +83,7 @@ impl<R: Real> Bundles<R> {
             let own = &rows.rows[block.rows.range()];
             let Some(first) = own.first() else { continue };
             let (at, whole) = (self.t.len(), block.mask.all());
-            let per_mass = R::of(1.0 / block.mass);
+            let per_mass = R::one() / block.mass;
             self.t.extend(own.iter().map(|row| row.t));
             self.c.extend(own.iter().map(|row| row.c));
             self.inv_c.extend(own.iter().map(|row| row.c.recip_or_zero()));

@@ -13,7 +13,7 @@
 
 use super::bent::{add_outer, add_upper, Bent, Scaled, FREE};
 use super::bundles::Bundles;
-use super::nodes::{Meeting, Member, Nodes};
+use super::nodes::{Member, NodePair, Nodes};
 use crate::real::{Mask, Real};
 
 pub(super) struct Columns<R> {
@@ -85,8 +85,8 @@ impl<R: Real> Columns<R> {
                 self.stale[*parent] = true;
             }
             self.open(nodes, j, d);
-            for meeting in &nodes.meetings[nodes.meets[j]..nodes.meets[j + 1]] {
-                self.add(nodes, *meeting, &curved);
+            for pair in &nodes.pairs[nodes.meets[j]..nodes.meets[j + 1]] {
+                self.add(nodes, *pair, &curved);
             }
             for (k, at) in &nodes.left[nodes.left_start[j]..nodes.left_start[j + 1]] {
                 self.update(nodes, j, *k, *at);
@@ -126,18 +126,18 @@ impl<R: Real> Columns<R> {
     }
 
     /// Adds y s″ yᵀ of one bundle to the column of one of its nodes.
-    fn add(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) {
-        if self.add_intervals(nodes, meeting, curved) {
+    fn add(&mut self, nodes: &Nodes, pair: NodePair, curved: &Curved<R>) {
+        if self.add_intervals(nodes, pair, curved) {
             return;
         }
-        self.bend(nodes, meeting, curved);
+        self.bend(nodes, pair, curved);
         if self.active.is_empty() {
             return;
         }
         let y = curved.y;
-        let own = nodes.members[meeting.member];
+        let own = nodes.members[pair.member];
         let size = nodes.size(own.node);
-        for member in &nodes.members[meeting.member..meeting.end] {
+        for member in &nodes.members[pair.member..pair.end] {
             let width = nodes.size(member.node);
             let place = self.place[member.node];
             let target = &mut self.values[place..place + size * width];
@@ -167,10 +167,10 @@ impl<R: Real> Columns<R> {
 
     /// The same of a bundle of free bodies and intervals alone, straight from its y; false: it is
     /// another one.
-    fn add_intervals(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) -> bool {
-        let bundle = &curved.bundles.list[meeting.bundle];
+    fn add_intervals(&mut self, nodes: &Nodes, pair: NodePair, curved: &Curved<R>) -> bool {
+        let bundle = &curved.bundles.list[pair.bundle];
         let [run] = curved.bundles.runs_of(bundle) else { return false };
-        let members = &nodes.members[meeting.member..meeting.end];
+        let members = &nodes.members[pair.member..pair.end];
         let free = |member: &Member| nodes.size(member.node) == FREE && member.run.is_some();
         if run.cone.is_some() || !members.iter().all(free) {
             return false;
@@ -190,9 +190,9 @@ impl<R: Real> Columns<R> {
 
     /// s″ y at a node of a bundle: `own`, row by row of `active`, which says where each row's y
     /// begins.
-    fn bend(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) {
-        let bundle = &curved.bundles.list[meeting.bundle];
-        let member = nodes.members[meeting.member];
+    fn bend(&mut self, nodes: &Nodes, pair: NodePair, curved: &Curved<R>) {
+        let bundle = &curved.bundles.list[pair.bundle];
+        let member = nodes.members[pair.member];
         let y = curved.y;
         let entries = &nodes.entries[member.entries..][..nodes.size(member.node)];
         self.active.clear();

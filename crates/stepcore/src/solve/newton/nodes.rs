@@ -26,7 +26,7 @@ pub(super) struct Member {
 /// One bundle at one of its nodes: `node` is `members[member]`, and the bundle's later nodes follow
 /// there up to `end`.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Meeting {
+pub(super) struct NodePair {
     pub bundle: usize,
     pub member: usize,
     pub end: usize,
@@ -49,9 +49,9 @@ pub(super) struct Nodes {
     pub lists: Vec<usize>,
     /// By bundle: the same, where it is of free bodies.
     pub free: Vec<Option<Free>>,
-    /// By turn: who meets there, `meetings[meets[k]..meets[k + 1]]`.
+    /// By turn: who meets there, `pairs[meets[k]..meets[k + 1]]`.
     pub meets: Vec<usize>,
-    pub meetings: Vec<Meeting>,
+    pub pairs: Vec<NodePair>,
     /// By turn: where its column's entries of `order.rows` begin, as numbers: the diagonal block,
     /// then each row's block, pivot by pivot.
     pub places: Vec<usize>,
@@ -70,7 +70,7 @@ pub(super) struct Nodes {
     next: Vec<usize>,
 }
 
-room!(Nodes: key, ends, order, dofs, first, bundles, members, entries, lists, free, meets, meetings,
+room!(Nodes: key, ends, order, dofs, first, bundles, members, entries, lists, free, meets, pairs,
     places, offsets, numbers, left_start, left, split, seen, node_of, sizes, edges, next);
 
 impl Nodes {
@@ -268,12 +268,12 @@ impl Nodes {
         }
         self.next.clear();
         self.next.extend_from_slice(&self.meets[..count]);
-        self.meetings.clear();
-        self.meetings.resize(self.members.len(), Meeting { bundle: 0, member: 0, end: 0 });
+        self.pairs.clear();
+        self.pairs.resize(self.members.len(), NodePair { bundle: 0, member: 0, end: 0 });
         for (bundle, span) in self.bundles.iter().enumerate() {
             for member in span.range() {
                 let next = &mut self.next[self.members[member].node];
-                self.meetings[*next] = Meeting { bundle, member, end: span.range().end };
+                self.pairs[*next] = NodePair { bundle, member, end: span.range().end };
                 *next += 1;
             }
         }

@@ -137,7 +137,7 @@ fn write<R: Real>(
 fn lightest<R: Real>(blocks: &[usize], rows: &Rows<R>) -> R {
     let mut mass = R::of(f64::INFINITY);
     for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-        mass = R::select(block.mask, mass.min(R::of(block.mass)), mass);
+        mass = R::select(block.mask, mass.min(block.mass), mass);
     }
     mass
 }

@@ -12,8 +12,18 @@
 //! Then there is none for as many sweeps as that has happened, so that in the end sweeps alone lead on.
 
 use super::super::free::SIX;
-use super::side_by_side::Six;
 use crate::real::{Mask, Real};
+
+/// A body's part of u, on a line of the memory by itself.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+pub(super) struct Six<R>(pub [R; SIX]);
+
+impl<R: Real> Six<R> {
+    pub fn zero() -> Self {
+        Self([R::zero(); SIX])
+    }
+}
 
 /// Moves whose 2 × 2 products have a determinant below this part of the diagonal's are one.
 const APART: f64 = 1e-8;

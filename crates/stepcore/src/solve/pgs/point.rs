@@ -100,6 +100,15 @@ pub(super) struct Point<N> {
     pub weight: [N; EDGES],
 }
 
+/// What a sweep did.
+pub(in super::super) struct Swept<R> {
+    /// The largest change of an impulse [m/s].
+    pub change: R,
+    /// The change of what convex rows minimise (see `momentum.rs`); side by side since the
+    /// sweep before.
+    pub gain: R,
+}
+
 /// What convex rows gain by the change of an impulse: ½ s Δ² − Δ (t − Jv − cλ).
 #[inline(always)]
 pub(super) fn gain<N: Numbers>(s: N, change: N, short: N) -> N {

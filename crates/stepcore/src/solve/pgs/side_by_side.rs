@@ -8,10 +8,9 @@
 
 use super::super::free::SIX;
 use super::super::rows::{Rows, NARROW};
-use super::onward::{Found, Onward, Step};
+use super::onward::{Found, Onward, Six, Step};
 use super::packed::Packed;
-use super::point::{along, gain, Each, Numbers, Point, EDGES, SIDE};
-use super::sweep::Swept;
+use super::point::{along, gain, Each, Numbers, Point, Swept, EDGES, SIDE};
 use crate::real::Real;
 
 /// Contacts of which it is clear whether they stand in a row, each on the one before; an island of
@@ -37,17 +36,6 @@ struct Moved<R> {
     s: [Each<R>; EDGES],
     from: [Each<R>; EDGES],
     last: [Each<R>; EDGES],
-}
-
-/// A body's part of u, on a line of the memory by itself.
-#[derive(Clone, Copy)]
-#[repr(align(64))]
-pub(super) struct Six<R>(pub [R; SIX]);
-
-impl<R: Real> Six<R> {
-    pub fn zero() -> Self {
-        Self([R::zero(); SIX])
-    }
 }
 
 /// An island of pyramids.

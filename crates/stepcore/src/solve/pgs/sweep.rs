@@ -4,7 +4,7 @@ use super::super::cone::{times, InCone, Matrix};
 use super::super::rows::{Block, Row, Rows, Set, NARROW};
 use super::cones::{Cones, Narrow, Tie, Wide};
 use super::packed::{Packed, Target};
-use super::point::{gain, gain_in_cone};
+use super::point::{gain, gain_in_cone, Swept};
 use super::side_by_side::{SideBySide, SEEN};
 use crate::real::{Mask, Real};
 use core::array::from_fn;
@@ -67,7 +67,7 @@ impl<R: Real> Sweeps<R> {
             let own = &rows.rows[range.clone()];
             let weight = &mut self.weight[range];
             if weigh {
-                let per_mass = R::of(1.0 / block.mass);
+                let per_mass = R::one() / block.mass;
                 for (weight, row) in weight.iter_mut().zip(own) {
                     *weight = (row.a * per_mass).sqrt();
                 }
@@ -129,6 +129,14 @@ impl<R: Real> Sweeps<R> {
         if self.joined {
             self.side_by_side.go_on();
         }
+    }
+
+    /// The impulses of packed blocks, where these keep them.
+    pub fn impulses_mut<'a>(&'a mut self, list: &'a [usize]) -> impl Iterator<Item = &'a mut R> {
+        let packed = |at: &usize| matches!(self.how[*at], How::Packed(_));
+        let some = list.iter().any(packed);
+        let all = self.packed.iter_mut().filter(move |_| some);
+        all.flat_map(|packed| &mut packed.point.impulse)
     }
 
     /// Rows of packed blocks get their impulses, and u what stands side by side.
@@ -228,15 +236,6 @@ impl<R: Real> Sweeps<R> {
         }
         Swept { change: largest, gain }
     }
-}
-
-/// What a sweep did.
-pub(in super::super) struct Swept<R> {
-    /// The largest change of an impulse [m/s].
-    pub change: R,
-    /// With GAIN: the change of what convex rows minimise (see `momentum.rs`); side by side since the
-    /// sweep before.
-    pub gain: R,
 }
 
 /// What one block's update reads and writes.

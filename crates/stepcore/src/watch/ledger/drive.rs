@@ -31,7 +31,7 @@ pub(super) struct Work<R: Real> {
 room!(Work<R>: done, counts, belts, driving, springs, powers);
 
 impl<R: Real> Work<R> {
-    pub fn new(model: &Model, driving: Vec<usize>) -> Self {
+    pub fn new(model: &Model<R::Value>, driving: Vec<usize>) -> Self {
         let belts = model.geoms.iter().any(|geom| geom.belt.is_some());
         let motors = (0..model.actuators.len()).any(|index| !stores(model, index));
         let springs = (0..model.actuators.len())

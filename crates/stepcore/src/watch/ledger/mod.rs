@@ -15,7 +15,7 @@ use drive::Work;
 use crate::error::{Divergence, Error, Result};
 use crate::model::Model;
 use crate::observer::Observer;
-use crate::real::Real;
+use crate::real::{Constant, Real};
 use crate::sim::Sim;
 use crate::state::{Inputs, State, INPUTS};
 
@@ -61,7 +61,7 @@ impl Care {
 
     /// Servos that count as driving: without a ledger, one that swings at the bounds of its
     /// force, and goes on, is let go on.
-    fn driving(self, model: &Model) -> Vec<usize> {
+    fn driving<N: Constant>(self, model: &Model<N>) -> Vec<usize> {
         match self {
             Self::Full => Vec::new(),
             Self::Least => model.bounded_servos().collect(),
@@ -124,7 +124,11 @@ room!(Ledger<R>: care, opened, milestones, at, len, accounts, levels, verdicts, 
     expected, balanced, asked, aside; said);
 
 impl<R: Real> Ledger<R> {
-    pub fn new(model: &Model, care: Care) -> Self {
+    pub fn care(&self) -> Care {
+        self.care
+    }
+
+    pub fn new(model: &Model<R::Value>, care: Care) -> Self {
         let milestone = || Milestone {
             state: State::new(model),
             inputs: Inputs::new(model),
@@ -428,8 +432,9 @@ impl<R: Real> Ledger<R> {
     fn audit_aside(&mut self, sim: &Sim<R>) -> Result<bool> {
         let aside = match &mut self.aside {
             Some(aside) => aside,
-            none => none.insert(Box::new(Sim::new(sim.model.clone(), sim.settings.clone())?)),
+            none => none.insert(Box::new(Sim::side_by_side(sim.models(), sim.settings.clone())?)),
         };
+        aside.take_models(&sim.models());
         sim.state.copy_to(&mut aside.state);
         sim.inputs.copy_to(&mut aside.inputs);
         Ok(aside.audit(&mut self.levels, &self.work))

@@ -92,7 +92,7 @@ impl<R: Real> Sim<R> {
     fn oscillators(&mut self, lane: usize, integrator: Integrator) -> Vec<Oscillator> {
         self.refresh();
         let slopes = Slopes::of(self, lane, integrator);
-        let groups = slopes.groups(&self.model).into_iter();
+        let groups = slopes.groups(self.model_of(lane)).into_iter();
         groups
             .filter(|dofs| dofs.len() <= MOST_DOFS)
             .map(|dofs| slopes.oscillator(self, lane, &dofs))

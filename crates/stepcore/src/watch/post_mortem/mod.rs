@@ -134,7 +134,7 @@ impl<R: Real> Run<'_, R> {
             None => (Segment::at_present(sim, lane), self.kept_steps(lane, &budget), false),
         };
         let scale = self.ledger.and_then(|ledger| ledger.scale(lane));
-        let (from, window) = feeding(&sim.model, &steps, scale, gained);
+        let (from, window) = feeding(sim.model_of(lane), &steps, scale, gained);
         let was_well = exact && window.is_empty();
         let shares = shares(window);
         let element = match shares.first() {

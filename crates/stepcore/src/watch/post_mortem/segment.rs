@@ -46,6 +46,8 @@ pub(super) struct Segment<R: Real> {
     /// Steps done since the start before each change of the inputs.
     pub changes: Vec<(u64, Inputs<R>)>,
     pub steps: u64,
+    /// Whose it is: its numbers are in all lanes.
+    lane: usize,
 }
 
 impl<R: Real> Segment<R> {
@@ -96,6 +98,7 @@ impl<R: Real> Segment<R> {
             inputs: first.inputs.clone(),
             changes,
             steps: until.checked_sub(first.state.steps)?,
+            lane,
         };
         segment.spread(lane);
         segment.changes.retain(|(step, _)| *step <= segment.steps);
@@ -105,7 +108,7 @@ impl<R: Real> Segment<R> {
     /// A run of no step, at the present state.
     pub fn at_present(sim: &Sim<R>, lane: usize) -> Self {
         let (state, inputs) = (sim.state.clone(), sim.inputs.clone());
-        let mut segment = Self { state, inputs, changes: Vec::new(), steps: 0 };
+        let mut segment = Self { state, inputs, changes: Vec::new(), steps: 0, lane };
         segment.spread(lane);
         segment
     }
@@ -126,7 +129,7 @@ impl<R: Real> Segment<R> {
 
     /// A world of its own that stands at the start.
     pub fn world(&self, of: &Sim<R>) -> Option<Sim<R>> {
-        let mut sim = Sim::new(of.model.clone(), of.settings.clone()).ok()?;
+        let mut sim = Sim::new(of.model_of(self.lane).clone(), of.settings.clone()).ok()?;
         sim.state = self.state.clone();
         sim.inputs = self.inputs.clone();
         Some(sim)
@@ -169,7 +172,8 @@ impl<R: Real> Segment<R> {
         budget: &Budget,
     ) -> Trial {
         let dt = settings.dt;
-        let Ok(mut sim) = Sim::new(of.model.clone(), settings) else { return Trial::Untried };
+        let model = of.model_of(self.lane).clone();
+        let Ok(mut sim) = Sim::new(model, settings) else { return Trial::Untried };
         let mut ledger = Ledger::new(&of.model, Care::Full);
         sim.state = self.state.clone();
         sim.state.warm.clear();

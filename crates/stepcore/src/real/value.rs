@@ -1,0 +1,21 @@
+//! Several numbers of a model, as steps of a `Real` read them.
+
+use super::{Constant, Real, Value};
+use nalgebra::Matrix3;
+
+/// Several of them.
+pub(crate) fn get<R: Real, V: Value<R>, const N: usize>(values: &[V; N]) -> [R; N] {
+    core::array::from_fn(|k| values[k].get())
+}
+
+/// A matrix of them.
+#[inline(always)]
+pub(crate) fn matrix<R: Real, V: Value<R>>(m: &Matrix3<V>) -> Matrix3<R> {
+    Matrix3::from_fn(|i, k| m[(i, k)].get())
+}
+
+/// All of them are zero.
+#[inline(always)]
+pub(crate) fn none<V: Constant, const N: usize>(v: &[V; N]) -> bool {
+    v.iter().all(Constant::vanishes)
+}

@@ -1,0 +1,31 @@
+//! Places that are far from each other.
+
+/// Goes on from the first `kept` of `chosen` until all are chosen: each time with the one of `count`
+/// places (at most `ROOM`) that is furthest from those before, the first of even ones, while its squared
+/// distance is more than `least`. `square` gives that of two places. How many are chosen then.
+pub fn spread<const ROOM: usize>(
+    count: usize,
+    chosen: &mut [usize],
+    mut kept: usize,
+    least: f64,
+    square: impl Fn(usize, usize) -> f64,
+) -> usize {
+    // From each place to the nearest of the chosen ones.
+    let mut nearest = [f64::INFINITY; ROOM];
+    let mut known = 0;
+    while kept < chosen.len() {
+        let mut best = (least, None);
+        for (at, nearest) in nearest[..count].iter_mut().enumerate() {
+            let new = chosen[known..kept].iter().map(|own| square(*own, at));
+            *nearest = new.fold(*nearest, f64::min);
+            if *nearest > best.0 {
+                best = (*nearest, Some(at));
+            }
+        }
+        let Some(next) = best.1 else { break };
+        chosen[kept] = next;
+        known = kept;
+        kept += 1;
+    }
+    kept
+}
