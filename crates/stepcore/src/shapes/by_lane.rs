@@ -64,12 +64,24 @@ fn size<R: Real>(shape: &Shape<R>, lane: usize) -> [f64; 3] {
     shape.size.each_ref().map(|x| x.lane(lane))
 }
 
-/// One lane of a pose.
+/// One lane of a pose. Of coarser numbers the axes are only nearly at right angles: they are put
+/// upright, since what is computed from their cosines and from their components must agree to the
+/// digits that the tests have.
 fn pose<R: Real>(pose: &Pose<R>, lane: usize) -> Pose<f64> {
+    let rot = M3::from_fn(|i, k| pose.rot[(i, k)].lane(lane));
+    let coarse = R::epsilon() > f64::EPSILON;
     Pose {
         pos: V3::new(pose.pos.x.lane(lane), pose.pos.y.lane(lane), pose.pos.z.lane(lane)),
-        rot: M3::from_fn(|i, k| pose.rot[(i, k)].lane(lane)),
+        rot: if coarse { upright(&rot) } else { rot },
     }
+}
+
+/// The rotation whose third axis is this one's, and whose first is as near as it can be.
+fn upright(rot: &M3<f64>) -> M3<f64> {
+    let z = rot.column(2).normalize();
+    let x = rot.column(0) - z * z.dot(&rot.column(0));
+    let x = x.normalize();
+    M3::from_columns(&[x, z.cross(&x), z])
 }
 
 #[cfg(test)]

@@ -2,11 +2,11 @@
 
 use super::{Boxes, MOST};
 use crate::real::{Mask, Real};
-use crate::shapes::by_lane::OneWorld;
+use crate::shapes::by_lane::{by_lane, OneWorld};
 use crate::shapes::trial::{assert_slopes, at, bare, same_features, still, Moving, Random};
 use crate::shapes::Touch;
 use crate::spatial::Pose;
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 type Size = [f64; 3];
 
@@ -258,4 +258,30 @@ fn slopes_are_those_of_differences() {
         }
     }
     assert!(compared > 200);
+}
+
+/// Two pads of a robot's hand, which seven joints turned: in single precision their axes are
+/// parallel to the last digit, and at right angles only nearly.
+#[test]
+fn pads_of_a_hand_have_normals_in_single_precision() {
+    let rot = Matrix3::from_columns(&[
+        Vector3::new(0.588_921_3_f32, 0.306_073, -0.747_990_9),
+        Vector3::new(0.246_502_74, -0.949_439_5, -0.194_423_59),
+        Vector3::new(-0.769_680_1, -0.069_881_62, -0.634_593_25),
+    ]);
+    // Half a turn about the third axis, but for one digit.
+    let mut other = rot * Matrix3::from_diagonal(&Vector3::new(-1.0, -1.0, 1.0));
+    other[(0, 0)] = -0.588_921_37;
+    let one = Pose { pos: Vector3::new(-0.360_005_56, -0.436_084_7, 0.145_216_29), rot };
+    let two = Vector3::new(-0.366_518_38, -0.441_847_95, 0.145_083_22);
+    let two = Pose { pos: two, rot: other };
+    let (large, small) = ([0.0085, 0.004, 0.0085], [0.003, 0.002, 0.003]);
+    let test = |_| Boxes { within: f64::INFINITY };
+    let all: [Touch<f32>; MOST] = by_lane(test, &bare(&one, &large), &bare(&two, &small));
+    let found: Vec<_> = all.iter().filter(|touch| touch.exists).collect();
+    assert_eq!(found.len(), 4);
+    for touch in found {
+        assert!((touch.normal - rot.column(1)).norm() < 1e-5, "{touch:?}");
+        assert!((touch.dist + 0.002_108).abs() < 1e-6, "{touch:?}");
+    }
 }
