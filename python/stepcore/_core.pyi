@@ -117,6 +117,7 @@ class Settings:
         cls,
         *,
         dt: float = 0.002,
+        accuracy: float | str | None = None,
         integrator: _Integrator = "euler",
         solver: _Solver = "newton",
         acceleration: _Acceleration = "none",
@@ -158,6 +159,12 @@ class Settings:
     @property
     def dt(self) -> float:
         """Time step [s], > 0."""
+
+    @property
+    def accuracy(self) -> float | None:
+        """The largest error that a second of motion may add to the position of a body [m], or None
+        for steps of a fixed length: each step of `dt` is then made of as many shorter ones as this
+        takes."""
 
     @property
     def integrator(self) -> str:

@@ -15,6 +15,7 @@ class SettingsFields(TypedDict, total=False):
     """Single fields of `Settings` that replace those of the scene."""
 
     dt: float
+    accuracy: float | str | None
     integrator: str
     solver: str
     acceleration: str

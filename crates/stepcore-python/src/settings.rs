@@ -4,8 +4,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString, PyTuple};
 use stepcore::settings::{
-    Acceleration, Cone, Integrator, Law, Precision, RecoverySpeed, Settings as Engine, Solver,
-    Sweeps,
+    Acceleration, Accuracy, Cone, Integrator, Law, Precision, RecoverySpeed, Settings as Engine,
+    Solver, Sweeps,
 };
 
 use crate::errors::Raised;
@@ -98,6 +98,29 @@ impl Read for RecoverySpeed {
     }
 }
 
+impl Shown for Accuracy {
+    type Out = Option<f64>;
+    fn shown(self) -> Option<f64> {
+        self.0
+    }
+}
+
+impl Read for Accuracy {
+    fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
+        if value.is_none() {
+            return Ok(Self(None));
+        }
+        if value.cast::<PyString>().is_err() {
+            return Ok(Self(Some(f64::read(value, at)?)));
+        }
+        let units = value.py().import("stepcore.report.units")?;
+        match units.call_method1("length_of", (value,))?.extract()? {
+            None => Err(refuse(value, at, "None, metres, or a length such as '1mm'")),
+            length => Ok(Self(length)),
+        }
+    }
+}
+
 /// The Python class, from the one list of fields.
 macro_rules! settings {
     ($($(#[$doc:meta])* $field:ident: $type:ty),+ $(,)?) => {
@@ -174,6 +197,9 @@ macro_rules! settings {
 settings! {
     /// Time step [s], > 0.
     dt: f64,
+    /// The largest error that a second of motion may add to the position of a body [m], or None for
+    /// steps of a fixed length: each step of `dt` is then made of as many shorter ones as this takes.
+    accuracy: Accuracy,
     /// Integrator: "explicit", "semi-implicit", "euler" (semi-implicit with implicit joint
     /// damping), "implicitfast", "implicit", "discrete", "midpoint" or "rk4".
     integrator: Integrator,

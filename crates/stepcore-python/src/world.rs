@@ -245,6 +245,11 @@ impl<R: Real> World for One<R> {
             self.last.stepped();
         }
         let outcome = self.watched.step(n);
+        if outcome.is_ok() && n > 0 && self.sim().settings().accuracy.0.is_some() {
+            // What was solved last belongs to a part of a step: what is read is that of the state.
+            self.watched.sim.forward()?;
+            self.stayed();
+        }
         self.noted(outcome)
     }
     fn balance_at_end(&mut self, n: u64) -> Result<()> {
@@ -277,7 +282,7 @@ impl<R: Real> World for One<R> {
         self.sim().time()
     }
     fn dt(&self) -> f64 {
-        self.sim().settings().dt
+        self.sim().period()
     }
     fn memo(&self) -> Memo {
         Memo::of(&self.sim().state, 0)

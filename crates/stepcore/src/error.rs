@@ -41,6 +41,9 @@ pub enum Fault {
     Position,
     /// The iteration of the integrator `midpoint` does not converge.
     Midpoint,
+    /// No stretch of a step is short enough for an accuracy [m/s]: the shortest [s] adds an error [m], which
+    /// is largest of this body.
+    Rough { error: f64, length: f64, asked: f64, body: Named },
     /// More energy of motion and springs than a passive scene can have [J].
     Energy { has: f64, allowed: f64 },
 }
@@ -122,6 +125,13 @@ impl fmt::Display for Fault {
             Self::Midpoint => {
                 f.write_str("the midpoint iteration does not converge (use a smaller dt)")
             }
+            Self::Rough { error, length, asked, body } => write!(
+                f,
+                "no step keeps the accuracy of {} m: one of {} s moves {body} by {} m too far",
+                short(*asked),
+                short(*length),
+                short(*error)
+            ),
             Self::Energy { has, allowed } => write!(
                 f,
                 "the energy of motion and springs is {} J, but a passive scene can have at most {} J",

@@ -6,7 +6,7 @@ thread_local! {
     static ASK: Cell<Option<fn() -> bool>> = const { Cell::new(None) };
 }
 
-/// Sweeps between two questions.
+/// Sweeps, or stretches of a step, between two questions.
 const SWEEPS: u32 = 256;
 
 /// Runs `work`, whose solvers ask `ask` now and then, in this thread, whether to end.
@@ -22,7 +22,7 @@ pub fn while_asking<T>(ask: fn() -> bool, work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// After this sweep the solver is to end.
+/// After this sweep the solver is to end, or the step after this stretch.
 #[inline]
 pub(crate) fn ends_after(sweep: u32) -> bool {
     sweep % SWEEPS == SWEEPS - 1 && ASK.get().is_some_and(|ask| ask())

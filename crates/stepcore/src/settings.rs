@@ -87,6 +87,11 @@ impl From<u32> for Sweeps {
     }
 }
 
+/// The most error that a second of motion may add to the position of a body [m]; None: steps have the length
+/// that was set.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Accuracy(pub Option<f64>);
+
 /// How fast a contact may push an overlap apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RecoverySpeed {
@@ -121,6 +126,8 @@ pub struct Settings {
     // Numerics: cannot change the limit dt → 0.
     /// Time step [s], > 0.
     pub dt: f64,
+    /// With one, a step of `dt` is made of as many shorter ones as that takes.
+    pub accuracy: Accuracy,
     pub integrator: Integrator,
     pub solver: Solver,
     pub acceleration: Acceleration,
@@ -183,6 +190,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             dt: 0.002,
+            accuracy: Accuracy(None),
             integrator: Integrator::Euler,
             solver: Solver::Newton,
             acceleration: Acceleration::None,
@@ -214,6 +222,9 @@ impl Default for Settings {
     }
 }
 
+/// The least accuracies in double and in single precision [m]: what rounding leaves of positions of some metres,
+/// differences of which tell an error.
+const LEAST_ACCURACY: [f64; 2] = [1e-10, 1e-4];
 /// The most contacts that room may be reserved for.
 const MOST_CONTACTS: usize = 1_000_000;
 
@@ -318,12 +329,60 @@ impl Settings {
                 "one that evaluates forces once a step, as 'euler' (what sleeps wakes at a step's start)",
             ));
         }
+        if let Some(accuracy) = self.accuracy.0 {
+            self.check_accuracy(accuracy)?;
+        }
         if self.solver == Solver::Newton && self.law.on_guess() {
             return Err(Error::value(
                 "solver",
                 format!("'newton' with law '{}'", self.law.name()),
                 "'pgs' under a Coulomb law (Newton minimises, a Coulomb cone has nothing to minimise)",
             ));
+        }
+        Ok(())
+    }
+
+    /// Refuses an accuracy to what regards one step of a fixed length.
+    pub(crate) fn check_fixed(&self, who: &str) -> Result<()> {
+        let Some(accuracy) = self.accuracy.0 else { return Ok(()) };
+        let limit = format!("None for {who}, which regards one step of a fixed length");
+        Err(Error::value("accuracy", accuracy, limit))
+    }
+
+    /// Beside it stands what does not depend on the length of steps.
+    fn check_accuracy(&self, accuracy: f64) -> Result<()> {
+        let least = match self.precision {
+            Precision::F64 => LEAST_ACCURACY[0],
+            Precision::F32 => LEAST_ACCURACY[1],
+        };
+        if !(accuracy.is_finite() && accuracy >= least) {
+            let limit = format!("None, or finite and >= {least:e} m in {}", self.precision.name());
+            return Err(Error::value("accuracy", accuracy, limit));
+        }
+        let others = [
+            (
+                "law",
+                self.law.name(),
+                !matches!(self.law, Law::SolRef),
+                "'solref' with an accuracy: the others are laws of a step",
+            ),
+            ("sleep", "True", self.sleep, "False with an accuracy: who sleeps is decided at steps"),
+            ("ledger", "True", self.ledger, "False with an accuracy: it balances single steps"),
+            (
+                "stiction",
+                "True",
+                self.stiction,
+                "False with an accuracy: its springs move with each step",
+            ),
+        ];
+        for (field, value, bad, limit) in others {
+            if bad {
+                return Err(Error::value(field, value, limit));
+            }
+        }
+        if self.noslip_iterations > 0 {
+            let limit = "0 with an accuracy: it changes what a step ends with";
+            return Err(Error::value("noslip_iterations", self.noslip_iterations, limit));
         }
         Ok(())
     }

@@ -7,19 +7,20 @@ use std::sync::Arc;
 
 use crate::arrays::array::Array;
 use crate::clock::Clock;
-use crate::commit::Next;
+use crate::commit::{Extrapolation, Next};
 use crate::compile::Alone;
 use crate::detect::Detected;
 use crate::elements::activation::Activations;
 use crate::elements::{Element, Kind};
 use crate::error::{Divergence, Error, Fault, Result};
+use crate::integrator::Stages;
 use crate::model::memory::check_spaces;
 use crate::model::{ByLane, Model, SideBySide};
 use crate::place::Placed;
 use crate::plan::Plan;
 use crate::pool::Pool;
 use crate::real::{Mask, Real};
-use crate::settings::{Settings, Solver};
+use crate::settings::{Integrator, Settings, Solver};
 use crate::sleep::Sleeper;
 use crate::solve::{Noslip, Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
@@ -58,6 +59,9 @@ pub struct Sim<R: Real> {
     /// What a step does under these settings.
     pub(crate) plan: Plan,
     pub(crate) clock: Clock<R>,
+    /// What a step advances the time by [s]; within an accuracy it is made of shorter ones, of which
+    /// `clock` and `settings.dt` tell.
+    pub(crate) period: f64,
     pub state: State<R>,
     pub inputs: Inputs<R>,
     /// What each stage wrote when it last ran.
@@ -76,6 +80,8 @@ pub struct Sim<R: Real> {
     pub(crate) sleeper: Sleeper<R>,
     /// What makes steps that nobody looks at.
     pub(crate) code: Option<Box<Alone<R>>>,
+    /// Working space of steps within an accuracy.
+    pub(crate) extrapolation: Option<Box<Extrapolation<R>>>,
 }
 
 /// The positions and velocities at which stages run.
@@ -118,7 +124,7 @@ impl At {
 }
 
 room!(Sim<R>: model, models, plan, clock, state, inputs, placed, detected, rows, velocity, qacc, effort,
-    next, stands, solver, noslip, sleeper, code; settings);
+    next, stands, solver, noslip, sleeper, code, extrapolation; settings, period);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
@@ -152,7 +158,7 @@ impl<R: Real> Sim<R> {
     pub(crate) fn solved_by(
         solver: Box<dyn Solve<R>>,
         models: SideBySide<R>,
-        settings: Settings,
+        mut settings: Settings,
     ) -> Result<Self> {
         settings.check()?;
         let SideBySide { models, model } = models;
@@ -173,6 +179,10 @@ impl<R: Real> Sim<R> {
             return Err(Error::value("lanes", R::LANES, limit));
         }
         check_spaces(&models[0], R::LANES, "lanes")?;
+        let extrapolation = match settings.accuracy.0 {
+            Some(_) => Some(Box::new(extrapolated::<R>(&model, &mut settings)?)),
+            None => None,
+        };
         let plan = Plan::of(&models[0], &settings);
         let mut sim = Self {
             state: State::new(&model),
@@ -190,7 +200,9 @@ impl<R: Real> Sim<R> {
             noslip: Noslip::new(),
             sleeper: if settings.sleep { Sleeper::new(&models[0]) } else { Sleeper::off() },
             clock: Clock::new(settings.dt),
+            period: settings.dt,
             code: None,
+            extrapolation,
             models,
             model,
             settings,
@@ -223,7 +235,12 @@ impl<R: Real> Sim<R> {
 
     /// Time of the state [s].
     pub fn time(&self) -> f64 {
-        self.state.time(self.clock.seconds)
+        self.state.time(self.period)
+    }
+
+    /// What a step advances the time by [s].
+    pub fn period(&self) -> f64 {
+        self.period
     }
 
     /// Starts the rows that were made from the last step's impulses if they are kept, but for
@@ -304,6 +321,27 @@ impl<R: Real> Sim<R> {
     pub fn residual(&self) -> R {
         self.rows.residual(self.detected.dof_lists(&self.model))
     }
+}
+
+/// What steps within an accuracy need. They are made of steps of first order, of any length, under
+/// a law that does not look at it.
+fn extrapolated<R: Real>(
+    model: &Model<R::Value>,
+    settings: &mut Settings,
+) -> Result<Extrapolation<R>> {
+    if R::LANES > 1 {
+        let limit = "1 with an accuracy: each world has steps of its own";
+        return Err(Error::value("lanes", R::LANES, limit));
+    }
+    if model.nhistory > 0 {
+        let limit = "None in a scene with late controls, which count steps";
+        return Err(Error::value("accuracy", settings.accuracy.0.unwrap_or_default(), limit));
+    }
+    if settings.integrator.scheme().stages != Stages::Start {
+        settings.integrator = Integrator::Euler;
+    }
+    settings.refsafe = false;
+    Ok(Extrapolation::new(model))
 }
 
 /// The precision that computes must hold every mass and its inverse, and for Newton,

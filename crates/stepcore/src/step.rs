@@ -30,7 +30,10 @@ impl<R: Real> Sim<R> {
             }
             left -= 1;
             R::enter(Stage::Commit);
-            self.integrate(observer)?;
+            match self.settings.accuracy.0 {
+                Some(asked) => self.integrate_within(asked)?,
+                None => self.integrate(observer)?,
+            }
             self.check_next()?;
             observer.committing(self);
             self.swap_states();
@@ -61,6 +64,7 @@ impl<R: Real> Sim<R> {
     /// Place, detect and solve at the present state. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
         self.wake_where_off();
+        self.set_dt(self.period);
         self.place_detect_solve(At::State)?;
         let bad = all_finite(&self.qacc).not();
         if bad.any() {
@@ -252,7 +256,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// A state that is not finite is never committed.
-    fn check_next(&self) -> Result<()> {
+    pub(crate) fn check_next(&self) -> Result<()> {
         let Next { qpos, qvel, act, .. } = &self.next;
         let bad = all_finite(qvel).and(all_finite(qpos)).not();
         if bad.any() {

@@ -71,6 +71,12 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
         "--dt", type=time, metavar="S", help="time step [s] (default: the model's)"
     )
     command.add_argument(
+        "--accuracy",
+        metavar="LENGTH",
+        help="the most error that a second of motion may add, such as 1mm: each time step is made "
+        "of as many shorter ones as this takes (default: steps of --dt)",
+    )
+    command.add_argument(
         "--set",
         action="append",
         default=[],
@@ -126,12 +132,15 @@ def _run(args: argparse.Namespace) -> int:
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt
+    if args.accuracy is not None:
+        changes["accuracy"] = args.accuracy
     horizon = HORIZON if args.horizon is None else args.horizon
     if not 0 <= horizon < float("inf"):
         raise Usage(f"--horizon {horizon:g}: must be finite and >= 0 s")
     model = model_of(args).with_settings(**changes)
-    # The ledger is needed to explain a failure in full, and costs only a few per cent.
-    sim = Sim(model, **({"ledger": True} | changes))
+    # The ledger is needed to explain a failure in full, and costs only a few per cent. It balances
+    # steps of a fixed length.
+    sim = Sim(model, **({"ledger": model.settings.accuracy is None} | changes))
     dt = model.settings.dt
     if not horizon / dt < MOST_STEPS:
         limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s"
@@ -238,6 +247,8 @@ def _setting(text: str) -> tuple[str, Any]:
     if name not in fields:
         raise Usage(f"--set {text}: settings have no '{name}'{nearest(name, fields)}")
     if (name, value) == ("sweeps", "auto"):
+        return name, value
+    if name == "accuracy":
         return name, value
     if name == "max_recovery_speed":
         return name, value if value in ("auto", "none") else _number(float, name, value)

@@ -6,6 +6,7 @@
 
 mod damped;
 mod end_of_step_rows;
+mod extrapolation;
 mod implicit;
 mod integrate;
 mod midpoint;
@@ -13,6 +14,8 @@ mod next;
 mod position;
 mod rk4;
 mod stage_constraints;
+mod within;
 
+pub(crate) use extrapolation::Extrapolation;
 pub use next::Next;
 pub use position::advance;

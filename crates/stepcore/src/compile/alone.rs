@@ -47,7 +47,8 @@ impl<R: Real> Sim<R> {
     /// same.
     pub fn use_code(&mut self) {
         let swept = sweeps(&self.settings);
-        if vectors().is_none() || !may_be_short(self.model()) {
+        if vectors().is_none() || !may_be_short(self.model()) || self.settings.accuracy.0.is_some()
+        {
             return;
         }
         let code = Compiled::of::<R>(&[self.model().clone()].into(), &self.settings, QUICKER);

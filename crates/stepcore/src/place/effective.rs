@@ -48,6 +48,10 @@ impl<R: Real> Effective<R> {
         Self { dt, matrix, places, shift, parts }
     }
 
+    pub(super) fn set_dt(&mut self, dt: R) {
+        self.dt = dt;
+    }
+
     /// M alone, of all dofs: what stands of it where no step changes it.
     pub(super) fn start(&mut self, mass: &[R], metric: &mut Metric<R>) {
         spread(mass, &self.places, &mut self.matrix);

@@ -245,6 +245,13 @@ impl<R: Real> Placed<R> {
         }
     }
 
+    /// Steps are so long from now on [s].
+    pub(crate) fn set_dt(&mut self, dt: R) {
+        if let Some(effective) = &mut self.effective {
+            effective.set_dt(dt);
+        }
+    }
+
     /// What follows places every tree.
     pub(crate) fn place_all(&mut self) {
         self.resting.forget();

@@ -42,6 +42,7 @@ pub(super) enum Direction {
 impl Linearizer {
     /// At the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
+        from.settings.check_fixed("linearize")?;
         Self::of(&from.plain())
     }
 

@@ -48,9 +48,11 @@ impl<R: Real> Watched<R> {
 
     pub fn around(sim: Sim<R>) -> Self {
         let care = if sim.settings.ledger { Care::Full } else { Care::Least };
+        // Steps within an accuracy watch themselves.
+        let fixed = sim.settings.accuracy.0.is_none();
         Self {
             past: Past::new(&sim.model),
-            ledger: Some(Box::new(Ledger::new(&sim.model, care))),
+            ledger: fixed.then(|| Box::new(Ledger::new(&sim.model, care))),
             others: Others { copies: 0, worlds: 1 },
             failed: false,
             sim,

@@ -109,6 +109,10 @@ pub(super) fn look_into<R: Real>(
 impl<R: Real> Run<'_, R> {
     /// Adds what can be found out about a failure of the lane `divergence.world`.
     pub fn explain(&self, divergence: Divergence) -> Divergence {
+        if self.sim.settings.accuracy.0.is_some() {
+            let post = self.within_accuracy(&divergence);
+            return Divergence { post: Some(post), ..divergence };
+        }
         let gained = matches!(divergence.fault, Fault::Energy { .. });
         let mut post = self.post_mortem(divergence.world, gained);
         if divergence.fault == Fault::Midpoint {
@@ -121,6 +125,31 @@ impl<R: Real> Run<'_, R> {
             }
         }
         Divergence { post: Some(post), ..divergence }
+    }
+
+    /// Of a step within an accuracy: the fault names who is to blame, and it comes again from here.
+    fn within_accuracy(&self, divergence: &Divergence) -> PostMortem {
+        let (sim, lane) = (self.sim, divergence.world);
+        let here = Segment::at_present(sim, lane);
+        PostMortem {
+            start: start(&here.state, lane),
+            inputs: held(&here.inputs, lane),
+            changes: Vec::new(),
+            steps: 1,
+            element: match &divergence.fault {
+                Fault::Rough { body, .. } => Some(body.clone()),
+                Fault::NotFinite { joint, .. } => Some(joint.clone()),
+                _ => None,
+            },
+            shares: Vec::new(),
+            saturated: false,
+            since: None,
+            growth: None,
+            unsolved: None,
+            stable: Stable::Unknown,
+            dt: sim.period,
+            integrator: sim.settings.integrator.name(),
+        }
     }
 
     fn post_mortem(&self, lane: usize, gained: bool) -> PostMortem {

@@ -1,0 +1,166 @@
+//! A step of `dt` within an accuracy: in as many stretches as it takes, each extrapolated from steps of the
+//! integrator (`extrapolation.rs`).
+//!
+//! A stretch begins at a binary fraction of the step and is one long, so that the step ends where it should
+//! to the bit, and every step begins with the whole: no state is handed on beside the world's own. What
+//! counts is the error that a stretch adds, for positions and, as the way that they make in `LASTS`,
+//! for velocities of the centre of mass and the turning of each body.
+//!
+//! Extrapolation wants a smooth motion, and a contact that begins, a servo that reaches the bound of its force
+//! or a joint that sticks is none: between the places at which steps look, nothing tells of it, and the
+//! results may agree by chance. So the changes of velocity that equal steps make are looked at, one beyond
+//! the stretch among them: their highest difference counts as an error too.
+
+use super::extrapolation::{worse, Extrapolation, Largest, Now, CUTS};
+use crate::clock::Clock;
+use crate::elements::{Element, Kind};
+use crate::error::{Error, Fault, Result};
+use crate::interrupt::ends_after;
+use crate::real::{Mask, Real};
+use crate::sim::Sim;
+
+/// How long an error of velocity is taken to last [s].
+const LASTS: f64 = 0.1;
+/// A shorter stretch may add as much as one of this length [s]: of what happens at once, as an impact, thirty
+/// a second add what was asked for. With 0.01 s robots that stand or walk cost twice as much; with 0.05 s and
+/// errors of velocity for 0.03 s a quarter, and a fifth of `benches/accuracy.py` is worse than was asked.
+const SUDDEN: f64 = 0.03;
+/// The step over the shortest stretch.
+const FINEST: u32 = 36;
+/// The most that a stretch is shortened at once, by powers of two.
+const SHORTER: u32 = 4;
+/// Error over what is allowed at which a finer cut is not tried any more.
+const HOPELESS: f64 = 1e4;
+/// Of what is allowed, for the next stretch.
+const SAFETY: f64 = 0.5;
+
+/// What came of a stretch.
+struct Tried {
+    /// The error that it adds [m], and where it is largest.
+    error: Largest,
+    /// The power of its length with which that goes.
+    power: u32,
+}
+
+impl<R: Real> Sim<R> {
+    /// One step, into `next`, that adds at most `asked` metres a second.
+    pub(crate) fn integrate_within(&mut self, asked: f64) -> Result<()> {
+        let Some(mut space) = self.extrapolation.take() else { return Ok(()) };
+        self.state.copy_to(&mut space.period);
+        let outcome = self.stretches(&mut space, asked);
+        if outcome.is_ok() {
+            self.swap_states();
+        }
+        space.period.copy_to(&mut self.state);
+        self.extrapolation = Some(space);
+        outcome
+    }
+
+    /// Takes the state to the end of the step.
+    fn stretches(&mut self, space: &mut Extrapolation<R>, asked: f64) -> Result<()> {
+        let (whole, mut at, mut level) = (1_u64 << FINEST, 0, 0);
+        for tries in 0.. {
+            if at == whole {
+                break;
+            }
+            if ends_after(tries) {
+                return Err(Error::Interrupted);
+            }
+            self.state.copy_to(&mut space.from);
+            let length = self.period / (1_u64 << level) as f64;
+            let allowed = asked * length.max(SUDDEN);
+            let tried = self.stretch(space, length, allowed);
+            if let Ok(Tried { error, power }) = &tried {
+                if error.0 <= allowed {
+                    at += whole >> level;
+                    let grown = error.0 * f64::from(1_u32 << power);
+                    let begins = level > 0 && at.is_multiple_of(whole >> (level - 1));
+                    if begins && grown <= SAFETY * allowed {
+                        level -= 1;
+                    }
+                    continue;
+                }
+            }
+            space.from.copy_to(&mut self.state);
+            if level == FINEST {
+                let error = tried?.error;
+                return Err(self.too_rough(error, length));
+            }
+            let shorter = match tried {
+                Err(Error::Diverged(_)) => SHORTER,
+                Err(error) => return Err(error),
+                Ok(Tried { error, power }) => {
+                    let halvings = (error.0 / allowed).log2() / f64::from(power);
+                    halvings.ceil().clamp(1.0, f64::from(SHORTER)) as u32
+                }
+            };
+            level = (level + shorter).min(FINEST);
+        }
+        Ok(())
+    }
+
+    /// Takes the state over one stretch from `space.from`, where it is.
+    fn stretch(
+        &mut self,
+        space: &mut Extrapolation<R>,
+        length: f64,
+        allowed: f64,
+    ) -> Result<Tried> {
+        let mut tried = Tried { error: (f64::INFINITY, 0), power: 1 };
+        for (nth, cuts) in CUTS.into_iter().enumerate() {
+            if nth > 0 {
+                space.from.copy_to(&mut self.state);
+            }
+            self.set_dt(length / f64::from(cuts));
+            for part in 0..cuts {
+                self.part(space, part, cuts)?;
+                self.swap_states();
+            }
+            space.take(&self.model, &self.state, nth);
+            if nth == 0 {
+                continue;
+            }
+            tried = Tried { error: space.error(&self.now(), LASTS), power: nth as u32 };
+            if tried.error.0 <= allowed {
+                space.store(&self.model, &mut self.state);
+                self.part(space, cuts, cuts)?;
+                let (speed, body) = space.jump(&self.now());
+                let jump = (speed * LASTS, body);
+                let power = if jump.0 > allowed { 1 } else { tried.power };
+                return Ok(Tried { error: worse(tried.error, jump), power });
+            }
+            if tried.error.0 > HOPELESS * allowed {
+                break;
+            }
+        }
+        Ok(tried)
+    }
+
+    /// A step of the integrator, into `next`: the nth of so many.
+    fn part(&mut self, space: &mut Extrapolation<R>, nth: u32, of: u32) -> Result<()> {
+        self.integrate(&mut ())?;
+        self.check_next()?;
+        space.count(nth, of, &self.state.qvel, &self.next.qvel);
+        Ok(())
+    }
+
+    fn now(&self) -> Now<'_, R> {
+        Now { model: &self.model, placed: &self.placed }
+    }
+
+    /// Steps are so long from now on [s].
+    pub(crate) fn set_dt(&mut self, dt: f64) {
+        if self.settings.dt != dt {
+            self.settings.dt = dt;
+            self.clock = Clock::new(dt);
+            self.placed.set_dt(self.clock.dt);
+        }
+    }
+
+    /// No stretch is short enough.
+    fn too_rough(&self, (error, body): Largest, length: f64) -> Error {
+        let body = self.model.named(Element::whole(Kind::Body, body));
+        let asked = self.settings.accuracy.0.unwrap_or_default();
+        self.diverged(R::Mask::of(true), |_| Fault::Rough { error, length, asked, body })
+    }
+}
