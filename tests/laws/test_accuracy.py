@@ -167,7 +167,6 @@ def test_single_precision_keeps_what_it_can():
         ({"accuracy": 1e-3, "ledger": True}, "ledger = True: must be False"),
         ({"accuracy": 1e-3, "sleep": True}, "sleep = True: must be False"),
         ({"accuracy": 1e-3, "stiction": True}, "stiction = True: must be False"),
-        ({"accuracy": 1e-3, "noslip_iterations": 3}, "noslip_iterations = 3: must be 0"),
     ],
 )
 def test_what_does_not_go_with_it_is_refused(fields, message):

@@ -380,10 +380,6 @@ impl Settings {
                 return Err(Error::value(field, value, limit));
             }
         }
-        if self.noslip_iterations > 0 {
-            let limit = "0 with an accuracy: it changes what a step ends with";
-            return Err(Error::value("noslip_iterations", self.noslip_iterations, limit));
-        }
         Ok(())
     }
 }

@@ -15,7 +15,7 @@ from stepcore.engine.arrays import Floats, kept, last_of, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.linearization import Linearization, linearized
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
-from stepcore.engine.trajectory import Trajectory, record_run
+from stepcore.engine.trajectory import Trajectory, record_run, whole_steps
 from stepcore.engine.unsolved import UnsolvedWarning
 from stepcore.engine.world import World, compiled
 from stepcore.signatures import refuse_unknown_settings, takes_settings
@@ -109,6 +109,8 @@ class Sim(World):
     def step(self, n: int = 1) -> None:
         """Take n steps, with the GIL released (a single step of a few microseconds keeps it).
 
+        With the setting ``accuracy`` each step of dt is made of as many shorter ones as that takes.
+
         Raises ValueError if a state or input is not finite; no step is taken then. Raises
         SimulationError if the motion becomes non-finite or, with the setting ``ledger``, has more
         energy than is physically possible; the last finite state is kept. Without ``ledger``, a
@@ -120,6 +122,19 @@ class Sim(World):
         except SimulationError as error:
             self._explain(error)
             raise
+
+    def advance(self, duration: float) -> None:
+        """Go on by a time [s], a whole number of steps; see `step`, whose errors this raises.
+
+        Raises ValueError for a duration that is not a whole number of steps.
+
+        >>> from stepcore import Sim, lesson
+        >>> sim = Sim(lesson.drop(), dt=0.01)
+        >>> sim.advance(0.5)
+        >>> sim.time
+        0.5
+        """
+        self.step(whole_steps("duration", duration, self.settings.dt))
 
     def balance(self) -> None:
         """Check the energy balance; do nothing without the setting ``ledger``.

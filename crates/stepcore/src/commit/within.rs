@@ -154,6 +154,7 @@ impl<R: Real> Sim<R> {
             self.settings.dt = dt;
             self.clock = Clock::new(dt);
             self.placed.set_dt(self.clock.dt);
+            self.plan.noslip_cost = self.settings.cost_floor(self.settings.noslip_tolerance);
         }
     }
 
