@@ -244,10 +244,10 @@ impl<R: Real> World for One<R> {
             self.solves(Last::Step);
             self.last.stepped();
         }
-        let outcome = self.watched.step(n);
-        if outcome.is_ok() && n > 0 && self.sim().settings().accuracy.0.is_some() {
+        let mut outcome = self.watched.step(n);
+        if n > 0 && self.sim().settings().accuracy.0.is_some() {
             // What was solved last belongs to a part of a step: what is read is that of the state.
-            self.watched.sim.forward()?;
+            outcome = outcome.and_then(|()| self.watched.forward());
             self.stayed();
         }
         self.noted(outcome)

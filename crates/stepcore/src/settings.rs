@@ -363,7 +363,7 @@ impl Settings {
             (
                 "law",
                 self.law.name(),
-                !matches!(self.law, Law::SolRef),
+                self.law != Law::SolRef,
                 "'solref' with an accuracy: the others are laws of a step",
             ),
             ("sleep", "True", self.sleep, "False with an accuracy: who sleeps is decided at steps"),

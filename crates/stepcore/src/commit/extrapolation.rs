@@ -136,8 +136,7 @@ fn difference<R: Real>(model: &Model<R::Value>, from: &State<R>, to: &State<R>, 
     minus(dw, &to.act, &from.act);
     let turn = |q: usize, dq: &mut [R]| {
         let (old, new) = (Quat::of(&from.qpos[q..q + 4]), Quat::of(&to.qpos[q..q + 4]));
-        let back = Quat { w: old.w, v: -old.v };
-        dq.copy_from_slice(back.mul(&new).log().as_slice());
+        dq.copy_from_slice(old.conjugate().mul(&new).log().as_slice());
     };
     for joint in &model.joints {
         let (q, v) = (joint.qpos, joint.dof);

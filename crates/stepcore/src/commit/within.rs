@@ -91,7 +91,8 @@ impl<R: Real> Sim<R> {
                 Err(error) => return Err(error),
                 Ok(Tried { error, power }) => {
                     let halvings = (error.0 / allowed).log2() / f64::from(power);
-                    halvings.ceil().clamp(1.0, f64::from(SHORTER)) as u32
+                    // Of what is not a number it is 0.
+                    (halvings.ceil() as u32).clamp(1, SHORTER)
                 }
             };
             level = (level + shorter).min(FINEST);

@@ -6,7 +6,8 @@
 //! each. The numbers are those of `push_relative` and `push_edges`, bit for bit.
 
 use super::relative::{is_free, SIX};
-use super::rows::{Rows, Situation};
+use super::rows::Rows;
+use super::situation::Situation;
 use super::suspect;
 use crate::model::{Pair, NONE};
 use crate::real::{Mask, Real};

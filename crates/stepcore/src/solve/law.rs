@@ -5,7 +5,8 @@
 //! and "Solver parameters". The others act on the velocity of the guess, after
 //! Baumgarte (1972) and Stewart & Trinkle (1996).
 
-use super::rows::{Row, Situation};
+use super::rows::Row;
+use super::situation::Situation;
 use crate::real::{elementary, Constant, Mask, Real, Value};
 use crate::scene::Softness;
 use crate::settings::{Law, Settings};

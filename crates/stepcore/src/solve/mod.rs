@@ -22,6 +22,7 @@ mod relative;
 mod residual;
 pub(crate) mod rows;
 mod saved_solve;
+mod situation;
 mod solver;
 mod square;
 #[cfg(test)]
@@ -34,7 +35,8 @@ pub(crate) use limits::{Limits, Report};
 pub(crate) use live::Live;
 pub(crate) use pgs::Noslip;
 pub(crate) use rows::{Anchor, Guessed, CONE};
-pub use rows::{Block, Part, Push, Row, Rows, Set, Situation};
+pub use rows::{Block, Push, Row, Rows, Set};
+pub use situation::{Part, Situation};
 pub(crate) use solver::{Solve, Solvers, Unconstrained};
 
 use crate::elements::Role;

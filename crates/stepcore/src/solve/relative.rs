@@ -4,7 +4,8 @@
 //! the factors and each place in a list is read once for all of them. The numbers are those of one
 //! row after another (`Rows::push_scratch`), bit for bit.
 
-use super::rows::{Rows, Situation};
+use super::rows::Rows;
+use super::situation::Situation;
 use super::suspect;
 use crate::model::{Model, Pair, Span, NONE};
 use crate::place::Metric;

@@ -11,16 +11,13 @@ use super::dot::dot;
 use super::free::Free;
 use super::live::Live;
 use super::saved_solve::SavedSolve;
-use crate::clock::Clock;
+use super::situation::Situation;
 use crate::elements::friction::MOST_WAYS;
 use crate::elements::{Element, Role};
-use crate::model::{Model, Span, NONE};
-use crate::place::Placed;
+use crate::model::{Model, Span};
 use crate::pool::Pool;
 use crate::real::{Mask, Real};
 use crate::spatial::V3;
-use crate::state::Inputs;
-use crate::warm::Warm;
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 
@@ -98,20 +95,6 @@ impl<R: Real> Row<R> {
             gap: of(gap),
         }
     }
-}
-
-/// Which rows are made, and what their impulses act on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
-    /// All, on the velocity of the step.
-    Whole,
-    /// Equalities alone, on the velocity at the start, which then keeps them.
-    Start,
-    /// Equalities alone, on the acceleration of a stage.
-    Stage,
-    /// All, after a smooth motion: see `commit/end_of_step_rows.rs`. Equalities that its stages held answer
-    /// to the others only.
-    End,
 }
 
 /// The most rows of a block that is a cone: the normal, two tangents, torsion and two ways of
@@ -271,38 +254,6 @@ pub(crate) struct Guessed<R: Real> {
     pub closing: R::Mask,
     /// J v̂ less J v of the start.
     pub gained: R,
-}
-
-/// Everything the row makers read.
-pub struct Situation<'a, R: Real> {
-    pub model: &'a Model<R::Value>,
-    pub placed: &'a Placed<R>,
-    /// What the spans of rows point into: `Model::dof_lists`, and in a heap what follows it.
-    pub dof_lists: &'a [usize],
-    pub settings: &'a crate::settings::Settings,
-    pub clock: Clock<R>,
-    pub qpos: &'a [R],
-    pub qvel: &'a [R],
-    pub inputs: &'a Inputs<R>,
-    pub part: Part,
-    /// What the last step kept.
-    pub warm: &'a [Warm<R>],
-    /// By tree: it sleeps; empty where nobody does.
-    pub asleep: &'a [bool],
-    /// No stage of this step has been solved yet.
-    pub first_stage: bool,
-}
-
-impl<R: Real> Situation<'_, R> {
-    /// The rows judge the mean velocity of a step of `midpoint` or `rk4`, by a law on velocities.
-    pub fn halves(&self) -> bool {
-        self.part == Part::End && self.settings.law.on_guess()
-    }
-
-    /// A tree sleeps, or nothing moves what it stands for (`NONE`).
-    pub fn rests(&self, tree: usize) -> bool {
-        tree == NONE || self.asleep.get(tree).is_some_and(|asleep| *asleep)
-    }
 }
 
 impl<R: Real> Rows<R> {
