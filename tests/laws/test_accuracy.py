@@ -127,6 +127,57 @@ def test_the_motion_is_a_function_of_the_state():
         assert other.state() == sim.state()
 
 
+@pytest.mark.parametrize("threads", (1, 3))
+def test_worlds_of_a_batch_are_those_of_sims(threads):
+    """Each with steps of its own: the same bits, in what is read too, and from a copy."""
+    model = sc.loads(ROBOT.format(dt=0.01, kp=200, loss=0.1, wall=0.2)).compile()
+    worlds, steps = 4, 30
+    ctrl = np.random.default_rng(0).uniform(-1, 1, (worlds, steps, 2))
+    batch = sc.Batch(model, worlds, threads=threads, accuracy=1e-3)
+    states = batch.rollout(ctrl)
+    other = pickle.loads(pickle.dumps(batch))
+    for world in range(worlds):
+        sim = sc.Sim(model, accuracy=1e-3)
+        for row, qpos in zip(ctrl[world], states.qpos[world], strict=True):
+            sim.ctrl[:] = row
+            sim.step()
+            assert np.array_equal(sim.qpos, qpos)
+        for name in ("qvel", "qacc", "actuator_force", "constraint_force", "xpos"):
+            for many in (batch, other):
+                assert np.array_equal(getattr(sim, name), getattr(many, name)[world]), name
+        assert np.array_equal(sim.contacts, batch.contacts[world])
+    batch.step(5)
+    other.step(5)
+    assert np.array_equal(batch.qpos, other.qpos)
+
+
+def test_a_world_that_no_step_is_short_enough_for_stands_alone():
+    """The others, whose balls do not land, go on; the failed one keeps its last state."""
+    batch = sc.Batch(sc.loads(BALL.format(dt=0.05)), 3, accuracy=1e-10, on_failure="go on")
+    batch.qpos[::2, 0] = 100.0
+    batch.step(20)
+    assert list(batch.failures) == [1]
+    assert "no step keeps the accuracy" in str(batch.failures[1])
+    fallen = 100 - 9.81 / 2
+    assert batch.qpos[:, 0] == pytest.approx([fallen, -0.46, fallen], abs=0.06)
+    assert batch.time == pytest.approx(1.0)
+
+
+def test_environments_take_it():
+    gymnasium = pytest.importorskip("gymnasium")
+    import stepcore.gymnasium  # noqa: F401
+
+    fields = {"settings": {"accuracy": 1e-3}}
+    one = gymnasium.make("stepcore/HalfCheetah-v0", **fields)
+    many = gymnasium.make_vec("stepcore/HalfCheetah-v0", num_envs=2, **fields)
+    one.reset(seed=0)
+    many.reset(seed=0)
+    action = np.linspace(-1, 1, 6)
+    for _ in range(5):
+        alone, beside = one.step(action), many.step(np.array([action, action]))
+        assert np.array_equal(alone[0], beside[0][0])
+
+
 def test_what_is_read_is_that_of_the_state():
     sim = sc.Sim(sc.loads(BALL.format(dt=0.05)), accuracy=1e-4)
     sim.step(60)
@@ -180,7 +231,6 @@ def test_what_regards_one_step_refuses_it():
     for ask in (
         sim.linearize,
         sim.count_flops,
-        lambda: sc.Batch(model, 2),
         lambda: sc.trade(model),
     ):
         with pytest.raises(ValueError, match=r"accuracy = 0\.001: must be None"):

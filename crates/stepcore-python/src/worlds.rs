@@ -94,10 +94,6 @@ impl How {
     /// Worlds in the precision that the settings ask for; `model_of`: the model of each.
     pub fn worlds(&self, models: Vec<Arc<Model>>, model_of: &[usize]) -> Result<Box<dyn Worlds>> {
         let width = if self.single() { <WideF32>::LANES } else { <Wide>::LANES };
-        if let Some(accuracy) = self.settings.accuracy.0 {
-            let limit = "None in a Batch: many worlds within an accuracy are not built yet";
-            return Err(Error::value("accuracy", accuracy, limit));
-        }
         let gains = models.iter().all(|model| gains_by_lanes(model, &self.settings));
         self.settings.check()?;
         let common = self.common(&models);

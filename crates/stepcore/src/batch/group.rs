@@ -272,14 +272,19 @@ impl<R: Real> Group<R> {
         one: impl Fn(u64, &mut Watched<R>) -> Result<()>,
     ) {
         let Self { models, mirrored, state, inputs, ledger, standing, before, qacc, .. } = self;
+        let steps = last == Last::Step;
         standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
         if standing.any() && !standing.mirror(state, inputs) {
             // Nobody is left; time goes on.
-            state.steps += if last == Last::Step { n } else { 0 };
+            state.steps += if steps { n } else { 0 };
             return;
         }
         let copies = standing.mask::<R>();
         watched.sim.take_models(mirrored.of(models, standing));
+        // Within an accuracy the last solve of a step belongs to a part of it: worlds, which are one by one
+        // then, end with one of their state.
+        let solves = steps && watched.sim.settings.accuracy.0.is_some();
+        let last = if solves { Last::Forward } else { last };
         let guest = Guest::new(watched, state, inputs, ledger, copies);
         if n == 0 {
             self.failed = guest.watched.look().err().map(|error| (0, error));
@@ -290,13 +295,18 @@ impl<R: Real> Group<R> {
                 guest.watched.sim.state.copy_to(before);
             }
             loop {
-                let error = one(k, guest.watched).err()?;
+                let mut outcome = one(k, guest.watched);
+                if solves && k + 1 == n && outcome.is_ok() {
+                    guest.watched.sim.state.copy_to(before);
+                    outcome = guest.watched.forward();
+                }
+                let error = outcome.err()?;
                 if !(goes_on && set_aside(standing, guest.watched, worlds, k, &error)) {
                     return Some((k, error));
                 }
                 guest.watched.sim.take_models(mirrored.of(models, standing));
                 if standing.healthy().is_none() {
-                    guest.watched.sim.state.steps += if last == Last::Step { n - k } else { 0 };
+                    guest.watched.sim.state.steps += if steps { n - k } else { 0 };
                     return Some((u64::MAX, error));
                 }
             }

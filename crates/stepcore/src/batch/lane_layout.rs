@@ -24,7 +24,8 @@ impl Common {
     pub fn of<R: Real>(models: &[Arc<Model>], settings: &Settings) -> Self {
         let own = Self::without_code(models);
         let one = own.kinds.iter().all(|kind| *kind == 0);
-        Self { code: one.then(|| Coming::of::<R>(models.into(), settings)), ..own }
+        let fixed = settings.accuracy.0.is_none();
+        Self { code: (one && fixed).then(|| Coming::of::<R>(models.into(), settings)), ..own }
     }
 
     pub fn without_code(models: &[Arc<Model>]) -> Self {
@@ -113,10 +114,12 @@ fn registers(lanes: usize, kinds: &[usize], model_of: &[usize]) -> usize {
 }
 
 /// Whether worlds of a model can be stepped side by side, and gain by it. The pairs of a heap are
-/// found one world at a time, so are those who sleep; and Newton's method solves a heap so too.
+/// found one world at a time, so are those who sleep; Newton's method solves a heap so too; and within
+/// an accuracy each world has steps of its own.
 pub fn gains_by_lanes<N: Constant>(model: &Model<N>, settings: &Settings) -> bool {
     let by_lane = settings.solver == Solver::Newton && any_heap(&model.islands());
-    model.dynamic_pairs.is_none() && !settings.sleep && !by_lane
+    let own_steps = settings.accuracy.0.is_some();
+    model.dynamic_pairs.is_none() && !settings.sleep && !by_lane && !own_steps
 }
 
 /// Whether worlds of several models fill lanes well enough: those of a kind share a register, and
