@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from stepcore._core import Settings as Settings
     from stepcore._core import SimulationError as SimulationError
     from stepcore.engine.batch import Batch as Batch
+    from stepcore.engine.error_bar import ErrorBar as ErrorBar
+    from stepcore.engine.gradients import Gradients as Gradients
+    from stepcore.engine.gradients import GradientWarning as GradientWarning
     from stepcore.engine.linearization import Linearization as Linearization
     from stepcore.engine.model import Model as Model
     from stepcore.engine.noise import Noise as Noise
@@ -93,6 +96,8 @@ vectors.choose(__path__)
 _MODULES = {
     "stepcore._core": "EnergyWarning Settings SimulationError",
     "stepcore.engine.batch": "Batch",
+    "stepcore.engine.error_bar": "ErrorBar",
+    "stepcore.engine.gradients": "Gradients GradientWarning",
     "stepcore.engine.linearization": "Linearization",
     "stepcore.engine.model": "Model",
     "stepcore.engine.noise": "Noise",

@@ -391,8 +391,9 @@ class Sim(_World):
         """Steps once: kinetic and spring energy before and after; energy that elements injected."""
     def forget(self) -> None:
         """Forgets the impulses of the last step."""
-    def linearize(self) -> tuple[_Floats, list[_Element]]:
-        """A (2 nv + na columns) and B (nu columns), and where they are one-sided."""
+    def linearize(self, parameters: Sequence[Sequence[Model]]) -> tuple[_Floats, list[_Element]]:
+        """A (2 nv + na columns), B (nu columns) and a column for each parameter, given by the
+        models around its value, over their distance; and where these are one-sided."""
     def element_slopes(self) -> tuple[list[_Element], _Floats, list[float], _Floats]:
         """Elements that act at the present state, forces (n, nv), energies [J], and the entries of
         their slopes in the columns (nth element, dof, dof, stiffness, damping)."""
@@ -417,6 +418,8 @@ class Sim(_World):
     def sweeps_done(self) -> int: ...
     @property
     def row_updates(self) -> int: ...
+    @property
+    def evaluations(self) -> int: ...
     @property
     def asleep(self) -> list[bool]: ...
     @property

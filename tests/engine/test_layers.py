@@ -28,7 +28,7 @@ LAYERS = (
     ("experiment",),
     ("measure",),
     ("lesson", "reading"),
-    ("gymnasium",),
+    ("gymnasium", "torch", "jax"),
     ("cli", "__main__"),
 )
 # Layers in whose files TYPE_CHECKING may name types of layers above: what they are handed.

@@ -90,7 +90,7 @@ NAMED = {
 
 
 def recorded(names=RECORDED):
-    return sc.Sim(sc.loads(EVERYTHING)).run(0.02, record=names)
+    return sc.Sim(sc.loads(EVERYTHING), error_bar=names is RECORDED).run(0.02, record=names)
 
 
 def test_arrays_by_their_names():

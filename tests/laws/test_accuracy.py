@@ -230,8 +230,10 @@ def test_what_regards_one_step_refuses_it():
     sim = sc.Sim(model)
     for ask in (
         sim.linearize,
-        sim.count_flops,
-        lambda: sc.trade(model),
+        lambda: sc.diagnose(model),
+        lambda: sc.converge(model),
+        lambda: sc.ablate(model),
+        lambda: sc.stability_map(model),
     ):
         with pytest.raises(ValueError, match=r"accuracy = 0\.001: must be None"):
             ask()

@@ -9,7 +9,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
-use stepcore::real::Stage;
+use stepcore::real::{Stage, AROUND};
+use stepcore::watch::Around;
 
 use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
 use crate::element::{id, Id};
@@ -202,17 +203,26 @@ impl Sim {
 
     /// A (2 nv + na columns) and B (nu columns), side by side, of the step from the present state; the
     /// elements at which they are one-sided.
-    fn linearize<'py>(&self, py: Python<'py>) -> PyResult<(Array<'py>, Vec<Id>)> {
+    /// `parameters`: the models around each.
+    fn linearize<'py>(
+        &self,
+        py: Python<'py>,
+        parameters: Vec<[PyRef<'py, Model>; AROUND]>,
+    ) -> PyResult<(Array<'py>, Vec<Id>)> {
+        let parameters: Vec<Around> =
+            parameters.iter().map(|around| around.each_ref().map(|m| m.0.clone())).collect();
+        let width =
+            2 * self.model.nv + self.model.na + self.model.actuators.len() + parameters.len();
         let mut linearizer = {
             let mut guard = self.lock()?;
             let world = &mut **guard;
             self.load_beside(py, world)?;
-            gil::release(py, || world.linearizer())?
+            gil::release(py, || world.linearizer(parameters))?
         };
         gil::steps(py, linearizer.steps(), |n| linearizer.advance(n))?;
         let rows = 2 * self.model.nv + self.model.na;
         let degenerate = linearizer.degenerate().iter().copied().map(id).collect();
-        let matrix = result(py, linearizer.matrix, &[rows, rows + self.model.actuators.len()])?;
+        let matrix = result(py, linearizer.matrix, &[rows, width])?;
         Ok((matrix, degenerate))
     }
 
@@ -394,6 +404,10 @@ impl Sim {
     #[getter]
     fn row_updates(&self) -> PyResult<u64> {
         Ok(self.lock()?.effort().row_updates)
+    }
+    #[getter]
+    fn evaluations(&self) -> PyResult<u64> {
+        Ok(self.lock()?.effort().evaluations)
     }
     #[getter]
     fn most_rows(&self) -> PyResult<usize> {

@@ -15,7 +15,7 @@ use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
 use stepcore::warm::Sleep;
 use stepcore::watch::{
-    Counter, Coupling, ElementSlopes, LastSolve, Linearizer, RayFilter, StepGains, Watched,
+    Around, Counter, Coupling, ElementSlopes, LastSolve, Linearizer, RayFilter, StepGains, Watched,
 };
 
 use crate::memo::{put_memo, warm_of, Memo, Solve};
@@ -150,7 +150,7 @@ pub trait World: Send {
     fn initial_sleep(&self) -> Sleep<f64>;
     /// How often the list of contacts had to grow.
     fn grown(&self) -> u64;
-    fn linearizer(&mut self) -> Result<Linearizer>;
+    fn linearizer(&mut self, parameters: Vec<Around>) -> Result<Linearizer>;
     fn element_slopes(&mut self) -> Result<ElementSlopes>;
     fn counter(&mut self) -> Result<Counter>;
     fn bytes(&self) -> usize;
@@ -435,8 +435,8 @@ impl<R: Real> World for One<R> {
     fn grown(&self) -> u64 {
         self.sim().detected.grown
     }
-    fn linearizer(&mut self) -> Result<Linearizer> {
-        Linearizer::new(self.sim())
+    fn linearizer(&mut self, parameters: Vec<Around>) -> Result<Linearizer> {
+        Linearizer::new(self.sim(), parameters)
     }
     fn element_slopes(&mut self) -> Result<ElementSlopes> {
         ElementSlopes::new(self.sim())

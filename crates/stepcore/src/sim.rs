@@ -179,15 +179,17 @@ impl<R: Real> Sim<R> {
             return Err(Error::value("lanes", R::LANES, limit));
         }
         check_spaces(&models[0], R::LANES, "lanes")?;
-        let extrapolation = match settings.accuracy.0 {
-            Some(_) => Some(Box::new(extrapolated::<R>(&model, &mut settings)?)),
-            None => None,
-        };
+        if settings.accuracy.0.is_some() {
+            extrapolates::<R>(&model, &mut settings)?;
+        }
         let plan = Plan::of(&models[0], &settings);
+        let placed = Placed::for_steps(&model, &settings);
+        let within = settings.accuracy.0.is_some();
         let mut sim = Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
-            placed: Placed::for_steps(&model, &settings),
+            extrapolation: within.then(|| Box::new(Extrapolation::new(&placed, &model))),
+            placed,
             detected: Detected::new(&model, settings.max_contacts),
             rows: Rows::new(&model),
             velocity: vec![R::zero(); model.nv],
@@ -202,7 +204,6 @@ impl<R: Real> Sim<R> {
             clock: Clock::new(settings.dt),
             period: settings.dt,
             code: None,
-            extrapolation,
             models,
             model,
             settings,
@@ -325,10 +326,7 @@ impl<R: Real> Sim<R> {
 
 /// What steps within an accuracy need. They are made of steps of first order, of any length, under
 /// a law that does not look at it.
-fn extrapolated<R: Real>(
-    model: &Model<R::Value>,
-    settings: &mut Settings,
-) -> Result<Extrapolation<R>> {
+fn extrapolates<R: Real>(model: &Model<R::Value>, settings: &mut Settings) -> Result<()> {
     if R::LANES > 1 {
         let limit = "1 with an accuracy: each world has steps of its own";
         return Err(Error::value("lanes", R::LANES, limit));
@@ -341,7 +339,7 @@ fn extrapolated<R: Real>(
         settings.integrator = Integrator::Euler;
     }
     settings.refsafe = false;
-    Ok(Extrapolation::new(model))
+    Ok(())
 }
 
 /// The precision that computes must hold every mass and its inverse, and for Newton,

@@ -22,11 +22,10 @@ from stepcore.cli.output import Writes, add_output, attempted, deliver
 from stepcore.cli.terminal import INTERRUPTED, Usage, put, reason, say
 from stepcore.engine.model import Model
 from stepcore.engine.replay import replay
-from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import RECORDED, Trajectory, whole_steps
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.single_run import PUSH, PUSH_FORM, Push
-from stepcore.measure.run import HORIZON, MOST_STEPS, simulated
+from stepcore.measure.run import HORIZON, MOST_STEPS, sim_of, simulated
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result
 from stepcore.report.units import time_of
@@ -73,8 +72,13 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
     command.add_argument(
         "--accuracy",
         metavar="LENGTH",
-        help="the most error that a second of motion may add, such as 1mm: each time step is made "
-        "of as many shorter ones as this takes (default: steps of --dt)",
+        help="the error asked for at the end of the run, such as 1mm: each time step is made of as "
+        "many shorter ones as this takes (default: steps of --dt)",
+    )
+    command.add_argument(
+        "--error-bar",
+        action=argparse.BooleanOptionalAction,
+        help="estimate the error of the run from a finer run beside it (default: with --accuracy)",
     )
     command.add_argument(
         "--set",
@@ -138,17 +142,17 @@ def _run(args: argparse.Namespace) -> int:
     if not 0 <= horizon < float("inf"):
         raise Usage(f"--horizon {horizon:g}: must be finite and >= 0 s")
     model = model_of(args).with_settings(**changes)
-    # The ledger is needed to explain a failure in full, and costs only a few per cent. It balances
-    # steps of a fixed length.
-    sim = Sim(model, **({"ledger": model.settings.accuracy is None} | changes))
     dt = model.settings.dt
     if not horizon / dt < MOST_STEPS:
         limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s"
         raise Usage(f"--horizon {horizon:g} s: must be {limit} (2^64 steps)")
     record = _recorded(args)
-    pushes, motion = pushes_of(args, model), motion_of_run(args, sim)
+    pushes, motion = pushes_of(args, model), motion_of_run(args, model)
     if args.horizon is None:
         horizon = max(horizon, motion.duration)
+    # The ledger is needed to explain a failure in full, and costs only a few per cent.
+    ledger = changes.get("ledger", True)
+    sim = sim_of(model, horizon, ledger=ledger, error_bar=args.error_bar)
     result = simulated(sim, model.settings, motion, horizon, pushes, record, None, True)
     if result.error is not None:
         said = [f"{one_line(result.error)}.", *(finding.text for finding in result.findings)]
@@ -163,11 +167,11 @@ def _run(args: argparse.Namespace) -> int:
     return INTERRUPTED if result.interrupted else 0
 
 
-def motion_of_run(args: argparse.Namespace, sim: Sim) -> Motion:
+def motion_of_run(args: argparse.Namespace, model: Model) -> Motion:
     """Return the motion of --key, --ctrl, --control and --control-dt."""
     if args.control_dt is not None:
-        whole_steps("--control-dt", args.control_dt, sim.settings.dt, least=1)
-    return Motion(**(motion_of(args, sim.model) | {"horizon": args.horizon or None}))
+        whole_steps("--control-dt", args.control_dt, model.settings.dt, least=1)
+    return Motion(**(motion_of(args, model) | {"horizon": args.horizon or None}))
 
 
 def pushes_of(args: argparse.Namespace, model: Model) -> list[Push]:

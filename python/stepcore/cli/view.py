@@ -78,7 +78,7 @@ def call(args: argparse.Namespace, name: str) -> int:
     if args.page is None:
         _live(args, sim)
         return 0
-    motion, pushes = motion_of_run(args, sim), pushes_of(args, model)
+    motion, pushes = motion_of_run(args, sim.model), pushes_of(args, model)
     run = simulated(sim, sim.settings, motion, horizon, pushes, ("qpos",), None)
     if run.error is not None:
         say(one_line(run.error))

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 UNITS = {
     "time": "s",
     "energy": "J",
-    **dict.fromkeys(("overlap", "unrecovered_overlap"), "m"),
+    **dict.fromkeys(("overlap", "unrecovered_overlap", "error", "body_error"), "m"),
     **dict.fromkeys(("xpos", "geom_xpos", "site_xpos", "subtree_com", "mocap_pos"), "m"),
     **dict.fromkeys(("residual",), "m/s"),
 }
@@ -42,6 +42,8 @@ AXES = {
     "mocap_pos": ("mocap", "xyz"),
     "mocap_quat": ("mocap", "wxyz"),
     "energy": ("part",),
+    "error": ("measure",),
+    "body_error": ("body",),
     "sensordata": ("reading",),
 }
 
@@ -69,6 +71,7 @@ def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis
 
 def _entries(model: Model, axis: str) -> Sequence[str]:
     fixed = {"xyz": XYZ, "wxyz": WXYZ, "force": FORCE, "part": ("kinetic", "potential")}
+    fixed["measure"] = ("rms", "largest")
     if axis in fixed:
         return fixed[axis]
     if axis in model.names:

@@ -15,13 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, indices_of, kept, last_of, numbers, snapshot
+from stepcore.engine.gradients import Differentiable
 from stepcore.engine.parameters import Parameters
 from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
-from stepcore.engine.sim import Momentum
+from stepcore.engine.sums import Momentum
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import recordable
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
-from stepcore.engine.world import World, compiled
+from stepcore.engine.world import compiled
 from stepcore.signatures import refuse_unknown_settings, takes_settings
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ WORTH_THREADS = 2000
 ON_FAILURE = ("stop", "go on")
 
 
-class Batch(World):
+class Batch(Differentiable):
     """A simulation of many worlds of a model.
 
     The arrays are those of a `Sim` with a leading world axis: an array documented with shape (nq,)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.parameter_columns import columns, models_around
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -21,14 +24,15 @@ AXES = {
 
 
 class Linearization:
-    """A step linearised about one state: x⁺ = A x + B u to first order.
+    """A step linearised about one state: x⁺ = A x + B u + P p to first order.
 
     x = (dq, dv, dw) is a small change of position, velocity and activation, and u is a small change
     of ctrl. dq has nv entries [m or rad] and changes qpos as a velocity dq does in one second: a
     ball or free joint rotates by a rotation vector in its body's axes. dw has na entries.
 
     A: shape (2 nv + na, 2 nv + na). B: shape (2 nv + na, nu). dt: the time step [s].
-    labels: names of the dofs. controls: names of the actuators.
+    P: shape (2 nv + na, number of parameters), by changes p of the parameters.
+    labels: names of the dofs. controls: names of the actuators. parameters: their paths.
     degenerate: names of the elements at which A and B are one-sided, because a row of the element
     is exactly at its switch between active and inactive; usually empty. degenerate_ids: (kind,
     index, part) of each such element.
@@ -56,8 +60,12 @@ class Linearization:
         controls: tuple[str, ...] = (),
         degenerate: tuple[str, ...] = (),
         degenerate_ids: tuple[tuple[str, int, int], ...] = (),
+        P: Floats | None = None,
+        parameters: tuple[str, ...] = (),
     ) -> None:
         self.A, self.B = A, B
+        self.P: Floats = np.zeros((len(A), 0)) if P is None else P
+        self.parameters = parameters
         self.dt = dt
         self.labels = labels
         self.controls = controls
@@ -85,6 +93,8 @@ class Linearization:
         return {
             "A": self.A.tolist(),
             "B": self.B.tolist(),
+            "P": self.P.tolist(),
+            "parameters": list(self.parameters),
             "dt": self.dt,
             "labels": list(self.labels),
             "controls": list(self.controls),
@@ -95,18 +105,23 @@ class Linearization:
 
     def __repr__(self) -> str:
         count = f"{self.nv} dofs, {len(self.controls)} controls"
+        count += f", {len(self.parameters)} parameters" if self.parameters else ""
         radius = f"spectral radius {self.spectral_radius:.6g}"
         sides = f"; one-sided at: {', '.join(self.degenerate)}" if self.degenerate else ""
         return f"<Linearization: {count}; a step of {self.dt:g} s; {radius}{sides}>"
 
 
-def linearized(
-    model: Model, dt: float, numbers: Floats, degenerate: list[tuple[str, int, int]]
-) -> Linearization:
-    """Create the linearisation of a step of dt [s].
-
-    numbers: A and B side by side. degenerate: the elements at which A and B are one-sided.
-    """
+def linearized(model: Model, dt: float, core: Any, parameters: Sequence[str]) -> Linearization:
+    """Linearise the next step of a `_core.Sim`, a step of dt [s], by these parameters too."""
+    by = columns(model, parameters)
+    try:
+        numbers, degenerate = core.linearize([models_around(model, column) for column in by])
+    except ValueError as error:
+        # The core knows parameters by their number.
+        found = re.match(r"parameter = (\d+): (.*)", str(error))
+        if found is None:
+            raise
+        raise ValueError(f"parameters: {by[int(found[1])].label}: {found[2]}") from None
     split = 2 * model.nv + model.na
     labels = tuple(
         name + axis
@@ -114,12 +129,15 @@ def linearized(
         for axis in AXES[kind]
     )
     controls = model.called("actuator")
+    last = split + model.nu
     return Linearization(
         numbers[:, :split],
-        numbers[:, split:],
+        numbers[:, split:last],
         dt,
         labels,
         controls,
         tuple(model.element_name(*element) for element in degenerate),
         tuple(degenerate),
+        numbers[:, last:] / np.array([column.apart for column in by]),
+        tuple(column.label for column in by),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,28 +10,12 @@ from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore.engine.arrays import Floats, frozen, numbers
-from stepcore.engine.compilation import compile_data
 from stepcore.engine.model import Model
-from stepcore.scene.elements import Body
-from stepcore.scene.records import Variation
+from stepcore.engine.variations import ModelVariation, own_value
 from stepcore.scene.value_paths import WHOLE, find
 
 if TYPE_CHECKING:
     from stepcore import _core
-
-
-class ModelVariation(Variation):
-    """A model that is compiled many times with different values of the same paths.
-
-    `data` creates the plain data of a scene, and `compiled` compiles the data.
-    """
-
-    def __init__(self, model: Model, paths: Iterable[str]) -> None:
-        super().__init__(model.scene, paths, model.masses())
-
-    def compiled(self, data: dict[str, Any] | ValueError) -> _core.Model:
-        """Compile `data` on any thread; raise the error if `data` is an error."""
-        return compile_data(self.scene, data)
 
 
 # So many models are compiled in the calling thread: starting others takes longer.
@@ -97,7 +81,8 @@ class Parameters(Mapping[str, Floats]):
 
     def __getitem__(self, path: str) -> Floats:
         known = self._columns.get(path)
-        column = np.stack([_own(self._base, path)] * self._n) if known is None else known.copy()
+        own = own_value(self._base, path)
+        column = np.stack([own] * self._n) if known is None else known.copy()
         rows = column.view(Rows)
         rows._assign = lambda new: self.update({path: new})
         return rows
@@ -106,7 +91,7 @@ class Parameters(Mapping[str, Floats]):
         self.update({path: values})
 
     def __delitem__(self, path: str) -> None:
-        _own(self._base, path)
+        own_value(self._base, path)
         self._take({key: column for key, column in self._columns.items() if key != path})
 
     def __iter__(self) -> Iterator[str]:
@@ -143,7 +128,7 @@ class Parameters(Mapping[str, Floats]):
 
     def _column(self, path: str, given: ArrayLike) -> Floats:
         """Return a checked array with one row for each world."""
-        own, name = _own(self._base, path), f"param[{checks.shown(path)}]"
+        own, name = own_value(self._base, path), f"param[{checks.shown(path)}]"
         table = numbers(name, given)
         if np.ndim(given) == 0:
             table = np.repeat(table, self._n)
@@ -299,21 +284,6 @@ class Variants:
             if index in worlds:
                 worlds[index].append(world)
         return [(worlds[index], arrays) for index, arrays in different.items()]
-
-
-def _own(model: Model, path: str) -> Floats:
-    """Return the model's value of a path, a number or a vector; else raise ValueError."""
-    scene = model.scene
-    if path in WHOLE:
-        return np.asarray(getattr(scene, path), dtype=np.float64)
-    element, field = find(scene, path)
-    value = getattr(element, field)
-    if field == "mass" and isinstance(element, Body) and value is None:
-        value = model.body_mass[model.index("body", element.name)]
-    table = np.asarray(value if value is not None else 0.0)
-    if isinstance(value, bool) or table.dtype.kind not in "fiu" or table.ndim > 1:
-        raise ValueError(f"param[{checks.shown(path)}]: its value is no number and no vector")
-    return table.astype(np.float64)
 
 
 def _value(model: Model, path: str, row: Any) -> Any:

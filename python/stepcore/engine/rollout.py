@@ -15,8 +15,8 @@ from stepcore.engine.trajectory import RECORDED
 if TYPE_CHECKING:
     from stepcore.engine.world import World
 
-# Counts of a single Sim's solve; and momentum, which is a pair of arrays.
-ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum")
+# Counts of a single Sim's solve, its error bar; and momentum, which is a pair of arrays.
+ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum", "error", "body_error")
 NAMES = tuple(name for name in RECORDED if name not in ONLY_OF_ONE_WORLD)
 
 

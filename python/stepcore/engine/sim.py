@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,11 +13,13 @@ from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, kept, last_of, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
+from stepcore.engine.error_bar import FinerRun, Judged
 from stepcore.engine.linearization import Linearization, linearized
+from stepcore.engine.sums import Energy, Momentum
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run, whole_steps
 from stepcore.engine.unsolved import UnsolvedWarning
-from stepcore.engine.world import World, compiled
+from stepcore.engine.world import compiled
 from stepcore.signatures import refuse_unknown_settings, takes_settings
 
 if TYPE_CHECKING:
@@ -30,34 +32,7 @@ if TYPE_CHECKING:
     from stepcore.viewing.live import View
 
 
-class Energy(NamedTuple):
-    """Kinetic and potential energy [J].
-
-    The potential energy is the energy of springs and of gravity on every body, fixed bodies
-    included. Gravitational energy is zero at the world's origin.
-    """
-
-    kinetic: float
-    potential: float
-
-    @property
-    def total(self) -> float:
-        """The sum of kinetic and potential energy [J]."""
-        return self.kinetic + self.potential
-
-
-class Momentum(NamedTuple):
-    """Total momentum of all bodies, in world axes.
-
-    linear: [kg·m/s], shape (3,). angular: about the world's origin [kg·m²/s], shape (3,).
-    For a `Batch` both have shape (n, 3).
-    """
-
-    linear: Floats
-    angular: Floats
-
-
-class Sim(World):
+class Sim(Judged):
     """A simulation of one world of a model.
 
     model: a `Model`, a `Scene`, which is compiled, or any argument of `stepcore.load`, such as the
@@ -66,6 +41,9 @@ class Sim(World):
     threads: the number of threads that share the work of each step, from 1 to 1024. The results are
         bit-identical for any number. Several threads speed up heaps of hundreds of bodies or more
         (`Model.is_heap`); one thread does all other work.
+    error_bar: whether a finer run goes beside this one, from which `error` is known: with a tenth
+        of the ``accuracy``, or with a quarter of ``dt`` and rows solved to rounding. A run then
+        takes 3 to 8 times as long. The motion is the same.
     fields: single fields of `Settings` to change, such as ``dt=0.005, solver="pgs"``.
 
     The state arrays (qpos, qvel, ctrl, qfrc_applied, xfrc_applied) can be written, in place or by
@@ -97,12 +75,15 @@ class Sim(World):
         settings: Settings | None = None,
         *,
         threads: int = 1,
+        error_bar: bool = False,
         **fields: Unpack[SettingsFields],
     ) -> None:
         refuse_unknown_settings(Sim, fields)
         self._model = compiled(model).with_settings(settings, **fields)
         self._threads = checks.count("threads", threads)
         self._own(_core.Sim(self._model.core, self._model.settings, self._threads))
+        checks.one_of(True, False)("Sim", "error_bar", error_bar)
+        self._finer = FinerRun(self) if error_bar else None
 
     # Stepping.
 
@@ -117,6 +98,12 @@ class Sim(World):
         large excess of energy gives one warning (`EnergyWarning`). Ctrl-C interrupts between steps,
         and within a step of many sweeps, which is then discarded.
         """
+        if self._finer is not None:
+            self._finer.step(n)
+        else:
+            self._step(n)
+
+    def _step(self, n: int) -> None:
         try:
             self._core.step(n)
         except SimulationError as error:
@@ -159,8 +146,12 @@ class Sim(World):
             self._explain(error)
             raise
 
-    def linearize(self) -> Linearization:
+    def linearize(self, parameters: Sequence[str] = ()) -> Linearization:
         """Linearise the next step about the present state, without taking the step.
+
+        parameters: paths of values of the model, as in `Model.with_values`, by which the step is
+            differentiated too: "body/torso/mass", "geom/floor/friction[0]", "actuator/*/gain". Of a
+            vector, all entries that are not zero.
 
         The derivatives are exact: dual numbers are propagated through the step, contacts and solver
         included, with the settings of this Sim and in float64. Controls, applied forces and the
@@ -169,12 +160,16 @@ class Sim(World):
         describe the branch that the step takes at this state. `degenerate` of the result names the
         elements whose rows are exactly at such a switch.
 
-        The cost is that of about (2 nv + nu)/4 steps in dual numbers, each a few times as expensive
-        as a plain step. The GIL is released. See docs/linearize.md.
+        By a parameter, all that follows of it when the model is compiled is differentiated with the
+        model at eight values nearby, which are compiled once.
 
-        Raises the same errors as `step`, and ValueError if the step has an infinite derivative.
+        The cost is that of about (2 nv + nu + parameters)/4 steps in dual numbers, each a few times
+        as expensive as a plain step. The GIL is released. See docs/linearize.md.
+
+        Raises the same errors as `step`, and ValueError if the step has an infinite derivative, and
+        for a parameter that is unknown, zero, or changes more than numbers of the model.
         """
-        return linearized(self._model, self.settings.dt, *self._core.linearize())
+        return linearized(self._model, self.settings.dt, self._core, parameters)
 
     def element_slopes(self) -> dict[Element, ElementSlopes]:
         """Compute stiffness, damping, force and energy of every active element.
@@ -216,10 +211,7 @@ class Sim(World):
 
     @property
     def nbytes(self) -> int:
-        """Memory of this Sim's state and workspace [bytes], without the shared model.
-
-        The memory grows when the number of contacts exceeds its previous maximum.
-        """
+        """Memory of this Sim's state and workspace [bytes], which grows with its contacts."""
         return self._core.nbytes
 
     def _restart(self, time: float) -> None:
@@ -252,7 +244,7 @@ class Sim(World):
         >>> sim.time, round(other.time, 6)
         (0.0, 0.1)
         """
-        return _restored(self._model, self._threads, self.state())
+        return _restored(*self.__reduce__()[1])
 
     def run(
         self,
@@ -455,7 +447,8 @@ class Sim(World):
         return self._core.contacts_grown
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (self._model, self._threads, self.state())
+        finer = None if self._finer is None else self._finer.kept()
+        return _restored, (self._model, self._threads, self.state(), finer)
 
     def __repr__(self) -> str:
         scene = self._model.scene.name
@@ -481,7 +474,9 @@ def touches(sim: Sim) -> tuple[list[tuple[int, int]], Floats]:
     return pairs, numbers[:, 0]
 
 
-def _restored(model: Model, threads: int, state: bytes) -> Sim:
-    sim = Sim(model, threads=threads)
+def _restored(model: Model, threads: int, state: bytes, finer: Any = None) -> Sim:
+    sim = Sim(model, threads=threads, error_bar=finer is not None)
     sim.restore(state)
+    if sim._finer is not None:
+        sim._finer.go_on(*finer)
     return sim

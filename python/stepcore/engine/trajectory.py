@@ -16,6 +16,7 @@ from stepcore.engine import trajectory_file
 from stepcore.engine.arrays import numbers
 from stepcore.engine.axes import Axis, axes_of
 from stepcore.engine.control import controls, finite_controls
+from stepcore.engine.error_bar import driven, judged
 from stepcore.engine.snapshots import Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
 
@@ -44,6 +45,7 @@ RECORDED = (
     *("qacc", "residual", "constraint_force", "qfrc_constraint", "actuator_force"),
     *("sweeps_done", "row_updates"),
     "unrecovered_overlap",
+    *("error", "body_error"),
 )
 
 
@@ -300,7 +302,7 @@ def record_run(
     steps = whole_steps("duration", duration, dt)
     period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
     ctrl_of = _ctrl_of(sim, control)
-    names = recordable(record)
+    names = judged(sim, recordable(record))
     data = {}
     try:
         time = np.empty(steps + 1)
@@ -312,17 +314,19 @@ def record_run(
         raise ValueError(f"{what}; run shorter pieces, or record less") from None
     residuals, stride = Residuals(sim), max(1, steps // LOOKS)
     snapshots = Taking(sim, steps)
-    for step in range(steps + 1):
-        time[step] = sim.time
-        if step > 0 and step % stride == 0:
-            residuals.look(sim)
-        for name in names:
-            data[name][step] = getattr(sim, name)
-        if step < steps:
-            if ctrl_of is not None and step % period == 0:
-                sim.ctrl = ctrl_of(step // period)
-            snapshots.look(step)
-            sim.step()
+    with driven(sim, control) as beside:
+        for step in range(steps + 1):
+            time[step] = sim.time
+            if step > 0 and step % stride == 0:
+                residuals.look(sim)
+            for name in names:
+                data[name][step] = getattr(sim, name)
+            if step < steps:
+                if ctrl_of is not None and step % period == 0:
+                    beside()
+                    sim.ctrl = ctrl_of(step // period)
+                snapshots.look(step)
+                sim.step()
     snapshots.look(steps)
     return Trajectory(time, data, residuals.sentence(sim.settings), snapshots.kept())
 

@@ -36,6 +36,10 @@ class Timed(NamedTuple):
     spent: float
 
 
+# The measurements that run a model whose steps keep an accuracy.
+WITHIN_ACCURACY = ("trade", "check", "predict")
+
+
 @dataclass
 class BatchSpeedup:
     """The speed-up of batched runs over single runs.
@@ -241,6 +245,10 @@ def set_up(
     """
     motion = Motion.of(motion, {k: v for k, v in fields.items() if k not in SHARED}, called)
     compiled = find_model(model)
+    asked = compiled.settings.accuracy
+    if asked is not None and called.__name__ not in WITHIN_ACCURACY:
+        limit = f"None: {called.__name__} regards steps of a fixed length; stepcore.trade does not"
+        raise ValueError(f"accuracy = {asked:g}: must be {limit}")
     shared = (fields.get(name) for name in ("threads", "executor", "progress"))
     workers = Workers.checked(called.__name__, *shared)
     if not compiled.nv:

@@ -1,54 +1,19 @@
-"""Settings of converged runs, and error estimates of a converged motion."""
+"""Settings of the reference, and error estimates of a converged motion."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.engine.run_settings import converged_settings
 from stepcore.experiment.errors import Errors
 
 # Possible orders of convergence, and the largest relative deviation of an observed order.
 ORDERS, CLOSE = (1, 2, 4), 0.2
-# Limit of Newton iterations: Newton converges in about ten iterations, or not at all.
-NEWTON = 200
-
-
-def converged_settings(
-    settings: Settings,
-    *,
-    sweeps: int = 20_000,
-    tolerance: float = 1e-13,
-    refsafe: bool | None = None,
-    **changes: Any,
-) -> Settings:
-    """Return the settings with double precision and converged rows.
-
-    Under the convex law solref, Newton solves the rows; under other laws, PGS.
-
-    sweeps: the largest number of PGS sweeps. 20,000 sweeps converge a stack with a mass ratio of
-        1000; use fewer for long runs.
-    tolerance: tolerance of the residual [m/s]; 0 runs all sweeps. The default is rounding in a
-        scene with speeds of about 1 m/s.
-    refsafe: under solref, whether time constants are softened at a large dt. None keeps the value
-        in `settings`.
-    changes: further fields of Settings (dt, integrator, …).
-    """
-    convex = settings.law == "solref"
-    if convex and refsafe is not None:
-        changes["refsafe"] = refsafe
-    return settings.replace(
-        solver="newton" if convex else "pgs",
-        sweeps=NEWTON if convex else sweeps,
-        tolerance=tolerance,
-        acceleration="none",
-        precision="f64",
-        **changes,
-    )
 
 
 def reference_settings(shipped: Settings, integrator: str, dt: float) -> Settings:

@@ -110,7 +110,8 @@ class ErrorSplit:
 
     def _clamp(self, settings: Settings) -> float:
         """Return the time step if `refsafe` softens the scene at this step, else 0 [s]."""
-        if settings.law != "solref" or not settings.refsafe or not self.acts:
+        fixed = settings.accuracy is None
+        if settings.law != "solref" or not settings.refsafe or not fixed or not self.acts:
             return 0.0
         shortest = clamping(self.runs.runner.model.scene)
         return settings.dt if shortest and 2 * settings.dt > shortest * (1 + 1e-12) else 0.0

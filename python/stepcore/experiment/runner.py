@@ -58,9 +58,6 @@ class Runner:
     """
 
     def __init__(self, model: Model, schedule: Schedule) -> None:
-        if (asked := model.settings.accuracy) is not None:
-            limit = "None: measurements compare steps of a fixed length"
-            raise ValueError(f"accuracy = {asked:g}: must be {limit}")
         self.model, self.schedule = model, schedule
         self.coordinates = Coordinates(model)
         self.bodies = Bodies(model, self.coordinates)

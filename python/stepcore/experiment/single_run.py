@@ -13,6 +13,7 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.control import Control, controls
+from stepcore.engine.error_bar import driven, judged
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.snapshots import Taking
@@ -138,6 +139,7 @@ class SingleRun:
         sim, dt = self.sim, self.sim.settings.dt
         period = 1 if self.control_dt is None else whole_steps("control_dt", self.control_dt, dt, 1)
         stride = 1 if self.record else max(1, steps // LOOKS)
+        self.record = judged(sim, self.record) if self.record else ()
         applied = np.array(sim.xfrc_applied)
         spans = [(push.on(sim.model), push.force, push.span(dt)) for push in self.pushes]
         data: dict[str, list[np.ndarray]] = {name: [] for name in ("time", *self.record)}
@@ -146,8 +148,11 @@ class SingleRun:
         self._note(data)
         taking = Taking(sim, steps) if self.record else None
         try:
-            with Progress("steps", steps, self.progress) as bar:
-                self._steps(steps, period, stride, spans, applied, data, taking, bar)
+            with (
+                Progress("steps", steps, self.progress) as bar,
+                driven(sim, self.control) as beside,
+            ):
+                self._steps(steps, period, stride, spans, applied, data, taking, bar, beside)
         finally:
             # A failed run keeps the records up to the failure.
             sim.xfrc_applied[:] = applied
@@ -166,12 +171,14 @@ class SingleRun:
         data: dict[str, list[np.ndarray]],
         taking: Taking | None,
         bar: Progress,
+        beside: Callable[[], None],
     ) -> None:
         sim = self.sim
         edges = sorted({edge for *_, span in spans for edge in (span.start, span.stop)})
         done = told = 0
         while done < steps:
             if self.control is not None and done % period == 0:
+                beside()
                 sim.ctrl = controls(self.control, sim)
             if done in edges or (done == 0 and spans):
                 sim.xfrc_applied[:] = applied

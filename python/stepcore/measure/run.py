@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.axes import axes_of
 from stepcore.engine.control import Control, fresh
 from stepcore.engine.model import Model
+from stepcore.engine.run_settings import balanced
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
@@ -28,6 +30,7 @@ from stepcore.experiment.motion_words import (
     held_in_words,
     scene_in_words,
 )
+from stepcore.experiment.run import Probe
 from stepcore.experiment.schedule import home, played
 from stepcore.experiment.single_run import LOOKS, Pace, Push, SingleRun
 from stepcore.loading import find_model
@@ -35,7 +38,7 @@ from stepcore.measure.monitors import Finding, Monitor, verified
 from stepcore.report.progress import Choice
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import computing, counted, seconds, times
+from stepcore.report.units import computing, counted, metres, seconds, times
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -63,6 +66,7 @@ class SimulationRun(Result):
     trajectory: the recorded arrays; None without `record`.
     error: the `SimulationError` of a run that failed; `error.replay` repeats the run. Else None.
     interrupted: whether Ctrl-C ended the run (command line only); the result covers the steps made.
+    judged: the error of the run in words, where a finer run went beside; see `Sim.error` of `sim`.
 
     >>> from stepcore import lesson, run
     >>> fallen = run(lesson.drop(), horizon=0.5)
@@ -79,6 +83,7 @@ class SimulationRun(Result):
     trajectory: Trajectory | None = None
     error: SimulationError | None = None
     interrupted: bool = False
+    judged: str = ""
 
     kind: ClassVar[str] = "run"
 
@@ -112,6 +117,7 @@ class SimulationRun(Result):
             f"At the end, {self.sim.time:g} s: {kinetic:.6g} J kinetic, {potential:.6g} J potential"
         )
         contacts = counted(len(self.sim.contacts), "contact")
+        said += [self.judged] if self.judged else []
         return [*said, f"{end}; {contacts}, residual {self.sim.residual:.2g} m/s."]
 
     @property
@@ -150,6 +156,7 @@ class SimulationRun(Result):
             "potential": potential,
             "contacts": len(sim.contacts),
             "residual": sim.residual,
+            "estimated_error": sim.error._asdict() if self.judged else None,
             "us_per_step": self.us_per_step,
             "findings": [finding.record() for finding in self.findings],
         }
@@ -177,6 +184,7 @@ def run(
     pushes: Iterable[Push | str | Sequence[Any]] = (),
     record: Sequence[str] = (),
     ledger: bool = True,
+    error_bar: bool | None = None,
     threads: int = 1,
     progress: Choice = None,
     **fields: Unpack[MotionFields],
@@ -192,6 +200,9 @@ def run(
     record: the arrays to record at every step, such as ("qpos", "energy"); see `Sim.run`.
     ledger: whether to balance the energy of each step. The balance explains a failure in full and
         costs a few percent of the time. Steps with an `accuracy` have none.
+    error_bar: whether a finer run goes beside, from which the error of this one is known; see
+        `Sim`. By default where the model's settings have an `accuracy`, which here is the error
+        asked for at the end of the horizon.
     threads: the number of threads; see `Sim`.
     progress: see `stepcore.trade`.
 
@@ -207,10 +218,56 @@ def run(
     compiled = find_model(model)
     motion = Motion.of(motion, fields, run)
     horizon = motion.horizon or max(HORIZON, motion.duration)
-    fixed = compiled.settings.accuracy is None
-    watched = compiled.with_settings(ledger=True) if ledger and fixed else compiled
-    sim = Sim(watched, threads=threads)
+    sim = sim_of(compiled, horizon, ledger=ledger, error_bar=error_bar, threads=threads)
     return simulated(sim, compiled.settings, motion, horizon, pushes, record, progress)
+
+
+def sim_of(
+    model: Model,
+    horizon: float,
+    *,
+    ledger: bool = True,
+    error_bar: bool | None = None,
+    threads: int = 1,
+) -> Sim:
+    """Return the Sim of a run over a horizon [s]; see `run`."""
+    settings = balanced(model.settings) if ledger else model.settings
+    asked = settings.accuracy
+    if asked is not None and horizon > 0:
+        settings = settings.replace(accuracy=asked / horizon)
+    judged = asked is not None if error_bar is None else error_bar
+    return Sim(model, settings, threads=threads, error_bar=judged)
+
+
+class Bars(Probe):
+    """A probe that keeps the largest estimated error of a run.
+
+    error: [m]. body: which body's. time: when [s].
+    """
+
+    def __init__(self) -> None:
+        self.error, self.body, self.time = 0.0, 0, 0.0
+
+    def step(self, sim: Any) -> None:
+        each = sim.body_error
+        body = int(each.argmax())
+        if each[body] > self.error:
+            self.error, self.body, self.time = float(each[body]), body, sim.time
+
+    def words(self, sim: Sim, asked: float | None) -> str:
+        """Return what the finer run says, after the last step; asked: the accuracy [m]."""
+        until = sim.predictable_until
+        if math.isfinite(until):
+            return (
+                f"From {seconds(until)} on no error is known: a finer run is elsewhere. Take "
+                "shorter steps; stepcore predict says whether any can tell."
+            )
+        said = f"The error is estimated as {metres(sim.error.largest)} at the end"
+        if self.error > 0:
+            body = sim.model.element_name("body", self.body)
+            said += f" and at most {metres(self.error)} ({body} at {seconds(self.time)})"
+        against = "" if asked is None else f"; asked for {metres(asked)}"
+        return f"{said}, from a finer run{against}."
 
 
 def simulated(
@@ -237,6 +294,7 @@ def simulated(
         limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s (2^64 steps)"
         raise ValueError(f"horizon = {horizon:g}: must be {limit}")
     steps, notes = round(horizon / dt), list(model.scene.notes)
+    bars = None if sim._finer is None else Bars()
     if motion.horizon is not None and abs(steps * dt - horizon) > 1e-6 * dt:
         notes.append(
             f"{horizon:g} s is not a whole number of steps of {dt:g} s: the run is "
@@ -254,7 +312,7 @@ def simulated(
         control=control,
         control_dt=period,
         pushes=shoved,
-        probes=[monitor, pace] if steps else [],
+        probes=[monitor, pace, *([bars] if bars is not None else [])] if steps else [],
         record=recordable(record),
         progress=progress,
     )
@@ -297,6 +355,7 @@ def simulated(
         trajectory=single.trajectory,
         error=error,
         interrupted=interrupted,
+        judged="" if bars is None or error else bars.words(sim, settings.accuracy),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stepcore._core import Settings
-from stepcore.report.units import counted, seconds
+from stepcore.report.units import counted, metres, seconds
 
 # The number of iterations in which Newton converges, or not at all.
 CONVERGED = 10
@@ -16,7 +16,13 @@ def label(settings: Settings, shipped: Settings | None = None, sweeps: bool = Tr
         parts.append(settings.precision)
     if shipped is not None:
         parts += [words for words in differences(settings, shipped) if words not in parts[1]]
-    return ", ".join([*parts, f"dt {seconds(settings.dt)}"])
+    parts += [within(settings)] if shipped is None else []
+    return ", ".join([*filter(None, parts), f"dt {seconds(settings.dt)}"])
+
+
+def within(settings: Settings) -> str:
+    """Return the accuracy that the steps keep, in words; "" for steps of a fixed length."""
+    return "" if settings.accuracy is None else f"accuracy {metres(settings.accuracy)}"
 
 
 def solver_words(settings: Settings) -> str:
@@ -49,4 +55,6 @@ def differences(settings: Settings, shipped: Settings) -> list[str]:
         words.append("plain" if settings.acceleration == "none" else "accelerated")
     if settings.cone != shipped.cone:
         words.append(settings.cone)
+    if settings.accuracy != shipped.accuracy:
+        words.append(within(settings) or "steps of fixed length")
     return words

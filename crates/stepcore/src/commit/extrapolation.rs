@@ -6,8 +6,9 @@
 //! the linearly implicit Euler method). The last two results tell the error.
 
 use super::position::advance;
+use crate::elements::force::Moment;
 use crate::model::{Body, Model};
-use crate::place::Placed;
+use crate::place::{Effective, Metric, Placed};
 use crate::real::{value, Real, Value};
 use crate::scene::JointType;
 use crate::spatial::{rotate, splat, Motion, Quat};
@@ -29,15 +30,53 @@ pub(crate) struct Extrapolation<R: Real> {
     /// By body, what a change does to it, and its radius of gyration [m].
     moved: Vec<Motion<R>>,
     levers: Vec<f64>,
+    settling: Settling<R>,
 }
 
-room!(Extrapolation<R>: period, from, table, jump, moved, levers);
+room!(Extrapolation<R>: period, from, table, jump, moved, levers, settling);
+
+/// The time of which the way of an error of velocity counts [s]. Of 22 scenes and robots at three accuracies, 98 % or
+/// more of those whose truth is known deliver what was asked with 0.01 to 0.1 s; with 0.03 s all do.
+const LASTS: f64 = 0.03;
+
+/// The way that errors of velocity make in some time, T [s], as an implicit step of this length has it:
+/// T (M + T D + T² K)⁻¹ M δv. What dampers and servos hold soon rests; what floats goes on.
+struct Settling<R: Real> {
+    time: R,
+    effective: Effective<R>,
+    metric: Metric<R>,
+    change: Vec<R>,
+    way: Vec<R>,
+}
+
+room!(Settling<R>: time, effective, metric, change, way);
+
+impl<R: Real> Settling<R> {
+    fn new(placed: &Placed<R>, model: &Model<R::Value>, time: f64) -> Self {
+        let (time, mut metric) = (R::of(time), Metric::coupled(model));
+        let mut effective = Effective::new(model, &metric, time);
+        effective.start(&placed.mass, &mut metric);
+        let none = vec![R::zero(); model.nv];
+        Self { time, effective, metric, change: none.clone(), way: none }
+    }
+
+    fn way(
+        &mut self,
+        now: &Now<R>,
+        change: impl Iterator<Item = R>,
+    ) -> impl Iterator<Item = R> + '_ {
+        self.change.iter_mut().zip(change).for_each(|(to, x)| *to = x);
+        now.placed.mul_mass(now.model, &self.change, &mut self.way);
+        self.metric.solve(&mut self.way);
+        self.way.iter().map(|x| *x * self.time)
+    }
+}
 
 /// The largest change of a body [m], and which body's.
 pub(crate) type Largest = (f64, usize);
 
 impl<R: Real> Extrapolation<R> {
-    pub fn new(model: &Model<R::Value>) -> Self {
+    pub fn new(placed: &Placed<R>, model: &Model<R::Value>) -> Self {
         let change = || vec![R::zero(); 2 * model.nv + model.na];
         Self {
             period: State::new(model),
@@ -46,7 +85,14 @@ impl<R: Real> Extrapolation<R> {
             jump: vec![R::zero(); model.nv],
             moved: vec![Motion::zero(); model.bodies.len()],
             levers: model.bodies.iter().map(gyration::<R>).collect(),
+            settling: Settling::new(placed, model, LASTS),
         }
+    }
+
+    /// What holds velocities back, from now on.
+    pub fn settle(&mut self, now: &Moment<R>, placed: &Placed<R>) {
+        let Settling { effective, metric, .. } = &mut self.settling;
+        effective.factor(now, &placed.mass, metric);
     }
 
     /// Takes the end of the stretch in `CUTS[nth]` steps.
@@ -74,15 +120,14 @@ impl<R: Real> Extrapolation<R> {
         sum(&mut to.act, &self.from.act, dw);
     }
 
-    /// By how much the last two results differ; an error of velocity counts for so long [s].
-    pub fn error(&mut self, now: &Now<R>, lasts: f64) -> Largest {
+    /// By how much the last two results differ [m].
+    pub fn error(&mut self, now: &Now<R>) -> Largest {
         let nv = now.model.nv;
-        let [best, before, ..] = &self.table;
-        let (moved, levers) = (&mut self.moved, &self.levers);
+        let Self { table: [best, before, ..], moved, levers, settling, .. } = self;
         let change = |at: usize| (at..at + nv).map(|k| best[k] - before[k]);
         let position = largest(now, moved, levers, change(0));
-        let velocity = largest(now, moved, levers, change(nv));
-        worse(position, (velocity.0 * lasts, velocity.1))
+        let velocity = largest(now, moved, levers, settling.way(now, change(nv)));
+        worse(position, velocity)
     }
 
     /// Counts the change of velocity that a step makes, the nth of so many and one after the stretch. Of
@@ -99,9 +144,10 @@ impl<R: Real> Extrapolation<R> {
         }
     }
 
-    /// What that is to a body [m/s].
+    /// What comes of that [m].
     pub fn jump(&mut self, now: &Now<R>) -> Largest {
-        largest(now, &mut self.moved, &self.levers, self.jump.iter().copied())
+        let Self { jump, moved, levers, settling, .. } = self;
+        largest(now, moved, levers, settling.way(now, jump.iter().copied()))
     }
 }
 

@@ -32,7 +32,7 @@ pub struct Effective<R: Real> {
 room!(Effective<R>: dt, matrix, places, shift, parts);
 
 impl<R: Real> Effective<R> {
-    pub(super) fn new(model: &Model<R::Value>, metric: &Metric<R>, dt: R) -> Self {
+    pub(crate) fn new(model: &Model<R::Value>, metric: &Metric<R>, dt: R) -> Self {
         let places = metric.places(model);
         let sloped = model.sloped();
         let trees = model.trees.iter().zip(sloped);
@@ -53,10 +53,19 @@ impl<R: Real> Effective<R> {
     }
 
     /// M alone, of all dofs: what stands of it where no step changes it.
-    pub(super) fn start(&mut self, mass: &[R], metric: &mut Metric<R>) {
+    pub(crate) fn start(&mut self, mass: &[R], metric: &mut Metric<R>) {
         spread(mass, &self.places, &mut self.matrix);
         metric.l.copy_from_slice(&self.matrix);
         metric.factor(0..self.shift.len());
+    }
+
+    /// M̂ there, and its factors; M is `mass`.
+    pub(crate) fn factor(&mut self, now: &Moment<R>, mass: &[R], metric: &mut Metric<R>) {
+        self.assemble(now, mass, metric);
+        for part in &self.parts {
+            metric.refill(part.clone(), &self.matrix);
+            metric.factor(part.clone());
+        }
     }
 
     fn assemble(&mut self, now: &Moment<R>, mass: &[R], metric: &Metric<R>) {
@@ -94,10 +103,6 @@ impl<R: Real> Placed<R> {
         let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
         let frames = Frames { xpos, xmat, origin, motion, tension: actuator, shares, pulls };
         let now = Moment { model, frames, qpos, qvel, act, inputs };
-        effective.assemble(&now, mass, metric);
-        for part in &effective.parts {
-            metric.refill(part.clone(), &effective.matrix);
-            metric.factor(part.clone());
-        }
+        effective.factor(&now, mass, metric);
     }
 }

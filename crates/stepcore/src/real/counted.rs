@@ -70,7 +70,7 @@ impl Neg for Counted {
 }
 
 impl Real for Counted {
-    scalar!(f64);
+    scalar!(f64, f64);
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self(value)

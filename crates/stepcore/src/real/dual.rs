@@ -77,7 +77,7 @@ impl Neg for Dual {
 derived!(Dual);
 
 impl Real for Dual {
-    scalar!(f64);
+    scalar!(f64, super::Sampled);
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self { value, slopes: [0.0; WAYS] }

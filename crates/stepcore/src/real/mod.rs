@@ -51,10 +51,10 @@ macro_rules! derived {
 
 /// A `Real` that is one world.
 macro_rules! scalar {
-    ($one:ty) => {
+    ($one:ty, $value:ty) => {
         type Mask = bool;
         type One = $one;
-        type Value = f64;
+        type Value = $value;
         const LANES: usize = 1;
 
         #[inline(always)]
@@ -77,6 +77,7 @@ mod counted;
 mod dual;
 pub mod elementary;
 mod lanes;
+mod sampled;
 mod stage;
 pub(crate) mod traced;
 pub(crate) mod value;
@@ -85,6 +86,7 @@ pub use count::Count;
 pub use counted::{Counted, FUNCTION};
 pub use dual::{Dual, WAYS};
 pub use lanes::{ByWorld, LaneMask, Lanes, LanesF32, WIDEST, WIDTH};
+pub use sampled::{Sampled, AROUND};
 pub use stage::Stage;
 
 /// One truth value a lane.
@@ -339,7 +341,7 @@ impl Mask for bool {
 macro_rules! scalar_real {
     ($t:ty) => {
         impl Real for $t {
-            scalar!($t);
+            scalar!($t, f64);
             #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $t

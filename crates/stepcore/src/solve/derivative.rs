@@ -18,16 +18,17 @@ mod active;
 mod corners;
 mod factor;
 
+use super::cone::across;
 use super::islands::Islands;
 use super::limits::Report;
-use super::rows::{Block, Row, Rows};
+use super::rows::{Block, Row, Rows, Set, CONE};
 use super::solver::{Solve, Solvers, Unconstrained};
 use crate::elements::Element;
 use crate::error::Result;
-use crate::real::{Dual, Real, WAYS};
+use crate::real::{Dual, WAYS};
 use crate::room::{listed, Room};
 use crate::settings::{Settings, Solver};
-use active::{Direction, Matrix};
+use active::{on_surface, Direction, Matrix};
 use corners::{corners, Corner};
 use factor::Factors;
 use num_traits::Zero;
@@ -183,15 +184,21 @@ impl Differentiated {
     }
 }
 
-/// Gives the rows these impulses as constants, and u their effect.
+/// Gives the rows these impulses, which move with their bounds alone, and u their effect.
 fn hold(impulses: &[f64], free: Unconstrained<Dual>, rows: &mut Rows<Dual>, force: &mut Vec<Dual>) {
     force.clear();
     force.resize(rows.u.len(), Dual::zero());
     for block in rows.blocks.iter().filter(|block| block.mask) {
-        for at in block.rows.range() {
+        let friction = friction_slopes(block, &impulses[block.rows.range()]);
+        for (k, at) in block.rows.range().enumerate() {
             let row = &mut rows.rows[at];
-            let change = Dual::of(impulses[at]) - row.impulse;
-            row.impulse = Dual::of(impulses[at]);
+            let slopes = match block.set {
+                Set::Interval => bound_slopes(row, impulses[at]),
+                _ => friction[k],
+            };
+            let held = Dual { value: impulses[at], slopes };
+            let change = held - row.impulse;
+            row.impulse = held;
             for (k, y) in row.dofs.of(free.dof_lists).iter().zip(&rows.y[row.y..]) {
                 force[*k] += *y * change;
             }
@@ -200,6 +207,37 @@ fn hold(impulses: &[f64], free: Unconstrained<Dual>, rows: &mut Rows<Dual>, forc
     for ((u, inv_d), force) in rows.u.iter_mut().zip(free.inv_d).zip(force) {
         *u += *inv_d * *force;
     }
+}
+
+/// How the impulse of a row at a bound moves with it.
+fn bound_slopes(row: &Row<Dual>, impulse: f64) -> [f64; WAYS] {
+    match impulse {
+        x if x <= row.lo.value => row.lo.slopes,
+        x if x >= row.hi.value => row.hi.slopes,
+        _ => [0.0; WAYS],
+    }
+}
+
+/// How impulses of friction at their bound, μ times that of the normal, move with μ.
+fn friction_slopes(block: &Block<Dual>, impulses: &[f64]) -> [[f64; WAYS]; CONE] {
+    let mut slopes = [[0.0; WAYS]; CONE];
+    let mu = block.mu;
+    if block.set == Set::Interval || mu.slopes == [0.0; WAYS] || mu.value <= 0.0 {
+        return slopes;
+    }
+    let mut all = [0.0; CONE];
+    all[..impulses.len()].copy_from_slice(impulses);
+    let bound = mu.value * all[0];
+    let whole = match block.set {
+        Set::CoulombBox => None,
+        _ => Some(on_surface(across(&all), bound)),
+    };
+    for k in 1..impulses.len() {
+        if whole.unwrap_or(all[k].abs() >= bound) {
+            slopes[k] = mu.slopes.map(|slope| slope * all[k] / mu.value);
+        }
+    }
+    slopes
 }
 
 impl Given {

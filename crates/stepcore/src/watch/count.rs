@@ -16,7 +16,6 @@ pub struct Counter {
 impl Counter {
     /// From the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
-        from.settings.check_fixed("count_flops")?;
         Self::of(&from.plain())
     }
 

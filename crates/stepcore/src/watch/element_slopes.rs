@@ -79,7 +79,7 @@ impl ElementSlopes {
         let ways = self.done..(self.done + WAYS).min(2 * nv);
         self.sim.state.clone_from(&self.start);
         for (slot, way) in ways.clone().enumerate() {
-            Direction::nth(&self.sim.model, way).seed(&mut self.sim, slot);
+            Direction::nth(self.sim.model(), way).seed(&mut self.sim, slot);
         }
         self.sim.forward()?;
         let mut forces: BTreeMap<(Element, usize), Dual> = BTreeMap::new();

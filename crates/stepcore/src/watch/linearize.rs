@@ -7,26 +7,34 @@
 //! starts from are held.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use super::watched::explained;
 use super::zeros;
 use crate::arrays::{Array, Plain};
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
-use crate::model::Model;
-use crate::real::{Dual, Real, WAYS};
+use crate::model::{differ_in_numbers, Model, SideBySide};
+use crate::real::{Dual, Real, AROUND, WAYS};
 use crate::scene::JointType;
 use crate::sim::Sim;
 use crate::solve::Differentiated;
 use crate::state::State;
 
-/// A linearisation under way: ∂x⁺/∂x and ∂x⁺/∂ctrl at one state.
+/// The models around that of a parameter's own value; see `AROUND`.
+pub type Around = [Arc<Model>; AROUND];
+
+/// A linearisation under way: ∂x⁺/∂x, ∂x⁺/∂ctrl and ∂x⁺/∂parameter at one state.
 pub struct Linearizer {
     sim: Sim<Dual>,
     start: State<Dual>,
     ctrl: Vec<Dual>,
+    parameters: Vec<Around>,
+    /// Columns before those of parameters.
+    own: usize,
     done: usize,
-    /// 2 nv + na rows of 2 nv + na + nu numbers: A, and B beside it.
+    /// 2 nv + na rows of 2 nv + na + nu numbers and one a parameter: A, B and P beside each other, P by the
+    /// distance of the models around.
     pub matrix: Vec<f64>,
 }
 
@@ -40,33 +48,41 @@ pub(super) enum Direction {
 }
 
 impl Linearizer {
-    /// At the present state and inputs of a world, with its settings, computed in `f64`.
-    pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
+    /// At the present state and inputs of a world, with its settings, computed in `f64`; by these
+    /// parameters too. Refuses one around which models differ in more than numbers.
+    pub fn new<R: Real>(from: &Sim<R>, parameters: Vec<Around>) -> Result<Self> {
         from.settings.check_fixed("linearize")?;
-        Self::of(&from.plain())
+        let alike = |around: &Around| around.iter().all(|m| differ_in_numbers(from.model(), m));
+        if let Some(nth) = parameters.iter().position(|around| !alike(around)) {
+            let limit = "one that steps read as a number, neither zero nor infinite";
+            return Err(Error::value("parameter", nth, limit));
+        }
+        Self::of(&from.plain(), parameters)
     }
 
-    fn of(from: &Plain) -> Result<Self> {
+    fn of(from: &Plain, parameters: Vec<Around>) -> Result<Self> {
         let sim = differentiated(from)?;
-        let model = &sim.model;
+        let model = sim.model();
         let rows = 2 * model.nv + model.na;
-        let width = rows + model.actuators.len();
+        let own = rows + model.actuators.len();
         Ok(Self {
             start: sim.state.clone(),
             ctrl: sim.inputs.ctrl.clone(),
             sim,
+            own,
             done: 0,
-            matrix: zeros("linearize", rows, width)?,
+            matrix: zeros("linearize", rows, own + parameters.len())?,
+            parameters,
         })
     }
 
     fn width(&self) -> usize {
-        2 * self.sim.model.nv + self.sim.model.na + self.ctrl.len()
+        self.own + self.parameters.len()
     }
 
     /// Steps that it takes in all.
     pub fn steps(&self) -> u64 {
-        self.width().div_ceil(WAYS) as u64
+        (self.own.div_ceil(WAYS) + self.parameters.len().div_ceil(WAYS)) as u64
     }
 
     /// Elements at which the derivatives are those of one side: a row of theirs is exactly where it
@@ -85,18 +101,34 @@ impl Linearizer {
         Ok(())
     }
 
-    /// The directions of the next step.
+    /// The directions of the next step; those of parameters begin with one.
     fn ways(&self) -> Range<usize> {
-        self.done..(self.done + WAYS).min(self.width())
+        let end = if self.done < self.own { self.own } else { self.width() };
+        self.done..(self.done + WAYS).min(end)
     }
 
     fn step(&mut self) -> Result<()> {
         self.sim.state.clone_from(&self.start);
         self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
-        for way in self.ways() {
-            Direction::nth(&self.sim.model, way).seed(&mut self.sim, way - self.done);
+        if self.done < self.own {
+            for way in self.ways() {
+                Direction::nth(self.sim.model(), way).seed(&mut self.sim, way - self.done);
+            }
+        } else {
+            self.sim.take_models(&self.around()?);
         }
         self.sim.step(1)
+    }
+
+    /// The model, and those around the parameters of the next step.
+    fn around(&self) -> Result<SideBySide<Dual>> {
+        let own = self.sim.model().clone();
+        let mut models = vec![own; 1 + AROUND * WAYS];
+        for (slot, way) in self.ways().enumerate() {
+            let place = 1 + AROUND * slot;
+            models[place..place + AROUND].clone_from_slice(&self.parameters[way - self.own]);
+        }
+        SideBySide::new(models)
     }
 
     fn read_all(&mut self) -> Result<()> {
@@ -113,7 +145,7 @@ impl Linearizer {
         let (nv, width) = (self.sim.model.nv, self.width());
         let state = &self.sim.state;
         for dof in 0..nv {
-            let (place, axis) = coordinate(&self.sim.model, dof);
+            let (place, axis) = coordinate(self.sim.model(), dof);
             let dq = match axis {
                 None => state.qpos[place].slopes[slot],
                 // 2 q̄ · dq / |q|².
@@ -135,7 +167,8 @@ impl Linearizer {
         }
         for (entry, act) in state.act.iter().enumerate() {
             if !act.slopes[slot].is_finite() {
-                let owner = self.sim.model.element_name(Array::Act.owner(&self.sim.model, entry));
+                let model = self.sim.model();
+                let owner = model.element_name(Array::Act.owner(model, entry));
                 return Err(self.infinite(format!("derivative of act[{entry}] of {owner}")));
             }
             self.matrix[(2 * nv + entry) * width + column] = act.slopes[slot];
@@ -144,8 +177,8 @@ impl Linearizer {
     }
 
     fn steep(&self, dof: usize) -> Error {
-        let joint = self.sim.model.dofs[dof].joint;
-        let joint = self.sim.model.element_name(Element::whole(Kind::Joint, joint));
+        let joint = self.sim.model().dofs[dof].joint;
+        let joint = self.sim.model().element_name(Element::whole(Kind::Joint, joint));
         self.infinite(format!("derivative of dof {dof} of {joint}"))
     }
 
@@ -185,7 +218,7 @@ impl Direction {
             Self::Activation(entry) => sim.state.act[entry].slopes[slot] = 1.0,
             Self::Control(index) => sim.inputs.ctrl[index].slopes[slot] = 1.0,
             Self::Position(dof) => {
-                let (place, axis) = coordinate(&sim.model, dof);
+                let (place, axis) = coordinate(sim.model(), dof);
                 let qpos = &mut sim.state.qpos[place..];
                 let Some(axis) = axis else {
                     qpos[0].slopes[slot] = 1.0;

@@ -33,7 +33,7 @@ pub use element_slopes::{Acts, ElementSlopes};
 pub use energy::Energy;
 pub use last_solve::LastSolve;
 pub(crate) use ledger::{Care, Ledger};
-pub use linearize::Linearizer;
+pub use linearize::{Around, Linearizer};
 pub use rays::{first_hit, RayFilter};
 pub use readout::Coupling;
 pub use tape::StepGains;

@@ -17,6 +17,7 @@ from stepcore.checks import one_line
 from stepcore.deadline import OutOfTime
 from stepcore.engine.control import control_option
 from stepcore.engine.model import Model
+from stepcore.engine.run_settings import balanced
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.coordinates import Start
@@ -285,7 +286,7 @@ def _monitored(
     model: Model, schedule: Schedule, depth: float | None
 ) -> tuple[list[Finding], list[Finding]]:
     """Return the failure of the run, if any, and the findings of its monitor."""
-    settings = model.settings.replace(ledger=True)
+    settings = balanced(model.settings)
     seen, failure = monitored(Runner(model, schedule), settings, depth)
     if failure is None:
         return [], seen

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from stepcore._core import Settings, SimulationError
+from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim
-from stepcore.experiment.converged import converged_settings
 from stepcore.experiment.errors import errors
 from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.reference import Reference

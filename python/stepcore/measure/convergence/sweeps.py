@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from stepcore._core import Settings
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
+from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.converged import converged_settings
 
 # Numbers of sweeps after which the residual and the distance to the solution are read; and
 # intermediate numbers after which only the distance is read.

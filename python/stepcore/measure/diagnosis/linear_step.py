@@ -22,9 +22,9 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.control import Control, controls, fresh
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
+from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import checkpoint
-from stepcore.experiment.converged import converged_settings
 from stepcore.measure.diagnosis.elements import (
     acting_elements,
     penalised_contacts,

@@ -12,8 +12,8 @@ from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.model import Model
 from stepcore.engine.plan import makes_rows
+from stepcore.engine.run_settings import converged_settings
 from stepcore.experiment.bodies import Bodies
-from stepcore.experiment.converged import converged_settings
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule, home

@@ -23,6 +23,7 @@ from stepcore.experiment.schedule import STARTS, scheduled, time_steps
 from stepcore.measure.monitors import Finding, monitored
 from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade import words
+from stepcore.measure.trade.adaptive import adaptive
 from stepcore.measure.trade.batch_cost import BatchPoint, batch_points
 from stepcore.measure.trade.methods import Kind, Steps, grid, longest
 from stepcore.measure.trade.recommend import Confirmation, HardestStarts, Recommendation
@@ -124,6 +125,7 @@ def trade(
         trade, model, motion, fields, missing="no motion to trade"
     )
     shipped = model.settings
+    fixed = shipped.replace(accuracy=None)
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
     if mujoco:
         mujoco_points.load(source, model)
@@ -140,7 +142,7 @@ def trade(
     runner, schedule = experiment.runner, experiment.schedule
     runner.check_repeatable()
     # No body sleeps in the reference, so that the effect of sleep counts as an error.
-    awake = shipped.replace(sleep=False)
+    awake = fixed.replace(sleep=False)
     cache = RunCache(experiment, experiment.reference(min(steps), effort, awake))
     made = experiment.reference_runs
     assert made is not None
@@ -158,6 +160,8 @@ def trade(
         searching = SettingsSearch(cache, counts, kind)
         with time.stage(partial(words.not_searched, cache), SEARCHED):
             searching.search(target, budget=limit is not None)
+            aims = [error for error, _ in searching.aims]
+            searching.chosen += adaptive(cache, counts, kind, aims)
         tried = searching.best(whole=mujoco)
         with time.closing(), time.stage(partial(words.not_run, cache, tried)):
             cache.run(tried, "search: the best")

@@ -101,7 +101,11 @@ def batch_points(
     if maker.by != "time" or not can(runner):
         return []
     bases = dict.fromkeys(row.settings for row in named if row is not None and row.errors)
-    both = (base.replace(precision=p) for base in list(bases)[:MOST] for p in PRECISIONS)
+    both = (
+        base.replace(precision=p)
+        for base in list(bases)[:MOST]
+        for p in (PRECISIONS if base.accuracy is None else [base.precision])
+    )
     settings = list(dict.fromkeys(both))
     cache.run(settings, "single precision")
     runs = [TimedBatch(runner, s, cache.failure(s) is not None, WORLDS) for s in settings]

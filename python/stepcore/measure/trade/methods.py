@@ -103,6 +103,7 @@ def longest(period: float, horizon: float) -> float:
 class Kind:
     """The properties of a scene that decide which settings are worth trying.
 
+    shipped: the shipped settings, with steps of a fixed length.
     rows: the largest number of rows at once in the reference.
     friction: whether a contact can have friction in more than one direction.
     stiff: whether the scene has a spring, a tendon or a servo with position feedback.
@@ -122,7 +123,7 @@ class Kind:
         pulls = [s.stiffness for e, s in slopes.items() if e.kind in ("spring", "actuator")]
         springs = any(np.any(np.diag(stiffness) > 0) for stiffness in pulls)
         tendons = any(np.any(tendon.stiffness) for tendon in model.scene.tendons)
-        return cls(model.settings, rows, friction, springs or tendons)
+        return cls(model.settings.replace(accuracy=None), rows, friction, springs or tendons)
 
     @property
     def smooth(self) -> bool:

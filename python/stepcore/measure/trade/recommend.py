@@ -300,7 +300,13 @@ class Recommendation:
         return None
 
     def _repaired(self, row: TradeRow, limit: float) -> Settings | None:
-        """Return the settings of a failed row with a time step short enough to pass, or None."""
+        """Return the settings of a failed row with a time step short enough to pass, or None.
+
+        Steps that keep an accuracy keep a finer one.
+        """
+        if (asked := row.settings.accuracy) is not None:
+            finer = (row.settings.replace(accuracy=asked / 2**k) for k in range(1, TIMES))
+            return next((s for s in finer if self.confirm.holds(s, limit)), None)
         misses = pieces = self.steps.pieces(row.settings)
 
         def holds(count: int) -> bool:
@@ -349,6 +355,8 @@ class Recommendation:
     def rounded(self, row: TradeRow, target: float) -> TradeRow:
         """Return the passing row with a rounder step if that row passes too at little more cost."""
         frontier, steps = self.frontier, self.steps
+        if row.settings.accuracy is not None:
+            return row
         limit = MARGIN * target if frontier.error(row) <= MARGIN * target else target
         for pieces in steps.rounder(steps.pieces(row.settings)):
             # A step slightly beyond the searched range is acceptable: the reference judges it
@@ -378,7 +386,8 @@ class Recommendation:
             # Use a longer round step, so that the cost stays within the budget.
             more = next((n for n in self.steps.rounder(more) if n <= more), more)
             finer = self.steps.at(row.settings, more)
-            if more >= 1.08 * pieces and not self.frontier.has(finer):
+            fixed = row.settings.accuracy is None
+            if fixed and more >= 1.08 * pieces and not self.frontier.has(finer):
                 self.add(self.finish(finer))
                 continue
             if row.further is not None:

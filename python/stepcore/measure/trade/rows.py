@@ -33,7 +33,7 @@ CLOSE = 0.15
 FIELDS = (
     *("dt", "integrator", "solver", "sweeps", "precision", "tolerance", "warm_start"),
     "cost_tolerance",
-    *("acceleration", "cone"),
+    *("acceleration", "cone", "accuracy"),
 )
 # Fields of `Errors`, with their units.
 ERRORS = {
@@ -60,6 +60,7 @@ ERRORS = {
 UNITS = {
     **ERRORS,
     "dt": "s",
+    "accuracy": "m per simulated second",
     "position_high": "m",
     "cost": "us per simulated second",
     "row_updates": "per simulated second",
@@ -315,7 +316,8 @@ def orders(rows: Sequence[TradeRow], least: float, most: float = np.inf) -> dict
     kinds: dict[Settings, list[tuple[float, float]]] = {}
     for row in rows:
         e, s = row.errors, row.settings
-        plain = s.precision == "f64" and not row.clamped and e is not None and e.modelling == 0
+        fixed = s.accuracy is None and not row.clamped
+        plain = s.precision == "f64" and fixed and e is not None and e.modelling == 0
         if e is not None and plain and least < e.high < most:
             kinds.setdefault(s.replace(dt=1.0), []).append((s.dt, e.high))
     for kind, points in kinds.items():

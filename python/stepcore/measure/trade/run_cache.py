@@ -207,6 +207,10 @@ class RowMaker:
             times = list(itertools.compress(times, done))
         return [self._row(setting, cost) for setting, cost in zip(settings, times, strict=True)]
 
+    def _clamped(self, settings: Settings) -> bool:
+        fixed = settings.accuracy is None
+        return fixed and self.tau is not None and 2 * settings.dt > self.tau * (1 + 1e-12)
+
     def _row(self, settings: Settings, cost: float) -> TradeRow:
         cache, experiment = self.cache, self.cache.experiment
         runs, work, failure = cache.full[settings], cache.work[settings], cache.failure(settings)
@@ -219,7 +223,7 @@ class RowMaker:
             row_updates=math.nan,
             failure=failure,
             shipped=settings == experiment.model.settings,
-            clamped=self.tau is not None and 2 * settings.dt > self.tau * (1 + 1e-12),
+            clamped=self._clamped(settings),
         )
         if failure is not None:
             return row

@@ -119,7 +119,8 @@ class SettingsSearch:
     """A search for the cheapest settings that meet an error; the runs stay in the cache."""
 
     def __init__(self, cache: RunCache, steps: Steps, kind: Kind) -> None:
-        self.cache, self.steps, self.kind, self.shipped = cache, steps, kind, kind.shipped
+        self.cache, self.steps, self.kind = cache, steps, kind
+        self.shipped = cache.experiment.model.settings
         self.all = len(cache.experiment.schedule.starts)
         self.few = min(FEW, self.all)
         # Methods found by changing settings of the families.

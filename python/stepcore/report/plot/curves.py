@@ -37,18 +37,24 @@ LINES = tuple(COLOURS.values())
 NAMED = len(LINES)
 # Height of a panel [inches].
 PANEL = 2.2
-UNITS = {"overlap": "deepest overlap [m]", "residual": "residual [m/s]"}
+UNITS = {
+    "overlap": "deepest overlap [m]",
+    "residual": "residual [m/s]",
+    "error": "estimated error [m]",
+}
 
 
 def trajectory(run: Trajectory) -> Any:
-    """Draw energy and deepest overlap over time, or else all recorded arrays, one panel each.
+    """Draw energy, overlap and error over time, or else all recorded arrays, one panel each.
+
+    Positions of bodies whose error was recorded too are drawn with it as a band.
 
     Time counts from the beginning of the run: the first state of a Sim can have another time, such
     as that of a keyframe.
 
     Raises ValueError for a run without recorded arrays.
     """
-    wanted: list[str] = [name for name in ("energy", "overlap") if name in run.data]
+    wanted: list[str] = [name for name in ("energy", "overlap", "error") if name in run.data]
     names = wanted or list(run.data)
     if not names:
         raise ValueError("the run recorded nothing that can be drawn")
@@ -58,8 +64,12 @@ def trajectory(run: Trajectory) -> Any:
     for axes, name in zip(panels, names, strict=True):
         if name == "energy":
             _energy(axes, time, run)
+        elif name == "error":
+            _error(axes, time, run)
         else:
             _lines(axes, time, name, np.asarray(run.data[name], float))
+        if name == "xpos" and "body_error" in run.data:
+            _bands(axes, time, run)
         frame(axes)
     panels[-1].set_xlabel("time [s]")
     panels[-1].set_xlim(0.0, float(time[-1]) or None)
@@ -73,6 +83,28 @@ def _energy(axes: Any, time: np.ndarray, run: Trajectory) -> None:
     axes.plot(time, kinetic + potential, color="black", lw=1.6, label="total")
     axes.set_ylabel("energy [J]")
     _legend(axes)
+
+
+def _error(axes: Any, time: np.ndarray, run: Trajectory) -> None:
+    rms, largest = np.asarray(run.data["error"], float).T
+    known = np.isfinite(largest)
+    axes.fill_between(time, 0, np.where(known, largest, np.nan), color=BLUE, alpha=0.25, lw=0)
+    axes.plot(time, np.where(known, largest, np.nan), color=BLUE, lw=1.2, label="largest of a body")
+    axes.plot(time, np.where(known, rms, np.nan), color=ORANGE, lw=1.2, label="RMS over bodies")
+    if not known.all():
+        axes.axvspan(time[np.argmin(known)], time[-1], color=GREY, alpha=0.3, label="not known")
+    axes.set_ylabel(UNITS["error"])
+    axes.set_ylim(bottom=0)
+    _legend(axes)
+
+
+def _bands(axes: Any, time: np.ndarray, run: Trajectory) -> None:
+    places = np.asarray(run.data["xpos"], float)
+    error = np.asarray(run.data["body_error"], float)[:, :, None]
+    low, high = (np.reshape(places + sign * error, (len(time), -1)) for sign in (-1, 1))
+    for k in range(low.shape[1]):
+        ends = (np.where(np.isfinite(end[:, k]), end[:, k], np.nan) for end in (low, high))
+        axes.fill_between(time, *ends, color=LINES[k % NAMED], alpha=0.25, lw=0)
 
 
 def _lines(axes: Any, time: np.ndarray, name: str, values: np.ndarray) -> None:

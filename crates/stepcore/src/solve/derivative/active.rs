@@ -17,6 +17,11 @@ use crate::real::{Dual, WAYS};
 /// The surface of a cone is met up to this many roundings.
 const ON_SURFACE: f64 = 8.0;
 
+/// Friction this long is at its bound.
+pub(super) fn on_surface(length: f64, bound: f64) -> bool {
+    length >= bound * (1.0 - ON_SURFACE * f64::EPSILON)
+}
+
 const NORMAL: [f64; CONE] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
 /// A free direction of one block.
@@ -30,13 +35,15 @@ pub(super) struct Direction {
     test: [f64; CONE],
     /// What turning the surface adds to that.
     bend: f64,
+    /// e·w_t, with which a wider cone changes that.
+    wider: f64,
     /// Makes the matrix's diagonal about 1.
     pub size: f64,
 }
 
 impl Direction {
     fn new(row: usize, len: usize, push: [f64; CONE], test: [f64; CONE]) -> Self {
-        Self { row, len, push, test, bend: 0.0, size: 0.0 }
+        Self { row, len, push, test, bend: 0.0, wider: 0.0, size: 0.0 }
     }
 
     fn single(row: usize) -> Self {
@@ -54,6 +61,12 @@ impl Direction {
             let slack = rows.slack(dof_lists, &rows.rows[at]);
             for (sum, slope) in sum.iter_mut().zip(slack.slopes) {
                 *sum += test * slope;
+            }
+        }
+        if self.wider != 0.0 {
+            let own = rows.blocks.iter().find(|block| block.rows.start == self.row);
+            for (sum, slope) in sum.iter_mut().zip(own.map_or([0.0; WAYS], |own| own.mu.slopes)) {
+                *sum += self.wider * slope;
             }
         }
         sum
@@ -138,7 +151,7 @@ impl<'a> Matrix<'a> {
             return;
         }
         let length = across(&impulse);
-        if length < bound * (1.0 - ON_SURFACE * f64::EPSILON) {
+        if !on_surface(length, bound) {
             out.extend(range.map(Direction::single));
             return;
         }
@@ -149,14 +162,15 @@ impl<'a> Matrix<'a> {
         }
         let mut along = e.map(|e| mu * e);
         along[0] = 1.0;
-        let test = if block.set == Set::Convex { along } else { normal };
-        out.push(Direction::new(range.start, own.len(), along, test));
-        if own.len() < 3 || bound <= 0.0 {
-            return;
-        }
         let mut slack = 0.0;
         for (row, e) in own.iter().zip(e).skip(1) {
             slack += e * self.rows.slack(self.dof_lists, row);
+        }
+        let convex = block.set == Set::Convex;
+        let (test, wider) = if convex { (along, slack) } else { (normal, 0.0) };
+        out.push(Direction { wider, ..Direction::new(range.start, own.len(), along, test) });
+        if own.len() < 3 || bound <= 0.0 {
+            return;
         }
         let bend = (-slack).max(0.0) / bound;
         for round in rounds(&e, own.len()) {

@@ -1,0 +1,260 @@
+"""The error of a run, from a second, finer run beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore._core import Settings, SimulationError
+from stepcore.engine.arrays import Floats
+from stepcore.engine.control import controls, fresh
+from stepcore.engine.run_settings import converged_settings
+from stepcore.engine.world import World
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+    from stepcore.engine.sim import Sim
+
+# The finer run: a share of the accuracy, or of the time step. Its own error is a quarter of the
+# first or less, so that the distance is 3/4 of the error or more.
+ACCURACY, STEP = 1 / 10, 4
+# The runs have parted when a body is so far off, as a share of the scene's lengths, and are
+# together again below the second share: two runs that have parted can meet by chance.
+PARTED, TOGETHER = 0.1, 0.001
+# The longest time between two comparisons [s].
+LOOK = 0.05
+
+STATE = ("qpos", "qvel", "act")
+INPUTS = ("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat")
+
+
+class ErrorBar(NamedTuple):
+    """The estimated error of a run in position [m], inf where it is not known.
+
+    rms: root mean square over the moving bodies. largest: of the body that is farthest off.
+    """
+
+    rms: float
+    largest: float
+
+
+class Judged(World):
+    """A world that can run beside a finer one."""
+
+    _finer: FinerRun | None
+
+    @property
+    def error(self) -> ErrorBar:
+        """The estimated error in position [m] since the state was last written: RMS and largest.
+
+        A body's error is the RMS displacement of its mass: the distance between centres of mass,
+        and the turn times the radius of gyration. It is the distance from a finer run under the
+        same inputs, from `error_bar=True`. inf: it is not known, see `predictable_until`.
+
+        >>> from stepcore import Sim, lesson
+        >>> sim = Sim(lesson.spring(), dt=0.01, error_bar=True)
+        >>> sim.reset("start")
+        >>> sim.step(100)
+        >>> 0.01 < sim.error.largest < 0.1
+        True
+        """
+        finer = self._judge()
+        each = finer.errors()[finer.moving]
+        if not len(each):
+            return ErrorBar(0.0, 0.0)
+        return ErrorBar(float(np.sqrt(np.mean(each**2))), float(each.max()))
+
+    @property
+    def body_error(self) -> Floats:
+        """The estimated error of each body in position [m], shape (nbody,); see `error`."""
+        return self._judge().errors()
+
+    @property
+    def predictable_until(self) -> float:
+        """The time from which no error is known [s]; inf while one is.
+
+        From then on the finer run is elsewhere, by more than a tenth of the scene's lengths, or has
+        failed: the step is far too long, or the motion is one in which every error grows.
+        `stepcore.predict` tells which.
+        """
+        return self._judge().until
+
+    def _judge(self) -> FinerRun:
+        if self._finer is None:
+            raise ValueError("error: not measured; ask for it with Sim(…, error_bar=True)")
+        self._finer.meet()
+        return self._finer
+
+
+class FinerRun:
+    """A finer run of the same model from the same state, under the same inputs.
+
+    It begins where the first run does, and again wherever somebody writes the state of that.
+
+    until: the time from which the two have parted [s]; inf while they are together.
+    moving: mask of the bodies that move, (nbody,).
+    """
+
+    def __init__(self, sim: Sim) -> None:
+        if sim._arrays["ctrl_history"].size:
+            limit = "False in a scene with late controls, whose past depends on the time step"
+            raise ValueError(f"error_bar = True: must be {limit}")
+        model: Model = sim.model
+        own = finer_settings(model.settings)
+        self.of, self.sim = sim, type(sim)(model, own)
+        self.sim._core.unwatch()
+        self.steps = round(model.settings.dt / own.dt)
+        self.block = max(1, round(LOOK / model.settings.dt))
+        self.moving, self.gyration, reach = bodies(model)
+        self.parted, self.together = PARTED * reach, TOGETHER * reach
+        self.until = np.inf
+        # The state of the first run when both were there last; None: they have not met.
+        self.state: dict[str, Floats] | None = None
+        self.failed = False
+        # What the finer run's own copy of a control function returned last.
+        self.ctrl: Floats | None = None
+
+    def step(self, n: int) -> None:
+        """Make n steps of the first run, and as much time of the finer one."""
+        whole = isinstance(n, (int, np.integer)) and n > 0
+        while whole and n > self.block:
+            self._step(self.block)
+            n -= self.block
+        self._step(n)
+
+    def _step(self, n: int) -> None:
+        self.meet()
+        try:
+            self.of._step(n)
+        except (SimulationError, KeyboardInterrupt):
+            self._fail()
+            raise
+        try:
+            if not self.failed:
+                self.sim.step(n * self.steps)
+        except SimulationError:
+            self._fail()
+        except KeyboardInterrupt:
+            self._fail()
+            raise
+        self._keep()
+        if not self.failed:
+            self._look()
+
+    def _fail(self) -> None:
+        """The finer run is not where the first is, and does not go on."""
+        self.failed, self.until = True, min(self.until, self.of.time)
+        self._keep()
+
+    def _look(self) -> None:
+        far = float(self._distances().max(initial=0.0))
+        if np.isfinite(self.until):
+            self.until = np.inf if far <= self.together else self.until
+        elif not far <= self.parted:
+            self.until = self.of.time
+
+    def meet(self) -> None:
+        """Begin at the state of the first run, unless it comes from a step; take its inputs."""
+        first, own, known = self.of._arrays, self.sim._arrays, self.state
+        if known is None or any(not np.array_equal(first[name], known[name]) for name in STATE):
+            for name in STATE:
+                own[name][...] = first[name]
+            self.sim._restart(self.of.time)
+            self.until, self.failed = np.inf, False
+            self._keep()
+        for name in INPUTS:
+            own[name][...] = first[name]
+        if self.ctrl is not None:
+            own["ctrl"][...] = self.ctrl
+
+    def _keep(self) -> None:
+        self.state = {name: np.array(self.of._arrays[name]) for name in STATE}
+
+    def errors(self) -> Floats:
+        """Return the error of each body [m], (nbody,); inf where it is not known."""
+        if np.isfinite(self.until):
+            return np.where(self.moving, np.inf, 0.0)
+        return self._distances()
+
+    def _distances(self) -> Floats:
+        a, b, ipos = self.of, self.sim, self.of.model.body_ipos[:, :, None]
+        turn = a.xmat - b.xmat
+        apart = a.xpos - b.xpos + (turn @ ipos)[..., 0]
+        # The turn's chord: 2 sin(angle/2) = ‖Δ‖/√2.
+        square = (apart**2).sum(1) + self.gyration**2 * (turn**2).sum((1, 2)) / 2
+        far: Floats = np.sqrt(square)
+        return far
+
+    def kept(self) -> tuple[bytes, float, bool]:
+        """Return what a copy goes on from."""
+        self.meet()
+        return self.sim.state(), self.until, self.failed
+
+    def go_on(self, state: bytes, until: float, failed: bool) -> None:
+        """Go on where `kept` was called."""
+        self.sim.restore(state)
+        self.until, self.failed = until, failed
+        self._keep()
+
+
+def judged(sim: Any, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of what to record, with the error where it is measured."""
+    errors = () if getattr(sim, "_finer", None) is None else ("error", "body_error")
+    return tuple(dict.fromkeys((*names, *errors)))
+
+
+@contextmanager
+def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
+    """Control the finer run of a Sim, if there is one, by its own copy of a control function.
+
+    The function that is given has to be called at the beginning of each period, before the controls
+    of the first run are set.
+    """
+    finer: FinerRun | None = getattr(sim, "_finer", None)
+    if finer is None or not callable(control):
+        yield lambda: None
+        return
+    own = fresh(control)
+
+    def period() -> None:
+        finer.ctrl = None
+        finer.meet()
+        finer.ctrl = np.array(controls(own, finer.sim))
+
+    try:
+        yield period
+    finally:
+        finer.ctrl = None
+
+
+def finer_settings(settings: Settings) -> Settings:
+    """Return the settings of the finer run, in double precision."""
+    if (asked := settings.accuracy) is not None:
+        try:
+            return settings.replace(accuracy=asked * ACCURACY, precision="f64")
+        except ValueError:
+            limit = "ten times the least one, for the finer run of an error bar"
+            raise ValueError(f"accuracy = {asked:g}: must be at least {limit}") from None
+    return converged_settings(settings, dt=settings.dt / STEP, sleep=False, ledger=False)
+
+
+def bodies(model: Model) -> tuple[NDArray[np.bool_], Floats, float]:
+    """Return which bodies move, their radii of gyration [m], and the longest reach of one [m].
+
+    The reach goes from the parent's frame over the body's own to its mass.
+    """
+    parent = model.body_parent
+    moving = np.zeros(len(parent), bool)
+    moving[model.jnt_body] = True
+    for body in range(1, len(parent)):
+        moving[body] |= moving[parent[body]]
+    inertia = np.trace(model.body_inertia, axis1=1, axis2=2)
+    gyration = np.sqrt(inertia / 2 / np.maximum(model.body_mass, 1e-300)) * moving
+    arms = np.linalg.norm([body.pos for body in model.scene.bodies], axis=1)
+    own = arms + np.linalg.norm(model.body_ipos, axis=1) + gyration
+    reach = float(own[moving].max(initial=0.0))
+    return moving, gyration, reach or 1.0

@@ -1,0 +1,122 @@
+"""Parameters by which a step is differentiated, and the models around their values."""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stepcore import checks
+from stepcore.engine.variations import ModelVariation, own_value
+from stepcore.scene.value_paths import WHOLE
+
+if TYPE_CHECKING:
+    from stepcore import _core
+    from stepcore.engine.model import Model
+
+# Where the model is compiled around a value: these multiples of a share of it. The eighth power of
+# the share is far below rounding, and rounding over it is 1e-14.
+AROUND = (-4, -3, -2, -1, 1, 2, 3, 4)
+SHARE = 2.0**-8
+ENTRY = re.compile(r"(.*)\[(\d+)\]")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A number of a model by which a step is differentiated.
+
+    path: of the value, as in `Model.with_values`. entry: of a vector; None for a number.
+    value: the number in the model.
+    """
+
+    path: str
+    entry: int | None
+    value: float
+
+    @property
+    def label(self) -> str:
+        """The path, with the entry of a vector: "geom/floor/friction[0]"."""
+        return self.path if self.entry is None else f"{self.path}[{self.entry}]"
+
+    @property
+    def apart(self) -> float:
+        """The distance between the values around that of the model."""
+        return abs(self.value) * SHARE
+
+
+def columns(model: Model, parameters: Sequence[str]) -> list[Column]:
+    """Return the columns of parameters: of a vector, those of its entries that are not zero.
+
+    Raises ValueError for an unknown path, and for a value that is zero.
+    """
+    names = checks.listed(parameters) if not isinstance(parameters, str) else [parameters]
+    if names is None or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"parameters = {checks.shown(parameters)}: must be paths of values")
+    found: dict[str, Column] = {}
+    for name in names:
+        for path in _expanded(model, name):
+            found |= {column.label: column for column in _columns(model, path)}
+    return list(found.values())
+
+
+def split_entry(name: str) -> tuple[str, int | None]:
+    """Return the path and the entry of "path[3]"; None for a path alone."""
+    match = ENTRY.fullmatch(name)
+    return (name, None) if match is None else (match[1], int(match[2]))
+
+
+def _expanded(model: Model, name: str) -> Iterator[str]:
+    """Yield the paths that a pattern such as "actuator/*/gain" stands for."""
+    parts = name.split("/")
+    if "*" not in name or name in WHOLE or len(parts) < 3:
+        yield name
+        return
+    kind, pattern, field = parts[0], "/".join(parts[1:-1]), parts[-1]
+    known = fnmatch.filter(filter(None, model.names.get(kind, ())), pattern)
+    if not known:
+        raise ValueError(f"parameters: no {kind} is named {checks.quoted(pattern)}")
+    for one in known:
+        yield f"{kind}/{one}/{field}"
+
+
+def _columns(model: Model, path: str) -> Iterator[Column]:
+    path, wanted = split_entry(path)
+    value = own_value(model, path)
+    if not value.ndim:
+        if wanted is not None:
+            raise ValueError(f"parameters: {path} is a number and has no entry [{wanted}]")
+        entries: list[int | None] = [None]
+    elif wanted is None:
+        entries = [int(k) for k in np.flatnonzero(value)] or [0]
+    elif wanted < len(value):
+        entries = [wanted]
+    else:
+        raise ValueError(f"parameters: {path} has {len(value)} entries, and no [{wanted}]")
+    for entry in entries:
+        number = float(value if entry is None else value[entry])
+        column = Column(path, entry, number)
+        if number == 0 or not np.isfinite(number):
+            limit = "finite and not zero: what is zero is left out of a step"
+            raise ValueError(f"parameters: {column.label} = {number:g}: must be {limit}")
+        yield column
+
+
+def models_around(model: Model, column: Column) -> list[_core.Model]:
+    """Return the compiled models around a parameter's value, which the model keeps."""
+    kept: dict[str, list[_core.Model]] = model.__dict__.setdefault("_around", {})
+    if column.label not in kept:
+        variation = ModelVariation(model, [column.path])
+        made = []
+        for k in AROUND:
+            value = own_value(model, column.path)
+            value[() if column.entry is None else column.entry] = column.value + k * column.apart
+            try:
+                made.append(variation.compiled(variation.data({column.path: value.tolist()})))
+            except ValueError as error:
+                raise ValueError(f"parameters: {column.label}: {error}") from None
+        kept[column.label] = made
+    return kept[column.label]

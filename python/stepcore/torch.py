@@ -1,0 +1,77 @@
+"""Rollouts of a `Batch` for PyTorch, with gradients. Needs the extra "torch".
+
+>>> import stepcore as sc
+>>> from stepcore.torch import rollout  # doctest: +SKIP
+>>> batch = sc.Batch("gymnasium:hopper", 4)  # doctest: +SKIP
+>>> qpos, qvel = rollout(batch, qpos0, qvel0, ctrl)  # doctest: +SKIP
+>>> qpos[:, -1, 0].sum().backward()  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stepcore import checks
+from stepcore.engine.gradients import Tape
+
+try:
+    import torch
+except ImportError as error:
+    raise ImportError("stepcore.torch needs PyTorch: pip install torch") from error
+
+if TYPE_CHECKING:
+    from stepcore.engine.batch import Batch
+
+__all__ = ["rollout"]
+
+
+class _Rollout(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, batch: Any, paths: Any, *given: Any) -> Any:
+        tape = Tape(batch, paths, *(tensor.detach().cpu().numpy() for tensor in given))
+        ctx.tape, ctx.like = tape, [(tensor.dtype, tensor.device) for tensor in given]
+        like = given[0]
+        states = (torch.from_numpy(np.ascontiguousarray(x)) for x in tape.rollout[:2])
+        return tuple(state.to(like.dtype).to(like.device) for state in states)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *weights: Any) -> Any:
+        found = ctx.tape.gradient(*(weight.detach().cpu().numpy() for weight in weights))
+        gradients = [
+            torch.from_numpy(np.ascontiguousarray(x)).to(dtype).to(device)
+            for x, (dtype, device) in zip(found, ctx.like, strict=True)
+        ]
+        return (None, None, *gradients)
+
+
+def rollout(
+    batch: Batch,
+    qpos: torch.Tensor,
+    qvel: torch.Tensor,
+    ctrl: torch.Tensor,
+    parameters: Mapping[str, torch.Tensor] | None = None,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Step every world from a state with given controls; return qpos and qvel after each step.
+
+    batch: the worlds; their activations, applied forces and times are as they are at the call.
+    qpos, qvel: the initial state, shapes (n, nq) and (n, nv). ctrl: shape (n, steps, nu).
+    parameters: values of the model by path, as in `Batch.param`, of shape (n,); a single entry of a
+        vector is written "geom/floor/friction[0]".
+
+    The results have shapes (n, steps, nq) and (n, steps, nv). They have gradients by every tensor
+    given, exact for each step; see `Batch.vjp`. Computing is in double precision on the processor.
+
+    Raises the same errors as `Batch.rollout`.
+    """
+    values = dict(parameters or {})
+    for path, value in values.items():
+        if not isinstance(value, torch.Tensor):
+            raise ValueError(f"parameters: {path} = {checks.shown(value)}: must be a tensor")
+    states: tuple[torch.Tensor, torch.Tensor] = _Rollout.apply(
+        batch, tuple(values), qpos, qvel, ctrl, *values.values()
+    )
+    return states

@@ -1,0 +1,163 @@
+"""Gradients of rollouts, against differences, and by the checkers of PyTorch and JAX."""
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+
+EXACT = {"solver": "newton", "tolerance": 1e-14, "sweeps": 200}
+FLYER = """<mujoco><option timestep="0.005" integrator="Euler"/><worldbody>
+ <body pos="0 0 1"><freejoint/><geom type="box" size=".1 .2 .3" mass="2"/>
+ <body pos="0 0 .4"><joint type="ball" damping=".1"/><geom name="tip" type="capsule" size=".05"
+  fromto="0 0 0 .1 .3 0" mass=".5"/></body></body></worldbody></mujoco>"""
+
+
+def hopper(n=2):
+    """In the air and on its foot."""
+    gymnasium = pytest.importorskip("gymnasium")
+    assert gymnasium
+    model = sc.load("gymnasium:hopper").compile()
+    batch = sc.Batch(model, n, dt=0.002, integrator="euler", threads=2, **EXACT)
+    batch.qpos[:, 1] = np.linspace(1.3, 1.24, n)
+    batch.qpos[:, 3:] += 0.1
+    return batch
+
+
+def test_a_rollout_of_32_steps_backward_and_forward():
+    """Every gradient against an eighth-order difference of rollouts."""
+    steps, n, path = 32, 2, "body/thigh/mass"
+    rng = np.random.default_rng(1)
+    ctrl = rng.uniform(-1, 1, (n, steps, 3))
+    weights = rng.normal(size=(n, steps, 6)), rng.normal(size=(n, steps, 6))
+
+    def loss(moved=0.0, change=None, start=(0.0, 0.0), value=None):
+        batch = hopper(n)
+        if value is not None:
+            batch.param[path] = value
+        batch.qpos += moved * start[0]
+        batch.qvel += moved * start[1]
+        run = batch.rollout(ctrl if change is None else ctrl + moved * change)
+        return ((weights[0] * run.qpos).sum((1, 2)) + (weights[1] * run.qvel).sum((1, 2))), run
+
+    batch = hopper(n)
+    found = batch.vjp(ctrl, *weights, parameters=[path])
+    assert np.array_equal(found.rollout.qpos, loss()[1].qpos)
+    change = rng.normal(size=ctrl.shape)
+    start = rng.normal(size=(n, 6)), rng.normal(size=(n, 6))
+    stencil = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
+
+    def slope(make, h):
+        return sum(w * (make(k * h) - make(-k * h)) for k, w in stencil.items()) / h
+
+    true = slope(lambda h: loss(h, change)[0], 1e-4)
+    own = (found.ctrl * change).sum((1, 2))
+    assert np.abs(own - true).max() <= 1e-8 * np.abs(true).max()
+    true = slope(lambda h: loss(h, None, start)[0], 1e-6)
+    own = (found.qpos * start[0]).sum(1) + (found.qvel * start[1]).sum(1)
+    assert np.abs(own - true).max() <= 1e-7 * np.abs(true).max()
+    mass = float(batch.model.masses()["thigh"])
+    true = slope(lambda h: loss(value=np.full(n, mass + h))[0], 1e-3)
+    assert np.abs(found.parameters[path] - true).max() <= 1e-8 * np.abs(true).max()
+    # Forward is the same number.
+    batch = hopper(n)
+    _, moved = batch.jvp(ctrl, *start, ctrl_change=change, parameters={path: 0.1})
+    forward = (weights[0] * moved.qpos).sum((1, 2)) + (weights[1] * moved.qvel).sum((1, 2))
+    back = (found.ctrl * change).sum((1, 2)) + 0.1 * found.parameters[path]
+    back += (found.qpos * start[0]).sum(1) + (found.qvel * start[1]).sum(1)
+    assert forward == pytest.approx(back, rel=1e-10)
+    assert found.one_sided == []
+    assert found.growth.shape == (n,)
+
+
+def test_quaternions_turn_with_their_bodies():
+    """Changes of qpos that keep quaternions unit, and others, which are made unit."""
+    model = sc.loads(FLYER).compile()
+    rng = np.random.default_rng(0)
+    velocity = rng.normal(size=(1, model.nv))
+
+    def run(qpos):
+        batch = sc.Batch(model, 1, **EXACT)
+        batch.qpos[:], batch.qvel[:] = qpos, velocity
+        return batch.rollout(np.zeros((1, 10, 0))).qpos
+
+    batch = sc.Batch(model, 1, **EXACT)
+    batch.qvel[:] = velocity
+    start, weights = np.array(batch.qpos), rng.normal(size=(1, 10, model.nq))
+    found = batch.vjp(np.zeros((1, 10, 0)), weights)
+    for entry in range(model.nq):
+        h = np.zeros(model.nq)
+        h[entry] = 1e-5
+        true = ((run(start + h) - run(start - h)) * weights).sum() / 2e-5
+        assert found.qpos[0, entry] == pytest.approx(true, abs=1e-6, rel=1e-6), entry
+
+
+def test_a_gradient_that_grows_without_bound_is_told():
+    """A ball on a ball, or on a cone of nothing: a double pendulum that turns over for long."""
+    text = """<mujoco><option timestep="0.01" gravity="0 0 -9.81"/><worldbody>
+     <body><joint axis="0 1 0"/><geom type="capsule" size=".02" fromto="0 0 0 0 0 -.5" contype="0"
+      conaffinity="0"/><body pos="0 0 -.5"><joint axis="0 1 0"/><geom type="capsule" size=".02"
+      fromto="0 0 0 0 0 -.5" contype="0" conaffinity="0"/></body></body></worldbody></mujoco>"""
+    batch = sc.Batch(sc.loads(text), 1)
+    batch.qpos[:] = 3.0, 2.0
+    weights = np.zeros((1, 2000, 2))
+    weights[0, -1] = 1.0
+    with pytest.warns(sc.GradientWarning, match="gradient of world 0 grows .* over 2000 steps"):
+        found = batch.vjp(np.zeros((1, 2000, 0)), weights)
+    assert found.growth[0] > 1e6
+
+
+def test_what_does_not_fit_is_told():
+    batch = hopper()
+    ctrl = np.zeros((2, 3, 3))
+    with pytest.raises(ValueError, match=r"qpos has shape \(2, 3\): must be \(2, 3, 6\)"):
+        batch.vjp(ctrl, np.zeros((2, 3)))
+    with pytest.raises(ValueError, match=r"ctrl has shape"):
+        batch.vjp(np.zeros((2, 3)))
+    with pytest.raises(ValueError, match=r'no body is named "thig".*thigh'):
+        batch.vjp(ctrl, parameters=["body/thig/mass"])
+    with pytest.raises(ValueError, match=r"ctrl_change has shape"):
+        batch.jvp(ctrl, ctrl_change=np.zeros(3))
+
+
+def test_pytorch_checks_it():
+    torch = pytest.importorskip("torch")
+    from stepcore.torch import rollout
+
+    batch, path = hopper(), "body/thigh/mass"
+    rng = np.random.default_rng(3)
+    start = [torch.tensor(np.array(x), requires_grad=True) for x in (batch.qpos, batch.qvel)]
+    ctrl = torch.tensor(rng.uniform(-1, 1, (2, 4, 3)), requires_grad=True)
+    mass = torch.tensor([4.0, 4.5], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(
+        lambda *given: rollout(batch, *given[:3], {path: given[3]}),
+        (*start, ctrl, mass),
+        eps=1e-5,
+        atol=1e-5,
+        rtol=1e-5,
+    )
+    qpos, qvel = rollout(batch, *start, ctrl.float())
+    assert qpos.shape == (2, 4, 6) and qvel.dtype == torch.float64
+
+
+def test_jax_checks_it():
+    jax = pytest.importorskip("jax")
+    jax.config.update("jax_enable_x64", True)
+    from jax.test_util import check_grads
+
+    from stepcore.jax import rollout
+
+    batch, path = hopper(), "body/thigh/mass"
+    rng = np.random.default_rng(3)
+    start = [jax.numpy.array(np.array(x)) for x in (batch.qpos, batch.qvel)]
+    ctrl = jax.numpy.array(rng.uniform(-1, 1, (2, 4, 3)))
+    mass = jax.numpy.array([4.0, 4.5])
+
+    def loss(qpos, qvel, ctrl, mass):
+        states = rollout(batch, qpos, qvel, ctrl, {path: mass})
+        return (states[0] ** 2).sum() + (states[1] ** 2).sum()
+
+    check_grads(loss, (*start, ctrl, mass), order=1, modes=["rev"], eps=1e-5, rtol=1e-5)
+    jitted = jax.jit(jax.grad(loss, argnums=(2, 3)))
+    plain = jax.grad(loss, argnums=(2, 3))
+    for one, other in zip(jitted(*start, ctrl, mass), plain(*start, ctrl, mass), strict=True):
+        assert np.allclose(one, other, rtol=1e-12)

@@ -1,0 +1,198 @@
+"""∂step/∂p against differences of whole steps, each of a model compiled anew."""
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+
+# Of the first derivative, to the eighth power of the distance (Fornberg 1988).
+WEIGHTS = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
+EXACT = {"solver": "newton", "tolerance": 1e-14, "sweeps": 200}
+ARM = """<mujoco><option timestep="0.005" integrator="{integrator}"/><worldbody>
+ <geom name="floor" type="plane" size="3 3 .1" friction=".6"/>
+ <body name="arm" pos="0 0 .3"><joint name="shoulder" axis="0 1 0" stiffness="5" damping=".2"
+  armature=".01" frictionloss=".1"/><geom name="upper" type="capsule" size=".03"
+  fromto="0 0 0 .3 0 0"/>
+ <body name="fore" pos=".3 0 0"><joint name="elbow" axis="0 1 0" damping=".1" range="-60 60"/>
+  <geom name="lower" type="capsule" size=".03" fromto="0 0 0 .1 .02 -.3" mass=".4"/></body></body>
+ <body name="box" pos=".6 .4 .099"><freejoint/><geom name="crate" type="box" size=".1 .12 .1"
+  mass="2"/></body></worldbody>
+ <tendon><fixed name="cord" stiffness="3" damping=".2" springlength=".1">
+  <joint joint="shoulder" coef="1"/><joint joint="elbow" coef="-.5"/></fixed></tendon>
+ <actuator><position name="servo" joint="elbow" kp="30" kv="1"/></actuator></mujoco>"""
+PATHS = (
+    *("body/arm/mass", "body/fore/mass", "joint/shoulder/stiffness", "joint/shoulder/damping"),
+    *("joint/shoulder/armature", "joint/shoulder/frictionloss", "joint/elbow/damping"),
+    *("geom/upper/size", "geom/crate/size[1]", "geom/floor/friction[0]", "geom/crate/solref[0]"),
+    *("tendon/cord/stiffness", "tendon/cord/damping", "actuator/servo/kp", "gravity[2]"),
+)
+
+
+def moving(model):
+    sim = sc.Sim(model, **EXACT)
+    sim.qvel[:] = np.random.default_rng(0).normal(0, 0.3, model.nv)
+    sim.qpos[0], sim.ctrl[0] = 0.2, 0.5
+    return sim
+
+
+def tangent(model, start, end):
+    """The state after a step, in the coordinates of A."""
+    dq = []
+    for joint in range(len(model.jnt_type)):
+        q = model.jnt_qposadr[joint]
+        if model.jnt_type[joint] == "free":
+            dq += list(end.qpos[q : q + 3])
+            w, v = end.qpos[q + 3], end.qpos[q + 4 : q + 7]
+            w0, v0 = start.qpos[q + 3], start.qpos[q + 4 : q + 7]
+            dq += list(2 * (w0 * v - w * v0 - np.cross(v0, v)))
+        else:
+            dq.append(end.qpos[q])
+    return np.concatenate([dq, end.qvel, end.act])
+
+
+def differences(model, path, entry, value, make):
+    """The stencil on steps; distances much larger than those of the models inside."""
+    apart, base = abs(value) * 2e-3, make(model)
+    base.step()
+
+    def at(k):
+        own = value + k * apart
+        if entry is not None:
+            name = path.split("/")
+            whole = model.scene.gravity if path == "gravity" else None
+            if whole is None:
+                whole = getattr(getattr(model.scene, name[0])(name[1]), name[2])
+            whole = list(whole)
+            whole[entry] = own
+            own = whole
+        sim = make(model.with_values({path: own}))
+        sim.step()
+        return tangent(model, base, sim)
+
+    return sum(w * (at(k) - at(-k)) for k, w in WEIGHTS.items()) / apart
+
+
+@pytest.mark.parametrize("integrator", ("Euler", "implicitfast", "RK4", "discrete"))
+def test_every_kind_of_parameter(integrator):
+    """Contacts, friction, limits, tendons, servos, inertia that follows of a size."""
+    text = ARM.format(integrator=integrator if integrator != "discrete" else "Euler")
+    model = sc.loads(text).compile()
+    if integrator == "discrete":
+        model = model.with_settings(integrator="discrete")
+    sim = moving(model)
+    found = sim.linearize(PATHS)
+    plain = sim.linearize()
+    assert np.array_equal(found.A, plain.A) and np.array_equal(found.B, plain.B)
+    assert found.P.shape == (2 * model.nv, len(found.parameters))
+    for column, label in zip(found.P.T, found.parameters, strict=True):
+        path, bracket, rest = label.partition("[")
+        entry = int(rest[:-1]) if bracket else None
+        from stepcore.engine.variations import own_value
+
+        value = own_value(model, path)
+        value = float(value if entry is None else value[entry])
+        true = differences(model, path, entry, value, moving)
+        size = max(np.abs(true).max(), 1e-6)
+        assert np.abs(column - true).max() <= 1e-7 * size, label
+
+
+@pytest.mark.parametrize("name", ("hopper", "half_cheetah", "ant"))
+def test_robots_on_the_ground(name):
+    gymnasium = pytest.importorskip("gymnasium")
+    assert gymnasium
+    model = sc.load(f"gymnasium:{name}").compile().with_settings(integrator="euler")
+
+    def settled(model):
+        sim = sc.Sim(model, **EXACT)
+        sim.step(120)
+        # The same state whatever the model.
+        sim.qpos[:], sim.qvel[:] = state
+        sim.ctrl[:] = 0.3
+        return sim
+
+    first = sc.Sim(model, **EXACT)
+    first.step(120)
+    state = np.array(first.qpos), np.array(first.qvel)
+    sim = settled(model)
+    bodies = [f"body/{body}/mass" for body in model.body_names[1:3]]
+    found = sim.linearize([*bodies, "gravity[2]"])
+    for column, label in zip(found.P.T, found.parameters, strict=True):
+        path, bracket, rest = label.partition("[")
+        entry = int(rest[:-1]) if bracket else None
+        from stepcore.engine.variations import own_value
+
+        value = own_value(model, path)
+        value = float(value if entry is None else value[entry])
+        true = differences(model, path, entry, value, settled)
+        assert np.abs(column - true).max() <= 1e-7 * max(np.abs(true).max(), 1e-6), label
+
+
+def test_patterns_and_labels():
+    model = sc.loads(ARM.format(integrator="Euler")).compile()
+    found = moving(model).linearize(["joint/*/damping", "geom/floor/friction"])
+    assert found.parameters == (
+        "joint/shoulder/damping",
+        "joint/elbow/damping",
+        "geom/floor/friction[0]",
+        "geom/floor/friction[1]",
+        "geom/floor/friction[2]",
+    )
+    assert found.to_dict()["parameters"] == list(found.parameters)
+    assert "5 parameters" in repr(found)
+
+
+@pytest.mark.parametrize(
+    "path, message",
+    [
+        ("joint/sholder/damping", 'no joint is named "sholder".*shoulder'),
+        ("joint/shoulder/dampin", 'a joint has no value "dampin".*damping'),
+        ("joint/elbow/stiffness", r"joint/elbow/stiffness = 0: must be finite and not zero"),
+        ("geom/floor/friction[3]", r"geom/floor/friction has 3 entries, and no \[3\]"),
+        ("body/arm/mass[0]", "is a number and has no entry"),
+        ("geom/crate/solimp[2]", r"geom/crate/solimp\[2\]: must be one that steps read as a"),
+        ("body/a*z/mass", 'no body is named "a.z"'),
+        ("body/arm/pos[2]", r"body/arm/pos\[2\]|"),
+        (3, "parameters = 3: must be paths of values"),
+    ],
+)
+def test_what_is_no_parameter(path, message):
+    sim = moving(sc.loads(ARM.format(integrator="Euler")).compile())
+    if path == "body/arm/pos[2]":
+        assert sim.linearize([path]).P.shape[1] == 1
+        return
+    with pytest.raises(ValueError, match=message):
+        sim.linearize([path] if isinstance(path, str) else path)
+
+
+def test_what_changes_more_than_numbers_is_refused_by_name():
+    sim = moving(sc.loads(ARM.format(integrator="Euler")).compile())
+    with pytest.raises(ValueError, match=r"parameters: geom/crate/condim: .*must be one of"):
+        sim.linearize(["geom/crate/condim"])
+
+
+@pytest.mark.parametrize("cone", ("pyramidal", "elliptic"))
+@pytest.mark.parametrize("speed", (0.0, 1.0))
+@pytest.mark.parametrize("condim", (3, 4, 6))
+def test_friction_that_holds_and_that_slides(cone, speed, condim):
+    """On the surface of a cone the impulse moves with μ, and so does what keeps the law."""
+    text = f"""<mujoco><option timestep="0.002" cone="{cone}" integrator="Euler"/>
+     <worldbody><geom name="floor" type="plane" size="3 3 .1" friction=".1 .01 .001"/>
+     <body name="crate" pos="0 0 .0995"><freejoint/><geom name="crate" type="box" size=".1 .12 .1"
+     mass="2" friction=".5 .02 .003" condim="{condim}"/></body></worldbody></mujoco>"""
+
+    def make(model):
+        sim = sc.Sim(model, **EXACT)
+        sim.qvel[:] = speed, 0.3 * speed, 0, 0, 0, 2 * speed
+        return sim
+
+    model = sc.loads(text).compile()
+    path = "geom/crate/friction"
+    found = make(model).linearize([path])
+    most = 0.0
+    for entry, column in enumerate(found.P.T):
+        value = model.scene.geom("crate").friction[entry]
+        true = differences(model, path, entry, value, make)
+        size = max(np.abs(true).max(), 1e-4)
+        assert np.abs(column - true).max() <= 1e-6 * size, found.parameters[entry]
+        most = max(most, size)
+    assert most > 1e-3 or not speed
