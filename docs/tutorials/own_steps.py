@@ -1,10 +1,10 @@
 # %% [markdown]
 # # When the step should choose itself
 #
-# **A ball that bounces needs steps of microseconds for a moment, and long ones else.
+# **A ball that bounces needs steps of microseconds for a moment, else long ones.
 # With `accuracy="0.1mm"` it takes each where it must; at the same error this is a
-# third of the work of the best fixed step.** In smooth motion a fixed step is cheaper:
-# `trade` tells which is which.
+# third of the work of the best fixed step.** In smooth motion a fixed step is
+# cheaper: `trade` tells which is which.
 
 # %%
 import matplotlib.pyplot as plt

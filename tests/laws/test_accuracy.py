@@ -267,3 +267,26 @@ def test_the_command_line_takes_it(tmp_path, capsys):
     assert main(["run", str(file), "--set", "accuracy=0.1mm", "--horizon", "0.5"]) == 0
     assert main(["run", str(file), "--accuracy", "soon"]) == 2
     assert "accuracy = 'soon': must be None, metres" in capsys.readouterr().err
+
+
+def test_a_share_of_the_scene_s_size():
+    """Of the largest arm of a body and the largest half size of a geom."""
+    from stepcore.scene.softness import extent
+
+    scene = sc.loads(BALL.format(dt=0.02))
+    asked = 1e-3 * extent(scene)
+    assert sc.Sim(scene, accuracy="0.1%").settings.accuracy == pytest.approx(asked)
+    model = scene.compile().with_settings(accuracy=" 0.1 % ")
+    assert model.settings.accuracy == pytest.approx(asked)
+    with pytest.raises(ValueError, match="accuracy = '-1%'"):
+        sc.Sim(scene, accuracy="-1%")
+
+
+def test_a_run_says_where_the_file_relied_on_refsafe():
+    text = BALL.format(dt=0.02).replace('size=".1"', 'size=".1" solref="0.01 1"')
+    model = sc.loads(text).compile()
+    hard = sc.run(model.with_settings(accuracy="1mm"), horizon=0.1)
+    assert any("refsafe softens them to 40 ms" in note for note in hard.notes)
+    assert not any("refsafe" in note for note in sc.run(model, horizon=0.1).notes)
+    soft = sc.loads(BALL.format(dt=0.002)).compile().with_settings(dt=0.02, accuracy="1mm")
+    assert not any("refsafe" in note for note in sc.run(soft, horizon=0.1).notes)

@@ -18,6 +18,7 @@ from stepcore import _core, checks
 from stepcore._core import Settings
 from stepcore.engine.arrays import Count, Floats, ModelArray, Names, frozen, numbers
 from stepcore.engine.compilation import bare, compiled_once, compiled_scenes
+from stepcore.engine.run_settings import of_scene
 from stepcore.engine.tables import ContactPair, Keyframe, contact_pair, pair_arrays
 from stepcore.engine.touches import Touches, touches
 from stepcore.scene import gc_pause
@@ -66,7 +67,7 @@ class Model:
         refuse_unknown_settings(Model, fields)
         with gc_pause.paused():
             self._scene = copy.deepcopy(scene)
-            merged = _merged(self._scene.settings, settings, fields)
+            merged = _merged(self._scene, self._scene.settings, settings, fields)
             self._core, self._settings = compiled_once(scene, self._scene), merged
 
     @property
@@ -447,7 +448,7 @@ class Model:
         """Return this model with other settings, without compiling it again."""
         refuse_unknown_settings(self.with_settings, fields)
         other = copy.copy(self)
-        other._settings = _merged(self._settings, settings, fields)
+        other._settings = _merged(self._scene, self._settings, settings, fields)
         return other
 
     @functools.cached_property
@@ -489,7 +490,9 @@ def _unpickled(pickled: bytes, settings: Settings) -> Model:
     return model
 
 
-def _merged(own: Settings, given: Settings | None, fields: SettingsFields) -> Settings:
+def _merged(
+    scene: Scene, own: Settings, given: Settings | None, fields: SettingsFields
+) -> Settings:
     if given is not None and not isinstance(given, Settings):
         raise ValueError(f"settings = {checks.shown(given)}: must be a stepcore.Settings")
-    return (own if given is None else given).replace(**fields)
+    return (own if given is None else given).replace(**of_scene(scene, fields))

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings
+from stepcore.report.units import length, seconds
+from stepcore.scene.softness import UNKNOWN, clamping, extent
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
+    from stepcore.signatures import SettingsFields
 
 # Limit of Newton iterations: Newton converges in about ten iterations, or not at all.
 NEWTON = 200
@@ -47,3 +53,27 @@ def converged_settings(
 def balanced(settings: Settings) -> Settings:
     """Return the settings with an account of energies, where steps have a fixed length."""
     return settings.replace(ledger=settings.accuracy is None)
+
+
+def of_scene(scene: Scene, fields: SettingsFields) -> SettingsFields:
+    """Return the fields with an accuracy of "0.1%" in metres: a share of the scene's size."""
+    asked = fields.get("accuracy")
+    if not (isinstance(asked, str) and asked.strip().endswith("%")):
+        return fields
+    given: SettingsFields = {**fields}
+    given["accuracy"] = length("Settings", "accuracy", asked, extent(scene) or UNKNOWN)
+    return given
+
+
+def hardened(scene: Scene, settings: Settings) -> str:
+    """Say that contacts are harder within an accuracy than at the file's step; "" if they are not.
+
+    With steps of no fixed length there is no refsafe.
+    """
+    dt, tau = scene.options.get("dt", Settings().dt), clamping(scene)
+    if settings.accuracy is None or not settings.refsafe or tau is None or tau >= 2 * dt:
+        return ""
+    return (
+        f"within an accuracy, rows have the time constant of the file, {seconds(tau)} at least; at "
+        f"its step of {seconds(dt)}, refsafe softens them to {seconds(2 * dt)}"
+    )

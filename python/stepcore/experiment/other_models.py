@@ -25,10 +25,8 @@ from stepcore.experiment.reference import Gap, Level, Reference, ReferenceRuns
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 from stepcore.report.progress import Progress
-from stepcore.scene.elements import Joint, Tendon
 from stepcore.scene.scene import Scene
-
-Ref = tuple[float, ...]
+from stepcore.scene.softness import Ref, clamping, solrefs
 
 # Settings of the physical model, as opposed to its numerical solution. The groups apply to all
 # laws, to laws other than solref, to solref, to scenes with sleep, and to penalty.
@@ -278,30 +276,10 @@ def time_scale(scene: Scene) -> float:
     and b the acceleration per speed.
     """
     shortest = math.inf
-    for first, second in _solrefs(scene):
+    for first, second in solrefs(scene):
         if first > 0:
             shortest = min(shortest, first * min(1.0, second))
         elif first < 0:
             damping = 2.0 / -second if second < 0 else math.inf
             shortest = min(shortest, 1.0 / math.sqrt(-first), damping)
     return shortest
-
-
-def _solrefs(scene: Scene) -> list[Ref]:
-    """Return the solref values of all elements of a scene that can make constraint rows."""
-    refs = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
-    lengths: list[Joint | Tendon] = [*scene.joints, *scene.tendons]
-    refs += [length.solreflimit for length in lengths if length.range is not None]
-    refs += [length.solreffriction for length in lengths if length.frictionloss > 0]
-    refs += [e.solref for e in scene.equalities if e.active]
-    refs += [pair.solref for pair in scene.pairs]
-    refs += [scene.contact_override.solref] * scene.contact_override.enable
-    return refs
-
-
-def clamping(scene: Scene) -> float | None:
-    """Return the shortest solref time constant [s], or None if no solref is a time constant.
-
-    At a dt above half of this time constant, `refsafe` softens rows.
-    """
-    return min((ref[0] for ref in _solrefs(scene) if ref[0] > 0), default=None)

@@ -10,9 +10,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.experiment.run import Run
 from stepcore.scene.scene import Scene
-
-# The size of a scene in which nothing has a length [m].
-UNKNOWN = 1.0
+from stepcore.scene.softness import UNKNOWN, extent
 
 
 def scene_size(scene: Scene, runs: Sequence[Run] = ()) -> float:
@@ -25,9 +23,7 @@ def scene_size(scene: Scene, runs: Sequence[Run] = ()) -> float:
     if runs:
         centres = np.concatenate([run.com.reshape(-1, 3) for run in runs])
         gone = float(np.linalg.norm(np.ptp(centres, axis=0)))
-    thick = max((geom.half_size for geom in scene.geoms), default=0.0)
-    arm = max((float(np.linalg.norm(body.pos)) for body in scene.bodies), default=0.0)
-    return gone + thick + arm or UNKNOWN
+    return gone + extent(scene) or UNKNOWN
 
 
 class Sizes:

@@ -3,19 +3,15 @@
 use super::by_lane::OneWorld;
 use super::capsule_box::CapsuleBox;
 use super::cylinder::sphere_cylinder;
-use super::trial::{assert_slopes, at, bare, same_features, still, Moving, Random};
+use super::trial::{assert_slopes, at, bare, constants, same_features, still, Moving, Random};
 use super::Touch;
 use crate::real::{Lanes, Mask, Real};
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Vector3};
 
-fn meet<R: Real<Value = f64>>(
-    a: &Pose<R>,
-    sa: &[f64; 3],
-    b: &Pose<R>,
-    sb: &[f64; 3],
-) -> Vec<Touch<R>> {
-    let (one, two) = (bare(a, sa), bare(b, sb));
+fn meet<R: Real>(a: &Pose<R>, sa: &[f64; 3], b: &Pose<R>, sb: &[f64; 3]) -> Vec<Touch<R>> {
+    let (sa, sb) = (constants::<R>(sa), constants::<R>(sb));
+    let (one, two) = (bare(a, &sa), bare(b, &sb));
     let all: [Touch<R>; 2] = CapsuleBox.touches(&one, &two);
     all.into_iter().filter(|touch| touch.exists.lane(0)).collect()
 }

@@ -5,6 +5,7 @@ use super::by_lane::by_lane;
 use super::convex::Convex;
 use super::hull::Hull;
 use super::touch::{Touch, Touches};
+use super::trial::constants;
 use super::Shape;
 use crate::real::{Constant, Dual, Lanes, Mask, Real};
 use crate::scene::GeomType::{self, Box, Capsule, Cylinder, Ellipsoid, Mesh, Sphere};
@@ -325,7 +326,9 @@ fn slopes_are_those_of_finite_differences() {
     for case in cases(0.9, 30) {
         let rates = [0, 1].map(|_| [random.vector(), random.vector()]);
         let [p, q] = [0, 1].map(|i| dual(&case.poses[i], &rates[i]));
-        let with = touch(case.kinds, &case.shape(0, &p), &case.shape(1, &q));
+        let sizes = case.sizes.each_ref().map(constants::<Dual>);
+        let [one, two] = case.hulls.each_ref().map(Some);
+        let with = touch(case.kinds, &shape(&p, &sizes[0], one), &shape(&q, &sizes[1], two));
         let h = 1e-6;
         let [before, after] = [-h, h].map(|time| {
             let [p, q] = [0, 1].map(|i| moving(&case.poses[i], &rates[i], time));

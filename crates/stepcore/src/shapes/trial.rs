@@ -1,7 +1,7 @@
 //! What the tests of shapes share: random poses and sizes, and slopes against differences.
 
 use super::{Shape, Touch};
-use crate::real::{Dual, Real};
+use crate::real::{Constant, Dual, Real};
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
@@ -33,6 +33,11 @@ pub fn at(x: f64, y: f64, z: f64) -> Pose<f64> {
 /// A shape that its size alone describes.
 pub fn bare<'a, R: Real>(pose: &'a Pose<R>, size: &'a [R::Value; 3]) -> Shape<'a, R> {
     Shape { pose, size, hull: None, field: None }
+}
+
+/// Numbers of a model.
+pub fn constants<R: Real>(of: &[f64; 3]) -> [R::Value; 3] {
+    of.map(|x| R::Value::by_lane(&[x]))
 }
 
 /// A pose that moves: by `way` and `turn` for each unit of a parameter.

@@ -13,12 +13,13 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.errors import STICKS
 from stepcore.experiment.friction import Friction
-from stepcore.experiment.sizes import UNKNOWN, Sizes
+from stepcore.experiment.sizes import Sizes
 from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy, listed, named, others
 from stepcore.measure.monitors.readings import FEWEST, REST, STEADY, Contact, Key, Look
 from stepcore.measure.monitors.separation import Separation
 from stepcore.measure.monitors.soft_rows import hardest, pair_solimp, stiffened
 from stepcore.report.units import metres, newtons, percent, speed
+from stepcore.scene.softness import UNKNOWN
 
 # An edge of a friction pyramid pushes if its force exceeds this share of the strongest edge's.
 EDGE = 1e-6

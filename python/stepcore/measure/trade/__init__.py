@@ -17,7 +17,7 @@ from stepcore.experiment.experiment import Experiment
 from stepcore.experiment.horizon import affordable, horizon_of
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.other_models import ErrorSplit, clamping
+from stepcore.experiment.other_models import ErrorSplit
 from stepcore.experiment.reference import FINER, Gap, Reference, ReferenceRuns, smallest
 from stepcore.experiment.schedule import STARTS, scheduled, time_steps
 from stepcore.measure.monitors import Finding, monitored
@@ -33,6 +33,7 @@ from stepcore.measure.trade.run_cache import RowMaker, RunCache
 from stepcore.measure.trade.search import SettingsSearch
 from stepcore.measure.trade.statistics import LEAST, MOST, AfterPrediction
 from stepcore.report import units
+from stepcore.scene.softness import clamping
 
 __all__ = ["Trade", "TradeRow", "trade"]
 

@@ -3,15 +3,18 @@
 use super::{Boxes, MOST};
 use crate::real::{Mask, Real};
 use crate::shapes::by_lane::{by_lane, OneWorld};
-use crate::shapes::trial::{assert_slopes, at, bare, same_features, still, Moving, Random};
+use crate::shapes::trial::{
+    assert_slopes, at, bare, constants, same_features, still, Moving, Random,
+};
 use crate::shapes::Touch;
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 type Size = [f64; 3];
 
-fn meet<R: Real<Value = f64>>(a: &Pose<R>, sa: &Size, b: &Pose<R>, sb: &Size) -> Vec<Touch<R>> {
-    let (one, two) = (bare(a, sa), bare(b, sb));
+fn meet<R: Real>(a: &Pose<R>, sa: &Size, b: &Pose<R>, sb: &Size) -> Vec<Touch<R>> {
+    let (sa, sb) = (constants::<R>(sa), constants::<R>(sb));
+    let (one, two) = (bare(a, &sa), bare(b, &sb));
     let all: [Touch<R>; MOST] = Boxes { within: f64::INFINITY }.touches(&one, &two);
     all.into_iter().filter(|touch| touch.exists.lane(0)).collect()
 }
