@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from stepcore.measure.diagnosis import Diagnosis as Diagnosis
     from stepcore.measure.diagnosis import diagnose as diagnose
     from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning as StiffnessWarning
+    from stepcore.measure.identification import Identification as Identification
+    from stepcore.measure.identification import identify as identify
     from stepcore.measure.monitors import Finding as Finding
     from stepcore.measure.plan import plan as plan
     from stepcore.measure.predictability import Predictability as Predictability
@@ -116,6 +118,7 @@ _MODULES = {
     "stepcore.measure.convergence": "Convergence converge",
     "stepcore.measure.diagnosis": "Diagnosis diagnose",
     "stepcore.measure.diagnosis.stiffness_warning": "StiffnessWarning",
+    "stepcore.measure.identification": "Identification identify",
     "stepcore.measure.monitors": "Finding",
     "stepcore.measure.plan": "plan",
     "stepcore.measure.predictability": "Predictability predict",

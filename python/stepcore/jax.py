@@ -9,11 +9,6 @@ import numpy as np
 
 from stepcore.engine.gradients import Tape
 
-try:
-    import jax
-except ImportError as error:
-    raise ImportError("stepcore.jax needs JAX: pip install jax") from error
-
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
 
@@ -37,6 +32,11 @@ def rollout(
     given (`jax.grad`, in reverse). It works under `jax.jit`, as a pure callback. Computing is in
     double precision on the processor; turn on ``jax_enable_x64`` for gradients of that precision.
     """
+    try:
+        import jax
+    except ImportError as error:
+        raise ImportError("stepcore.jax needs JAX: pip install jax") from error
+
     values = dict(parameters or {})
     paths = tuple(values)
 

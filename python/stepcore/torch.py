@@ -1,14 +1,8 @@
-"""Rollouts of a `Batch` for PyTorch, with gradients. Needs the extra "torch".
-
->>> import stepcore as sc
->>> from stepcore.torch import rollout  # doctest: +SKIP
->>> batch = sc.Batch("gymnasium:hopper", 4)  # doctest: +SKIP
->>> qpos, qvel = rollout(batch, qpos0, qvel0, ctrl)  # doctest: +SKIP
->>> qpos[:, -1, 0].sum().backward()  # doctest: +SKIP
-"""
+"""Rollouts of a `Batch` for PyTorch, with gradients. Needs PyTorch (the extra "torch")."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -17,35 +11,41 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.gradients import Tape
 
-try:
-    import torch
-except ImportError as error:
-    raise ImportError("stepcore.torch needs PyTorch: pip install torch") from error
-
 if TYPE_CHECKING:
+    import torch
+
     from stepcore.engine.batch import Batch
 
 __all__ = ["rollout"]
 
 
-class _Rollout(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, batch: Any, paths: Any, *given: Any) -> Any:
-        tape = Tape(batch, paths, *(tensor.detach().cpu().numpy() for tensor in given))
-        ctx.tape, ctx.like = tape, [(tensor.dtype, tensor.device) for tensor in given]
-        like = given[0]
-        states = (torch.from_numpy(np.ascontiguousarray(x)) for x in tape.rollout[:2])
-        return tuple(state.to(like.dtype).to(like.device) for state in states)
+@functools.cache
+def _function() -> Any:
+    """Return the autograd function; PyTorch is imported where it is used."""
+    try:
+        import torch
+    except ImportError as error:
+        raise ImportError("stepcore.torch needs PyTorch: pip install torch") from error
 
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *weights: Any) -> Any:
-        found = ctx.tape.gradient(*(weight.detach().cpu().numpy() for weight in weights))
-        gradients = [
-            torch.from_numpy(np.ascontiguousarray(x)).to(dtype).to(device)
-            for x, (dtype, device) in zip(found, ctx.like, strict=True)
-        ]
-        return (None, None, *gradients)
+    class Rollout(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx: Any, batch: Any, paths: Any, *given: Any) -> Any:
+            tape = Tape(batch, paths, *(tensor.detach().cpu().numpy() for tensor in given))
+            ctx.tape, ctx.like = tape, [(tensor.dtype, tensor.device) for tensor in given]
+            states = (torch.from_numpy(np.ascontiguousarray(x)) for x in tape.rollout[:2])
+            return tuple(state.to(given[0].dtype).to(given[0].device) for state in states)
+
+        @staticmethod
+        @torch.autograd.function.once_differentiable
+        def backward(ctx: Any, *weights: Any) -> Any:
+            found = ctx.tape.gradient(*(weight.detach().cpu().numpy() for weight in weights))
+            gradients = [
+                torch.from_numpy(np.ascontiguousarray(x)).to(dtype).to(device)
+                for x, (dtype, device) in zip(found, ctx.like, strict=True)
+            ]
+            return (None, None, *gradients)
+
+    return Rollout.apply
 
 
 def rollout(
@@ -69,9 +69,9 @@ def rollout(
     """
     values = dict(parameters or {})
     for path, value in values.items():
-        if not isinstance(value, torch.Tensor):
+        if not hasattr(value, "detach"):
             raise ValueError(f"parameters: {path} = {checks.shown(value)}: must be a tensor")
-    states: tuple[torch.Tensor, torch.Tensor] = _Rollout.apply(
+    states: tuple[torch.Tensor, torch.Tensor] = _function()(
         batch, tuple(values), qpos, qvel, ctrl, *values.values()
     )
     return states

@@ -122,7 +122,7 @@ class Steps:
     def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
         if batch._arrays["ctrl_history"].size:
             raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
-        columns(batch.model, parameters)
+        self.labels = [column.label for column in columns(batch.model, parameters)]
         self.batch, self.parameters = batch, parameters
         self.held = {name: np.array(getattr(batch, name)) for name in HELD}
         self.start = {name: np.array(getattr(batch, name)) for name in STATE}
@@ -241,6 +241,23 @@ def _grown(steps: Steps, world: int, sizes: Floats) -> str:
         f"{steps.count} steps, most in step {step} ({factors[step]:.0e} times{what}): beyond it, "
         "the gradient says nothing about changes that are not as small; a shorter rollout does"
     )
+
+
+def sensitivities(steps: Steps, world: int = 0) -> Floats:
+    """Return the derivatives of a world's states by the parameters, then by its first x.
+
+    Shape (steps + 1, 2 nv + na, parameters + 2 nv + na); the first row is the initial state.
+    """
+    sim = steps.sim(world)
+    size, count = 2 * steps.models[0].nv + steps.models[0].na, len(steps.labels)
+    slopes = np.concatenate([np.zeros((size, count)), np.eye(size)], axis=1)
+    out = [slopes]
+    for step in range(steps.count):
+        linear = steps.linear(sim, world, step)
+        slopes = linear.A @ slopes
+        slopes[:, :count] += linear.P
+        out.append(slopes)
+    return np.array(out)
 
 
 class Tape:
