@@ -158,3 +158,15 @@ def test_a_run_says_what_was_asked_and_delivered(tmp_path, capsys):
     file.write_text(BALL)
     assert main(["run", str(file), "--horizon", "0.4", "--error-bar"]) == 0
     assert "The error is estimated as" in capsys.readouterr().out
+
+
+def test_a_view_shows_it_beside_the_residual():
+    from stepcore.viewing.frames import instant_of
+    from stepcore.viewing.panel import figures_of
+
+    plain, judged = (sc.Sim(sc.loads(BALL), error_bar=bar) for bar in (False, True))
+    for sim in (plain, judged):
+        sim.step(160)
+    assert "estimated error" not in dict(figures_of(instant_of(plain)))
+    assert dict(figures_of(instant_of(judged)))["estimated error"].endswith("mm")
+    assert judged.error.largest == instant_of(judged).error

@@ -53,3 +53,14 @@ def test_others_that_run_it(measure):
 
 def test_rungs():
     assert [rung(k) for k in (-4, -3, -2)] == [0.05, 0.1, 0.2]
+
+
+def test_accuracies_are_an_axis():
+    trade = sc.trade(
+        sc.loads(BALL), dts=[0.002], accuracies=["10mm", 1e-3, "0.1%"], by="flops", **FIELDS
+    )
+    kept = {row.settings.accuracy for row in trade.rows if row.settings.accuracy is not None}
+    assert {0.01, 1e-3} < kept and len(kept) == 3
+    for bad in (["soon"], [-1.0], 3):
+        with pytest.raises(ValueError, match="accuracies"):
+            sc.trade(sc.loads(BALL), accuracies=bad, **FIELDS)

@@ -22,7 +22,7 @@ class Instant:
     time: [s]. xpos, xquat: of the bodies, shapes (nbody, 3) and (nbody, 4). places, forces: of the
     contacts that carry load, in world axes [m] and [N], shape (n, 3). energy: kinetic and
     potential [J]. residual: of the solve [m/s]. tendons: the paths of spatial tendons, each of
-    shape (points, 3) [m].
+    shape (points, 3) [m]. error: the largest estimated error of a body [m]; NaN if not measured.
     """
 
     time: float
@@ -33,6 +33,7 @@ class Instant:
     energy: tuple[float, float]
     residual: float
     tendons: list[NDArray[Any]]
+    error: float = np.nan
 
     def placed(self, body: int, points: Any) -> NDArray[Any]:
         """Return points of a body's frame in world coordinates [m], shape (n, 3)."""
@@ -77,6 +78,7 @@ def instant_of(sim: Any) -> Instant:
         forces=np.array(contacts["force"][bearing]),
         energy=(float(sim.energy.kinetic), float(sim.energy.potential)),
         residual=float(sim.residual),
+        error=np.nan if getattr(sim, "_finer", None) is None else sim.error.largest,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from abc import ABC, abstractmethod
 from bisect import bisect_left
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from stepcore.report.units import metres
 from stepcore.viewing.curves import ENERGY, RED, Curves, Points, energies, residuals
 from stepcore.viewing.drawing import ARROW, TINTS, drawing_of
 from stepcore.viewing.frames import Instant, Replayed, distance, instant_of, poses_of
@@ -126,8 +128,9 @@ class Panel(ABC):
 
 
 def figures_of(instant: Instant) -> list[tuple[str, str]]:
-    """Return time, energy, contacts and residual as text."""
+    """Return time, energy, contacts, residual and, where it is measured, the error as text."""
     kinetic, potential = instant.energy
+    error = metres(instant.error) if math.isfinite(instant.error) else "not known"
     return [
         ("time", f"{instant.time:.3f} s"),
         ("kinetic energy", f"{kinetic:.4g} J"),
@@ -135,6 +138,7 @@ def figures_of(instant: Instant) -> list[tuple[str, str]]:
         ("total", f"{kinetic + potential:.4g} J"),
         ("contacts with force", f"{len(instant.places)}"),
         ("residual", f"{instant.residual:.1e} m/s"),
+        *([] if math.isnan(instant.error) else [("estimated error", error)]),
     ]
 
 
@@ -147,7 +151,8 @@ class SimPanel(Panel):
     """Runs a copy of a Sim with sliders for its controls, and can go back in time."""
 
     def __init__(self, server: Any, sim: Any) -> None:
-        self.sim = type(sim)(sim.model)
+        judged = {} if getattr(sim, "_finer", None) is None else {"error_bar": True}
+        self.sim = type(sim)(sim.model, **judged)
         self.begin = sim.state()
         self.sim.restore(self.begin)
         super().__init__(server, Stage(server, [drawing_of(sim.model, self.sim)]))

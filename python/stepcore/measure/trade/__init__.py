@@ -23,7 +23,7 @@ from stepcore.experiment.schedule import STARTS, scheduled, time_steps
 from stepcore.measure.monitors import Finding, monitored
 from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade import words
-from stepcore.measure.trade.adaptive import adaptive
+from stepcore.measure.trade.adaptive import adaptive, within
 from stepcore.measure.trade.batch_cost import BatchPoint, batch_points
 from stepcore.measure.trade.methods import Kind, Steps, grid, longest
 from stepcore.measure.trade.recommend import Confirmation, HardestStarts, Recommendation
@@ -63,6 +63,7 @@ def trade(
     solvers: Sequence[str] | None = None,
     sweeps: Sequence[int] | None = None,
     precisions: Sequence[str] | None = None,
+    accuracies: Sequence[float | str] | None = None,
     mujoco: bool = False,
     effort: float = EFFORT,
     **fields: Unpack[MeasurementFields],
@@ -93,6 +94,8 @@ def trade(
         an axis is given.
     dts [s], integrators, solvers, sweeps, precisions: the axes, with the values to try. The shipped
         settings are always tried too.
+    accuracies: the accuracies that steps are to keep: metres, "1mm", or "0.1%" of the scene's size;
+        each is tried beside the combinations of the axes. A search chooses its own.
     by: the cost metric: "time" for measured wall time, or "flops" for counted floating-point
         operations. With "flops" nothing is timed, and the same seed gives the same result on any
         machine.
@@ -115,7 +118,7 @@ def trade(
     """
     axes: dict[str, Any] = {"integrators": integrators, "solvers": solvers, "sweeps": sweeps}
     axes["precisions"] = precisions
-    full = _full(search, {"dts": dts} | axes)
+    full = _full(search, {"dts": dts, "accuracies": accuracies} | axes)
     checks.one_of("time", "flops")("trade", "by", by)
     further = checks.count("further", further, least=0)
     effort = checks.real(low=0)("trade", "effort", effort)
@@ -154,6 +157,8 @@ def trade(
     time = workers.deadline
     if full:
         tried = grid(kind, steps, **axes)
+        kept = (units.length("trade", "accuracies", value, size) for value in accuracies or ())
+        tried += within(experiment, counts, kind, kept)
         left_out = partial(words.not_run, cache, tried)
         with time.stage(left_out, SEARCHED):
             cache.run([shipped, *tried])
@@ -264,6 +269,8 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
             # Check every value now, including values that would never be tried.
             if name == "dts":
                 units.time(name, value)
+            elif name == "accuracies":
+                units.length("trade", name, value, 1.0)
             else:
                 Settings(**{name if name == "sweeps" else name.removesuffix("s"): value})
     if given and search == "frugal":

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from stepcore._core import Settings
 from stepcore.engine.linear_maps import STAGED
 from stepcore.engine.sim import Sim
+from stepcore.experiment.experiment import Experiment
 from stepcore.measure.trade.methods import Kind, Steps
 from stepcore.measure.trade.run_cache import RunCache
 
@@ -30,7 +31,7 @@ def adaptive(cache: RunCache, steps: Steps, kind: Kind, errors: Sequence[float])
     A step is a control period long. The list is empty where steps cannot keep an accuracy: under a
     law or with an element that a step of a fixed length defines.
     """
-    base = _base(cache, steps, kind)
+    base = _base(cache.experiment, steps, kind)
     if base is None:
         return []
     found: list[Settings] = []
@@ -47,6 +48,14 @@ def adaptive(cache: RunCache, steps: Steps, kind: Kind, errors: Sequence[float])
     return found
 
 
+def within(
+    experiment: Experiment, steps: Steps, kind: Kind, accuracies: Iterable[float]
+) -> list[Settings]:
+    """Return settings whose steps keep these accuracies; empty where steps cannot keep one."""
+    base = _base(experiment, steps, kind)
+    return [] if base is None else [base.replace(accuracy=asked) for asked in accuracies]
+
+
 def rung(index: int) -> float:
     """Return a round accuracy [m]; 0 is 1 m.
 
@@ -57,14 +66,14 @@ def rung(index: int) -> float:
     return float(f"{ROUND[k]:g}e{power}")
 
 
-def _base(cache: RunCache, steps: Steps, kind: Kind) -> Settings | None:
+def _base(experiment: Experiment, steps: Steps, kind: Kind) -> Settings | None:
     shipped = kind.shipped
     changes = kind.newton if kind.smooth and kind.rows else {}
     integrator = "euler" if shipped.integrator in STAGED else shipped.integrator
     changes |= {"dt": steps.period, "integrator": integrator, "precision": "f64"}
     try:
         base = shipped.replace(accuracy=1.0, sleep=False, ledger=False, **changes)
-        Sim(cache.experiment.model, base)
+        Sim(experiment.model, base)
     except ValueError:
         return None
     return base
