@@ -47,7 +47,7 @@ fig.tight_layout()
 # %% [markdown]
 # ## Is that true?
 #
-# Steps of 10 µs say so, which have no error control.
+# Very short steps of one length say so, which control nothing.
 
 # %%
 true = sc.Sim(scene, dt=1e-5)

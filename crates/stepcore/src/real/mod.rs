@@ -77,16 +77,14 @@ mod counted;
 mod dual;
 pub mod elementary;
 mod lanes;
-mod sampled;
 mod stage;
 pub(crate) mod traced;
 pub(crate) mod value;
 
 pub use count::Count;
 pub use counted::{Counted, FUNCTION};
-pub use dual::{Dual, WAYS};
+pub use dual::{Dual, Sampled, AROUND, WAYS};
 pub use lanes::{ByWorld, LaneMask, Lanes, LanesF32, WIDEST, WIDTH};
-pub use sampled::{Sampled, AROUND};
 pub use stage::Stage;
 
 /// One truth value a lane.
