@@ -20,6 +20,8 @@ FIRST = 5.0
 # How many rounds of runs one error takes at most, and the longest stride in round accuracies, ten
 # times.
 ROUNDS, STRIDE = 8, 3
+# The finest accuracy tried, as the index of a round one: 1 nm, which double precision carries.
+FINEST = -27
 
 
 def adaptive(cache: RunCache, steps: Steps, kind: Kind, errors: Sequence[float]) -> list[Settings]:
@@ -87,6 +89,9 @@ def _coarsest(cache: RunCache, base: Settings, error: float) -> Settings | None:
     meets: dict[int, bool] = {}
     stride = STRIDE
     for _ in range(ROUNDS):
+        index = max(index, FINEST)
+        if index in meets:
+            break
         setting = base.replace(accuracy=rung(index))
         cache.screen([setting], starts, "search: accuracy")
         meets[index] = cache.score(setting, starts).error <= error
