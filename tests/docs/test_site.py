@@ -11,7 +11,7 @@ import benchmarks
 import links
 
 import stepcore as sc
-from stepcore import gymnasium
+from stepcore import gymnasium, jax, torch
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -25,7 +25,8 @@ MADE = {"index.md", "adding.md", "benchmarks.md", "changelog.md", "contributing.
 
 def test_every_public_name_is_in_the_reference_once():
     public = set(sc.__all__) - {"__version__", "lesson"}
-    public |= {f"gymnasium.{name}" for name in gymnasium.__all__}
+    for module in (gymnasium, jax, torch):
+        public |= {f"{module.__name__.removeprefix('stepcore.')}.{name}" for name in module.__all__}
     assert sorted(name for name in DOCUMENTED if not PARTS.match(name)) == sorted(
         public | {"lesson"}
     )
