@@ -230,20 +230,53 @@ def test_what_regards_one_step_refuses_it():
     sim = sc.Sim(model)
     for ask in (
         sim.linearize,
-        lambda: sc.diagnose(model),
         lambda: sc.converge(model),
         lambda: sc.ablate(model),
-        lambda: sc.stability_map(model),
     ):
         with pytest.raises(ValueError, match=r"accuracy = 0\.001: must be None"):
             ask()
 
 
-def test_late_controls_are_refused():
-    text = """<mujoco><worldbody><body><joint name="a" type="slide"/><geom size=".1"/></body>
-     </worldbody><actuator><motor joint="a" delay="0.01" nsample="5"/></actuator></mujoco>"""
-    with pytest.raises(ValueError, match="late controls"):
-        sc.Sim(sc.loads(text), accuracy="1mm")
+def test_late_controls_are_sampled_once_a_step():
+    """A delay of two periods, against steps a thousandth as long that hold each control as long."""
+    text = """<mujoco><option timestep="{dt}" gravity="0 0 0"/><worldbody><body>
+     <joint name="a" type="slide"/>
+     <geom size=".1"/></body></worldbody>
+     <actuator><motor joint="a" gear="50" delay="0.02" nsample="{n}"/></actuator></mujoco>"""
+    sim = sc.Sim(sc.loads(text.format(dt=0.01, n=5)), accuracy=1e-6, error_bar=True)
+    fine = sc.Sim(sc.loads(text.format(dt=1e-5, n=5000)), law="solref")
+    for step in range(60):
+        sim.ctrl[0] = fine.ctrl[0] = np.cos(0.3 * step)
+        sim.step()
+        fine.step(1000)
+        assert sim.qpos[0] == pytest.approx(fine.qpos[0], abs=2e-4)
+        assert (sim.qpos[0] == 0) == (step < 2)
+    assert abs(sim.qpos[0]) > 0.01
+    assert sim.error.largest < 1e-6
+    again = sc.Sim(sim.model)
+    again.restore(sim.snapshot())
+    for each in (sim, again):
+        each.step(5)
+    assert (again.qpos == sim.qpos).all()
+
+
+def test_an_error_of_activations_counts_by_what_it_pulls():
+    """A filter far faster than the step, before a motor: against the closed form."""
+    tau, gear = 2e-3, 40.0
+    sim = sc.Sim(
+        sc.loads(f"""<mujoco><option timestep="0.05" gravity="0 0 0"/><worldbody><body>
+         <joint name="a" type="slide" axis="1 0 0"/><geom size=".1" mass="1"/></body></worldbody>
+         <actuator><general joint="a" dyntype="filter" dynprm="{tau}" gainprm="{gear}"/></actuator>
+         </mujoco>"""),
+        accuracy=1e-5,
+    )
+    sim.ctrl[0] = 1.0
+    for step in range(1, 21):
+        sim.step()
+        time = 0.05 * step
+        lag = tau * (1 - np.exp(-time / tau))
+        assert sim.qpos[0] == pytest.approx(gear * (time**2 / 2 - tau * (time - lag)), abs=1e-5)
+        assert sim.act[0] == pytest.approx(1.0, abs=1e-4)
 
 
 def test_an_impact_too_sharp_for_the_accuracy_is_told_by_name():

@@ -409,6 +409,13 @@ impl Sim {
     fn evaluations(&self) -> PyResult<u64> {
         Ok(self.lock()?.effort().evaluations)
     }
+    /// Of the last step within an accuracy: the shortest part taken [s]; the shortest refused [s],
+    /// with the body whose error was too large.
+    #[getter]
+    fn stretches(&self) -> PyResult<(f64, Option<(f64, Option<usize>)>)> {
+        let stretches = self.lock()?.effort().stretches;
+        Ok((stretches.shortest, stretches.refused))
+    }
     #[getter]
     fn most_rows(&self) -> PyResult<usize> {
         Ok(self.lock()?.effort().most_rows)

@@ -7,6 +7,8 @@ use crate::real::Real;
 pub struct Clock<R: Real> {
     /// Time step [s], as it was set.
     pub seconds: f64,
+    /// The time between two samples of a control [s]: a step, unless it is made of shorter ones.
+    pub period: f64,
     /// The same in the engine's number [s], and its inverse [1/s].
     pub dt: R,
     pub rate: R,
@@ -14,6 +16,6 @@ pub struct Clock<R: Real> {
 
 impl<R: Real> Clock<R> {
     pub fn new(seconds: f64) -> Self {
-        Self { seconds, dt: R::of(seconds), rate: R::of(1.0 / seconds) }
+        Self { seconds, period: seconds, dt: R::of(seconds), rate: R::of(1.0 / seconds) }
     }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crate::arrays::array::Array;
 use crate::clock::Clock;
-use crate::commit::{Extrapolation, Next};
+use crate::commit::{Extrapolation, Next, Stretches};
 use crate::compile::Alone;
 use crate::detect::Detected;
 use crate::elements::activation::Activations;
@@ -40,6 +40,8 @@ pub struct Effort {
     pub separations: u64,
     /// Newton's last decrement, relative; 0 under PGS.
     pub decrement: f64,
+    /// Of the last step within an accuracy.
+    pub stretches: Stretches,
 }
 
 /// One world, or a register of worlds side by side. `step.rs` steps it.
@@ -180,7 +182,7 @@ impl<R: Real> Sim<R> {
         }
         check_spaces(&models[0], R::LANES, "lanes")?;
         if settings.accuracy.0.is_some() {
-            extrapolates::<R>(&model, &mut settings)?;
+            extrapolates::<R>(&mut settings)?;
         }
         let plan = Plan::of(&models[0], &settings);
         let placed = Placed::for_steps(&model, &settings);
@@ -326,14 +328,10 @@ impl<R: Real> Sim<R> {
 
 /// What steps within an accuracy need. They are made of steps of first order, of any length, under
 /// a law that does not look at it.
-fn extrapolates<R: Real>(model: &Model<R::Value>, settings: &mut Settings) -> Result<()> {
+fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
     if R::LANES > 1 {
         let limit = "1 with an accuracy: each world has steps of its own";
         return Err(Error::value("lanes", R::LANES, limit));
-    }
-    if model.nhistory > 0 {
-        let limit = "None in a scene with late controls, which count steps";
-        return Err(Error::value("accuracy", settings.accuracy.0.unwrap_or_default(), limit));
     }
     if settings.integrator.scheme().stages != Stages::Start {
         settings.integrator = Integrator::Euler;

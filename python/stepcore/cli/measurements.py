@@ -140,6 +140,9 @@ def _lists(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
     return {
         "values": None if args.values is None else numbers("--values", args.values),
         "dts": None if args.dts is None else numbers("--dts", args.dts, time),
+        "accuracies": (
+            None if args.accuracies is None else numbers("--accuracies", args.accuracies, length)
+        ),
     }
 
 
@@ -285,6 +288,11 @@ Example:
             },
             "values": {"metavar": "LIST", "help": f"values to try: {LIST}"},
             "dts": {"metavar": "LIST", "help": f"time steps to try [s]: {LIST}"},
+            "accuracies": {
+                "metavar": "LIST",
+                "help": f"accuracies that steps are to keep over the horizon [m]: {LIST}; the map "
+                "shows the error delivered over the one asked for",
+            },
             "integrators": {
                 "flags": ("--integrator",),
                 "action": "append",

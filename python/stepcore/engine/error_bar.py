@@ -100,7 +100,7 @@ class FinerRun:
     """
 
     def __init__(self, sim: Sim) -> None:
-        if sim._arrays["ctrl_history"].size:
+        if sim._arrays["ctrl_history"].size and sim.settings.accuracy is None:
             limit = "False in a scene with late controls, whose past depends on the time step"
             raise ValueError(f"error_bar = True: must be {limit}")
         model: Model = sim.model

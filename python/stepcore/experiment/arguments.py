@@ -37,7 +37,7 @@ class Timed(NamedTuple):
 
 
 # The measurements that run a model whose steps keep an accuracy.
-WITHIN_ACCURACY = ("trade", "check", "predict")
+WITHIN_ACCURACY = ("trade", "check", "predict", "diagnose", "stability_map")
 
 
 @dataclass

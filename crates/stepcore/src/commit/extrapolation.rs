@@ -6,13 +6,16 @@
 //! the linearly implicit Euler method). The last two results tell the error.
 
 use super::position::advance;
+use crate::clock::Clock;
+use crate::elements::activation::Activations;
+use crate::elements::actuator::{bound, tensions};
 use crate::elements::force::Moment;
 use crate::model::{Body, Model};
 use crate::place::{Effective, Metric, Placed};
 use crate::real::{value, Real, Value};
 use crate::scene::JointType;
 use crate::spatial::{rotate, splat, Motion, Quat};
-use crate::state::State;
+use crate::state::{Inputs, State};
 
 /// Into how many steps a stretch is cut, one way after the other.
 pub(crate) const CUTS: [u32; 4] = [1, 2, 3, 4];
@@ -40,35 +43,71 @@ room!(Extrapolation<R>: period, from, table, jump, moved, levers, settling);
 const LASTS: f64 = 0.03;
 
 /// The way that errors of velocity make in some time, T [s], as an implicit step of this length has it:
-/// T (M + T D + T² K)⁻¹ M δv. What dampers and servos hold soon rests; what floats goes on.
+/// T (M + T D + T² K)⁻¹ M δv. What dampers and servos hold soon rests; what floats goes on. An error of
+/// activations pulls for as long: T f beside M δv.
 struct Settling<R: Real> {
     time: R,
     effective: Effective<R>,
     metric: Metric<R>,
     change: Vec<R>,
     way: Vec<R>,
+    /// Activations, and the forces of actuators, with the error and without.
+    act: Vec<R>,
+    tensions: [Vec<R>; 2],
 }
 
-room!(Settling<R>: time, effective, metric, change, way);
+room!(Settling<R>: time, effective, metric, change, way, act, tensions);
 
 impl<R: Real> Settling<R> {
     fn new(placed: &Placed<R>, model: &Model<R::Value>, time: f64) -> Self {
         let (time, mut metric) = (R::of(time), Metric::coupled(model));
         let mut effective = Effective::new(model, &metric, time);
         effective.start(&placed.mass, &mut metric);
-        let none = vec![R::zero(); model.nv];
-        Self { time, effective, metric, change: none.clone(), way: none }
+        let zeros = |n| vec![R::zero(); n];
+        Self {
+            time,
+            effective,
+            metric,
+            change: zeros(model.nv),
+            way: zeros(model.nv),
+            act: zeros(model.na),
+            tensions: std::array::from_fn(|_| zeros(model.actuators.len())),
+        }
     }
 
+    /// Of a change of velocities, and one of activations.
     fn way(
         &mut self,
         now: &Now<R>,
-        change: impl Iterator<Item = R>,
+        velocities: impl Iterator<Item = R>,
+        activations: impl Iterator<Item = R>,
     ) -> impl Iterator<Item = R> + '_ {
-        self.change.iter_mut().zip(change).for_each(|(to, x)| *to = x);
+        self.change.iter_mut().zip(velocities).for_each(|(to, x)| *to = x);
         now.placed.mul_mass(now.model, &self.change, &mut self.way);
+        if now.model.na > 0 {
+            self.pull(now, activations);
+        }
         self.metric.solve(&mut self.way);
         self.way.iter().map(|x| *x * self.time)
+    }
+
+    /// Adds what a change of activations pulls.
+    fn pull(&mut self, now: &Now<R>, activations: impl Iterator<Item = R>) {
+        let Now { model, placed, inputs, state, clock } = now;
+        let (pulls, own) = (placed.pulls(), state.activations(*clock));
+        for (to, (act, change)) in self.act.iter_mut().zip(own.act.iter().zip(activations)) {
+            *to = *act + change;
+        }
+        let changed = Activations { act: &self.act, ..own };
+        for (act, out) in [own, changed].into_iter().zip(&mut self.tensions) {
+            tensions(model, &state.qpos, &state.qvel, act, inputs, pulls, out);
+            bound(model, out);
+        }
+        let [before, after] = &self.tensions;
+        for (index, along) in model.along.iter().enumerate() {
+            let force = (after[index] - before[index]) * self.time;
+            along.arms(model, &state.qpos, pulls, |dof, arm| self.way[dof] += force * arm);
+        }
     }
 }
 
@@ -126,7 +165,8 @@ impl<R: Real> Extrapolation<R> {
         let Self { table: [best, before, ..], moved, levers, settling, .. } = self;
         let change = |at: usize| (at..at + nv).map(|k| best[k] - before[k]);
         let position = largest(now, moved, levers, change(0));
-        let velocity = largest(now, moved, levers, settling.way(now, change(nv)));
+        let activations = (2 * nv..best.len()).map(|k| best[k] - before[k]);
+        let velocity = largest(now, moved, levers, settling.way(now, change(nv), activations));
         worse(position, velocity)
     }
 
@@ -147,7 +187,9 @@ impl<R: Real> Extrapolation<R> {
     /// What comes of that [m].
     pub fn jump(&mut self, now: &Now<R>) -> Largest {
         let Self { jump, moved, levers, settling, .. } = self;
-        largest(now, moved, levers, settling.way(now, jump.iter().copied()))
+        let none = settling.act.len();
+        let none = std::iter::repeat_n(R::zero(), none);
+        largest(now, moved, levers, settling.way(now, jump.iter().copied(), none))
     }
 }
 
@@ -165,10 +207,13 @@ fn binomial(n: u32, k: u32) -> f64 {
     (1..=k).fold(1.0, |product, i| product * f64::from(n + 1 - i) / f64::from(i))
 }
 
-/// Where bodies are, for what a change does to them.
+/// Where bodies are and what pulls them, for what a change does to them.
 pub(crate) struct Now<'a, R: Real> {
     pub model: &'a Model<R::Value>,
     pub placed: &'a Placed<R>,
+    pub inputs: &'a Inputs<R>,
+    pub state: &'a State<R>,
+    pub clock: Clock<R>,
 }
 
 /// The tangent coordinates of `to`, seen from `from`.
@@ -216,7 +261,7 @@ fn largest<R: Real>(
     levers: &[f64],
     change: impl Iterator<Item = R>,
 ) -> Largest {
-    let Now { model, placed } = now;
+    let Now { model, placed, .. } = now;
     moved.fill(Motion::zero());
     for (dof, x) in change.enumerate() {
         moved[model.dofs[dof].body].add_scaled(&placed.motion[dof], x);

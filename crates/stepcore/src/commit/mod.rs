@@ -19,3 +19,4 @@ mod within;
 pub(crate) use extrapolation::Extrapolation;
 pub use next::Next;
 pub use position::advance;
+pub use within::Stretches;

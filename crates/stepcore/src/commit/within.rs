@@ -13,6 +13,7 @@
 
 use super::extrapolation::{worse, Extrapolation, Largest, Now, CUTS};
 use crate::clock::Clock;
+use crate::elements::activation::remember;
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Fault, Result};
 use crate::interrupt::ends_after;
@@ -39,16 +40,42 @@ struct Tried {
     power: u32,
 }
 
+/// The parts of a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Stretches {
+    /// The shortest that was taken [s].
+    pub shortest: f64,
+    /// The shortest that was refused [s], and the body whose error was too large; None: it diverged.
+    pub refused: Option<(f64, Option<usize>)>,
+}
+
+impl Stretches {
+    fn take(&mut self, length: f64) {
+        self.shortest = self.shortest.min(length);
+    }
+
+    fn refuse(&mut self, length: f64, body: Option<usize>) {
+        if self.refused.is_none_or(|(shortest, _)| length < shortest) {
+            self.refused = Some((length, body));
+        }
+    }
+}
+
 impl<R: Real> Sim<R> {
     /// One step, into `next`, that adds at most `asked` metres a second.
     pub(crate) fn integrate_within(&mut self, asked: f64) -> Result<()> {
         let Some(mut space) = self.extrapolation.take() else { return Ok(()) };
         self.state.copy_to(&mut space.period);
+        // Controls are sampled once a step, and its parts read the same samples.
+        self.next.ctrl_history.copy_from_slice(&self.state.ctrl_history);
+        self.effort.stretches = Stretches { shortest: self.period, refused: None };
         let outcome = self.stretches(&mut space, asked);
         if outcome.is_ok() {
             self.swap_states();
         }
         space.period.copy_to(&mut self.state);
+        let (before, after) = (&self.state.ctrl_history, &mut self.next.ctrl_history);
+        remember(&self.model, before, &self.inputs.ctrl, after);
         self.extrapolation = Some(space);
         outcome
     }
@@ -69,6 +96,7 @@ impl<R: Real> Sim<R> {
             let tried = self.stretch(space, length, allowed);
             if let Ok(Tried { error, power }) = &tried {
                 if error.0 <= allowed {
+                    self.effort.stretches.take(length);
                     at += whole >> level;
                     let grown = error.0 * f64::from(1_u32 << power);
                     let begins = level > 0 && at.is_multiple_of(whole >> (level - 1));
@@ -79,6 +107,7 @@ impl<R: Real> Sim<R> {
                 }
             }
             space.from.copy_to(&mut self.state);
+            self.effort.stretches.refuse(length, tried.as_ref().ok().map(|tried| tried.error.1));
             if level == FINEST {
                 let error = tried?.error;
                 return Err(self.too_rough(error, length));
@@ -145,14 +174,20 @@ impl<R: Real> Sim<R> {
     }
 
     fn now(&self) -> Now<'_, R> {
-        Now { model: &self.model, placed: &self.placed }
+        Now {
+            model: &self.model,
+            placed: &self.placed,
+            inputs: &self.inputs,
+            state: &self.state,
+            clock: self.clock,
+        }
     }
 
     /// Steps are so long from now on [s].
     pub(crate) fn set_dt(&mut self, dt: f64) {
         if self.settings.dt != dt {
             self.settings.dt = dt;
-            self.clock = Clock::new(dt);
+            self.clock = Clock { period: self.period, ..Clock::new(dt) };
             self.placed.set_dt(self.clock.dt);
             self.plan.noslip_cost = self.settings.cost_floor(self.settings.noslip_tolerance);
         }

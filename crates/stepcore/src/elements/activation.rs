@@ -25,7 +25,8 @@ impl<R: Real> State<R> {
     /// Its activations, in steps of `clock`.
     pub(crate) fn activations(&self, clock: Clock<R>) -> Activations<'_, R> {
         let Self { act, ctrl_history: history, .. } = self;
-        Activations { act, history, seconds: clock.seconds, ahead: 0.0, middle: false }
+        let Clock { seconds, period, .. } = clock;
+        Activations { act, history, seconds, period, ahead: 0.0, middle: false }
     }
 }
 

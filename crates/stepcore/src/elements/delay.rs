@@ -20,8 +20,9 @@ pub(crate) struct Activations<'a, R: Real> {
     pub act: &'a [R],
     /// `State::ctrl_history`; empty: controls are not late.
     pub history: &'a [R],
-    /// Time step [s].
+    /// Time step, and the time between two samples [s].
     pub seconds: f64,
+    pub period: f64,
     /// How far in the step this is, of the step.
     pub ahead: f64,
     /// This is the middle of a step, and those of controllers are still what they were at its start.
@@ -37,7 +38,7 @@ impl<R: Real> Activations<'_, R> {
             return inputs.ctrl[index];
         }
         let actuator = &model.actuators[index];
-        let steps = actuator.delay / self.seconds - self.ahead;
+        let steps = actuator.delay / self.period - self.ahead;
         read(&self.history[span.range()], steps, actuator.interp)
     }
 }

@@ -33,7 +33,8 @@ pub fn joint_forces(
     for (n, (qpos, qvel)) in qpos.chunks(model.nq.max(1)).zip(qvel.chunks(model.nv)).enumerate() {
         inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
         let act = &act[n * model.na..(n + 1) * model.na];
-        let act = Activations { act, history: &[], seconds: 0.0, ahead: 0.0, middle: false };
+        let act =
+            Activations { act, history: &[], seconds: 0.0, period: 0.0, ahead: 0.0, middle: false };
         if kind == Kind::Actuator {
             let bounded = model.compensates && !model.clamps.is_empty();
             if bounded || !(model.tendons.is_empty() && model.linkages.is_empty()) {

@@ -37,7 +37,8 @@ impl Commit {
             (once && some, late),
             (once, Self::Positions { first: scheme.moves_first }),
             (once && model.na > 0, Self::Activations),
-            (model.nhistory > 0, Self::History),
+            // Steps within an accuracy sample controls once: `commit/within.rs`.
+            (model.nhistory > 0 && settings.accuracy.0.is_none(), Self::History),
             (settings.sleep, Self::Sleep),
         ];
         all.into_iter().filter_map(|(does, commit)| does.then_some(commit)).collect()

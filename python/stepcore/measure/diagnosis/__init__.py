@@ -23,6 +23,7 @@ from stepcore.measure.diagnosis.control_advice import control_ways, longest_peri
 from stepcore.measure.diagnosis.elements import softened_from
 from stepcore.measure.diagnosis.examination import Examination, examine
 from stepcore.measure.diagnosis.held_elements import held
+from stepcore.measure.diagnosis.inner_steps import inner_steps
 from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.limits import Limit, StepStability
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
@@ -59,7 +60,9 @@ def diagnose(
         grows nor decays by itself counts as unstable if a step makes it grow e-fold in this time.
         If no controls are given, the motion is chosen from the model; see `Motion.kind`.
     dt: the wanted time step [s]; by default the scene's own. If it is unstable, each suggestion is
-        made on a copy of the model and verified on its linearised step.
+        made on a copy of the model and verified on its linearised step. A model whose steps keep an
+        accuracy has no such step: the result says what its steps are made of, and which bodies
+        make them short (`Diagnosis.inner`), and judges fixed steps of the mean length.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, for a scene in which nothing can move, and
@@ -75,11 +78,17 @@ def diagnose(
     2.00 ms by the spring of joint `knee`
     """
     setup = set_up(diagnose, model, motion, fields, missing="no step to diagnose")
-    workers, model = setup.workers, with_converged_rows(setup.model)
-    settings, own = model.settings, model.settings.integrator
-    wanted = settings.dt if dt is None else units.time("dt", dt)
     horizon = setup.motion.horizon or HORIZON
     motion = dataclasses.replace(setup.motion, horizon=horizon)
+    workers, model, inner = setup.workers, setup.model, None
+    if model.settings.accuracy is not None:
+        inner = inner_steps(model, motion)
+        model = model.with_settings(accuracy=None)
+    model = with_converged_rows(model)
+    settings, own = model.settings, model.settings.integrator
+    wanted = inner.mean if inner else settings.dt
+    if dt is not None:
+        wanted = units.time("dt", dt)
     with workers.bar("states", 1) as bar:
         visited = visit(model, motion, horizon)
         bar.advance()
@@ -136,6 +145,7 @@ def diagnose(
         runaway=seen.runaway,
         circulation=circulation(here),
         gained=seen.gained,
+        inner=inner,
     )
 
 

@@ -15,6 +15,7 @@ from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis import words
 from stepcore.measure.diagnosis.advice import MARGIN, Advice
 from stepcore.measure.diagnosis.circulation import Circulation
+from stepcore.measure.diagnosis.inner_steps import InnerSteps
 from stepcore.measure.diagnosis.isolated import ElementLimits
 from stepcore.measure.diagnosis.limits import Limit
 from stepcore.measure.diagnosis.linear_step import State
@@ -63,6 +64,7 @@ class Diagnosis(Result):
         over its largest kinetic energy.
     longest_period: the longest stable control period at the wanted step [s], inf beyond the
         horizon; None without a control function and a control_dt.
+    inner: what the steps of a model that keeps an accuracy are made of; None of others.
     """
 
     kind = "diagnosis"
@@ -93,6 +95,7 @@ class Diagnosis(Result):
     longest_period: float | None = None
     circulation: Circulation | None = None
     gained: float = 0.0
+    inner: InnerSteps | None = None
 
     @property
     def horizon(self) -> float:
@@ -178,6 +181,9 @@ class Diagnosis(Result):
 
     def _sentences(self) -> Iterator[str]:
         limit = self.limits[self.settings.integrator]
+        if self.inner is not None:
+            yield from self.inner.sentences
+            yield f"Steps of a fixed length, {seconds(self.wanted)} as these are on average:"
         if self.runaway is not None:
             yield words.blown_up(self.runaway)
         if self.circulation is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import product
 from typing import Unpack
@@ -19,6 +19,7 @@ from stepcore.experiment.failure import FAR
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
 from stepcore.experiment.schedule import home
+from stepcore.experiment.sizes import scene_size
 from stepcore.measure.stability import lesson_maps
 from stepcore.measure.stability.lesson_maps import GROWS, MapCase, MapSetting, limit_of_springs
 from stepcore.measure.stability.result import (
@@ -32,7 +33,15 @@ from stepcore.measure.stability.result import (
     StabilityMap,
     Tolerance,
 )
-from stepcore.measure.stability.runs import FINER, MapMotion, TrueMotion, closed_form, converged
+from stepcore.measure.stability.runs import (
+    FINER,
+    MapMotion,
+    Step,
+    TrueMotion,
+    closed_form,
+    converged,
+    within,
+)
 from stepcore.report import units
 from stepcore.report.units import seconds
 from stepcore.scene.value_paths import find
@@ -59,6 +68,7 @@ def stability_map(
     path: str | None = None,
     values: Sequence[float] | None = None,
     dts: Sequence[float | str] | None = None,
+    accuracies: Sequence[float | str] | None = None,
     integrators: str | Sequence[str] | None = None,
     deviation: float | str = "10%",
     size: float | None = None,
@@ -78,6 +88,9 @@ def stability_map(
     values: the parameter's values, sorted ascending in the map; by default 13 from a hundredth to a
         hundred times the present value.
     dts: the time steps [s]; by default 13 from a tenth to ten times the scene's dt.
+    accuracies: the errors asked for over the horizon: metres, "1mm", or "0.1%" of the scene's size.
+        Steps of the scene's dt then keep them, and the map shows the error delivered over the one
+        asked for. By default, if the model's steps keep an accuracy, seven around it.
     integrators: one or several, one panel each; by default the scene's own.
     deviation: the deviation (the largest distance from the true motion) above which a run is
         inaccurate: metres, "1mm", or "10%" of `size`.
@@ -91,6 +104,9 @@ def stability_map(
 
     Distances are those of the moving bodies' centres, of three points a radius of gyration away,
     and of hinge angles times that radius. They are read up to 32 times in a run.
+
+    In a map over accuracies the true motion is the scene's own run within a hundredth of the finest
+    one, and its error the distance from the run within a tenth.
 
     A cell is *exploded* if the deviation is larger than 100 sizes or the run failed, *inaccurate*
     if the deviation is larger than `deviation`, and *accurate* otherwise. A cell is *finite* if the
@@ -126,8 +142,12 @@ def stability_map(
         stability_map, lesson.model if lesson else model, motion, fields, missing="no motion to map"
     )
     names = None if integrators is None else _integrators(integrators)
+    kept = _accuracies(setup.model, accuracies, dts)
+    if kept and lesson is not None:
+        raise ValueError("accuracies: the lesson's maps are over dt; name a value to map it")
     if lesson is None:
-        case = _case(setup.model, path, values, names, setup.motion.key, size)
+        plain = setup.model.with_settings(accuracy=None)
+        case = _case(plain, path, values, names, setup.motion.key, size)
     else:
         case = _narrowed(lesson, names, setup.motion.key)
     if values is not None:
@@ -136,6 +156,10 @@ def stability_map(
         given = enumerate(checks.several("dts", dts))
         steps = [units.time(f"dts[{k}]", dt) for k, dt in given]
         case.dts, case.horizon = _ascending("dts", steps), None
+    if kept:
+        case.dts, case.accuracies = [setup.model.settings.dt], kept
+        for setting in case.settings:
+            setting.boundary = None
     horizon = setup.motion.horizon or case.horizon or max(1.0, STEPS * max(case.dts))
     _check_steps(case, horizon)
     panels = _Panels(case, MapMotion(horizon, case.key), tolerance, setup.workers)
@@ -155,7 +179,25 @@ def stability_map(
         far=FAR,
         ran=_ran(case, horizon),
         panels=made,
+        accuracies=case.accuracies,
     )
+
+
+def _accuracies(
+    model: Model, given: Sequence[float | str] | None, dts: Sequence[float | str] | None
+) -> list[float]:
+    """Return the accuracies of a map over them [m], ascending; empty of a map over dt."""
+    own = model.settings.accuracy
+    if given is None:
+        return [] if own is None or dts is not None else (own * np.geomspace(0.1, 100, 7)).tolist()
+    if dts is not None:
+        raise ValueError("accuracies and dts: give one of them, because steps choose their length")
+    size = scene_size(model.scene)
+    lengths = [
+        units.length("stability_map", f"accuracies[{k}]", value, size)
+        for k, value in enumerate(checks.several("accuracies", given))
+    ]
+    return _ascending("accuracies", lengths)
 
 
 def _ran(case: MapCase, horizon: float) -> str:
@@ -258,38 +300,51 @@ class _Panels:
         else:
             law = str({k: v for k, v in setting.settings.items() if k != "integrator"})
             if law not in self.truths:
-                job = partial(
-                    converged, model, case.path, case.dts, case.size, self.motion, self.tolerance
-                )
+                job: Callable[[float], TrueMotion]
+                if case.accuracies:
+                    job = partial(within, model, case.path, case.steps, case.size, self.motion)
+                else:
+                    job = partial(
+                        converged,
+                        model,
+                        case.path,
+                        case.dts,
+                        case.size,
+                        self.motion,
+                        self.tolerance,
+                    )
                 self.truths[law] = []
                 with self.workers.deadline.stage("all true motions", TRUE):
                     self.workers.each(job, case.values, "true motion", self.truths[law])
             truth = self.truths[law]
-        grid = list(product(case.values, case.dts))
+        grid = list(product(case.values, case.steps))
         runs: list[Cell | None] = []
         with self.workers.deadline.stage(lambda: _not_run(setting.label, runs)):
             self.workers.each(
                 partial(self.motion.cell, model, case.path), grid, setting.label, runs
             )
         cells = [
-            self._judged(value, dt, run, truth[k // len(case.dts)])
-            for k, ((value, dt), run) in enumerate(zip(grid, runs, strict=True))
+            self._judged(value, step, run, truth[k // len(case.steps)])
+            for k, ((value, step), run) in enumerate(zip(grid, runs, strict=True))
         ]
         boundary = setting.boundary(case.values) if setting.boundary else None
         if boundary is not None and all(np.isnan(limit) for limit in boundary):
             boundary = None
         reference = "closed form" if setting.form is not None else "converged run"
+        if case.accuracies:
+            reference = "run within a hundredth of the finest accuracy"
         beyond = setting.beyond if boundary else ""
         return MapPanel(setting.label, cells, reference, boundary, beyond)
 
     def _judged(
-        self, value: float, dt: float, run: Cell | None, true: TrueMotion | None
+        self, value: float, step: Step, run: Cell | None, true: TrueMotion | None
     ) -> MapCell:
         """Return one cell with its state; see `stability_map`."""
+        dt, asked = step
         if run is None or true is None:
-            return MapCell(value, dt, UNTRIED, np.nan, False)
+            return MapCell(value, dt, UNTRIED, np.nan, False, asked=asked)
         points, stopped = run
-        share = self.tolerance.share(true.size)
+        share = self.tolerance.share(true.size) if asked is None else asked / true.size
         known = true.points is not None and true.error <= share / FINER
         with np.errstate(over="ignore", invalid="ignore"):
             times = self.motion.times(dt)[: len(points)]
@@ -297,11 +352,12 @@ class _Panels:
             apart = np.linalg.norm(points - goal, axis=-1) / max(true.size, 1e-300)
             deviation = float(apart.max()) if np.all(np.isfinite(apart)) else np.inf
         if stopped or not deviation <= FAR:
-            return MapCell(value, dt, EXPLODED, deviation, known, stopped)
+            return MapCell(value, dt, EXPLODED, deviation, known, stopped, asked)
         if not known:
-            return MapCell(value, dt, FINITE, np.nan, False)
+            return MapCell(value, dt, FINITE, np.nan, False, asked=asked)
         state = ACCURATE if deviation <= share else INACCURATE
-        return MapCell(value, dt, state, deviation)
+        over = np.nan if asked is None else deviation / share
+        return MapCell(value, dt, state, deviation, asked=asked, over=over)
 
 
 def _not_run(label: str, runs: Sequence[Cell | None]) -> str:

@@ -19,7 +19,7 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.lesson import scenes
 from stepcore.lesson.scenes import RADIUS, G
 from stepcore.measure.stability.result import Tolerance
-from stepcore.measure.stability.runs import Form
+from stepcore.measure.stability.runs import Form, Step
 
 # Spectral radius above which motion grows: rounding moves a double eigenvalue by the square root of
 # rounding.
@@ -52,6 +52,7 @@ class MapCase:
 
     axis: the label of the parameter's axis.
     size: the length that errors are relative to [m].
+    accuracies: those asked for over a run [m]; then dts is the control period alone.
     """
 
     model: Model
@@ -63,6 +64,14 @@ class MapCase:
     key: str | int | None
     horizon: float | None = None
     size: float | None = None
+    accuracies: list[float] = field(default_factory=list)
+
+    @property
+    def steps(self) -> list[Step]:
+        """The steps of each value's cells."""
+        if self.accuracies:
+            return [Step(self.dts[0], asked) for asked in self.accuracies]
+        return [Step(dt) for dt in self.dts]
 
 
 def largest_stable_dt(

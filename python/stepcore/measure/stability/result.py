@@ -13,7 +13,7 @@ from stepcore.experiment.motion import Motion
 from stepcore.report import units
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, seconds
+from stepcore.report.units import counted, metres, seconds
 
 # The states of a cell, and their marks; "finite" is used only if the accuracy is unknown.
 ACCURATE, INACCURATE, EXPLODED, FINITE = "accurate", "inaccurate", "exploded", "finite"
@@ -62,6 +62,8 @@ class MapCell:
         unknown.
     judged: whether a true motion exists for comparison.
     reason: the reason why the run failed.
+    asked: the accuracy asked for [m], in a map over accuracies.
+    over: the error delivered over that; nan if unknown.
     """
 
     value: float
@@ -70,6 +72,8 @@ class MapCell:
     deviation: float
     judged: bool = True
     reason: str | None = None
+    asked: float | None = None
+    over: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -95,13 +99,14 @@ class MapPanel:
 
 @dataclass(eq=False, repr=False)
 class StabilityMap(Result):
-    """A map of stability and accuracy over dt and one parameter.
+    """A map of stability and accuracy over dt, or over the accuracy asked for, and one parameter.
 
     `stepcore.stability_map` returns this map.
 
     path: the parameter that is varied.
     axis: the label of the parameter's axis, with the unit.
     values, dts [s]: the grid.
+    accuracies: of the grid in place of dts [m], which then is the control period; or empty.
     tolerance: the deviation above which a run is inaccurate.
     far: the deviation, in sizes of the scene, above which a run has exploded.
     panels: one panel for each setting.
@@ -112,7 +117,13 @@ class StabilityMap(Result):
     """
 
     kind = "stability"
-    units: ClassVar = {"dt": "s", "deviation": "1", "theory": "s"}
+    units: ClassVar = {
+        "dt": "s",
+        "deviation": "1",
+        "theory": "s",
+        "asked": "m",
+        "delivered over asked": "1",
+    }
 
     settings: Settings
     motion: Motion
@@ -124,6 +135,7 @@ class StabilityMap(Result):
     tolerance: Tolerance
     far: float
     panels: list[MapPanel]
+    accuracies: Sequence[float] = ()
 
     def __post_init__(self) -> None:
         unjudged = sum(cell.state == FINITE for cell in self.rows)
@@ -136,12 +148,20 @@ class StabilityMap(Result):
     @property
     def title(self) -> str:
         """The quantity measured, in a few words."""
+        if self.accuracies:
+            return f"{self.name}: error delivered over asked × {self.axis}"
         return f"{self.name}: stability and accuracy over dt × {self.axis}"
 
     @property
     def setup(self) -> str:
         """The meaning of the cells' marks."""
         accurate, inaccurate, exploded = (f"{s} ({SYMBOLS[s]})" for s in list(SYMBOLS)[:3])
+        if self.accuracies:
+            return (
+                f"Steps of {seconds(self.dts[0])} that keep an accuracy over {self.horizon:g} s. "
+                f"{accurate}: the error is at most what was asked for; {inaccurate}: it is larger; "
+                f"{exploded}: the run failed."
+            )
         return (
             f"{accurate}: the deviation from the true motion is at most {self.tolerance}; "
             f"{inaccurate}: it is larger; {exploded}: it is larger than {self.far:g} times the "
@@ -156,6 +176,12 @@ class StabilityMap(Result):
             count = Counter(cell.state for cell in panel.cells)
             states = ", ".join(f"{count[state]} {state}" for state in SYMBOLS if count[state])
             sentences.append(f"{panel.label}: of {counted(len(panel.cells), 'run')}, {states}.")
+            if worst := [cell for cell in panel.cells if math.isfinite(cell.over)]:
+                cell = max(worst, key=lambda cell: cell.over)
+                sentences.append(
+                    f"The most of what was asked for is {cell.over:.2g}, at {cell.value:.3g} where "
+                    f"{metres(cell.asked or 0.0)} were."
+                )
         return sentences
 
     @property
@@ -179,6 +205,7 @@ class StabilityMap(Result):
                 ),
                 "reason": cell.reason,
             }
+            | ({"asked": cell.asked, "delivered over asked": cell.over} if cell.asked else {})
             for panel in self.panels
             for cell in panel.cells
         )
@@ -203,14 +230,21 @@ class StabilityMap(Result):
 
     def _table(self, panel: MapPanel) -> Table:
         across = f"dt {seconds(self.dts[0])} to {seconds(self.dts[-1])}"
-        rows = []
+        if self.accuracies:
+            across = f"asked {metres(self.accuracies[0])} to {metres(self.accuracies[-1])}"
+        rows: list[dict[str, Any]] = []
         for k, value in enumerate(self.values):
             cells = panel.at(value)
+            marks = "".join(SYMBOLS[cell.state] for cell in cells)
+            if self.accuracies:
+                shares = " ".join("?" if math.isnan(c.over) else f"{c.over:.1g}" for c in cells)
+                rows.append({"value": value, across: marks, "delivered over asked": shares})
+                continue
             good = [cell.dt for cell in cells if cell.state == ACCURATE]
             unknown = not good and any(cell.state == FINITE for cell in cells)
             row = {
                 "value": value,
-                across: "".join(SYMBOLS[cell.state] for cell in cells),
+                across: marks,
                 "largest accurate": "unknown" if unknown else _dt(max(good, default=0.0)),
             }
             if panel.boundary is not None:
@@ -226,6 +260,7 @@ class StabilityMap(Result):
             "value": self.path,
             "values": list(self.values),
             "dts": list(self.dts),
+            "accuracies": list(self.accuracies),
             "deviation": str(self.tolerance),
             "tolerance": self.tolerance.number,
             "far": self.far,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -98,6 +98,18 @@ class Readings(Probe):
         return np.where(share > 0, between, read[first])
 
 
+class Step(NamedTuple):
+    """A step of a length [s], or one of that length that keeps an accuracy over a run [m]."""
+
+    dt: float
+    accuracy: float | None = None
+
+    def of(self, settings: Settings, horizon: float) -> Settings:
+        """Return settings with this step for a run."""
+        rate = None if self.accuracy is None else self.accuracy / horizon
+        return settings.replace(dt=self.dt, accuracy=rate)
+
+
 @dataclass(frozen=True)
 class MapMotion:
     """The motion of every cell: a start at a keyframe, with its controls held constant.
@@ -118,25 +130,26 @@ class MapMotion:
         """Return all times at which the points of any cell are read [s]."""
         return np.unique(np.concatenate([self.times(dt) for dt in dts]))
 
-    def run(self, model: Model, dt: float, times: np.ndarray) -> tuple[np.ndarray, str | None]:
+    def run(self, model: Model, step: Step, times: np.ndarray) -> tuple[np.ndarray, str | None]:
         """Return the points at the times that a run reaches, and why the run failed."""
+        dt = step.dt
         start, ctrl = home(model, self.key)
         steps = max(1, int(np.ceil(times[-1] / dt - 1e-6)))
         schedule = Schedule(steps * dt, 1, 1, (start,), ctrl[None, None], None)
         runner = Runner(model, schedule)
         probe = Readings(runner.bodies, times, dt)
         try:
-            runner.follow(runner.sim(model.settings.replace(dt=dt)), 0, [probe])
+            runner.follow(runner.sim(step.of(model.settings, self.horizon)), 0, [probe])
         except SimulationError as error:
             return probe.at_times(), one_line(error)
         return probe.at_times(), None
 
     def cell(
-        self, model: Model, path: str, cell: tuple[float, float]
+        self, model: Model, path: str, cell: tuple[float, Step]
     ) -> tuple[np.ndarray, str | None]:
-        """Return the points of a cell (a value and a dt [s]) at its times, and why it failed."""
-        value, dt = cell
-        return self.run(model.with_values({path: value}), dt, self.times(dt))
+        """Return the points of a cell (a value and its step) at its times, and why it failed."""
+        value, step = cell
+        return self.run(model.with_values({path: value}), step, self.times(step.dt))
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +206,7 @@ def converged(
     for _ in range(HALVINGS + 1):
         if motion.horizon / dt > MOST_STEPS and last is not None:
             break
-        read, failure = motion.run(model, dt, times)
+        read, failure = motion.run(model, Step(dt), times)
         points = None if failure else read
         if points is not None:
             span = size or size_of(model, points)
@@ -207,6 +220,32 @@ def converged(
         last = points
         dt /= 2
     return best
+
+
+def within(
+    model: Model,
+    path: str,
+    steps: Sequence[Step],
+    size: float | None,
+    motion: MapMotion,
+    value: float,
+) -> TrueMotion:
+    """Return the scene's run whose steps keep a hundredth of the finest accuracy asked for.
+
+    Its error is the distance from the run of a tenth.
+    """
+    model = model.with_values({path: value}).with_settings(precision="f64")
+    period, finest = steps[0].dt, min(step.accuracy or np.inf for step in steps)
+    times = motion.times(period)
+    runs = [
+        motion.run(model, Step(period, finest / part), times) for part in (FINER, FINER * FINER)
+    ]
+    if any(failure for _, failure in runs):
+        return TrueMotion(times, None, size or scene_size(model.scene), np.inf)
+    (coarse, _), (fine, _) = runs
+    span = size or size_of(model, fine)
+    error = float(np.linalg.norm(fine - coarse, axis=-1).max()) / span
+    return TrueMotion(times, fine, span, error)
 
 
 def _stalled(errors: Sequence[float]) -> bool:

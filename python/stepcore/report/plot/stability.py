@@ -1,4 +1,7 @@
-"""Plot of a stability map: accurate, inaccurate and exploded cells, and theory's boundary."""
+"""Plot of a stability map: accurate, inaccurate and exploded cells, and theory's boundary.
+
+Of a map over accuracies: the error delivered over the one asked for.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,9 @@ FILLS = {ACCURATE: "#A9D8F5", "inaccurate": ORANGE, "exploded": "#4A3B52"}
 UNJUDGED = "finite, not judged"
 COLUMNS = 3
 DASHES = (0, (4, 2))
+# The ends of the scale of delivered over asked, and the most cells with a number in each.
+LEAST, MOST = 1e-3, 1e1
+LABELLED = 120
 
 
 def stability(result: StabilityMap) -> Any:
@@ -36,22 +42,27 @@ def stability(result: StabilityMap) -> Any:
             ax.set_xlabel(result.axis)
             ax.tick_params(labelbottom=True)
         if k % columns == 0:
-            ax.set_ylabel("dt [s]")
+            ax.set_ylabel("asked [m]" if result.accuracies else "dt [s]")
     figure.suptitle(_title(result), fontsize=TITLE, x=0.01, ha="left")
-    _legend(figure, result)
+    if not result.accuracies:
+        _legend(figure, result)
     return figure
 
 
 def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
     from matplotlib.colors import ListedColormap
 
-    shape = (len(result.values), len(result.dts))
+    columns = result.accuracies or result.dts
+    shape = (len(result.values), len(columns))
     states = list(FILLS)
     filled = [cell.state if cell.state in FILLS else ACCURATE for cell in panel.cells]
     grid = np.array([states.index(state) for state in filled]).reshape(shape).T
-    across, up = _edges(result.values), _edges(result.dts)
-    colours = ListedColormap(list(FILLS.values()))
-    axes.pcolormesh(across, up, grid, cmap=colours, vmin=-0.5, vmax=2.5, edgecolors="none")
+    across, up = _edges(result.values), _edges(columns)
+    if result.accuracies:
+        _shares(axes, panel, shape, across, up)
+    else:
+        colours = ListedColormap(list(FILLS.values()))
+        axes.pcolormesh(across, up, grid, cmap=colours, vmin=-0.5, vmax=2.5, edgecolors="none")
     unknown = np.array([cell.state not in FILLS for cell in panel.cells]).reshape(shape).T
     if unknown.any():
         masked = np.ma.masked_where(~unknown, grid)
@@ -68,6 +79,27 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
         axes.plot(*line, color="white", lw=3.5, zorder=4, solid_capstyle="butt")
         axes.plot(*line, color="black", lw=1.5, ls=DASHES, zorder=4)
     axes.set_title(_named(panel, result), loc="left", fontsize=9.5)
+
+
+def _shares(
+    axes: Any, panel: MapPanel, shape: tuple[int, int], across: np.ndarray, up: np.ndarray
+) -> None:
+    """Fill each cell by the error delivered over the one asked for, on a log scale."""
+    from matplotlib.colors import LogNorm
+
+    over = np.array([cell.over for cell in panel.cells]).reshape(shape).T
+    drawn = np.ma.masked_invalid(np.maximum(over, LEAST))
+    mesh = axes.pcolormesh(across, up, drawn, cmap="cividis", norm=LogNorm(LEAST, MOST))
+    axes.figure.colorbar(mesh, ax=axes, label="delivered over asked", extend="both")
+    if over.size > LABELLED:
+        return
+    middle = [np.sqrt(edges[1:] * edges[:-1]) for edges in (across, up)]
+    for (row, column), share in np.ndenumerate(over):
+        words = f"{share:.1g}" if np.isfinite(share) else "?"
+        dark = np.isfinite(share) and share < np.sqrt(LEAST * MOST)
+        colour = "white" if dark else "black"
+        at = middle[0][column], middle[1][row]
+        axes.text(*at, words, color=colour, fontsize=8, ha="center", va="center")
 
 
 def _line(

@@ -1,0 +1,108 @@
+"""Measurements of a model whose steps keep an accuracy and have no length of their own."""
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore import cli
+
+BALL = """<mujoco model="ball"><option timestep=".02"/><worldbody>
+ <geom name="floor" type="plane" size="1 1 .1"/><body name="ball" pos="0 0 .6"><freejoint/>
+ <geom name="skin" size=".1" mass="1"/></body></worldbody></mujoco>"""
+SPRING = """<mujoco model="spring"><option timestep=".02" gravity="0 0 0"/><worldbody>
+ <body name="mass"><joint name="rail" type="slide" stiffness="100"/>
+ <geom size=".1" mass="1"/></body></worldbody>
+ <keyframe><key name="out" qpos=".2"/></keyframe></mujoco>"""
+
+
+def model(text, accuracy="1mm"):
+    return sc.loads(text).compile().with_settings(accuracy=accuracy)
+
+
+def test_a_diagnosis_names_the_body_and_the_contact_that_make_steps_short():
+    found = sc.diagnose(model(BALL), horizon=0.6, progress=False)
+    inner = found.inner
+    # It falls 0.5 m, for 0.319 s; that is in the step which begins at 0.30 s.
+    step = inner.hardest["body `ball`"]
+    assert step.time == pytest.approx(0.30)
+    assert [element.name for element in step.begins] == ["contact `floor`/`skin`"]
+    assert inner.shares["body `ball`"] > 0.5
+    assert inner.shortest == step.shortest < 0.02 / 64
+    text = str(found).replace("\n", " ")
+    assert text.startswith("Within 1 mm a second, a step of 20 ms takes ")
+    assert "where contact `floor`/`skin` begins" in text
+
+
+def test_its_count_is_that_of_the_run():
+    own = model(BALL)
+    inner = sc.diagnose(own, horizon=0.6, progress=False).inner
+    sim = sc.Sim(own)
+    before = sim._core.evaluations
+    for _ in range(30):
+        sim.step()
+    assert inner.evaluations == sim._core.evaluations - before
+    assert inner.mean == pytest.approx(0.6 / inner.evaluations)
+
+
+def test_a_smooth_motion_has_nobody_to_blame():
+    found = sc.diagnose(model(SPRING, "10cm"), key="out", horizon=0.4, progress=False)
+    assert found.inner.shares == {}
+    assert "No body makes steps shorter than that" in str(found).replace("\n", " ")
+    # Steps of a fixed length have a limit as always: 2/ω.
+    assert found.limit("semi-implicit") == pytest.approx(0.2, rel=2e-3)
+
+
+def test_fixed_steps_have_no_inner_ones():
+    assert sc.diagnose(sc.loads(BALL), horizon=0.1, progress=False).inner is None
+
+
+def test_a_map_shows_delivered_over_asked():
+    """Against the closed form: the mass swings as cos ωt."""
+    asked, values = [1e-5, 1e-4, 1e-3], [25.0, 100.0, 400.0]
+    grid = {"path": "joint/rail/stiffness", "values": values, "accuracies": asked}
+    result = sc.stability_map(model(SPRING), **grid, horizon=1.0, key="out", progress=False)
+    cells = iter(result.panels[0].cells)
+    for value in values:
+        for accuracy in asked:
+            sim = sc.Sim(model(SPRING, accuracy).with_values({"joint/rail/stiffness": value}))
+            sim.reset("out")
+            off = []
+            for _ in range(50):
+                sim.step()
+                off.append(abs(sim.qpos[0] - 0.2 * np.cos(np.sqrt(value) * sim.time)))
+            cell = next(cells)
+            assert (cell.value, cell.asked, cell.state) == (value, accuracy, "accurate")
+            # The map reads 32 of the 50 steps, and its truth is known to a hundredth of the finest.
+            assert 0.5 * max(off) - 1e-7 <= cell.over * accuracy <= max(off) + 1e-7
+    assert result.accuracies == asked and "delivered over asked" in str(result)
+    assert max(result.table["delivered over asked"]) <= 1
+    figure = result.plot()
+    assert any(ax.get_ylabel() == "delivered over asked" for ax in figure.axes)
+
+
+def test_a_model_that_keeps_an_accuracy_has_a_map_around_it():
+    grid = {"path": "joint/rail/stiffness", "values": [100.0]}
+    result = sc.stability_map(model(SPRING), **grid, key="out", progress=False)
+    assert result.accuracies == pytest.approx(1e-3 * np.geomspace(0.1, 100, 7))
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"accuracies": ["1mm"], "dts": [0.01]}, "give one of them"),
+        ({"accuracies": []}, "accuracies"),
+        ({"accuracies": [-1.0]}, r"accuracies\[0\]"),
+        ({"accuracies": ["1mm", 0.001]}, "same number twice"),
+    ],
+)
+def test_a_bad_grid_is_refused(more, message):
+    with pytest.raises(ValueError, match=message):
+        sc.stability_map(model(SPRING), path="joint/rail/stiffness", progress=False, **more)
+
+
+def test_the_command_maps_accuracies(tmp_path, capsys):
+    path = tmp_path / "spring.xml"
+    path.write_text(SPRING)
+    words = ["stability-map", str(path), "joint/rail/stiffness", "--values", "50,100"]
+    assert cli.main([*words, "--accuracies", "1e-4:1e-2:3"]) == 0
+    assert "delivered over asked" in capsys.readouterr().out
