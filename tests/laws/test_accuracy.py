@@ -1,6 +1,5 @@
 """Steps within an accuracy: what is delivered, where they end, and what they refuse."""
 
-import math
 import pickle
 
 import numpy as np
@@ -253,8 +252,7 @@ def test_late_controls_are_sampled_once_a_step():
         assert (sim.qpos[0] == 0) == (step < 2)
     assert abs(sim.qpos[0]) > 0.01
     assert sim.error.largest < 1e-6
-    again = sc.Sim(sim.model)
-    again.restore(sim.snapshot())
+    again = sim.copy()
     for each in (sim, again):
         each.step(5)
     assert (again.qpos == sim.qpos).all()
