@@ -1,5 +1,6 @@
 """Steps within an accuracy: what is delivered, where they end, and what they refuse."""
 
+import math
 import pickle
 
 import numpy as np

@@ -32,6 +32,13 @@ const HOPELESS: f64 = 1e4;
 /// Of what is allowed, for the next stretch.
 const SAFETY: f64 = 0.5;
 
+fn env(name: &'static str, default: f64) -> f64 {
+    use std::sync::OnceLock;
+    static CELLS: OnceLock<std::collections::HashMap<&'static str, f64>> = OnceLock::new();
+    let all = CELLS.get_or_init(|| ["SHORTER", "HOPELESS", "STALL", "SAFETY"].into_iter().filter_map(|n| std::env::var(n).ok().and_then(|v| v.parse().ok()).map(|v| (n, v))).collect());
+    all.get(name).copied().unwrap_or(default)
+}
+
 /// What came of a stretch.
 struct Tried {
     /// The error that it adds [m], and where it is largest.
@@ -100,7 +107,7 @@ impl<R: Real> Sim<R> {
                     at += whole >> level;
                     let grown = error.0 * f64::from(1_u32 << power);
                     let begins = level > 0 && at.is_multiple_of(whole >> (level - 1));
-                    if begins && grown <= SAFETY * allowed {
+                    if begins && grown <= env("SAFETY", SAFETY) * allowed {
                         level -= 1;
                     }
                     continue;
@@ -118,7 +125,7 @@ impl<R: Real> Sim<R> {
                 Ok(Tried { error, power }) => {
                     let halvings = (error.0 / allowed).log2() / f64::from(power);
                     // Of what is not a number it is 0.
-                    (halvings.ceil() as u32).clamp(1, SHORTER)
+                    (halvings.ceil() as u32).clamp(1, env("SHORTER", 4.0) as u32)
                 }
             };
             level = (level + shorter).min(FINEST);
@@ -150,6 +157,7 @@ impl<R: Real> Sim<R> {
             if nth == 1 {
                 space.settle(&self.moment(At::State), &self.placed);
             }
+            let before = tried.error.0;
             tried = Tried { error: space.error(&self.now()), power: nth as u32 };
             if tried.error.0 <= allowed {
                 space.store(&self.model, &mut self.state);
@@ -158,7 +166,10 @@ impl<R: Real> Sim<R> {
                 let power = if jump.0 > allowed { 1 } else { tried.power };
                 return Ok(Tried { error: worse(tried.error, jump), power });
             }
-            if tried.error.0 > HOPELESS * allowed {
+            if tried.error.0 > env("HOPELESS", HOPELESS) * allowed {
+                break;
+            }
+            if tried.error.0 > allowed && tried.error.0 > env("STALL", f64::INFINITY) * before {
                 break;
             }
         }
