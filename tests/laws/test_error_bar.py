@@ -170,3 +170,16 @@ def test_a_view_shows_it_beside_the_residual():
     assert "estimated error" not in dict(figures_of(instant_of(plain)))
     assert dict(figures_of(instant_of(judged)))["estimated error"].endswith("mm")
     assert judged.error.largest == instant_of(judged).error
+
+
+def test_a_random_control_function_has_no_error_bar():
+    rng = np.random.default_rng(0)
+    model = sc.loads("""<mujoco><worldbody><body><joint name="a"/><geom size=".1" pos=".2 0 0"/>
+     </body></worldbody><actuator><motor joint="a"/></actuator></mujoco>""").compile()
+
+    def control(time, sim):
+        return rng.uniform(-1, 1, 1)
+
+    with pytest.raises(ValueError, match=r"`control`.* returned other controls when a finer run"):
+        sc.run(model, control=control, horizon=0.1, error_bar=True, progress=False)
+    assert sc.run(model, control=control, horizon=0.1, progress=False).success

@@ -27,6 +27,15 @@ SomeWorld = TypeVar("SomeWorld", bound="World")
 class ControlError(ValueError):
     """A control function failed for a reason that no settings can avoid."""
 
+    @classmethod
+    def not_repeatable(cls, function: Callable[..., Any], again: str) -> ControlError:
+        """Return the error of a function with other results in a run that is made again."""
+        return cls(
+            f"{control_name(function)} returned other controls when {again}: it is random, or "
+            "remembers earlier calls. Runs with it cannot be compared; give a callable object that "
+            "keeps its memory in its attributes, of which each run gets a copy"
+        )
+
 
 def controls(function: Callable[[float, SomeWorld], ArrayLike], sim: SomeWorld) -> Floats:
     """Return the result of a control function at the present state of a Sim, shape (nu,).

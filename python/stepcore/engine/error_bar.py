@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats
-from stepcore.engine.control import controls, fresh
+from stepcore.engine.control import ControlError, controls, fresh
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.world import World
 
@@ -212,18 +212,26 @@ def driven(sim: Any, control: Any) -> Iterator[Callable[[], None]]:
     """Control the finer run of a Sim, if there is one, by its own copy of a control function.
 
     The function that is given has to be called at the beginning of each period, before the controls
-    of the first run are set.
+    of the first run are set. It raises ControlError in the second period if at the same state both
+    got other controls: their runs would tell nothing about the error.
     """
     finer: FinerRun | None = getattr(sim, "_finer", None)
     if finer is None or not callable(control):
         yield lambda: None
         return
     own = fresh(control)
+    # What the copy returned at a state that both runs were in.
+    same: Floats | None = None
 
     def period() -> None:
+        nonlocal same
+        if same is not None and not np.array_equal(sim.ctrl, same):
+            raise ControlError.not_repeatable(control, "a finer run asked for the error bar")
         finer.ctrl = None
         finer.meet()
-        finer.ctrl = np.array(controls(own, finer.sim))
+        ctrl = finer.ctrl = np.array(controls(own, finer.sim))
+        both = all((getattr(sim, x) == getattr(finer.sim, x)).all() for x in ("qpos", "qvel"))
+        same = ctrl if both else None
 
     try:
         yield period

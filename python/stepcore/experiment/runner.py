@@ -11,7 +11,7 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.control import Control, ControlError, control_name, controls
+from stepcore.engine.control import Control, ControlError, controls
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import checkpoint
@@ -126,12 +126,7 @@ class Runner:
             with contextlib.suppress(SimulationError):
                 beginning.follow(self.sim(self.model.settings), 0, [probe])
         if not np.array_equal(first.ctrl, again.ctrl):
-            raise ControlError(
-                f"{control_name(function)} returned other controls when the same run was made "
-                "again: it is random, or remembers earlier calls. Runs with it cannot be compared; "
-                "give a callable object that keeps its memory in its attributes, of which each run "
-                "gets a copy"
-            )
+            raise ControlError.not_repeatable(function, "the same run was made again")
 
     def follow(
         self,
