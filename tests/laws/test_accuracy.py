@@ -237,6 +237,25 @@ def test_what_regards_one_step_refuses_it():
             ask()
 
 
+def test_what_rests_takes_whole_steps():
+    """Ten boxes, with steps of half their contacts' time constant: five evaluations each."""
+    boxes = "".join(
+        f'<body pos="0 0 {0.1 + 0.2 * k}"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
+        for k in range(10)
+    )
+    sim = sc.Sim(
+        sc.loads(f"""<mujoco><option timestep="0.01"/><worldbody>
+         <geom type="plane" size="5 5 .1"/>{boxes}</worldbody></mujoco>"""),
+        accuracy="1mm",
+    )
+    sim.step(500)
+    before, energy, place = sim._core.evaluations, sum(sim.energy), np.array(sim.qpos)
+    sim.step(1000)
+    assert sim._core.evaluations - before <= 5000
+    assert abs(sum(sim.energy) - energy) < 1e-9
+    assert np.abs(sim.qpos - place).max() < 1e-8
+
+
 def test_late_controls_are_sampled_once_a_step():
     """A delay of two periods, against steps a thousandth as long that hold each control as long."""
     text = """<mujoco><option timestep="{dt}" gravity="0 0 0"/><worldbody><body>

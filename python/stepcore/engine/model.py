@@ -18,7 +18,7 @@ from stepcore import _core, checks
 from stepcore._core import Settings
 from stepcore.engine.arrays import Count, Floats, ModelArray, Names, frozen, numbers
 from stepcore.engine.compilation import bare, compiled_once, compiled_scenes
-from stepcore.engine.run_settings import of_scene
+from stepcore.engine.run_settings import in_metres
 from stepcore.engine.tables import ContactPair, Keyframe, contact_pair, pair_arrays
 from stepcore.engine.touches import Touches, touches
 from stepcore.scene import gc_pause
@@ -495,4 +495,4 @@ def _merged(
 ) -> Settings:
     if given is not None and not isinstance(given, Settings):
         raise ValueError(f"settings = {checks.shown(given)}: must be a stepcore.Settings")
-    return (own if given is None else given).replace(**of_scene(scene, fields))
+    return (own if given is None else given).replace(**in_metres(scene, fields))

@@ -55,7 +55,7 @@ def balanced(settings: Settings) -> Settings:
     return settings.replace(ledger=settings.accuracy is None)
 
 
-def of_scene(scene: Scene, fields: SettingsFields) -> SettingsFields:
+def in_metres(scene: Scene, fields: SettingsFields) -> SettingsFields:
     """Return the fields with an accuracy of "0.1%" in metres: a share of the scene's size."""
     asked = fields.get("accuracy")
     if not (isinstance(asked, str) and asked.strip().endswith("%")):
@@ -65,7 +65,7 @@ def of_scene(scene: Scene, fields: SettingsFields) -> SettingsFields:
     return given
 
 
-def hardened(scene: Scene, settings: Settings) -> str:
+def refsafe_note(scene: Scene, settings: Settings) -> str:
     """Say that contacts are harder within an accuracy than at the file's step; "" if they are not.
 
     With steps of no fixed length there is no refsafe.

@@ -15,7 +15,7 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.axes import axes_of
 from stepcore.engine.control import Control, fresh
 from stepcore.engine.model import Model
-from stepcore.engine.run_settings import balanced, hardened
+from stepcore.engine.run_settings import balanced, refsafe_note
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
@@ -293,7 +293,7 @@ def simulated(
     if not horizon / dt < MOST_STEPS:
         limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s (2^64 steps)"
         raise ValueError(f"horizon = {horizon:g}: must be {limit}")
-    harder = hardened(model.scene, sim.settings)
+    harder = refsafe_note(model.scene, sim.settings)
     steps, notes = round(horizon / dt), [*filter(None, [harder]), *model.scene.notes]
     bars = None if sim._finer is None else Bars()
     if motion.horizon is not None and abs(steps * dt - horizon) > 1e-6 * dt:
