@@ -16,6 +16,7 @@ from stepcore.experiment.schedule import scheduled
 from stepcore.experiment.single_run import SingleRun
 from stepcore.measure.monitors import Monitor, verified
 from stepcore.measure.monitors import monitored as in_runner
+from stepcore.measure.monitors.actuators import stronger
 from stepcore.measure.monitors.creep import creeps
 from stepcore.measure.monitors.soft_rows import impedance, yielding
 
@@ -428,3 +429,17 @@ def test_rows_that_stay_unsolved_are_told(sweeps, told):
 )
 def test_nothing_is_told_of_a_healthy_scene(name):
     assert watched(sc.load(name))[1] == []
+
+
+@pytest.mark.parametrize("law", ["gaintype='fixed'", "gaintype='affine'"])
+def test_a_general_servo_that_sags_gets_a_stronger_gain(law):
+    """Of its own gain and bias, by the same factor: the cure is a servo again."""
+    model = sc.loads(f"""<mujoco><worldbody><body><joint name="a" axis="0 1 0"/>
+     <geom size=".05" pos=".5 0 0" mass="1"/></body></worldbody><actuator>
+     <general name="hold" joint="a" {law} biastype="affine" gainprm="20" biasprm="0 -20 -8"/>
+     </actuator></mujoco>""").compile()
+    gain, bias = (value for _, value in stronger(model, {0: 4.0}, damped=True))
+    # The damping ratio is kept: kv grows by the root.
+    assert (gain[0] if isinstance(gain, tuple) else gain, *bias[:3]) == (80, 0, -80, -16)
+    found = sc.run(model, horizon=3, progress=False)
+    assert "Servo `hold` sags by 238 mrad" in str(found)

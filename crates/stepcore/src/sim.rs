@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crate::arrays::array::Array;
 use crate::clock::Clock;
-use crate::commit::{Extrapolation, Next, Stretches};
+use crate::commit::{Extrapolation, Next};
 use crate::compile::Alone;
 use crate::detect::Detected;
 use crate::elements::activation::Activations;
@@ -42,6 +42,27 @@ pub struct Effort {
     pub decrement: f64,
     /// Of the last step within an accuracy.
     pub stretches: Stretches,
+}
+
+/// The parts of a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Stretches {
+    /// The shortest that was taken [s].
+    pub shortest: f64,
+    /// The shortest that was refused [s], and the body whose error was too large; None: it diverged.
+    pub refused: Option<(f64, Option<usize>)>,
+}
+
+impl Stretches {
+    pub(crate) fn take(&mut self, length: f64) {
+        self.shortest = self.shortest.min(length);
+    }
+
+    pub(crate) fn refuse(&mut self, length: f64, body: Option<usize>) {
+        if self.refused.is_none_or(|(shortest, _)| length < shortest) {
+            self.refused = Some((length, body));
+        }
+    }
 }
 
 /// One world, or a register of worlds side by side. `step.rs` steps it.

@@ -19,4 +19,3 @@ mod within;
 pub(crate) use extrapolation::Extrapolation;
 pub use next::Next;
 pub use position::advance;
-pub use within::Stretches;

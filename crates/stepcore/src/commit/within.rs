@@ -18,7 +18,7 @@ use crate::elements::{Element, Kind};
 use crate::error::{Error, Fault, Result};
 use crate::interrupt::ends_after;
 use crate::real::{Mask, Real};
-use crate::sim::{At, Sim};
+use crate::sim::{At, Sim, Stretches};
 
 /// A shorter stretch may add as much as one of this length [s]: of what happens at once, as an impact, a hundred
 /// a second add what was asked for. With 0.03 s, SO-101, whose joints stick, is off by six times what was asked;
@@ -41,27 +41,6 @@ struct Tried {
     error: Largest,
     /// The power of its length with which that goes.
     power: u32,
-}
-
-/// The parts of a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Stretches {
-    /// The shortest that was taken [s].
-    pub shortest: f64,
-    /// The shortest that was refused [s], and the body whose error was too large; None: it diverged.
-    pub refused: Option<(f64, Option<usize>)>,
-}
-
-impl Stretches {
-    fn take(&mut self, length: f64) {
-        self.shortest = self.shortest.min(length);
-    }
-
-    fn refuse(&mut self, length: f64, body: Option<usize>) {
-        if self.refused.is_none_or(|(shortest, _)| length < shortest) {
-            self.refused = Some((length, body));
-        }
-    }
 }
 
 impl<R: Real> Sim<R> {

@@ -23,7 +23,7 @@ from stepcore.measure.diagnosis.control_advice import control_ways, longest_peri
 from stepcore.measure.diagnosis.elements import softened_from
 from stepcore.measure.diagnosis.examination import Examination, examine
 from stepcore.measure.diagnosis.held_elements import held
-from stepcore.measure.diagnosis.inner_steps import inner_steps
+from stepcore.measure.diagnosis.inner_steps import InnerSteps, inner_steps
 from stepcore.measure.diagnosis.isolated import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.limits import Limit, StepStability
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
@@ -34,8 +34,8 @@ from stepcore.measure.diagnosis.visited_states import visit
 from stepcore.measure.diagnosis.words import gentle_chatter, notes
 from stepcore.report import units
 
-# The share of the time (`seconds`) at which the limits of single elements end.
-ELEMENTS = 0.85
+# The shares of the time (`seconds`) at which the run of inner steps and the limits of elements end.
+INNER, ELEMENTS = 0.4, 0.85
 
 __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
 
@@ -80,9 +80,11 @@ def diagnose(
     setup = set_up(diagnose, model, motion, fields, missing="no step to diagnose")
     horizon = setup.motion.horizon or HORIZON
     motion = dataclasses.replace(setup.motion, horizon=horizon)
-    workers, model, inner = setup.workers, setup.model, None
+    workers, model = setup.workers, setup.model
+    inner: InnerSteps | None = None
     if model.settings.accuracy is not None:
-        inner = inner_steps(model, motion)
+        with workers.deadline.stage("what the steps are made of", INNER):
+            inner = inner_steps(model, motion)
         model = model.with_settings(accuracy=None)
     model = with_converged_rows(model)
     settings, own = model.settings, model.settings.integrator

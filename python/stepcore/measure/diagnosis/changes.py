@@ -14,6 +14,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from stepcore.engine.element import EQUALITIES, OVERRIDE, Element, Elements
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.elements import solref_of
@@ -250,7 +252,7 @@ def _general(
     if at == 1:
         factor = new / bias[1]
         if servo.gainprm is not None:
-            servo.gainprm *= factor
+            servo.gainprm = np.multiply(servo.gainprm, factor).tolist()
         after = (bias[0] * factor, new, bias[2])
     else:
         after = (bias[0], bias[1], new)

@@ -11,6 +11,7 @@ from stepcore.checks import one_line
 from stepcore.engine.element import Element, Elements
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.executors import checkpoint
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner
@@ -142,6 +143,7 @@ class _Stretches(Probe):
         self.time, self.count = sim.time, sim._core.evaluations
 
     def step(self, sim: Sim) -> None:
+        checkpoint()
         shortest, refused = sim._core.stretches
         evaluations = sim._core.evaluations - self.count
         acting = frozenset(acting_elements(sim))

@@ -377,10 +377,11 @@ def stronger(
             if fields["kv"].value > 0:
                 changes.append((fields["kv"], rounded(fields["kv"].value * faster)))
         elif "biasprm" in fields:
-            gain, bias = (list(fields[name].value) for name in ("gainprm", "biasprm"))
-            scaled = [gain[0] * ratio, *gain[1:]], [bias[0], bias[1] * ratio, bias[2] * faster]
-            changes.append((fields["gainprm"], tuple(map(rounded, scaled[0]))))
-            changes.append((fields["biasprm"], tuple(map(rounded, [*scaled[1], *bias[3:]]))))
+            for name, factors in (("gainprm", [ratio]), ("biasprm", [1.0, ratio, faster])):
+                terms = np.atleast_1d(np.asarray(fields[name].value, float))
+                terms[: len(factors)] *= factors[: len(terms)]
+                scaled = tuple(map(rounded, terms.tolist()))
+                changes.append((fields[name], scaled if len(scaled) > 1 else scaled[0]))
     return tuple(changes)
 
 
