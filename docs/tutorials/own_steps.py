@@ -64,15 +64,8 @@ print(f"really off by less than 0.1 mm: {off < 1e-4}")
 # `trade` measures both, counts operations and recommends.
 
 # %%
-trade = sc.trade(
-    scene,
-    error="0.5mm",
-    horizon=1.0,
-    starts=2,
-    further=2,
-    by="flops",
-    progress=False,
-)
+asked = {"error": "0.5mm", "starts": 2, "further": 2, "by": "flops"}
+trade = sc.trade(scene, horizon=1.0, **asked, progress=False)
 chosen = trade.recommended
 print(
     f"recommended: steps within an accuracy: {chosen.settings.accuracy is not None}"
@@ -102,14 +95,6 @@ LINK = """<body name="link{k}" pos="{x} 0 0"><joint axis="0 1 0"/>
 conaffinity="0"/>"""
 links = "".join(LINK.format(k=k, x=0.2 if k else 0) for k in range(3))
 chain = sc.loads(f"<mujoco><worldbody>{links}{'</body>' * 3}</worldbody></mujoco>")
-smooth = sc.trade(
-    chain,
-    error="0.5mm",
-    horizon=0.5,
-    starts=2,
-    further=2,
-    by="flops",
-    progress=False,
-)
+smooth = sc.trade(chain, horizon=0.5, **asked, progress=False)
 best = smooth.recommended.settings
 print(f"recommended: {best.integrator}, a fixed step: {best.accuracy is None}")

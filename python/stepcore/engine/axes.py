@@ -70,8 +70,13 @@ def axes_of(model: Model | None, array: str, shape: Sequence[int]) -> tuple[Axis
 
 
 def _entries(model: Model, axis: str) -> Sequence[str]:
-    fixed = {"xyz": XYZ, "wxyz": WXYZ, "force": FORCE, "part": ("kinetic", "potential")}
-    fixed["measure"] = ("rms", "largest")
+    fixed = {
+        "xyz": XYZ,
+        "wxyz": WXYZ,
+        "force": FORCE,
+        "part": ("kinetic", "potential"),
+        "measure": ("rms", "largest"),
+    }
     if axis in fixed:
         return fixed[axis]
     if axis in model.names:
