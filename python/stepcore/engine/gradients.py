@@ -218,11 +218,26 @@ def linearizations(batch: Batch, parameters: Sequence[str]) -> list[Linearizatio
     _check_late(batch)
     columns(batch.model, parameters)
     arrays = {name: np.array(getattr(batch, name)) for name in (*STATE, *INPUTS)}
+    arrays = {name: rows for name, rows in arrays.items() if rows.size}
 
-    def one(world: int) -> Linearization:
-        return _single(batch._model_of(world), world, arrays).linearize(parameters)
+    def share(worlds: range) -> list[Linearization]:
+        # A Sim costs as much as its linearisation; worlds of one model share it.
+        made, last = list[Linearization](), None
+        for world in worlds:
+            model = batch._model_of(world)
+            if model is not last:
+                last, sim = model, unwatched(Sim(model))
+            for name, rows in arrays.items():
+                getattr(sim, name)[...] = rows[world]
+            made.append(sim.linearize(parameters))
+        return made
 
-    return _each(batch, one)
+    n, threads = len(batch), batch._threads
+    shares = [range(k * n // threads, (k + 1) * n // threads) for k in range(threads)]
+    if threads == 1:
+        return share(shares[0])
+    with ThreadPoolExecutor(threads) as pool:
+        return [linear for made in pool.map(share, shares) for linear in made]
 
 
 def vjp(
