@@ -1,9 +1,12 @@
 """Gradients of rollouts, against differences, and by the checkers of PyTorch and JAX."""
 
+import re
+
 import numpy as np
 import pytest
 
 import stepcore as sc
+from stepcore.engine.gradients import Tape
 
 EXACT = {"solver": "newton", "tolerance": 1e-14, "sweeps": 200}
 FLYER = """<mujoco><option timestep="0.005" integrator="Euler"/><worldbody>
@@ -117,6 +120,67 @@ def test_what_does_not_fit_is_told():
         batch.vjp(ctrl, parameters=["body/thig/mass"])
     with pytest.raises(ValueError, match=r"ctrl_change has shape"):
         batch.jvp(ctrl, ctrl_change=np.zeros(3))
+
+
+def test_what_does_not_fit_changes_nothing():
+    """Each argument is checked before the first step, and before a value of the model is set."""
+    batch, ctrl, path = hopper(), np.zeros((2, 3, 3)), "body/thigh/mass"
+    before = np.array(batch.qpos), np.array(batch.param[path])
+    three = np.zeros((2, 3, 6))
+    calls = (
+        lambda: batch.vjp(ctrl, three[0]),
+        lambda: batch.vjp(ctrl, act=three),
+        lambda: batch.jvp(ctrl, qvel=three),
+        lambda: batch.jvp(ctrl, ctrl_change=ctrl[0]),
+        lambda: batch.jvp(ctrl, parameters={"body/thigh": 1.0}),
+        lambda: batch.jvp(ctrl, parameters={path: np.zeros(3)}),
+        lambda: batch.jvp(ctrl, parameters={"geom/floor/friction": 0.1}),
+        lambda: Tape(batch, [path], *before[:1], three[0], ctrl, np.array([5.0, 6.0])),
+        lambda: Tape(batch, [path], *before[:1], batch.qvel, ctrl[0], np.array([5.0, 6.0])),
+        lambda: Tape(batch, [path], *before[:1], batch.qvel, ctrl, np.array([5.0])),
+    )
+    for call in calls:
+        with pytest.raises(ValueError):
+            call()
+        assert batch.time == 0
+        assert np.array_equal(batch.qpos, before[0])
+        assert np.array_equal(batch.param[path], before[1])
+
+
+def test_a_batch_is_linearised_as_its_worlds_are():
+    batch = hopper(3)
+    batch.param["body/thigh/mass"] = np.array([4.0, 4.5, 5.0])
+    batch.ctrl[:] = np.random.default_rng(2).uniform(-1, 1, batch.ctrl.shape)
+    path = "joint/thigh_joint/damping"
+    for world, found in enumerate(batch.linearize([path])):
+        sim = sc.Sim(batch.model_of(world))
+        sim.qpos[:], sim.qvel[:] = batch.qpos[world], batch.qvel[world]
+        sim.ctrl[:] = batch.ctrl[world]
+        alone = sim.linearize([path])
+        for name in ("A", "B", "P"):
+            assert np.array_equal(getattr(found, name), getattr(alone, name)), name
+    assert batch.time == 0
+
+
+BALL = """<mujoco><option timestep="0.002" integrator="Euler" solver="Newton"/><worldbody>
+ <geom name="floor" type="plane" size="5 5 .1"/><body name="ball" pos="0 0 .5">
+ <joint type="slide" axis="0 0 1"/>
+ <geom name="shell" type="sphere" size=".1" solref="-1e6 -10"/></body></worldbody></mujoco>"""
+
+
+def test_the_impact_at_which_a_gradient_grows_is_named():
+    """A hard ball bounces: its last height by its first. The time is that of the overlap."""
+    batch = sc.Batch(sc.loads(BALL), 2)
+    batch.qpos[:] = [[0.0], [40.0]]
+    weights = np.zeros((2, 1500, 1))
+    weights[:, -1] = 1.0
+    words = r"world 0 grows .* the impact of `floor` with `shell` at ([\d.]+) s"
+    with pytest.warns(sc.GradientWarning, match=words) as told:
+        found = batch.vjp(np.zeros((2, 1500, 0)), weights)
+    assert found.growth[0] > 1e6 > found.growth[1]
+    began = round(float(re.search(words, str(told[0].message))[1]) / 0.002)
+    heights = 0.5 + found.rollout.qpos[0, :, 0]
+    assert heights[began - 1] < 0.1 <= heights[began - 2]
 
 
 def test_pytorch_checks_it():

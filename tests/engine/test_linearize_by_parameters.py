@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import stepcore as sc
+from stepcore.engine.parameter_columns import split_entry
+from stepcore.engine.variations import own_value
 
 # Of the first derivative, to the eighth power of the distance (Fornberg 1988).
 WEIGHTS = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
@@ -72,6 +74,16 @@ def differences(model, path, entry, value, make):
     return sum(w * (at(k) - at(-k)) for k, w in WEIGHTS.items()) / apart
 
 
+def assert_columns(found, model, make):
+    """Each column of P is the difference of steps of models with other values."""
+    for column, label in zip(found.P.T, found.parameters, strict=True):
+        path, entry = split_entry(label)
+        value = own_value(model, path)
+        value = float(value if entry is None else value[entry])
+        true = differences(model, path, entry, value, make)
+        assert np.abs(column - true).max() <= 1e-7 * max(np.abs(true).max(), 1e-6), label
+
+
 @pytest.mark.parametrize("integrator", ("Euler", "implicitfast", "RK4", "discrete"))
 def test_every_kind_of_parameter(integrator):
     """Contacts, friction, limits, tendons, servos, inertia that follows of a size."""
@@ -84,16 +96,7 @@ def test_every_kind_of_parameter(integrator):
     plain = sim.linearize()
     assert np.array_equal(found.A, plain.A) and np.array_equal(found.B, plain.B)
     assert found.P.shape == (2 * model.nv, len(found.parameters))
-    for column, label in zip(found.P.T, found.parameters, strict=True):
-        path, bracket, rest = label.partition("[")
-        entry = int(rest[:-1]) if bracket else None
-        from stepcore.engine.variations import own_value
-
-        value = own_value(model, path)
-        value = float(value if entry is None else value[entry])
-        true = differences(model, path, entry, value, moving)
-        size = max(np.abs(true).max(), 1e-6)
-        assert np.abs(column - true).max() <= 1e-7 * size, label
+    assert_columns(found, model, moving)
 
 
 @pytest.mark.parametrize("name", ("hopper", "half_cheetah", "ant"))
@@ -116,15 +119,7 @@ def test_robots_on_the_ground(name):
     sim = settled(model)
     bodies = [f"body/{body}/mass" for body in model.body_names[1:3]]
     found = sim.linearize([*bodies, "gravity[2]"])
-    for column, label in zip(found.P.T, found.parameters, strict=True):
-        path, bracket, rest = label.partition("[")
-        entry = int(rest[:-1]) if bracket else None
-        from stepcore.engine.variations import own_value
-
-        value = own_value(model, path)
-        value = float(value if entry is None else value[entry])
-        true = differences(model, path, entry, value, settled)
-        assert np.abs(column - true).max() <= 1e-7 * max(np.abs(true).max(), 1e-6), label
+    assert_columns(found, model, settled)
 
 
 def test_patterns_and_labels():

@@ -13,6 +13,10 @@ from stepcore import checks
 Floats = NDArray[np.float64]
 Array = TypeVar("Array", bound=NDArray[Any])
 
+# The state, and the inputs of a step in the order of `Replay.inputs`.
+STATE = ("qpos", "qvel", "act")
+INPUTS = ("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat")
+
 
 class StateArray:
     """An array of a `Sim` or a `Batch` that can be written, in place or by assignment."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats
+from stepcore.engine.arrays import INPUTS, STATE, Floats
 from stepcore.engine.control import ControlError, controls, fresh
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.world import World
@@ -27,9 +27,6 @@ ACCURACY, STEP = 1 / 10, 4
 PARTED, TOGETHER = 0.1, 0.001
 # The longest time between two comparisons [s].
 LOOK = 0.05
-
-STATE = ("qpos", "qvel", "act")
-INPUTS = ("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat")
 
 
 class ErrorBar(NamedTuple):

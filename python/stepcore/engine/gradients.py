@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
-from stepcore.engine.arrays import Floats, numbers
+from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers
 from stepcore.engine.linearization import Linearization
 from stepcore.engine.parameter_columns import columns, split_entry
 from stepcore.engine.rollout import Rollout
@@ -23,14 +23,12 @@ if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
     from stepcore.engine.model import Model
 
-STATE = ("qpos", "qvel", "act")
-HELD = ("qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat")
 # A gradient that grows more than this on its way back says nothing beyond the next step or two.
 GROWTH = 1e6
 
 
 class GradientWarning(UserWarning):
-    """A gradient grows without bound over a rollout; the text names the world, step and contact."""
+    """A gradient grows without bound over a rollout; the text names the world, step and impact."""
 
 
 class Gradients(NamedTuple):
@@ -73,71 +71,107 @@ class Tangents:
                 self.quats.append((q + shift, v + shift))
         self.q, self.v = (np.array([pair[k] for pair in pairs], int) for k in (0, 1))
 
-    def _turns(self, qpos: Floats, q: int) -> Floats:
-        """The change of a quaternion by a turn about each body axis, over a half, (…, 3, 4)."""
-        w, x, y, z = np.moveaxis(qpos[..., q : q + 4], -1, 0)
-        rows = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
-        turns: Floats = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-        return turns
+    def _turns(self, qpos: Floats, q: int, inverse: bool) -> Floats:
+        """The change of a quaternion by a turn about each body axis, (…, 3, 4).
 
-    def of_dofs(self, qpos: Floats, change: Floats) -> Floats:
-        """A change of dofs, or a gradient by them, as one of qpos; (…, nv) to (…, nq)."""
+        inverse: its pseudo-inverse, transposed. The rows are at right angles, each |q|/2 long.
+        """
+        quat = qpos[..., q : q + 4]
+        w, x, y, z = np.moveaxis(quat, -1, 0)
+        rows = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
+        turns: Floats = np.moveaxis(np.array(rows), (0, 1), (-2, -1)) / 2
+        return turns * (4 / (quat**2).sum(-1))[..., None, None] if inverse else turns
+
+    def of_dofs(self, qpos: Floats, change: Floats, inverse: bool = False) -> Floats:
+        """A change of dofs as one of qpos; (…, nv) to (…, nq)."""
         out = np.zeros(qpos.shape)
         out[..., self.q] = change[..., self.v]
         for q, v in self.quats:
-            turns = self._turns(qpos, q) / 2
+            turns = self._turns(qpos, q, inverse)
             out[..., q : q + 4] = np.einsum("...a,...ak->...k", change[..., v : v + 3], turns)
         return out
 
     def gradient(self, qpos: Floats, change: Floats) -> Floats:
         """A gradient by the dofs as one by qpos, of which quaternions are made unit."""
-        out = self.of_dofs(qpos, change)
-        for q, _ in self.quats:
-            square = (qpos[..., q : q + 4] ** 2).sum(-1, keepdims=True)
-            out[..., q : q + 4] *= 4 / square
-        return out
+        return self.of_dofs(qpos, change, inverse=True)
 
-    def to_dofs(self, qpos: Floats, gradient: Floats) -> Floats:
+    def to_dofs(self, qpos: Floats, gradient: Floats, inverse: bool = False) -> Floats:
         """A gradient by qpos as one by the dofs; (…, nq) to (…, nv)."""
         out = np.zeros((*qpos.shape[:-1], self.nv))
         out[..., self.v] = gradient[..., self.q]
         for q, v in self.quats:
-            turns = self._turns(qpos, q) / 2
+            turns = self._turns(qpos, q, inverse)
             part = np.einsum("...k,...ak->...a", gradient[..., q : q + 4], turns)
             out[..., v : v + 3] = part
         return out
 
     def changed(self, qpos: Floats, change: Floats) -> Floats:
         """A change of qpos as one of the dofs; (…, nq) to (…, nv)."""
-        out = self.to_dofs(qpos, change)
-        for q, v in self.quats:
-            square = (qpos[..., q : q + 4] ** 2).sum(-1, keepdims=True)
-            out[..., v : v + 3] *= 4 / square
-        return out
+        return self.to_dofs(qpos, change, inverse=True)
+
+
+def _check_late(batch: Batch) -> None:
+    if batch._arrays["ctrl_history"].size:
+        raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
+
+
+def _each(batch: Batch, job: Callable[[int], Any]) -> list[Any]:
+    """Do a job for every world, on the batch's threads."""
+    with ThreadPoolExecutor(min(batch._threads, len(batch))) as pool:
+        return list(pool.map(job, range(len(batch))))
+
+
+def _rows(
+    given: Mapping[str, ArrayLike | None], sizes: Mapping[str, tuple[int, ...]]
+) -> dict[str, Floats]:
+    """Arrays of these shapes; None is zero."""
+    arrays = {}
+    for name, value in given.items():
+        array = np.zeros(sizes[name]) if value is None else numbers(name, value)
+        if array.shape != sizes[name]:
+            raise ValueError(f"{name} has shape {array.shape}: must be {sizes[name]}")
+        arrays[name] = array
+    return arrays
 
 
 class Steps:
-    """The steps of a rollout of a batch, each to be linearised where it began."""
+    """The steps of a rollout of a batch, each to be linearised where it began.
+
+    Arguments are checked first; `roll` then steps the batch, once.
+    """
+
+    rollout: Rollout
 
     def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
-        if batch._arrays["ctrl_history"].size:
-            raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
+        _check_late(batch)
         self.labels = [column.label for column in columns(batch.model, parameters)]
         self.batch, self.parameters = batch, parameters
-        self.held = {name: np.array(getattr(batch, name)) for name in HELD}
-        self.start = {name: np.array(getattr(batch, name)) for name in STATE}
-        self.ctrl = np.array(numbers("ctrl", ctrl))
-        self.models = [batch._model_of(world) for world in range(len(batch))]
-        self.rollout = batch.rollout(self.ctrl)
-        self.n, self.count = self.ctrl.shape[:2]
+        self.ctrl, self.n = np.array(numbers("ctrl", ctrl)), len(batch)
+        if self.ctrl.ndim != 3 or self.ctrl.shape[::2] != (self.n, batch.model.nu):
+            limit = f"({self.n}, steps, {batch.model.nu})"
+            raise ValueError(f"ctrl has shape {self.ctrl.shape}: must be {limit}")
+        self.count = self.ctrl.shape[1]
         self.tangents = Tangents(batch.model)
+
+    def sizes(self, *rows: int) -> dict[str, tuple[int, ...]]:
+        """The shapes of arrays with so many rows for each world's state."""
+        model = self.batch.model
+        widths = (model.nq, model.nv, model.na)
+        return {name: (self.n, *rows, width) for name, width in zip(STATE, widths, strict=True)}
+
+    def roll(self) -> Steps:
+        """Step the batch."""
+        batch = self.batch
+        self.models = [batch._model_of(world) for world in range(self.n)]
+        self.held = {name: np.array(getattr(batch, name)) for name in INPUTS[1:]}
+        self.start = {name: np.array(getattr(batch, name)) for name in STATE}
+        self.time = batch.time
+        self.rollout = batch.rollout(self.ctrl)
+        return self
 
     def sim(self, world: int) -> Sim:
         """A Sim of a world, with the inputs that do not change."""
-        sim = unwatched(Sim(self.models[world]))
-        for name, rows in self.held.items():
-            getattr(sim, name)[...] = rows[world]
-        return sim
+        return _single(self.models[world], world, self.held)
 
     def put(self, sim: Sim, world: int, step: int) -> None:
         """Let a Sim stand where a step began."""
@@ -153,21 +187,57 @@ class Steps:
         self.put(sim, world, step)
         return sim.linearize(self.parameters)
 
-    def each(self, job: Callable[[int], Any]) -> list[Any]:
-        """Do a job for every world, on the batch's threads."""
-        with ThreadPoolExecutor(min(self.batch._threads, self.n)) as pool:
-            return list(pool.map(job, range(self.n)))
+    def touching(self, sim: Sim, world: int, step: int) -> dict[tuple[str, str], float]:
+        """The pairs of geoms that touch where a step begins, with the force between them [N]."""
+        self.put(sim, world, step)
+        sim.forward()
+        forces = dict[tuple[str, str], float]()
+        for contact in sim.contacts:
+            pair = str(contact["name1"]), str(contact["name2"])
+            forces[pair] = forces.get(pair, 0.0) + float(np.linalg.norm(contact["force"]))
+        return {pair: force for pair, force in forces.items() if force > 0}
 
-    def dofs(self, given: Mapping[str, ArrayLike | None]) -> Floats:
+    def dofs(self, given: Mapping[str, Floats]) -> Floats:
         """The gradients by the states after each step as those of x, (n, steps, 2 nv + na)."""
-        parts = []
-        for name, value in given.items():
-            own = getattr(self.rollout, name)
-            array = np.zeros(own.shape) if value is None else numbers(name, value)
-            if array.shape != own.shape:
-                raise ValueError(f"{name} has shape {array.shape}: must be {own.shape}")
-            parts.append(self.tangents.to_dofs(own, array) if name == "qpos" else array)
-        return np.concatenate(parts, axis=-1)
+        return np.concatenate(
+            [self.tangents.to_dofs(self.rollout.qpos, given["qpos"]), given["qvel"], given["act"]],
+            axis=-1,
+        )
+
+
+def _single(model: Model, world: int, arrays: Mapping[str, Floats]) -> Sim:
+    """A Sim of a world of a batch, with its row of these arrays."""
+    sim = unwatched(Sim(model))
+    for name, rows in arrays.items():
+        getattr(sim, name)[...] = rows[world]
+    return sim
+
+
+def linearizations(batch: Batch, parameters: Sequence[str]) -> list[Linearization]:
+    """See `Batch.linearize`."""
+    _check_late(batch)
+    columns(batch.model, parameters)
+    arrays = {name: np.array(getattr(batch, name)) for name in (*STATE, *INPUTS)}
+    arrays = {name: rows for name, rows in arrays.items() if rows.size}
+
+    def share(worlds: range) -> list[Linearization]:
+        # A Sim costs as much as its linearisation; worlds of one model share it.
+        made, last = list[Linearization](), None
+        for world in worlds:
+            model = batch._model_of(world)
+            if model is not last:
+                last, sim = model, unwatched(Sim(model))
+            for name, rows in arrays.items():
+                getattr(sim, name)[...] = rows[world]
+            made.append(sim.linearize(parameters))
+        return made
+
+    n, threads = len(batch), batch._threads
+    shares = [range(k * n // threads, (k + 1) * n // threads) for k in range(threads)]
+    if threads == 1:
+        return share(shares[0])
+    with ThreadPoolExecutor(threads) as pool:
+        return [linear for made in pool.map(share, shares) for linear in made]
 
 
 def vjp(
@@ -178,68 +248,71 @@ def vjp(
 ) -> Gradients:
     """See `Batch.vjp`."""
     steps = Steps(batch, ctrl, parameters)
-    return pulled(steps, given)
+    weights = _rows(given, steps.sizes(steps.count))
+    return pulled(steps.roll(), weights)
 
 
-def pulled(steps: Steps, given: Mapping[str, ArrayLike | None]) -> Gradients:
+def pulled(steps: Steps, given: Mapping[str, Floats]) -> Gradients:
     """Return the gradient of the rollout that was made."""
-    weights, parameters = steps.dofs(given), steps.parameters
-    model, count = steps.models[0], steps.count
+    weights, model, count = steps.dofs(given), steps.batch.model, steps.count
     split = (model.nv, 2 * model.nv)
 
-    def back(world: int) -> tuple[Floats, Floats, Floats, tuple[str, ...], Floats, list[Any]]:
+    def back(world: int) -> tuple[Floats, Floats, Floats, Floats, Floats, list[Any]]:
         sim, adjoint = steps.sim(world), np.zeros(weights.shape[-1])
-        by_ctrl, by_values = np.zeros((count, model.nu)), np.zeros(0)
-        labels: tuple[str, ...] = ()
-        sizes, sided = np.zeros(count + 1), []
+        by_ctrl, by_values = np.zeros((count, model.nu)), np.zeros(len(steps.labels))
+        sizes, factors, sided = np.zeros(count), np.ones(count), []
         for step in range(count - 1, -1, -1):
             adjoint = adjoint + weights[world, step]
-            sizes[step + 1] = np.linalg.norm(adjoint)
+            before = np.linalg.norm(adjoint)
             linear = steps.linear(sim, world, step)
             sided += [(world, step, name) for name in linear.degenerate]
-            by_ctrl[step], labels = linear.B.T @ adjoint, linear.parameters
-            by_values = (by_values if len(by_values) else 0.0) + linear.P.T @ adjoint
+            by_ctrl[step] = linear.B.T @ adjoint
+            by_values += linear.P.T @ adjoint
             adjoint = linear.A.T @ adjoint
-        sizes[0] = np.linalg.norm(adjoint)
-        return adjoint, by_ctrl, by_values, labels, sizes, sided
+            sizes[step] = np.linalg.norm(adjoint)
+            factors[step] = sizes[step] / before if before > 0 else 1.0
+        return adjoint, by_ctrl, by_values, sizes, factors, sided
 
-    made = steps.each(back)
-    first = np.array([one[0] for one in made]).reshape(steps.n, -1)
-    growth = np.array([_growth(one[4], weights[world]) for world, one in enumerate(made)])
+    made = _each(steps.batch, back)
+    first, by_ctrl, values, sizes, factors = (
+        np.array([one[k] for one in made]).reshape(steps.n, *shape)
+        for k, shape in enumerate(((-1,), (count, -1), (-1,), (count,), (count,)))
+    )
+    asked = np.linalg.norm(weights, axis=-1).sum(axis=1)
+    growth = sizes.max(axis=1, initial=0.0) / np.where(asked > 0, asked, np.inf)
     for world in np.flatnonzero(growth > GROWTH)[:1]:
-        warnings.warn(GradientWarning(_grown(steps, int(world), made[world][4])), stacklevel=3)
-    labels = made[0][3] or tuple(column.label for column in columns(model, parameters))
-    values = np.array([one[2] if len(one[2]) else np.zeros(len(labels)) for one in made])
+        text = _grown(steps, int(world), float(growth[world]), int(factors[world].argmax()))
+        warnings.warn(GradientWarning(text), stacklevel=4)
     return Gradients(
         steps.rollout,
         steps.tangents.gradient(steps.start["qpos"], first[:, : split[0]]),
         first[:, split[0] : split[1]],
         first[:, split[1] :],
-        np.array([one[1] for one in made]),
-        {label: values[:, k] for k, label in enumerate(labels)},
+        by_ctrl,
+        {label: values[:, k] for k, label in enumerate(steps.labels)},
         growth,
         [entry for one in made for entry in one[5][::-1]],
     )
 
 
-def _growth(sizes: Floats, weights: Floats) -> float:
-    asked = float(np.linalg.norm(weights, axis=-1).sum())
-    return float(sizes.max() / asked) if asked > 0 else 0.0
-
-
-def _grown(steps: Steps, world: int, sizes: Floats) -> str:
-    """Say at which step the gradient of a world grew most, and what touches there."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        factors = np.nan_to_num(sizes[:-1] / sizes[1:], posinf=0.0)
-    step, sim = int(factors.argmax()), steps.sim(world)
-    steps.put(sim, world, step)
-    sim.step()
-    pairs = [f"{c['name1']} and {c['name2']}" for c in sim.contacts]
-    what = f", with contacts of {checks.cut(', '.join(pairs), 120)}" if pairs else ""
+def _grown(steps: Steps, world: int, growth: float, step: int) -> str:
+    """Say that a gradient has grown, most in this step, and name the contact that began there."""
+    sim, dt = steps.sim(world), steps.batch.settings.dt
+    pairs = steps.touching(sim, world, step)
+    where = ""
+    if pairs:
+        pair = max(pairs, key=lambda names: pairs[names])
+        began = step
+        while began and pair in steps.touching(sim, world, began - 1):
+            began -= 1
+        known = "contact" if began == 0 else "impact"
+        names = " with ".join(f"`{checks.cut(name, 60)}`" for name in pair)
+        time = steps.time + began * dt
+        where = f", at the {known} of {names}" + f" at {time:.4g} s" * (known == "impact")
     return (
-        f"the gradient of world {world} grows {sizes.max() / sizes[-1]:.0e} times over "
-        f"{steps.count} steps, most in step {step} ({factors[step]:.0e} times{what}): beyond it, "
-        "the gradient says nothing about changes that are not as small; a shorter rollout does"
+        f"the gradient of world {world} grows {growth:.0e} times over {steps.count} steps, most in "
+        f"step {step} [{steps.time + step * dt:.4g} s]{where}: before it, the gradient holds only "
+        "for changes that are as much smaller; begin after it, or sample instead"
     )
 
 
@@ -249,7 +322,8 @@ def sensitivities(steps: Steps, world: int = 0) -> Floats:
     Shape (steps + 1, 2 nv + na, parameters + 2 nv + na); the first row is the initial state.
     """
     sim = steps.sim(world)
-    size, count = 2 * steps.models[0].nv + steps.models[0].na, len(steps.labels)
+    model, count = steps.batch.model, len(steps.labels)
+    size = 2 * model.nv + model.na
     slopes = np.concatenate([np.zeros((size, count)), np.eye(size)], axis=1)
     out = [slopes]
     for step in range(steps.count):
@@ -278,31 +352,32 @@ class Tape:
         ctrl: Floats,
         *values: Floats,
     ) -> None:
+        limit = f"of shape ({len(batch)},), a value for each world"
         labels, changed = [], dict[str, Floats]()
         for name, value in zip(parameters, values, strict=True):
-            path, entry = split_entry(name)
-            rows = changed.get(path, np.array(batch.param[path]))
             if np.shape(value) != (len(batch),):
-                limit = f"of shape ({len(batch)},), a value for each world"
                 raise ValueError(f"parameters: {name} has shape {np.shape(value)}: must be {limit}")
+            path, entry = split_entry(name)
+            rows = changed.setdefault(path, np.array(batch.param[path]))
             if rows.ndim > 1:
                 rows[:, entry or 0] = value
                 labels.append(f"{path}[{entry or 0}]")
             else:
                 rows[:] = value
                 labels.append(path)
-            changed[path] = rows
+        self.labels, self.steps = labels, Steps(batch, ctrl, labels)
+        sizes = self.steps.sizes()
+        state = _rows({"qpos": qpos, "qvel": qvel}, sizes)
         if changed:
             batch.param.update(changed)
-        batch.qpos, batch.qvel = qpos, qvel
+        batch.qpos, batch.qvel = state["qpos"], state["qvel"]
         batch._core.forget(list(range(len(batch))))
-        self.labels = labels
-        self.steps = Steps(batch, ctrl, labels)
-        self.rollout = self.steps.rollout
+        self.rollout = self.steps.roll().rollout
 
     def gradient(self, qpos: Floats, qvel: Floats) -> tuple[Floats, ...]:
         """Return the gradient by qpos, qvel, ctrl and each parameter, of one by the states."""
-        found = pulled(self.steps, {"qpos": qpos, "qvel": qvel, "act": None})
+        sizes = self.steps.sizes(self.steps.count)
+        found = pulled(self.steps, _rows({"qpos": qpos, "qvel": qvel, "act": None}, sizes))
         by = (found.parameters[label] for label in self.labels)
         return (found.qpos, found.qvel, found.ctrl, *by)
 
@@ -316,43 +391,60 @@ def jvp(
 ) -> tuple[Rollout, Rollout]:
     """See `Batch.jvp`."""
     steps = Steps(batch, ctrl, tuple(parameters))
-    model, count = batch.model, steps.count
-    parts = []
-    for name, value in given.items():
-        own = steps.start[name]
-        array = np.zeros(own.shape) if value is None else numbers(name, value)
-        if array.shape != own.shape:
-            raise ValueError(f"{name} has shape {array.shape}: must be {own.shape}")
-        parts.append(steps.tangents.changed(own, array) if name == "qpos" else array)
-    first = np.concatenate(parts, axis=-1)
-    moved = np.zeros(steps.ctrl.shape) if ctrl_change is None else numbers("ctrl", ctrl_change)
-    if moved.shape != steps.ctrl.shape:
-        raise ValueError(f"ctrl_change has shape {moved.shape}: must be {steps.ctrl.shape}")
-    labels = [column.label for column in columns(model, tuple(parameters))]
-    missing = [label for label in labels if label not in parameters]
+    changes = _rows(
+        {**given, "ctrl_change": ctrl_change}, steps.sizes() | {"ctrl_change": steps.ctrl.shape}
+    )
+    missing = [label for label in steps.labels if label not in parameters]
     if missing:
         raise ValueError(f"parameters: {missing[0]} must be given by its own label")
-    values = np.array([np.broadcast_to(parameters[label], steps.n) for label in labels])
+    values = np.zeros((len(steps.labels), steps.n))
+    for k, label in enumerate(steps.labels):
+        value = numbers(f"parameters: {label}", parameters[label])
+        if value.shape not in ((1,), (steps.n,)):
+            raise ValueError(
+                f"parameters: {label} has shape {value.shape}: must be a number or ({steps.n},)"
+            )
+        values[k] = value
+    steps.roll()
+    moved = changes.pop("ctrl_change")
+    changes["qpos"] = steps.tangents.changed(steps.start["qpos"], changes["qpos"])
+    first = np.concatenate([changes[name] for name in STATE], axis=-1)
 
     def along(world: int) -> Floats:
         sim, x = steps.sim(world), first[world]
-        out = np.zeros((count, len(x)))
-        for step in range(count):
+        out = np.zeros((steps.count, len(x)))
+        for step in range(steps.count):
             linear = steps.linear(sim, world, step)
             x = linear.A @ x + linear.B @ moved[world, step]
-            if labels:
+            if steps.labels:
                 x = x + linear.P @ values[:, world]
             out[step] = x
         return out
 
-    rows = np.array(steps.each(along)).reshape(steps.n, count, -1)
-    nv = model.nv
+    rows = np.array(_each(batch, along)).reshape(steps.n, steps.count, -1)
+    nv = batch.model.nv
     qpos = steps.tangents.of_dofs(steps.rollout.qpos, rows[..., :nv])
     return steps.rollout, Rollout(qpos, rows[..., nv : 2 * nv], rows[..., 2 * nv :])
 
 
 class Differentiable(World):
-    """Worlds whose rollouts have derivatives."""
+    """Worlds whose steps and rollouts have derivatives."""
+
+    def linearize(self: Any, parameters: Sequence[str] = ()) -> list[Linearization]:
+        """Linearise the next step of every world about its state, without taking the step.
+
+        parameters: paths as in `Sim.linearize`, whose errors it raises.
+
+        Worlds share the batch's threads. The states of a trajectory, one to a world, are linearised
+        in one call. The solver starts from no impulses, as after a reset; one that converges
+        forgets its start.
+
+        >>> from stepcore import Batch, lesson
+        >>> batch = Batch(lesson.spring(), 3, dt=0.01, integrator="semi-implicit")
+        >>> [linear.A.shape for linear in batch.linearize()]
+        [(2, 2), (2, 2), (2, 2)]
+        """
+        return linearizations(self, parameters)
 
     def vjp(
         self: Any,

@@ -9,7 +9,7 @@ import numpy as np
 
 from stepcore import _core
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, digest
+from stepcore.engine.arrays import INPUTS, Floats, digest
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 
@@ -172,10 +172,6 @@ def run_again(failure: Replay) -> PostMortem:
             for element in elements
         },
     )
-
-
-# The inputs of a step, in the order of `Replay.inputs`.
-INPUTS = ("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat")
 
 
 def _put(own: dict[str, Floats], inputs: list[list[float]] | None) -> None:

@@ -417,7 +417,7 @@ class _Fit:
         batch.qvel = log.start[1] + off[1]
         ctrl = np.repeat(log.ctrl, finer, axis=0)[None]
         self.steps += ctrl.shape[1]
-        return Steps(batch, ctrl, self.labels)
+        return Steps(batch, ctrl, self.labels).roll()
 
     def _at(self, model: Model, log: _Read, steps: Steps) -> dict[str, np.ndarray]:
         """Return the predicted arrays at the log's times."""
