@@ -139,6 +139,13 @@ class Steps:
             getattr(sim, name)[...] = rows[world]
         return sim
 
+    def before(self, world: int) -> dict[str, Floats]:
+        """The states where the steps of a world begin, each of shape (steps, …)."""
+        return {
+            name: np.concatenate([rows[world][None], getattr(self.rollout, name)[world, :-1]])
+            for name, rows in self.start.items()
+        }
+
     def put(self, sim: Sim, world: int, step: int) -> None:
         """Let a Sim stand where a step began."""
         for name in STATE:
@@ -241,23 +248,6 @@ def _grown(steps: Steps, world: int, sizes: Floats) -> str:
         f"{steps.count} steps, most in step {step} ({factors[step]:.0e} times{what}): beyond it, "
         "the gradient says nothing about changes that are not as small; a shorter rollout does"
     )
-
-
-def sensitivities(steps: Steps, world: int = 0) -> Floats:
-    """Return the derivatives of a world's states by the parameters, then by its first x.
-
-    Shape (steps + 1, 2 nv + na, parameters + 2 nv + na); the first row is the initial state.
-    """
-    sim = steps.sim(world)
-    size, count = 2 * steps.models[0].nv + steps.models[0].na, len(steps.labels)
-    slopes = np.concatenate([np.zeros((size, count)), np.eye(size)], axis=1)
-    out = [slopes]
-    for step in range(steps.count):
-        linear = steps.linear(sim, world, step)
-        slopes = linear.A @ slopes
-        slopes[:, :count] += linear.P
-        out.append(slopes)
-    return np.array(out)
 
 
 class Tape:
