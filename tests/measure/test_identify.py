@@ -2,54 +2,15 @@
 
 import numpy as np
 import pytest
+from arm_log import DAMPING, HIDDEN, RANGES, SENSORS, controls, guess, mujoco_log
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.experiment.control_log import ControlLog
+from stepcore.measure.identification.log import read_log
+from stepcore.measure.identification.predictions import Predictions
 
 pytest.importorskip("scipy")
-
-ARM = """<mujoco><option timestep="0.002" integrator="Euler"/><worldbody>
- <body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="{damping}"
-  armature=".01"/><geom type="capsule" size=".03" fromto="0 0 0 .3 0 0" mass="1"/>
- <body name="fore" pos=".3 0 0"><joint name="elbow" axis="0 1 0" damping=".05"
-  frictionloss="{loss}"/><geom name="rod" type="capsule" size=".03" fromto="0 0 0 .3 0 0"
-  mass="{mass}"/></body></body></worldbody>
- <actuator><position name="a" joint="shoulder" kp="{kp}" kv="2"/><motor joint="elbow"/></actuator>
- </mujoco>"""
-TRUE = {"damping": 0.3, "loss": 0.04, "mass": 0.7, "kp": 60.0}
-GUESS = {"damping": 0.1, "loss": 0.1, "mass": 0.4, "kp": 30.0}
-RANGES = {
-    "joint/shoulder/damping": (0.01, 2.0),
-    "joint/elbow/frictionloss": (0.001, 0.5),
-    "body/fore/mass": (0.1, 3.0),
-    "actuator/a/kp": (5.0, 200.0),
-}
-HIDDEN = dict(zip(RANGES, (0.3, 0.04, 0.7, 60.0), strict=True))
-
-
-def controls(steps):
-    time = np.arange(steps) * 0.002
-    return np.stack([0.8 * np.sin(4 * time), 0.4 * np.sign(np.sin(7 * time))], axis=1)
-
-
-def mujoco_log(steps=600, every=5):
-    """The states that MuJoCo steps through, read every 10 ms."""
-    mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_string(ARM.format(**TRUE))
-    data, ctrl = mujoco.MjData(model), controls(steps)
-    rows = {"time": [], "qpos": [], "qvel": [], "ctrl": []}
-    for step in range(steps):
-        if step % every == 0:
-            data.ctrl[:] = ctrl[step]
-            for key, value in (("time", data.time), ("qpos", data.qpos), ("qvel", data.qvel)):
-                rows[key].append(np.copy(value))
-            rows["ctrl"].append(np.copy(data.ctrl))
-        mujoco.mj_step(model, data)
-    return {key: np.array(value) for key, value in rows.items()}
-
-
-def guess():
-    return sc.loads(ARM.format(**GUESS)).compile()
 
 
 def test_hidden_values_of_a_log_that_mujoco_made():
@@ -94,17 +55,78 @@ def test_what_cannot_be_told_apart_is_named():
     assert "cannot tell apart" in str(found)
 
 
-def test_files_and_trajectories_are_logs(tmp_path):
-    true = guess().with_values(HIDDEN)
-    run = sc.Sim(true).run(0.4, control=controls(200), record=("qpos", "qvel", "ctrl"))
-    run.save(tmp_path / "run.csv")
-    run.save(tmp_path / "run.npz")
-    wanted = {"joint/shoulder/damping": RANGES["joint/shoulder/damping"]}
-    others = {key: HIDDEN[key] for key in HIDDEN if key not in wanted}
-    model = guess().with_values(others)
-    for log in (run, tmp_path / "run.csv", str(tmp_path / "run.npz"), [run, run]):
-        found = sc.identify(model, log, wanted)
-        assert found.values["joint/shoulder/damping"] == pytest.approx(0.3, rel=1e-4)
+def test_a_delay_of_the_controls_is_found_with_the_values():
+    """Of 12.3 ms, which are no steps of 2 ms, under controls that change every 10 ms."""
+    ctrl, dt = controls(600)[::5], 0.002
+    late = ControlLog(5 * dt * np.arange(120), ctrl).steps(-0.0123, dt, 600)
+    run = sc.Sim(guess().with_values(HIDDEN)).run(1.2, control=late, record=("qpos", "qvel"))
+    log = {"time": run.time[:-1:5], "qpos": run.qpos[:-1:5], "qvel": run.qvel[:-1:5], "ctrl": ctrl}
+    found = sc.identify(guess(), log, RANGES | {"delay": (0, 0.05)})
+    assert found.values == pytest.approx(HIDDEN | {"delay": 0.0123}, rel=1e-6)
+    assert found.predictable == [np.inf] and found.findings == []
+
+
+def test_the_jacobian_is_that_of_the_residuals():
+    """By the parameters, the delay and the first states: differences of residuals, 1e-5 of them."""
+    log, labels = mujoco_log(100, sensors=SENSORS), [*RANGES, "delay"]
+    fit = Predictions(guess(SENSORS), [read_log(guess(SENSORS), log, "log")], labels)
+    x = np.array([0.1, 0.1, 0.4, 30.0, 0.0071, 0.01, -0.01, 0.4, -0.6])
+    exact = fit.jacobian(x)
+    for k, value in enumerate(x):
+        way = 1e-6 * max(abs(value), 0.01) * np.eye(len(x))[k]
+        slope = (fit.residual(x + way) - fit.residual(x - way)) / (2 * way[k])
+        assert np.abs(exact[:, k] - slope).max() <= 1e-5 * np.abs(slope).max()
+
+
+def test_sensors_alone_tell_the_values():
+    """Angle, gyro, accelerometer, place of the hand and a force, of MuJoCo; the first pose."""
+    log = mujoco_log(400, sensors=SENSORS)
+    del log["qvel"]
+    log["qpos"][1:] = np.nan
+    found = sc.identify(guess(SENSORS), log, RANGES)
+    assert found.values == pytest.approx(HIDDEN, rel=1e-5)
+    names = {label for label in found.residuals if not label.startswith("qpos")}
+    vectors = {f"sensordata[{name}.{k}]" for name in ("gyro", "imu", "hand") for k in range(3)}
+    assert names == {"sensordata[angle]", "sensordata[pull]", *vectors}
+    assert found.residuals["sensordata[imu.0]"] < 1e-4 < found.before["sensordata[imu.0]"]
+
+
+def test_a_sensor_without_derivative_is_refused_by_name():
+    sensors = '<contact name="felt" body1="fore" data="found"/>'
+    log = mujoco_log(20) | {"sensordata": np.zeros((4, 1))}
+    with pytest.raises(ValueError, match='sensor "felt" is a contact: identify has no derivative'):
+        sc.identify(guess(sensors), log, {DAMPING: RANGES[DAMPING]})
+
+
+def test_what_a_finer_step_would_change():
+    """The estimates of a second fit with shorter steps, to the first order: a quarter."""
+    log = mujoco_log()
+    wanted = {key: RANGES[key] for key in (DAMPING, "actuator/a/kp", "body/fore/mass")}
+    model = guess(loss=0.04)
+    found = sc.identify(model, log, wanted)
+    again = sc.identify(model.with_settings(dt=0.0005), log, wanted)
+    for path, value in again.values.items():
+        moved = value - found.values[path]
+        assert abs(found.finer[path] - value) <= 0.25 * abs(moved)
+        assert f"With steps 4 times shorter the estimate of {path} is" in " ".join(found.sentences)
+
+
+def test_plot_and_tables(tmp_path):
+    pytest.importorskip("matplotlib")
+    log = mujoco_log(200)
+    log["qpos"][5:8] = np.nan
+    found = sc.identify(guess(), log, {DAMPING: RANGES[DAMPING], "body/fore/mass": (0.1, 3)})
+    found.plot(tmp_path / "found.png")
+    assert (tmp_path / "found.png").stat().st_size > 0
+    assert len(found.curves) == len(found.residual_table) == 4
+    shoulder = found.curves[0]
+    assert shoulder.quantity == "qpos[shoulder]" and np.isnan(shoulder.measured).sum() == 3
+    rms = np.sqrt(np.nanmean((shoulder.after - shoulder.measured) ** 2))
+    assert rms == pytest.approx(found.residuals["qpos[shoulder]"], rel=1e-12)
+    assert found.correlations.shape == (2, 2)
+    assert found.correlations[0, 1] == pytest.approx(found.correlations[1, 0], abs=1e-9)
+    assert "Correlations" in found.text(full=True)
+    assert found.to_dict()["finer"] == found.finer
 
 
 @pytest.mark.parametrize(

@@ -241,7 +241,7 @@ def _result(
         integration=fit.rms(after, finer),
         finer=_named(labels, np.clip(moved[: len(labels)], low, high)),
         predictable=ends,
-        findings=[*findings, *fit_findings(fit, x), *horizon_findings(fit.logs, ends)],
+        findings=[*findings, *fit_findings(fit, first), *horizon_findings(fit.logs, ends)],
         curves=_curves(fit, first, after),
         model=own,
         steps=fit.steps,

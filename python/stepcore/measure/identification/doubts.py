@@ -9,7 +9,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.experiment.growth import GROWTH
 from stepcore.measure.identification.log import MeasuredLog, Series
-from stepcore.measure.identification.predictions import Predictions
+from stepcore.measure.identification.predictions import Arrays, Predictions
 from stepcore.measure.monitors.finding import Finding, named
 from stepcore.report.units import seconds, times
 
@@ -86,11 +86,14 @@ def _near(ratio: float, unit: float) -> bool:
     return abs(ratio / unit - 1) < NEAR
 
 
-def fit_findings(fit: Predictions, x: np.ndarray) -> list[Finding]:
-    """Return findings on quantities whose prediction fits when it is in another unit."""
+def fit_findings(fit: Predictions, predicted: Sequence[Arrays]) -> list[Finding]:
+    """Return findings on quantities whose prediction fits when it is in another unit.
+
+    predicted: with the first guess, which the fit has not bent to these units.
+    """
     found = []
     for quantity in fit.quantities:
-        both = zip(fit.predicted(x), fit.measured, strict=True)
+        both = zip(predicted, fit.measured, strict=True)
         key, entry, label = quantity
         pairs = [(a[key][:, entry], b[key][:, entry]) for a, b in both if key in b]
         made, known = (np.concatenate(each) for each in zip(*pairs, strict=True))
@@ -116,14 +119,13 @@ def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
 def predictable(fit: Predictions, slopes: Sequence[np.ndarray]) -> list[float]:
     """Return until when each log can be predicted [s]; inf to its end.
 
-    Until an error of the first state grows a thousand times, as in `stepcore.predict`: in the
-    positions by the positions, or in the velocities by the velocities.
+    Until an error of the first positions has grown a thousand times in the positions, as in
+    `stepcore.predict`.
     """
     ends, nv = [], fit.base.nv
     for own in slopes:
-        by_first = own[:, : 2 * nv, len(fit.labels) :]
-        blocks = (by_first[:, k : k + nv, k : k + nv] for k in (0, nv))
-        growth = np.max([np.linalg.norm(block, 2, axis=(1, 2)) for block in blocks], axis=0)
+        first = len(fit.labels)
+        growth = np.linalg.norm(own[:, :nv, first : first + nv], 2, axis=(1, 2))
         late = np.flatnonzero(~(growth <= GROWTH))
         ends.append(float(late[0] * fit.base.settings.dt) if len(late) else np.inf)
     return ends

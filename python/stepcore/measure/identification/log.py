@@ -28,7 +28,7 @@ ARRAYS = (*MEASURED, "ctrl")
 # A gap of the controls is this many times as long as most of their rows are apart.
 GAP = 10
 # Other words for an array in the name of a column: "knee.position", "position[knee]".
-WORDS = {"position": "qpos", "velocity": "qvel"}
+WORDS = {"position": "qpos", "velocity": "qvel", "sensor": "sensordata", "control": "ctrl"}
 COLUMN = re.compile(r"(?P<array>\w+)\[(?P<entry>.+)\]|(?P<name>.+)[./](?P<word>\w+)")
 KINDS = 'a Trajectory, a DataFrame, a file or a dict with "time"'
 
@@ -285,7 +285,7 @@ class _Names:
         alone = ("qpos", "sensordata", "ctrl")
         found = [key for key in alone if column in self.entries.get(key, ())]
         if len(found) > 1:
-            words = " or ".join(f"{key}[{column}]" for key in found)
+            words = " or ".join(f"{column}.{word}" for word, key in WORDS.items() if key in found)
             raise ValueError(f"{log}: column {checks.quoted(column)}: must be {words}")
         return (found[0], self.entries[found[0]].index(column)) if found else None
 

@@ -92,21 +92,29 @@ class Predictions:
         if self._kept is None or self._kept[0] != key:
             model = self.model(x)
             runs = [self._run(model, x, nth) for nth in range(len(self.logs))]
-            made = [self._predicted(steps, log) for steps, log in zip(runs, self.logs, strict=True)]
+            made = self._of_runs(x, runs)
             self._kept = key, runs, made
         return self._kept[1], self._kept[2]
 
-    def _predicted(self, steps: Steps, log: MeasuredLog) -> dict[str, np.ndarray]:
-        """Return the predicted arrays at the times of a log."""
-        out = {}
-        for key, series in log.measured.items():
-            between = _Between(steps, series.times)
-            if key == "sensordata":
-                rows = Readings(steps.models[0], ()).at(between.states(steps))
-            else:
-                rows = between.rows(steps, key)
-            out[key] = between(rows)
-        return out
+    def _of_runs(self, x: np.ndarray, runs: Sequence[Steps]) -> list[dict[str, np.ndarray]]:
+        """Return the predicted arrays at the times of each log."""
+        made = []
+        for steps, log in zip(runs, self.logs, strict=True):
+            arrays = {}
+            for key, series in log.measured.items():
+                between = _Between(steps, series.times)
+                if key == "sensordata":
+                    states = between.states(steps, self._ctrl(x, steps, log))
+                    rows = Readings(steps.models[0], ()).at(states)
+                else:
+                    rows = between.rows(steps, key)
+                arrays[key] = between(rows)
+            made.append(arrays)
+        return made
+
+    def _ctrl(self, x: np.ndarray, steps: Steps, log: MeasuredLog) -> np.ndarray:
+        """Return the controls of the steps and of one more, which sensors at the end read."""
+        return log.ctrl(steps.models[0].settings.dt, steps.count + 1, self.delay(x))
 
     def predicted(self, x: np.ndarray, finer: int = 1) -> list[dict[str, np.ndarray]]:
         """Return the predictions of each log by array; finer: by so many steps for one."""
@@ -114,8 +122,7 @@ class Predictions:
             return self._all(x)[1]
         model = self.model(x)
         short = model.with_settings(dt=model.settings.dt / finer)
-        runs = (self._run(short, x, nth) for nth in range(len(self.logs)))
-        return [self._predicted(run, log) for run, log in zip(runs, self.logs, strict=True)]
+        return self._of_runs(x, [self._run(short, x, nth) for nth in range(len(self.logs))])
 
     @property
     def measured(self) -> list[Arrays]:
@@ -151,10 +158,7 @@ class Predictions:
         count, nv = len(self.labels), self.base.nv
         for nth, (log, slopes) in enumerate(zip(self.logs, self.sensitivities(x), strict=True)):
             steps, place = runs[nth], count + 2 * nv * nth
-            moved = {
-                key: self._moved(steps, slopes, key, series.times)
-                for key, series in log.measured.items()
-            }
+            moved = {key: self._moved(x, nth, steps, slopes, key) for key in log.measured}
             for quantity, known in _measured(log, self.quantities):
                 own = moved[quantity.array][known, quantity.entry] / self.scales[quantity.label]
                 rows = np.zeros((len(own), count + self.free))
@@ -167,21 +171,28 @@ class Predictions:
 
         Shape (steps + 1, 2 nv + na, parameters + 2 nv).
         """
-        log, model, late = self.logs[nth], self.base, DELAY in self.labels
-        pushes = np.zeros((steps.count, model.nu, int(late)))
-        if late:
-            dt = model.settings.dt
-            pushes[..., 0] = log.ctrl_slopes(dt, steps.count, self.delay(x))
+        late, model = int(DELAY in self.labels), self.base
         self.steps += steps.count
         self.linearised += steps.count
-        slopes = sensitivities(steps, 0, pushes)
+        slopes = sensitivities(steps, 0, self._pushes(x, nth)[:-1, :, None][..., :late])
         order = [self.paths.index(k) if k != DELAY else len(self.paths) for k in self.labels]
         order += range(len(self.labels), len(self.labels) + 2 * model.nv)
         return slopes[..., order]
 
-    def _moved(self, steps: Steps, slopes: np.ndarray, key: str, times: np.ndarray) -> np.ndarray:
-        """Return the derivatives of an array at these times, (T, entries, parameters + 2 nv)."""
-        between, nv = _Between(steps, times), self.base.nv
+    def _pushes(self, x: np.ndarray, nth: int) -> np.ndarray:
+        """Return the derivatives of a log's controls by the delay, shape (steps + 1, nu)."""
+        log, dt = self.logs[nth], self.base.settings.dt
+        return log.ctrl_slopes(dt, log.steps(dt) + 1, self.delay(x))
+
+    def _moved(
+        self, x: np.ndarray, nth: int, steps: Steps, slopes: np.ndarray, key: str
+    ) -> np.ndarray:
+        """Return the derivatives of an array at a log's times, (T, entries, parameters + 2 nv).
+
+        slopes: those of the states.
+        """
+        log = self.logs[nth]
+        between, nv = _Between(steps, log.measured[key].times), self.base.nv
         near = slopes[between.near]
         if key == "qvel":
             return between(near[:, nv : 2 * nv])
@@ -189,11 +200,15 @@ class Predictions:
             qpos = between.rows(steps, "qpos")
             ways = np.moveaxis(near[:, :nv], -1, 0)
             return between(np.stack([steps.tangents.of_dofs(qpos, way) for way in ways], axis=-1))
-        by_x, by_values = Readings(steps.models[0], self.paths).slopes(between.states(steps))
+        readings, pushes = Readings(steps.models[0], self.paths), self._pushes(x, nth)
+        ctrl = self._ctrl(x, steps, log)
+        by_x, by_values, by_push = readings.slopes(
+            between.states(steps, ctrl), pushes[between.near]
+        )
         whole = by_x @ near
         for k, label in enumerate(self.labels):
-            if label != DELAY:
-                whole[..., k] += by_values[..., self.paths.index(label)]
+            own = by_push if label == DELAY else by_values[..., self.paths.index(label)]
+            whole[..., k] += own
         return between(whole)
 
     def rms(self, first: Sequence[Arrays], second: Sequence[Arrays]) -> dict[str, float]:
@@ -233,10 +248,10 @@ class _Between:
         rows: np.ndarray = np.concatenate([steps.start[key], getattr(steps.rollout, key)[0]])
         return rows[self.near]
 
-    def states(self, steps: Steps) -> dict[str, np.ndarray]:
-        """Return the states near, with their controls."""
-        ctrl = steps.ctrl[0][np.minimum(self.near, steps.count - 1)]
-        return {key: self.rows(steps, key) for key in ("qpos", "qvel", "act")} | {"ctrl": ctrl}
+    def states(self, steps: Steps, ctrl: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the states near, with their controls of these, shape (steps + 1, nu)."""
+        states = {key: self.rows(steps, key) for key in ("qpos", "qvel", "act")}
+        return states | {"ctrl": ctrl[self.near]}
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Return what is between rows of the states near."""

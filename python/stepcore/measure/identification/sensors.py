@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from stepcore.engine.parameter_slopes import States, Worlds, differences
 STEPPED = ("contact", "insidesite", "user", "clock")
 # Distance of the states around one [m or rad, and by second]: its eighth power is below rounding.
 APART = 2.0**-12
+Changed = dict[str, Floats]
 
 
 class Readings:
@@ -33,33 +34,49 @@ class Readings:
         """Return the readings at each state, shape (n, m)."""
         return Worlds(self.model, _read).values(states)[:, 0]
 
-    def slopes(self, states: States) -> tuple[Floats, Floats]:
-        """Return their derivatives at each state by x, (n, m, 2 nv + na), and by the parameters.
+    def slopes(self, states: States, push: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return their derivatives at each state by x, (n, m, 2 nv + na), by the parameters, and
+        by a change `push` of the controls, (n, nu).
 
         Differences of the eighth order: there are no formulas for all types of sensors.
         """
         worlds = Worlds.solved(self.model, _read)
         ways = range(2 * self.model.nv + self.model.na)
-        by_x = np.stack([self._by(worlds, states, way) for way in ways], axis=-1)
-        if not self.columns:
-            return by_x, by_x[..., :0]
-        return by_x, Worlds.solved(self.model, _read, self.columns).slopes(states)[0]
+        by_x = np.stack([_by(worlds, states, _moved(self.model, way)) for way in ways], axis=-1)
 
-    def _by(self, worlds: Worlds, states: States, way: int) -> Floats:
-        """Return the derivatives by one entry of x."""
-        nv, count = self.model.nv, len(states["qpos"])
-        around = {name: np.repeat(rows, len(AROUND), axis=0) for name, rows in states.items()}
-        moved = APART * np.tile(np.array(AROUND, float), count)
-        if way < nv:
-            change = np.zeros((len(moved), nv))
-            change[:, way] = moved
-            around["qpos"] += Tangents(self.model).of_dofs(around["qpos"], change)
-        elif way < 2 * nv:
-            around["qvel"][:, way - nv] += moved
-        else:
-            around["act"][:, way - 2 * nv] += moved
-        values = worlds.values(around)
-        return differences(values.reshape(count, len(AROUND), -1), APART)[0]
+        def pushed(around: States, moved: Floats) -> Changed:
+            return {"ctrl": around["ctrl"] + moved[:, None] * np.repeat(push, len(AROUND), axis=0)}
+
+        by_push = _by(worlds, states, pushed) if push.any() else np.zeros(by_x.shape[:2])
+        if not self.columns:
+            return by_x, by_x[..., :0], by_push
+        by_values = Worlds.solved(self.model, _read, self.columns).slopes(states)[0]
+        return by_x, by_values, by_push
+
+
+def _by(worlds: Worlds, states: States, change: Callable[[States, Floats], Changed]) -> Floats:
+    """Return the derivatives by a change of the states, of which `change` makes so much."""
+    count = len(states["qpos"])
+    around = {name: np.repeat(rows, len(AROUND), axis=0) for name, rows in states.items()}
+    moved = APART * np.tile(np.array(AROUND, float), count)
+    values = worlds.values(around | change(around, moved))
+    return differences(values.reshape(count, len(AROUND), -1), APART)[0]
+
+
+def _moved(model: Model, way: int) -> Callable[[States, Floats], Changed]:
+    """Return the change of states by one entry of x."""
+    nv = model.nv
+
+    def changed(around: States, moved: Floats) -> Changed:
+        name = ("qpos", "qvel", "act")[min(way // nv, 2)]
+        entry = way - min(way // nv, 2) * nv
+        change = np.zeros((len(moved), nv if name == "qpos" else around[name].shape[1]))
+        change[:, entry] = moved
+        if name == "qpos":
+            change = Tangents(model).of_dofs(around[name], change)
+        return {name: around[name] + change}
+
+    return changed
 
 
 def check_smooth(model: Model, readings: Sequence[int]) -> None:
