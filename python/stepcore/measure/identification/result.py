@@ -14,15 +14,33 @@ from stepcore.measure.identification.predictions import DELAY
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, seconds
+from stepcore.report.units import counted
 from stepcore.scene.value_paths import WHOLE
 
 # An estimate whose interval is wider than this share of its range is not known from the logs.
 WIDE = 0.5
 # The step whose integration error is looked at is this many times shorter.
 FINER = 4
+# The columns of estimates that are numbers.
+NUMBERS = ("value", "low", "high", "before", "finer")
 # A finer step changes an estimate if it moves it by more than its interval and this share of it.
 CHANGED = 1e-4
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value that was found.
+
+    parameter: its path. value: the estimate. low, high: the 95 % interval. before: the first guess.
+    finer: the estimate with steps four times shorter, to first order.
+    """
+
+    parameter: str
+    value: float
+    low: float
+    high: float
+    before: float
+    finer: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +113,7 @@ class Identification(Result):
     linearised: int
 
     kind: ClassVar[str] = "identification"
-    units: ClassVar[Mapping[str, str]] = {"value": "of the model's field"}
+    units: ClassVar[Mapping[str, str]] = dict.fromkeys(NUMBERS, "of the model's field")
 
     @property
     def title(self) -> str:
@@ -169,22 +187,19 @@ class Identification(Result):
         return unknown
 
     @property
-    def table(self) -> Table:
-        """A row for each parameter."""
-        rows = [
-            {
-                "parameter": path,
-                "value": value,
-                "low": self.intervals[path][0],
-                "high": self.intervals[path][1],
-                "before": self.start[path],
-                f"dt/{FINER}": self.finer[path],
-            }
+    def rows(self) -> list[Estimate]:
+        """The estimates."""
+        return [
+            Estimate(path, value, *self.intervals[path], self.start[path], self.finer[path])
             for path, value in self.values.items()
         ]
-        formats = dict.fromkeys(("value", "low", "high", "before", f"dt/{FINER}"), ".6g")
-        heading = f"Estimates with 95 % intervals, and with steps {FINER} times shorter"
-        return Table(rows, formats=formats, heading=heading)
+
+    @property
+    def table(self) -> Table:
+        """A row for each parameter; see `Estimate`."""
+        formats = dict.fromkeys(NUMBERS, ".6g")
+        heading = f"Estimates with 95 % intervals; finer: with steps {FINER} times shorter"
+        return Table(map(vars, self.rows), formats=formats, heading=heading)
 
     @property
     def residual_table(self) -> Table:
@@ -194,11 +209,13 @@ class Identification(Result):
                 "quantity": key,
                 "residual": after,
                 "before": self.before[key],
-                f"by dt/{FINER}": self.integration[key],
+                "finer": self.integration[key],
             }
             for key, after in self.residuals.items()
         ]
-        heading = "RMS residual of each quantity, and how much shorter steps change its prediction"
+        heading = (
+            "RMS residual of each quantity; finer: what shorter steps change of its prediction"
+        )
         return Table(rows, heading=heading)
 
     @property
@@ -246,8 +263,3 @@ def in_words(path: str) -> str:
     if len(parts) < 3 or parts[0] in WHOLE:
         return path
     return f"{parts[-1]} of `{'/'.join(parts[1:-1])}`"
-
-
-def shared(ends: list[float]) -> str:
-    """Return how long logs are together, in words."""
-    return f"{counted(len(ends), 'log')} of {seconds(sum(ends))} in all"
