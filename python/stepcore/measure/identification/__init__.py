@@ -89,9 +89,10 @@ def identify(
     fit = Predictions(compiled, read, labels)
     check_smooth(compiled, [q.entry for q in fit.quantities if q.array == "sensordata"])
     findings = [*unit_findings(compiled, read), *gap_findings(read)]
-    x, jacobian = _fitted(fit, bounds, guess, checks.count("most", most))
+    start = np.concatenate([guess, np.zeros(fit.free)])
+    x, jacobian = _fitted(fit, bounds, start, checks.count("most", most))
     sure = certainty(jacobian, fit.residual(x), fit.kinds(), labels)
-    return _result(fit, bounds, guess, x, jacobian, sure, findings)
+    return _result(fit, bounds, start, x, jacobian, sure, findings)
 
 
 def _read(model: Model, logs: Log | Sequence[Log]) -> list[MeasuredLog]:
@@ -143,7 +144,7 @@ def _value(model: Model, label: str, bounds: tuple[float, float]) -> float:
 
 
 def _fitted(
-    fit: Predictions, bounds: Mapping[str, tuple[float, float]], guess: np.ndarray, most: int
+    fit: Predictions, bounds: Mapping[str, tuple[float, float]], start: np.ndarray, most: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the values x that fit best, and the Jacobian there."""
     try:
@@ -159,19 +160,23 @@ def _fitted(
 
     def solve(part: Predictions, begin: np.ndarray, ends: Mapping[str, float]) -> np.ndarray:
         first = np.clip((begin - origin) / units, least + 1e-9, most_of - 1e-9)
+
+        def at(y: np.ndarray) -> np.ndarray:
+            # The run of the first is known.
+            return begin if np.array_equal(y, first) else origin + y * units
+
         result = least_squares(
-            lambda y: _residual(part, origin + y * units),
+            lambda y: _residual(part, at(y)),
             first,
-            jac=lambda y: part.jacobian(origin + y * units) * units,
+            jac=lambda y: part.jacobian(at(y)) * units,
             bounds=(least, most_of),
             x_scale="jac",
             max_nfev=most,
             **ends,
         )
-        found: np.ndarray = origin + result.x * units
-        return found
+        return at(result.x)
 
-    x = np.concatenate([guess, np.zeros(fit.free)])
+    x = start
     _check_runs(fit, x)
     if all(BEGINNING * log.steps(fit.base.settings.dt) >= ENOUGH for log in fit.logs):
         part = fit.until(BEGINNING)
@@ -207,15 +212,14 @@ def _check_runs(fit: Predictions, x: np.ndarray) -> None:
 def _result(
     fit: Predictions,
     bounds: Mapping[str, tuple[float, float]],
-    guess: np.ndarray,
+    start: np.ndarray,
     x: np.ndarray,
     jacobian: np.ndarray,
     sure: Certainty,
     findings: Sequence[Finding],
 ) -> Identification:
-    labels, start = fit.labels, np.concatenate([guess, np.zeros(fit.free)])
-    first, after = fit.predicted(start), fit.predicted(x)
-    ends = predictable(fit, fit.sensitivities(x))
+    labels, ends = fit.labels, predictable(fit, fit.sensitivities(x))
+    after, first = fit.predicted(x), fit.predicted(start)
     finer = fit.predicted(x, FINER)
     # One step of Gauss and Newton from the estimates, by what shorter steps change.
     changed = fit.residual_of(finer) - fit.residual_of(after)
@@ -228,7 +232,7 @@ def _result(
         logs=len(fit.logs),
         samples=len(jacobian),
         values=_named(labels, x),
-        start=_named(labels, guess),
+        start=_named(labels, start),
         bounds=dict(bounds),
         intervals={
             label: (float(value - SIGMAS * error), float(value + SIGMAS * error))

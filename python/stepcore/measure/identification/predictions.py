@@ -20,6 +20,8 @@ from stepcore.measure.identification.sensors import Readings
 DELAY = "delay"
 
 
+# As many runs are kept.
+KEPT = 3
 # Arrays over the times of a log, each of shape (T, n).
 Arrays = Mapping[str, np.ndarray]
 
@@ -53,7 +55,7 @@ class Predictions:
         self.steps = self.linearised = 0
         self.quantities = _quantities(model, logs)
         self.scales = _scales(logs, self.quantities) if scales is None else scales
-        self._kept: tuple[bytes, list[Steps], list[dict[str, np.ndarray]]] | None = None
+        self._kept: dict[bytes, tuple[list[Steps], list[dict[str, np.ndarray]]]] = {}
         self._slopes: tuple[bytes, list[np.ndarray]] | None = None
 
     def until(self, share: float) -> Predictions:
@@ -87,14 +89,15 @@ class Predictions:
         return Steps(batch, ctrl, self.paths)
 
     def _all(self, x: np.ndarray) -> tuple[list[Steps], list[dict[str, np.ndarray]]]:
-        """Return the runs of all logs with the predictions of them; the last ones are kept."""
+        """Return the runs of all logs with the predictions of them; the last few are kept."""
         key = x.tobytes()
-        if self._kept is None or self._kept[0] != key:
+        if key not in self._kept:
             model = self.model(x)
             runs = [self._run(model, x, nth) for nth in range(len(self.logs))]
-            made = self._of_runs(x, runs)
-            self._kept = key, runs, made
-        return self._kept[1], self._kept[2]
+            self._kept[key] = runs, self._of_runs(x, runs)
+            for old in list(self._kept)[:-KEPT]:
+                del self._kept[old]
+        return self._kept[key]
 
     def _of_runs(self, x: np.ndarray, runs: Sequence[Steps]) -> list[dict[str, np.ndarray]]:
         """Return the predicted arrays at the times of each log."""
