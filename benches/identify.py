@@ -54,8 +54,8 @@ def arm() -> str:
         inner = (
             f'<body name="link{k}" pos="0 0 {before}"><inertial pos="0 0 {length / 2}" '
             f'mass="{mass}" diaginertia="{inertia}"/><joint name="joint{k}" axis="{axis}" '
-            f'range="-3.14 3.14" armature="{armature}" damping="{damping}"/><geom type="capsule" size=".03" '
-            f'fromto="0 0 0 0 0 {length}"/>{inner}</body>'
+            f'range="-3.14 3.14" armature="{armature}" damping="{damping}"/>'
+            f'<geom type="capsule" size=".03" fromto="0 0 0 0 0 {length}"/>{inner}</body>'
         )
     joints = [f"joint{k + 1}" for k in range(len(LINKS))]
     sensors = [f'<{kind} joint="{name}"/>' for kind in ("jointpos", "jointvel") for name in joints]
