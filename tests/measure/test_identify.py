@@ -52,7 +52,17 @@ def test_what_cannot_be_told_apart_is_named():
         model, log, {"joint/spring/stiffness": (20, 500), f"body/{mass}/mass": (0.1, 10)}
     )
     assert [set(paths) for paths in found.alike] == [set(found.values)]
-    assert "cannot tell apart" in str(found)
+    words = f"The logs cannot tell apart stiffness of `spring` and mass of `{mass}`."
+    assert words in found.sentences
+
+
+def test_a_search_that_is_cut_off_says_so():
+    log, wanted = mujoco_log(200), {DAMPING: RANGES[DAMPING]}
+    found = sc.identify(guess(), log, wanted, most=1)
+    assert found.unfinished.startswith("The search was cut off by most = 1")
+    assert sc.identify(guess(), log, wanted).unfinished == ""
+    with pytest.raises(ValueError, match="most = 0"):
+        sc.identify(guess(), log, wanted, most=0)
 
 
 def test_a_delay_of_the_controls_is_found_with_the_values():

@@ -90,9 +90,13 @@ def identify(
     check_smooth(compiled, [q.entry for q in fit.quantities if q.array == "sensordata"])
     findings = [*unit_findings(compiled, read), *gap_findings(read)]
     start = np.concatenate([guess, np.zeros(fit.free)])
-    x, jacobian = _fitted(fit, bounds, start, checks.count("most", most))
+    most = checks.count("most", most)
+    x, jacobian, settled = _fitted(fit, bounds, start, most)
     sure = certainty(jacobian, fit.residual(x), fit.kinds(), labels)
-    return _result(fit, bounds, start, x, jacobian, sure, findings)
+    result = _result(fit, bounds, start, x, jacobian, sure, findings)
+    if not settled:
+        result.unfinished = f"The search was cut off by most = {most}: the values may still change."
+    return result
 
 
 def _read(model: Model, logs: Log | Sequence[Log]) -> list[MeasuredLog]:
@@ -145,8 +149,8 @@ def _value(model: Model, label: str, bounds: tuple[float, float]) -> float:
 
 def _fitted(
     fit: Predictions, bounds: Mapping[str, tuple[float, float]], start: np.ndarray, most: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the values x that fit best, and the Jacobian there."""
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Return the values x that fit best, the Jacobian there, and whether the search had ended."""
     try:
         from scipy.optimize import least_squares
     except ImportError:
@@ -158,7 +162,9 @@ def _fitted(
     least = np.concatenate([np.zeros(len(low)), np.full(fit.free, -np.inf)])
     most_of = np.concatenate([np.ones(len(low)), np.full(fit.free, np.inf)])
 
-    def solve(part: Predictions, begin: np.ndarray, ends: Mapping[str, float]) -> np.ndarray:
+    def solve(
+        part: Predictions, begin: np.ndarray, ends: Mapping[str, float]
+    ) -> tuple[np.ndarray, bool]:
         first = np.clip((begin - origin) / units, least + 1e-9, most_of - 1e-9)
 
         def at(y: np.ndarray) -> np.ndarray:
@@ -174,18 +180,18 @@ def _fitted(
             max_nfev=most,
             **ends,
         )
-        return at(result.x)
+        return at(result.x), result.status > 0
 
     x = start
     _check_runs(fit, x)
     if all(BEGINNING * log.steps(fit.base.settings.dt) >= ENOUGH for log in fit.logs):
         part = fit.until(BEGINNING)
-        near = solve(part, x, ROUGH)
+        near, _ = solve(part, x, ROUGH)
         fit.steps, fit.linearised = fit.steps + part.steps, fit.linearised + part.linearised
         costs = [_cost(fit, each) for each in (x, near)]
         x = near if costs[1] < costs[0] else x
-    x = solve(fit, x, FINE)
-    return x, fit.jacobian(x)
+    x, settled = solve(fit, x, FINE)
+    return x, fit.jacobian(x), settled
 
 
 def _residual(fit: Predictions, x: np.ndarray) -> np.ndarray:
