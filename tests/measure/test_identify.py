@@ -88,6 +88,31 @@ def test_the_jacobian_is_that_of_the_residuals():
         assert np.abs(exact[:, k] - slope).max() <= 1e-5 * np.abs(slope).max()
 
 
+FLYER = """<mujoco><option timestep=".004"/><worldbody><body name="box" pos="0 0 .3">
+<freejoint name="root"/><geom type="box" size=".1 .12 .08" mass="2"/><site name="s" pos=".1 0 0"/>
+<body name="arm" pos="0 0 .1"><joint name="b" type="ball" damping="{}"/>
+<geom type="capsule" size=".03" fromto="0 0 0 .05 .02 .2" mass=".4"/></body></body></worldbody>
+<sensor><framequat name="q" objtype="site" objname="s"/><gyro name="w" site="s"/></sensor>
+<keyframe><key qpos="0 0 .3 .9 .1 .2 .1 1 0 0 0" qvel=".4 .2 0 1 2 .5 .3 .2 .1"/></keyframe>
+</mujoco>"""
+
+
+def test_a_body_that_turns_freely():
+    """The Jacobian by turns of the first state: differences, 1e-6 of them; and the value found."""
+    sim, model = sc.Sim(sc.loads(FLYER.format(0.05))), sc.loads(FLYER.format(0.02)).compile()
+    sim.reset(0)
+    run = sim.run(0.4, record=("qpos", "qvel", "sensordata"))
+    fit = Predictions(model, [read_log(model, run, "log")], ["joint/b/damping"])
+    x = np.concatenate([[0.03], np.random.default_rng(0).normal(0, 0.01, 18)])
+    exact = fit.jacobian(x)
+    for k in range(len(x)):
+        way = 1e-6 * np.eye(len(x))[k]
+        slope = (fit.residual(x + way) - fit.residual(x - way)) / 2e-6
+        assert np.abs(exact[:, k] - slope).max() <= 1e-6 * np.abs(slope).max()
+    found = sc.identify(model, run, {"joint/b/damping": (0.005, 0.5)})
+    assert found.values["joint/b/damping"] == pytest.approx(0.05, rel=1e-9)
+
+
 def test_sensors_alone_tell_the_values():
     """Angle, gyro, accelerometer, place of the hand and a force, of MuJoCo; the first pose."""
     log = mujoco_log(400, sensors=SENSORS)

@@ -89,6 +89,14 @@ class Tangents:
             out[..., q : q + 4] = np.einsum("...a,...ak->...k", change[..., v : v + 3], turns)
         return out
 
+    def moved(self, qpos: Floats, change: Floats) -> Floats:
+        """A qpos moved by a change of dofs, to first order; quaternions keep their length."""
+        out: Floats = qpos + self.of_dofs(qpos, change)
+        for q, _ in self.quats:
+            before, after = qpos[..., q : q + 4], out[..., q : q + 4]
+            after *= np.sqrt((before**2).sum(-1, keepdims=True) / (after**2).sum(-1, keepdims=True))
+        return out
+
     def gradient(self, qpos: Floats, change: Floats) -> Floats:
         """A gradient by the dofs as one by qpos, of which quaternions are made unit."""
         out = self.of_dofs(qpos, change)

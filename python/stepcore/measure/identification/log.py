@@ -30,6 +30,8 @@ GAP = 10
 # Other words for an array in the name of a column: "knee.position", "position[knee]".
 WORDS = {"position": "qpos", "velocity": "qvel", "sensor": "sensordata", "control": "ctrl"}
 COLUMN = re.compile(r"(?P<array>\w+)\[(?P<entry>.+)\]|(?P<name>.+)[./](?P<word>\w+)")
+# Times are in milliseconds if rows are so far apart [s], and so many steps, over so many in all.
+SLOW, SPARSE, LONG = 0.5, 100, 20_000
 KINDS = 'a Trajectory, a DataFrame, a file or a dict with "time"'
 
 Log = Trajectory | Mapping[str, Any] | str | os.PathLike[str] | Any
@@ -135,10 +137,10 @@ def read_log(model: Model, log: Log, name: str) -> MeasuredLog:
 
 
 def _check_times(name: str, model: Model, measured: Mapping[str, Series]) -> None:
-    """Refuse times in milliseconds, which would be run for a thousand times too long."""
-    apart = float(np.median(np.diff(measured["qpos"].times)))
-    dt = model.settings.dt
-    if apart >= 0.5 and apart >= 100 * dt:
+    """Refuse times that look like milliseconds, a thousand times as long as they are."""
+    times, dt = measured["qpos"].times, model.settings.dt
+    apart = float(np.median(np.diff(times)))
+    if apart >= SLOW and apart >= SPARSE * dt and times[-1] >= LONG * dt:
         raise ValueError(
             f"{name}: time: rows are {apart:g} s apart, {apart / dt:g} steps of {seconds(dt)}: "
             "must be in seconds; these look like milliseconds"

@@ -82,7 +82,7 @@ class Predictions:
         log, nv, dt = self.logs[nth], model.nv, model.settings.dt
         batch = unwatched(Batch(model, 1, threads=1))
         off = x[len(self.labels) :].reshape(-1, 2, nv)[nth]
-        batch.qpos = log.start[0] + Tangents(model).of_dofs(log.start[0], off[0])
+        batch.qpos = Tangents(model).moved(log.start[0], off[0])
         batch.qvel = log.start[1] + off[1]
         ctrl = log.ctrl(dt, log.steps(dt), self.delay(x))[None]
         self.steps += ctrl.shape[1]
@@ -179,8 +179,17 @@ class Predictions:
         self.linearised += steps.count
         slopes = sensitivities(steps, 0, self._pushes(x, nth)[:-1, :, None][..., :late])
         order = [self.paths.index(k) if k != DELAY else len(self.paths) for k in self.labels]
-        order += range(len(self.labels), len(self.labels) + 2 * model.nv)
-        return slopes[..., order]
+        first, nv = len(self.labels), model.nv
+        order += range(first, first + 2 * nv)
+        slopes = slopes[..., order]
+        # What the first position is off turns a quaternion from that of the log on, not from where
+        # it has come to.
+        turns, off = steps.tangents, x[first:].reshape(-1, 2, nv)[nth, 0]
+        start = np.tile(self.logs[nth].start[0], (nv, 1))
+        here = start + turns.of_dofs(start, np.tile(off, (nv, 1)))
+        own = turns.changed(here, turns.of_dofs(start, np.eye(nv)))
+        slopes[..., first : first + nv] = slopes[..., first : first + nv] @ own.T
+        return slopes
 
     def _pushes(self, x: np.ndarray, nth: int) -> np.ndarray:
         """Return the derivatives of a log's controls by the delay, shape (steps + 1, nu)."""

@@ -69,11 +69,10 @@ def _moved(model: Model, way: int) -> Callable[[States, Floats], Changed]:
 
     def changed(around: States, moved: Floats) -> Changed:
         name = ("qpos", "qvel", "act")[min(way // nv, 2)]
-        entry = way - min(way // nv, 2) * nv
         change = np.zeros((len(moved), nv if name == "qpos" else around[name].shape[1]))
-        change[:, entry] = moved
+        change[:, way - min(way // nv, 2) * nv] = moved
         if name == "qpos":
-            change = Tangents(model).of_dofs(around[name], change)
+            return {name: Tangents(model).moved(around[name], change)}
         return {name: around[name] + change}
 
     return changed
