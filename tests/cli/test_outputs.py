@@ -51,6 +51,7 @@ def kept(folder):
         ["run", "model.xml", "--replay", "model.xml"],
         ["run", "model.xml", "--control", "control.py:held", "--replay", "control.py"],
         ["run", "model.xml", "--ctrl", "k.npy", "--replay", "k.npy"],
+        ["identify", "model.xml", "k.npy", "--parameters", "a=1:2", "--save", "k.npy"],
         ["view", "model.xml", "--html", "model.xml"],
     ],
     ids=" ".join,

@@ -124,7 +124,10 @@ def test_what_is_no_table_is_refused(model, ctrl, text):
 
 def test_a_bad_file_is_named(tmp_path):
     file = tmp_path / "log.csv"
-    for text, said in (("lift,kick\n1,x\n", "log.csv: could not convert"), ("", "is empty")):
+    empty = ("lift,kick\n1,2\n3,\n", r"log.csv\[1, kick\] = nan: must be finite")
+    other = ("lift,kick\n1,x\n", "log.csv: could not convert")
+    twice = ("lift,lift\n1,2\n", 'several columns are named "lift"')
+    for text, said in (other, empty, twice, ("", "is empty")):
         file.write_text(text)
         with pytest.raises(ValueError, match=said):
             control_table(file)

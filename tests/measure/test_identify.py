@@ -2,54 +2,15 @@
 
 import numpy as np
 import pytest
+from arm_log import DAMPING, HIDDEN, RANGES, SENSORS, controls, guess, mujoco_log
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.experiment.control_log import ControlLog
+from stepcore.measure.identification.log import read_log
+from stepcore.measure.identification.predictions import Predictions
 
 pytest.importorskip("scipy")
-
-ARM = """<mujoco><option timestep="0.002" integrator="Euler"/><worldbody>
- <body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" damping="{damping}"
-  armature=".01"/><geom type="capsule" size=".03" fromto="0 0 0 .3 0 0" mass="1"/>
- <body name="fore" pos=".3 0 0"><joint name="elbow" axis="0 1 0" damping=".05"
-  frictionloss="{loss}"/><geom name="rod" type="capsule" size=".03" fromto="0 0 0 .3 0 0"
-  mass="{mass}"/></body></body></worldbody>
- <actuator><position name="a" joint="shoulder" kp="{kp}" kv="2"/><motor joint="elbow"/></actuator>
- </mujoco>"""
-TRUE = {"damping": 0.3, "loss": 0.04, "mass": 0.7, "kp": 60.0}
-GUESS = {"damping": 0.1, "loss": 0.1, "mass": 0.4, "kp": 30.0}
-RANGES = {
-    "joint/shoulder/damping": (0.01, 2.0),
-    "joint/elbow/frictionloss": (0.001, 0.5),
-    "body/fore/mass": (0.1, 3.0),
-    "actuator/a/kp": (5.0, 200.0),
-}
-HIDDEN = dict(zip(RANGES, (0.3, 0.04, 0.7, 60.0), strict=True))
-
-
-def controls(steps):
-    time = np.arange(steps) * 0.002
-    return np.stack([0.8 * np.sin(4 * time), 0.4 * np.sign(np.sin(7 * time))], axis=1)
-
-
-def mujoco_log(steps=600, every=5):
-    """The states that MuJoCo steps through, read every 10 ms."""
-    mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_string(ARM.format(**TRUE))
-    data, ctrl = mujoco.MjData(model), controls(steps)
-    rows = {"time": [], "qpos": [], "qvel": [], "ctrl": []}
-    for step in range(steps):
-        if step % every == 0:
-            data.ctrl[:] = ctrl[step]
-            for key, value in (("time", data.time), ("qpos", data.qpos), ("qvel", data.qvel)):
-                rows[key].append(np.copy(value))
-            rows["ctrl"].append(np.copy(data.ctrl))
-        mujoco.mj_step(model, data)
-    return {key: np.array(value) for key, value in rows.items()}
-
-
-def guess():
-    return sc.loads(ARM.format(**GUESS)).compile()
 
 
 def test_hidden_values_of_a_log_that_mujoco_made():
@@ -58,7 +19,7 @@ def test_hidden_values_of_a_log_that_mujoco_made():
     assert found.alike == [] and found.unknown == []
     assert max(found.residuals.values()) < 1e-6 < min(found.before.values())
     # What the step leaves out is told: it is more than the residual.
-    assert found.integration["qpos"] > found.residuals["qpos"]
+    assert found.integration["qpos[elbow]"] > found.residuals["qpos[elbow]"]
     assert "take shorter steps" in str(found).replace("\n", " ")
     assert found.model.with_values({}).scene.joint("shoulder").damping == pytest.approx(0.3)
 
@@ -75,8 +36,9 @@ def test_noise_gaps_and_velocities_that_were_not_measured():
         # 95 % intervals, half as wide again, because there are four.
         assert abs(middle - value) <= 1.5 * half, path
         assert half < 0.5 * value
-    assert found.residuals["qpos"] == pytest.approx(1e-3, rel=0.3)
-    assert "qvel" not in found.residuals
+    assert set(found.residuals) == {"qpos[shoulder]", "qpos[elbow]"}
+    for residual in found.residuals.values():
+        assert residual == pytest.approx(1e-3, rel=0.3)
 
 
 def test_what_cannot_be_told_apart_is_named():
@@ -90,20 +52,116 @@ def test_what_cannot_be_told_apart_is_named():
         model, log, {"joint/spring/stiffness": (20, 500), f"body/{mass}/mass": (0.1, 10)}
     )
     assert [set(paths) for paths in found.alike] == [set(found.values)]
-    assert "cannot tell apart" in str(found)
+    words = f"The logs cannot tell apart stiffness of `spring` and mass of `{mass}`."
+    assert words in found.sentences
 
 
-def test_files_and_trajectories_are_logs(tmp_path):
-    true = guess().with_values(HIDDEN)
-    run = sc.Sim(true).run(0.4, control=controls(200), record=("qpos", "qvel", "ctrl"))
-    run.save(tmp_path / "run.csv")
-    run.save(tmp_path / "run.npz")
-    wanted = {"joint/shoulder/damping": RANGES["joint/shoulder/damping"]}
-    others = {key: HIDDEN[key] for key in HIDDEN if key not in wanted}
-    model = guess().with_values(others)
-    for log in (run, tmp_path / "run.csv", str(tmp_path / "run.npz"), [run, run]):
-        found = sc.identify(model, log, wanted)
-        assert found.values["joint/shoulder/damping"] == pytest.approx(0.3, rel=1e-4)
+def test_a_search_that_is_cut_off_says_so():
+    log, wanted = mujoco_log(200), {DAMPING: RANGES[DAMPING]}
+    found = sc.identify(guess(), log, wanted, most=1)
+    assert found.unfinished.startswith("The search was cut off by most = 1")
+    assert sc.identify(guess(), log, wanted).unfinished == ""
+    with pytest.raises(ValueError, match="most = 0"):
+        sc.identify(guess(), log, wanted, most=0)
+
+
+def test_a_delay_of_the_controls_is_found_with_the_values():
+    """Of 12.3 ms, which are no steps of 2 ms, under controls that change every 10 ms."""
+    ctrl, dt = controls(600)[::5], 0.002
+    late = ControlLog(5 * dt * np.arange(120), ctrl).steps(-0.0123, dt, 600)
+    run = sc.Sim(guess().with_values(HIDDEN)).run(1.2, control=late, record=("qpos", "qvel"))
+    log = {"time": run.time[:-1:5], "qpos": run.qpos[:-1:5], "qvel": run.qvel[:-1:5], "ctrl": ctrl}
+    found = sc.identify(guess(), log, RANGES | {"delay": (0, 0.05)})
+    assert found.values == pytest.approx(HIDDEN | {"delay": 0.0123}, rel=1e-6)
+    assert found.predictable == [np.inf] and found.findings == []
+
+
+def test_the_jacobian_is_that_of_the_residuals():
+    """By the parameters, the delay and the first states: differences of residuals, 1e-5 of them."""
+    log, labels = mujoco_log(100, sensors=SENSORS), [*RANGES, "delay"]
+    fit = Predictions(guess(SENSORS), [read_log(guess(SENSORS), log, "log")], labels)
+    x = np.array([0.1, 0.1, 0.4, 30.0, 0.0071, 0.01, -0.01, 0.4, -0.6])
+    exact = fit.jacobian(x)
+    for k, value in enumerate(x):
+        way = 1e-6 * max(abs(value), 0.01) * np.eye(len(x))[k]
+        slope = (fit.residual(x + way) - fit.residual(x - way)) / (2 * way[k])
+        assert np.abs(exact[:, k] - slope).max() <= 1e-5 * np.abs(slope).max()
+
+
+FLYER = """<mujoco><option timestep=".004"/><worldbody><body name="box" pos="0 0 .3">
+<freejoint name="root"/><geom type="box" size=".1 .12 .08" mass="2"/><site name="s" pos=".1 0 0"/>
+<body name="arm" pos="0 0 .1"><joint name="b" type="ball" damping="{}"/>
+<geom type="capsule" size=".03" fromto="0 0 0 .05 .02 .2" mass=".4"/></body></body></worldbody>
+<sensor><framequat name="q" objtype="site" objname="s"/><gyro name="w" site="s"/></sensor>
+<keyframe><key qpos="0 0 .3 .9 .1 .2 .1 1 0 0 0" qvel=".4 .2 0 1 2 .5 .3 .2 .1"/></keyframe>
+</mujoco>"""
+
+
+def test_a_body_that_turns_freely():
+    """The Jacobian by turns of the first state: differences, 1e-6 of them; and the value found."""
+    sim, model = sc.Sim(sc.loads(FLYER.format(0.05))), sc.loads(FLYER.format(0.02)).compile()
+    sim.reset(0)
+    run = sim.run(0.4, record=("qpos", "qvel", "sensordata"))
+    fit = Predictions(model, [read_log(model, run, "log")], ["joint/b/damping"])
+    x = np.concatenate([[0.03], np.random.default_rng(0).normal(0, 0.01, 18)])
+    exact = fit.jacobian(x)
+    for k in range(len(x)):
+        way = 1e-6 * np.eye(len(x))[k]
+        slope = (fit.residual(x + way) - fit.residual(x - way)) / 2e-6
+        assert np.abs(exact[:, k] - slope).max() <= 1e-6 * np.abs(slope).max()
+    found = sc.identify(model, run, {"joint/b/damping": (0.005, 0.5)})
+    assert found.values["joint/b/damping"] == pytest.approx(0.05, rel=1e-9)
+
+
+def test_sensors_alone_tell_the_values():
+    """Angle, gyro, accelerometer, place of the hand and a force, of MuJoCo; the first pose."""
+    log = mujoco_log(400, sensors=SENSORS)
+    del log["qvel"]
+    log["qpos"][1:] = np.nan
+    found = sc.identify(guess(SENSORS), log, RANGES)
+    assert found.values == pytest.approx(HIDDEN, rel=1e-5)
+    names = {label for label in found.residuals if not label.startswith("qpos")}
+    vectors = {f"sensordata[{name}.{k}]" for name in ("gyro", "imu", "hand") for k in range(3)}
+    assert names == {"sensordata[angle]", "sensordata[pull]", *vectors}
+    assert found.residuals["sensordata[imu.0]"] < 1e-4 < found.before["sensordata[imu.0]"]
+
+
+def test_a_sensor_without_derivative_is_refused_by_name():
+    sensors = '<contact name="felt" body1="fore" data="found"/>'
+    log = mujoco_log(20) | {"sensordata": np.zeros((4, 1))}
+    with pytest.raises(ValueError, match='sensor "felt" is a contact: identify has no derivative'):
+        sc.identify(guess(sensors), log, {DAMPING: RANGES[DAMPING]})
+
+
+def test_what_a_finer_step_would_change():
+    """The estimates of a second fit with shorter steps, to the first order: a quarter."""
+    log = mujoco_log()
+    wanted = {key: RANGES[key] for key in (DAMPING, "actuator/a/kp", "body/fore/mass")}
+    model = guess(loss=0.04)
+    found = sc.identify(model, log, wanted)
+    again = sc.identify(model.with_settings(dt=0.0005), log, wanted)
+    for path, value in again.values.items():
+        moved = value - found.values[path]
+        assert abs(found.finer[path] - value) <= 0.25 * abs(moved)
+        assert f"With steps 4 times shorter the estimate of {path} is" in " ".join(found.sentences)
+
+
+def test_plot_and_tables(tmp_path):
+    pytest.importorskip("matplotlib")
+    log = mujoco_log(200)
+    log["qpos"][5:8] = np.nan
+    found = sc.identify(guess(), log, {DAMPING: RANGES[DAMPING], "body/fore/mass": (0.1, 3)})
+    found.plot(tmp_path / "found.png")
+    assert (tmp_path / "found.png").stat().st_size > 0
+    assert len(found.curves) == len(found.residual_table) == 4
+    shoulder = found.curves[0]
+    assert shoulder.quantity == "qpos[shoulder]" and np.isnan(shoulder.measured).sum() == 3
+    rms = np.sqrt(np.nanmean((shoulder.after - shoulder.measured) ** 2))
+    assert rms == pytest.approx(found.residuals["qpos[shoulder]"], rel=1e-12)
+    assert found.correlations.shape == (2, 2)
+    assert found.correlations[0, 1] == pytest.approx(found.correlations[1, 0], abs=1e-9)
+    assert "Correlations" in found.text(full=True)
+    assert found.to_dict()["finer"] == found.finer
 
 
 @pytest.mark.parametrize(
@@ -115,7 +173,7 @@ def test_files_and_trajectories_are_logs(tmp_path):
         ({"parameters": {"joint/elbo/damping": (1, 2)}}, 'no joint is named "elbo"'),
         ({"parameters": {"geom/rod/friction": (0.1, 2)}}, "name one, as geom/rod/friction"),
         ({"logs": []}, "logs: must be at least one"),
-        ({"logs": {"qpos": [1.0]}}, r"logs\[0\]: must be a Trajectory, a file or a dict"),
+        ({"logs": {"qpos": [1.0]}}, r"logs\[0\]: must be a Trajectory, a DataFrame"),
         ({"logs": {"time": [0.0, 0.1], "qpos": np.zeros((2, 2))}}, "ctrl is missing"),
         ({"logs": {"time": [0.1, 0.0], "qpos": np.zeros((2, 2))}}, "increasing"),
         (

@@ -24,6 +24,12 @@ def overlapping():
     return scene
 
 
+def swinging():
+    sim = sc.Sim(lesson.spring())
+    sim.reset("start")
+    return sim.run(0.2)
+
+
 RESTING = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .1"><freejoint/>
 <geom name="ball" size=".1"/></body></worldbody></mujoco>"""
 
@@ -48,6 +54,9 @@ MADE = {
     "check": lambda: sc.check(overlapping(), horizon=0.1, **FAST),
     "plan": lambda: sc.plan(lesson.drop()),
     "tuning": lambda: sc.tune(sc.loads(RESTING), depth="0.1mm"),
+    "identification": lambda: sc.identify(
+        lesson.spring(), swinging(), {"joint/spring/stiffness": (50, 200)}
+    ),
     "diagnosis": lambda: sc.diagnose(lesson.spring(), progress=False),
     "postmortem": failure,
 }

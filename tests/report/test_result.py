@@ -11,7 +11,7 @@ import stepcore as sc
 
 COMMON = ["kind", "model", "motion", "ran", "settings", "sentences", "rows", "units", "notes"]
 # A plan and a post-mortem run no motion.
-WITHOUT_MOTION = ("plan", "postmortem", "tuning")
+WITHOUT_MOTION = ("identification", "plan", "postmortem", "tuning")
 
 
 @pytest.fixture(params=RESULTS)

@@ -28,6 +28,7 @@ COMMANDS = {
     "trade": "measure what speed costs in accuracy, and recommend settings",
     "predict": "measure how long a model's motion can be predicted",
     "diagnose": "find the element that limits the time step",
+    "identify": "find masses, friction or gains in logs of a robot's motion",
     "tune": "find gains, or solref and solimp, for a wanted behaviour",
     "stability-map": "map stability and accuracy over the time step and one value of a model",
     "converge": "test whether the contact forces are converged, and what would converge them",

@@ -44,8 +44,8 @@ class Measurement:
     exclusive options. full: the description of --all in the help. warn: whether to warn of
     stiffness, as `stepcore.load` does; False if the result reports stiffness in detail. model: the
     settings of the argument FILE. motion: defaults shown in the help; None for a command without a
-    motion. source: whether the function may read the file itself. more: further arguments of the
-    function. done: what follows a call.
+    motion. key: whether such a command has a keyframe. source: whether the function may read the
+    file itself. more: further arguments of the function. done: what follows a call.
     """
 
     module: str
@@ -56,6 +56,7 @@ class Measurement:
     warn: bool = True
     model: Mapping[str, Any] | None = None
     motion: Mapping[str, Any] | None = None
+    key: bool = True
     source: bool = False
     more: More = lambda args, model: {}
     done: Callable[[Any, argparse.Namespace], None] = lambda result, args: None
@@ -84,7 +85,8 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
         to = alternatives if argument in measurement.excluding else command
         to.add_argument(*flags, **keywords)
     if measurement.motion is None:
-        add_key(command)
+        if measurement.key:
+            add_key(command)
     else:
         module = importlib.import_module(measurement.module)
         shown = {field: getattr(module, field.upper(), None) for field in ("horizon", "starts")}
@@ -160,6 +162,35 @@ def numbers(option: str, text: str, read: Callable[[str], float] = float) -> lis
         raise Usage(f"{option} {text}: must have {limit}")
     ratio = (high / low) ** (1 / (some - 1))
     return [low * ratio**k for k in range(some)]
+
+
+def _ranges(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
+    """Return the logs and the ranges of the parameters of an identification."""
+    ranges = {}
+    for text in args.parameters:
+        path, equals, span = text.rpartition("=")
+        low, colon, high = span.partition(":")
+        try:
+            ranges[path] = float(low), float(high)
+        except ValueError:
+            equals = ""
+        if not (equals and colon and path):
+            raise Usage(f"--parameters {text}: must be PATH=LOW:HIGH")
+    return {"parameters": ranges, "logs": [_log(text) for text in args.logs]}
+
+
+def _log(text: str) -> Any:
+    """Return a log on the command line: a file, or ARRAY=FILE with commas between several."""
+    from stepcore.measure.identification.log import ARRAYS
+
+    parts = [part.partition("=") for part in text.split(",")]
+    apart = all(name in ARRAYS and file for name, _, file in parts)
+    return {name: file for name, _, file in parts} if apart else text
+
+
+def _identified(result: Any, args: argparse.Namespace) -> None:
+    if args.save is not None:
+        result.model.scene.save(args.save)
 
 
 MEASUREMENTS = {
@@ -339,6 +370,44 @@ Example:
         },
         full="print every row, all runs of equal work, the residual by sweeps",
         motion={},
+    ),
+    "identify": Measurement(
+        "stepcore.measure.identification",
+        """\
+Find values of a model in logs of its motion: masses, friction, damping, gains, the delay
+of the controls. The answer has intervals, says which values the logs cannot tell apart, and how
+much of the residual the time step makes.
+
+Example:
+  stepcore identify arm.xml log.csv --parameters joint/hinge/damping=0.01:2
+""",
+        {
+            "logs": {
+                "flags": ("logs",),
+                "nargs": "+",
+                "metavar": "LOG",
+                "help": "a file (.csv, .npz, .parquet, .mcap) with times, and columns by joint, "
+                "actuator or sensor; or of several sources "
+                "qpos=log.mcap:/joint_states,ctrl=log.mcap:/commands",
+            },
+            "parameters": {
+                "nargs": "+",
+                "required": True,
+                "default": None,
+                "metavar": "PATH=LOW:HIGH",
+                "help": "a value to find and its range, such as joint/knee/damping=0.01:2, or "
+                "delay=0:0.05 [s] of the controls",
+            },
+            "most": {
+                "type": int,
+                "metavar": "N",
+                "help": "largest number of iterations (default: %(default)s)",
+            },
+            "save": {"metavar": "OUT.xml", "help": "write the model with the values found as MJCF"},
+        },
+        key=False,
+        more=_ranges,
+        done=_identified,
     ),
     "tune": Measurement(
         "stepcore.measure.tune",

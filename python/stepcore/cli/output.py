@@ -83,8 +83,8 @@ def _outputs(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
 def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
     """Refuse to overwrite a file that the command reads at any time."""
     control = getattr(args, "control", None) or ""
-    inputs = (getattr(args, "file", None), getattr(args, "ctrl", None), control.rpartition(":")[0])
-    for given in inputs:
+    inputs = [getattr(args, "file", None), getattr(args, "ctrl", None), control.rpartition(":")[0]]
+    for given in [*inputs, *getattr(args, "logs", ())]:
         if given and _same(out, given):
             raise Usage(f"{option} {out}: is read by this command, so it is not written over")
     with contextlib.suppress(OSError):

@@ -91,6 +91,14 @@ class Tangents:
             out[..., q : q + 4] = np.einsum("...a,...ak->...k", change[..., v : v + 3], turns)
         return out
 
+    def moved(self, qpos: Floats, change: Floats) -> Floats:
+        """A qpos moved by a change of dofs, to first order; quaternions keep their length."""
+        out: Floats = qpos + self.of_dofs(qpos, change)
+        for q, _ in self.quats:
+            before, after = qpos[..., q : q + 4], out[..., q : q + 4]
+            after *= np.sqrt((before**2).sum(-1, keepdims=True) / (after**2).sum(-1, keepdims=True))
+        return out
+
     def gradient(self, qpos: Floats, change: Floats) -> Floats:
         """A gradient by the dofs as one by qpos, of which quaternions are made unit."""
         return self.of_dofs(qpos, change, inverse=True)
@@ -172,6 +180,13 @@ class Steps:
     def sim(self, world: int) -> Sim:
         """A Sim of a world, with the inputs that do not change."""
         return _single(self.models[world], world, self.held)
+
+    def before(self, world: int) -> dict[str, Floats]:
+        """The states where the steps of a world begin, each of shape (steps, …)."""
+        return {
+            name: np.concatenate([rows[world][None], getattr(self.rollout, name)[world, :-1]])
+            for name, rows in self.start.items()
+        }
 
     def put(self, sim: Sim, world: int, step: int) -> None:
         """Let a Sim stand where a step began."""
@@ -314,24 +329,6 @@ def _grown(steps: Steps, world: int, growth: float, step: int) -> str:
         f"step {step} [{steps.time + step * dt:.4g} s]{where}: before it, the gradient holds only "
         "for changes that are as much smaller; begin after it, or sample instead"
     )
-
-
-def sensitivities(steps: Steps, world: int = 0) -> Floats:
-    """Return the derivatives of a world's states by the parameters, then by its first x.
-
-    Shape (steps + 1, 2 nv + na, parameters + 2 nv + na); the first row is the initial state.
-    """
-    sim = steps.sim(world)
-    model, count = steps.batch.model, len(steps.labels)
-    size = 2 * model.nv + model.na
-    slopes = np.concatenate([np.zeros((size, count)), np.eye(size)], axis=1)
-    out = [slopes]
-    for step in range(steps.count):
-        linear = steps.linear(sim, world, step)
-        slopes = linear.A @ slopes
-        slopes[:, :count] += linear.P
-        out.append(slopes)
-    return np.array(out)
 
 
 class Tape:

@@ -14,10 +14,13 @@ from stepcore.viewing.needs import need
 
 # The path of an MCAP log, with a topic, and a field of its messages: "log.mcap:/joints.effort".
 MCAP = re.compile(r"(?P<file>.+\.mcap)(:(?P<topic>[^:.]+)(\.(?P<field>\w+))?)?")
-# The topic of arrays in logs of stepcore; its messages have the controls of the last step.
+# The topic of arrays in logs of stepcore. An instant has these of the step before it.
 OWN = "/recorded"
-# Fields with the names of joints, in the messages of ROS.
+LATE = ("ctrl", "sensordata")
+# Fields with the names of joints, in the messages of ROS; and their lists that are arrays of ours,
+# where these are not the positions.
 NAMES = ("name", "joint_names")
+FIELDS = {"qvel": "velocity"}
 
 
 def parquet_columns(path: str) -> dict[str, Any]:
@@ -37,12 +40,14 @@ def parquet_columns(path: str) -> dict[str, Any]:
 def mcap_rows(path: str, array: str) -> tuple[np.ndarray, np.ndarray, tuple[str, ...] | None]:
     """Return times [s], rows, and the names of the columns, or None for rows of arrays.
 
+    Times count from the file's first message, so that topics can be compared.
     The messages of one topic are read, in JSON or (with the package mcap-ros2-support) of ROS 2. A
     message has numbers by the names of actuators or joints; or a list of names with lists of
     numbers, as sensor_msgs/JointState has (by default "position"); or a list of numbers alone.
 
     path: the file, or with topic and field: "log.mcap:/joint_states.effort".
-    array: the list that a message has alone, "ctrl" or "qpos".
+    array: the list that a message has alone, such as "ctrl" or "qpos"; of "qvel" a message with
+        names has the list "velocity".
 
     Raises ImportError without mcap, ValueError for other files and messages, and OSError.
     """
@@ -52,9 +57,13 @@ def mcap_rows(path: str, array: str) -> tuple[np.ndarray, np.ndarray, tuple[str,
     topic, field = parts["topic"], parts["field"]
     reader = need("mcap.reader", f"reading {checks.cut(path, 80)}", "mcap")
     found: dict[str, list[tuple[int, dict[str, float]]]] = {}
-    unread = set()
+    unread, begin = set(), 0
     try:
         with open(parts["file"], "rb") as file:
+            for _, _, message in reader.make_reader(file).iter_messages():
+                begin = message.log_time
+                break
+            file.seek(0)
             for schema, channel, message in reader.make_reader(file).iter_messages(topics=topic):
                 decode = _decoder(channel.message_encoding, schema)
                 if decode is None:
@@ -73,9 +82,9 @@ def mcap_rows(path: str, array: str) -> tuple[np.ndarray, np.ndarray, tuple[str,
     columns = tuple(messages[0][1])
     if any(tuple(row) != columns for _, row in messages):
         raise ValueError(f"{path}: not all messages of {name} have the numbers of the first")
-    times = 1e-9 * np.array([at - messages[0][0] for at, _ in messages])
+    times = 1e-9 * np.array([at - begin for at, _ in messages])
     rows = np.array([list(row.values()) for _, row in messages], float)
-    if name == OWN and array == "ctrl":
+    if name == OWN and array in LATE:
         times, rows = times[:-1], rows[1:]
     return times, rows, None if columns[0].isdecimal() else columns
 
@@ -103,7 +112,7 @@ def _numbers(message: Any, field: str | None, array: str) -> dict[str, float]:
     """Return the numbers of a message by name; those of a list by their index."""
     names = next((names for word in NAMES if (names := _list(message, word))), None)
     if names is not None:
-        values = _list(message, field or "position")
+        values = _list(message, field or FIELDS.get(array, "position"))
         same = len(values) == len(names)
         return dict(zip(map(str, names), values, strict=True)) if same else {}
     values = _list(message, field or array)

@@ -48,6 +48,12 @@ class ControlLog:
             values[across] = (self._area(end) - self._area(begin)) / dt
         return values
 
+    def slopes(self, start: float, dt: float, count: int) -> np.ndarray:
+        """Return the derivatives of `steps` by `start`, as it falls, shape (count, nu)."""
+        edges = start + dt * (np.arange(count + 1) - ROUNDING)
+        slopes: np.ndarray = np.diff(self._within(self._row(edges), edges), axis=0) / dt
+        return slopes
+
     def ends_on(self, period: float) -> bool:
         """Return whether rows are held from one end of a period to another [s]."""
         count = self.times / period

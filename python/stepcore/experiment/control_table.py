@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
-import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,11 +13,11 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
-from stepcore.experiment.control_files import MCAP, mcap_rows, parquet_columns
+from stepcore.experiment.control_files import MCAP, mcap_rows
 from stepcore.experiment.control_log import ControlLog
+from stepcore.experiment.user_table import TIME, Content, numbers, read_table, times_of
 from stepcore.report.units import seconds
 
-ENDINGS = (".csv", ".npz", ".npy", ".parquet", ".mcap")
 # The largest number of constant controls that are listed, not counted.
 NAMED = 8
 # A period that follows from a log has at least this many of the model's steps, so that steps longer
@@ -27,8 +25,6 @@ NAMED = 8
 SOME = 4
 # Names of the columns of an array of a recorded run.
 RECORDED = r"{}\[(.+)\]"
-# Names of a column of times: "time", "t", "Time [s]", "t_s".
-TIME = re.compile(r"(time|t)([\s_]*[\[(]?s[\])]?)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,54 +181,24 @@ def control_table(ctrl: Any, array: str = "ctrl") -> ControlTable:
     """
     if isinstance(ctrl, ControlTable):
         return ctrl
-    if isinstance(ctrl, (str, os.PathLike)):
-        path = os.fsdecode(ctrl)
-        return replace(_of_file(path, array), path=path)
-    if isinstance(ctrl, Trajectory):
-        return _of_run(ctrl, "a recorded run", array)
-    if isinstance(ctrl, Mapping):
-        return _named("ctrl", ctrl, array)
-    if hasattr(ctrl, "columns") and hasattr(ctrl, "to_numpy"):
-        return _of_frame(ctrl, array)
-    names = getattr(getattr(ctrl, "dtype", None), "names", None)
-    if names:
-        return _named("ctrl", {name: ctrl[name] for name in names}, array)
-    return ControlTable(_numbers("ctrl", ctrl))
-
-
-def is_file(text: str) -> bool:
-    """Return whether a text is the path of a file of controls, by its ending."""
-    return text.endswith(ENDINGS) or MCAP.fullmatch(text) is not None
-
-
-def _of_file(path: str, array: str) -> ControlTable:
-    source = os.path.basename(path)
-    if not is_file(path):
-        raise ValueError(f"{array} = '{path}': must end in {', '.join(ENDINGS)}")
-    if MCAP.fullmatch(path):
+    path = os.fsdecode(ctrl) if isinstance(ctrl, (str, os.PathLike)) else None
+    if path is not None and MCAP.fullmatch(path):
         times, rows, columns = mcap_rows(path, array)
-        return ControlTable(rows, columns, times, source)
-    if path.endswith(".parquet"):
-        return _named(source, parquet_columns(path), array)
-    if path.endswith(".csv"):
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            return _of_text(source, file.read().splitlines(), array)
-    try:
-        loaded = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise ValueError(f"{path}: {checks.one_line(error)}") from None
-    if path.endswith(".npy"):
-        if loaded.dtype.names:
-            return _named(source, {name: loaded[name] for name in loaded.dtype.names}, array)
-        return ControlTable(_numbers(source, loaded), source=source)
-    with loaded:
-        arrays = {name: loaded[name] for name in loaded.files}
-    if "kind" in arrays:
-        return _of_run(Trajectory.load(path), source, array)
-    if array not in arrays:
-        return _named(source, arrays, array)
-    rows = _numbers(source, arrays[array])
-    return ControlTable(rows, times=_times(source, arrays.get("time"), len(rows)), source=source)
+        return ControlTable(rows, columns, times, os.path.basename(path), path)
+    source, content = read_table(ctrl, array)
+    return replace(_of_content(source, content, array), path=path)
+
+
+def _of_content(source: str, content: Content, array: str) -> ControlTable:
+    if isinstance(content, Trajectory):
+        return _of_run(content, source, array)
+    if not isinstance(content, dict):
+        return ControlTable(content, source=source)
+    if source.endswith(".npz") and array in content:
+        rows = numbers(source, content[array])
+        times = times_of(source, content.get("time"), len(rows))
+        return ControlTable(rows, times=times, source=source)
+    return _named(source, content, array)
 
 
 def _of_run(run: Trajectory, source: str, array: str) -> ControlTable:
@@ -244,57 +210,16 @@ def _of_run(run: Trajectory, source: str, array: str) -> ControlTable:
     return ControlTable(run["ctrl"][1:], times=run.time[:-1], source=source)
 
 
-def _of_text(source: str, lines: list[str], array: str) -> ControlTable:
-    """Parse comma-, semicolon- or tab-separated values, with or without a line of names."""
-    head = next((line for line in lines if line.strip()), "")
-    delimiter = max(",;\t", key=head.count)
-    (names,) = csv.reader([head.lstrip("# ")], delimiter=delimiter) if head else ([],)
-    names = [name.strip() for name in names]
-    named = bool(names) and not any(checks.number(_float(name)) is not None for name in names)
-    if named and not head.startswith("#"):
-        lines = lines[lines.index(head) + 1 :]
-    try:
-        with warnings.catch_warnings():
-            # numpy warns of an empty file, for which ControlTable raises an error.
-            warnings.simplefilter("ignore")
-            rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2)
-    except ValueError as error:
-        raise ValueError(f"{source}: {checks.one_line(error)}") from None
-    if not named or (head.startswith("#") and rows.size and len(names) != rows.shape[1]):
-        return ControlTable(rows if rows.size else np.empty((0, 0)), source=source)
-    if rows.size and rows.shape[1] != len(names):
-        text = f"{len(names)} names stand above {rows.shape[1]} columns"
-        raise ValueError(f"{source}: {text}")
-    return _named(source, dict(zip(names, rows.T, strict=False)), array, names)
-
-
-def _of_frame(frame: Any, array: str) -> ControlTable:
-    """Return the table of a DataFrame of pandas, polars or a similar library."""
-    names = list(frame.columns)
-    if not any(isinstance(name, str) for name in names):
-        return ControlTable(_numbers("ctrl", frame.to_numpy()))
-    columns = {str(name): frame[name].to_numpy() for name in names}
-    index = getattr(frame, "index", None)
-    if TIME.fullmatch(str(getattr(index, "name", None) or "")):
-        columns |= {"time": np.asarray(index)}
-    return _named("ctrl", columns, array)
-
-
-def _named(
-    source: str, columns: Mapping[str, Any], array: str, names: Iterable[str] | None = None
-) -> ControlTable:
+def _named(source: str, columns: Mapping[str, Any], array: str) -> ControlTable:
     """Return a table of named columns; a single number applies to all rows."""
-    names = list(columns if names is None else names)
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise ValueError(f"{source}: several columns are named {checks.quoted(min(twice))}")
+    names = list(columns)
     own = re.compile(RECORDED.format(array))
     recorded = {name: found[1] for name in names if (found := own.fullmatch(str(name)))}
     clocks = [name for name in names if TIME.fullmatch(str(name))]
     if recorded and clocks:
         return _of_table(source, columns, clocks[0], recorded, array == "ctrl")
     drives = [str(name) for name in names if name not in clocks[:1]]
-    values = [np.ravel(_numbers(f"{source}, column {name}", columns[name])) for name in names]
+    values = [np.ravel(numbers(f"{source}, column {name}", columns[name])) for name in names]
     count = max((len(column) for column in values), default=0)
     table = {}
     for name, column in zip(names, values, strict=True):
@@ -302,7 +227,7 @@ def _named(
             raise ValueError(f"{source}: column {checks.quoted(name)} has another length")
         table[str(name)] = np.broadcast_to(column, count)
     rows = np.array([table[name] for name in drives]).reshape(len(drives), count).T
-    times = _times(source, table[clocks[0]], count) if clocks else None
+    times = times_of(source, table[clocks[0]], count) if clocks else None
     return ControlTable(rows, tuple(drives), times, source)
 
 
@@ -314,20 +239,11 @@ def _of_table(
     clock: the name of the column of times. recorded: the actuator or joint of each other column.
     later: whether an instant has the values of the last step, as in `_of_run`.
     """
-    rows = np.column_stack([_numbers(f"{source}, column {n}", columns[n]) for n in recorded])
-    times = _times(source, columns[clock], len(rows))
+    rows = np.column_stack([numbers(f"{source}, column {n}", columns[n]) for n in recorded])
+    times = times_of(source, columns[clock], len(rows))
     if later and times is not None:
         rows, times = rows[1:], times[:-1]
     return ControlTable(rows, tuple(recorded.values()), times, source)
-
-
-def _times(source: str, times: Any, count: int) -> np.ndarray | None:
-    if times is None:
-        return None
-    values = np.ravel(_numbers(f"{source}, time", times))
-    if len(values) != count:
-        raise ValueError(f"{source}: {len(values)} times for {count} rows")
-    return values
 
 
 def _actuators(source: str, columns: Sequence[str], model: Model) -> list[int]:
@@ -351,19 +267,3 @@ def _actuators(source: str, columns: Sequence[str], model: Model) -> list[int]:
         if indices[-1] in indices[:-1]:
             raise ValueError(f"{source}: {checks.quoted(name)} is controlled by two columns")
     return indices
-
-
-def _numbers(source: str, value: Any) -> np.ndarray:
-    try:
-        table = np.asarray(value, float)
-    except (TypeError, ValueError):
-        limit = "numbers, one row a period"
-        raise ValueError(f"{source} = {checks.shown(value)}: must be {limit}") from None
-    return table
-
-
-def _float(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None

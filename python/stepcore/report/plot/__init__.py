@@ -16,7 +16,7 @@ from stepcore.report.outputs import remark
 MODULES = {
     **dict.fromkeys(("ablation", "check", "diagnosis", "plan", "tuning"), "bars"),
     **dict.fromkeys(("convergence", "postmortem", "predictability", "trajectory"), "curves"),
-    **{kind: kind for kind in ("stability", "trade")},
+    **{kind: kind for kind in ("identification", "stability", "trade")},
 }
 
 

@@ -1,0 +1,284 @@
+"""`identify`: finds values of a model from logs of its motion."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from stepcore import checks
+from stepcore._core import SimulationError
+from stepcore.engine.model import Model
+from stepcore.engine.parameter_columns import columns, split_entry
+from stepcore.engine.trajectory import Trajectory
+from stepcore.engine.variations import own_value
+from stepcore.experiment.arguments import Source
+from stepcore.loading import find_model
+from stepcore.measure.identification.certainty import Certainty, certainty, improvement
+from stepcore.measure.identification.doubts import (
+    fit_findings,
+    gap_findings,
+    horizon_findings,
+    predictable,
+    unit_findings,
+)
+from stepcore.measure.identification.log import Log, MeasuredLog, read_log
+from stepcore.measure.identification.predictions import DELAY, Arrays, Predictions
+from stepcore.measure.identification.result import FINER, Curve, Identification
+from stepcore.measure.identification.sensors import check_smooth
+from stepcore.measure.monitors.finding import Finding
+from stepcore.report.units import counted, seconds
+
+__all__ = ["Identification", "identify"]
+
+# Of a normal distribution, 95 %.
+SIGMAS = 1.96
+# A long log is fitted to its beginning first, which costs little and can be predicted from a poor
+# guess: this share of it, if that is as many steps.
+BEGINNING, ENOUGH = 1 / 8, 40
+# When iterations end: of the beginning, and of all.
+ROUGH = {"xtol": 1e-3, "ftol": 1e-4, "gtol": 1e-8}
+FINE = {"xtol": 1e-9, "ftol": 1e-14, "gtol": 1e-14}
+
+
+def identify(
+    model: Source,
+    logs: Log | Sequence[Log],
+    parameters: Mapping[str, tuple[float, float]],
+    *,
+    most: int = 50,
+) -> Identification:
+    """Find values of a model from logs of its motion, with exact derivatives.
+
+    model: a Model, a Scene, or any argument of `stepcore.load`; its values are the first guess.
+    logs: a log, or a list of several. A log is a `Trajectory`; a dict of arrays with "time" (T,)
+        [s], and as far as they were measured "qpos" and "qvel" (T, n) and "sensordata" (T, m), and
+        "ctrl" (T, nu), each row from its time on; a DataFrame, or a file (.csv, .npz, .parquet,
+        .mcap), with a column of times and columns such as "qpos[knee]", "knee.velocity", or the
+        name of a joint, a sensor or an actuator; or a dict of such sources by array, each with
+        times of its own: {"qpos": "log.mcap:/joint_states", "ctrl": "log.mcap:/commands"}. NaN is
+        not measured. The first row needs a whole qpos.
+    parameters: the range of each value, by path as in `Sim.linearize`: (low, high). "delay" is the
+        time by which controls act later than their rows say [s]; it begins at the low end.
+    most: the largest number of iterations.
+
+    Each log is predicted from its first row, which is estimated too, under its controls, each held
+    until the next; a step has their mean. Predictions are taken between steps where the log's times
+    are no steps. The method is scipy's `least_squares` within bounds, whose Jacobian is exact: it
+    goes forward with each step's derivative (sensors: differences of the eighth order). Needs scipy
+    (the extra "identify").
+
+    Raises ValueError for unknown parameters and ranges without the present value, for logs that do
+    not fit the model or have times in milliseconds, for sensors that do not change smoothly, and if
+    the run with the present values fails; OSError for files that cannot be read.
+
+    >>> import stepcore as sc
+    >>> model = sc.lesson.spring().compile().with_settings(dt=0.005, integrator="semi-implicit")
+    >>> sim = sc.Sim(model.with_values({"joint/spring/stiffness": 90.0}))
+    >>> sim.reset("start")
+    >>> found = identify(model, sim.run(0.5), {"joint/spring/stiffness": (50, 200)})
+    >>> round(found.values["joint/spring/stiffness"], 6)
+    90.0
+    """
+    compiled = find_model(model).with_settings(precision="f64")
+    bounds = _bounds(compiled, parameters)
+    read = _read(compiled, logs)
+    labels = list(bounds)
+    guess = np.array([_value(compiled, label, bounds[label]) for label in labels])
+    fit = Predictions(compiled, read, labels)
+    check_smooth(compiled, [q.entry for q in fit.quantities if q.array == "sensordata"])
+    findings = [*unit_findings(compiled, read), *gap_findings(read)]
+    start = np.concatenate([guess, np.zeros(fit.free)])
+    most = checks.count("most", most)
+    x, jacobian, settled = _fitted(fit, bounds, start, most)
+    sure = certainty(jacobian, fit.residual(x), fit.kinds(), labels)
+    result = _result(fit, bounds, start, x, jacobian, sure, findings)
+    if not settled:
+        result.unfinished = f"The search was cut off by most = {most}: the values may still change."
+    return result
+
+
+def _read(model: Model, logs: Log | Sequence[Log]) -> list[MeasuredLog]:
+    alone = isinstance(logs, (Trajectory, Mapping, str, os.PathLike)) or hasattr(logs, "columns")
+    several: list[Log] = [logs] if alone else [*logs]  # type: ignore[misc]
+    if not several:
+        raise ValueError("logs: must be at least one")
+    return [read_log(model, log, f"logs[{k}]") for k, log in enumerate(several)]
+
+
+def _bounds(
+    model: Model, parameters: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """Return the checked ranges by label."""
+    if not isinstance(parameters, Mapping) or not parameters:
+        limit = 'a dict of paths and ranges, such as {"joint/knee/damping": (0.01, 10)}'
+        raise ValueError(f"parameters = {checks.shown(parameters)}: must be {limit}")
+    known = {}
+    for path, given in parameters.items():
+        pair = checks.listed(given) or ()
+        low, high = (checks.number(x) for x in pair) if len(pair) == 2 else (None, None)
+        if low is None or high is None or not low < high:
+            raise ValueError(f"parameters[{checks.shown(path)}]: must be a range (low, high)")
+        label, value = path, low
+        if path != DELAY:
+            several = columns(model, [path])
+            if len(several) > 1:
+                raise ValueError(f"parameters: {path} has several entries: name one, as {path}[0]")
+            label, value = several[0].label, several[0].value
+        limit = f"a range around {value:g}, the model's value, without 0"
+        allowed = low <= value <= high and low * high > 0
+        if path == DELAY:
+            limit, allowed = "a range of times [s] from 0 on, of a model with controls", low >= 0
+            allowed = allowed and model.nu > 0
+        if not allowed:
+            shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
+            raise ValueError(f"{shown}: must be {limit}")
+        known[label] = (float(low), float(high))
+    return known
+
+
+def _value(model: Model, label: str, bounds: tuple[float, float]) -> float:
+    """Return the first guess of a parameter: the model's value."""
+    if label == DELAY:
+        return bounds[0]
+    path, entry = split_entry(label)
+    value = own_value(model, path)
+    return float(value if entry is None else value[entry])
+
+
+def _fitted(
+    fit: Predictions, bounds: Mapping[str, tuple[float, float]], start: np.ndarray, most: int
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Return the values x that fit best, the Jacobian there, and whether the search had ended."""
+    try:
+        from scipy.optimize import least_squares
+    except ImportError:
+        raise ImportError('identify needs scipy: pip install "stepcore[identify]"') from None
+    low, high = np.array(list(bounds.values())).T
+    # Estimates in units of their range; then what the first states are off.
+    units = np.concatenate([high - low, np.ones(fit.free)])
+    origin = np.concatenate([low, np.zeros(fit.free)])
+    least = np.concatenate([np.zeros(len(low)), np.full(fit.free, -np.inf)])
+    most_of = np.concatenate([np.ones(len(low)), np.full(fit.free, np.inf)])
+
+    def solve(
+        part: Predictions, begin: np.ndarray, ends: Mapping[str, float]
+    ) -> tuple[np.ndarray, bool]:
+        first = np.clip((begin - origin) / units, least + 1e-9, most_of - 1e-9)
+
+        def at(y: np.ndarray) -> np.ndarray:
+            # The run of the first is known.
+            return begin if np.array_equal(y, first) else origin + y * units
+
+        result = least_squares(
+            lambda y: _residual(part, at(y)),
+            first,
+            jac=lambda y: part.jacobian(at(y)) * units,
+            bounds=(least, most_of),
+            x_scale="jac",
+            max_nfev=most,
+            **ends,
+        )
+        return at(result.x), result.status > 0
+
+    x = start
+    _check_runs(fit, x)
+    if all(BEGINNING * log.steps(fit.base.settings.dt) >= ENOUGH for log in fit.logs):
+        part = fit.until(BEGINNING)
+        near, _ = solve(part, x, ROUGH)
+        fit.steps, fit.linearised = fit.steps + part.steps, fit.linearised + part.linearised
+        costs = [_cost(fit, each) for each in (x, near)]
+        x = near if costs[1] < costs[0] else x
+    x, settled = solve(fit, x, FINE)
+    return x, fit.jacobian(x), settled
+
+
+def _residual(fit: Predictions, x: np.ndarray) -> np.ndarray:
+    """Return the residuals; NaN, which the method steps back from, if a run fails."""
+    try:
+        return fit.residual(x)
+    except SimulationError:
+        return np.full(len(fit.kinds()), np.nan)
+
+
+def _cost(fit: Predictions, x: np.ndarray) -> float:
+    cost = float(np.sum(_residual(fit, x) ** 2))
+    return cost if np.isfinite(cost) else np.inf
+
+
+def _check_runs(fit: Predictions, x: np.ndarray) -> None:
+    try:
+        fit.residual(x)
+    except SimulationError as error:
+        limit = "must be values with which the logs can be run"
+        raise ValueError(f"model: {checks.one_line(error)}: {limit}") from None
+
+
+def _result(
+    fit: Predictions,
+    bounds: Mapping[str, tuple[float, float]],
+    start: np.ndarray,
+    x: np.ndarray,
+    jacobian: np.ndarray,
+    sure: Certainty,
+    findings: Sequence[Finding],
+) -> Identification:
+    labels, ends = fit.labels, predictable(fit, fit.sensitivities(x))
+    after, first = fit.predicted(x), fit.predicted(start)
+    finer = fit.predicted(x, FINER)
+    # One step of Gauss and Newton from the estimates, by what shorter steps change.
+    changed = fit.residual_of(finer) - fit.residual_of(after)
+    moved = x - improvement(jacobian, changed)
+    low, high = np.array(list(bounds.values())).T
+    own = fit.model(x)
+    return Identification(
+        name=fit.base.scene.name or "scene",
+        settings=fit.base.settings,
+        logs=len(fit.logs),
+        samples=len(jacobian),
+        values=_named(labels, x),
+        start=_named(labels, start),
+        bounds=dict(bounds),
+        intervals={
+            label: (float(value - SIGMAS * error), float(value + SIGMAS * error))
+            for label, value, error in zip(labels, x, sure.errors, strict=False)
+        },
+        alike=sure.alike,
+        correlations=sure.correlations,
+        residuals=fit.rms(fit.measured, after),
+        before=fit.rms(fit.measured, first),
+        integration=fit.rms(after, finer),
+        finer=_named(labels, np.clip(moved[: len(labels)], low, high)),
+        predictable=ends,
+        findings=[*findings, *fit_findings(fit, first), *horizon_findings(fit.logs, ends)],
+        curves=_curves(fit, first, after),
+        model=own,
+        steps=fit.steps,
+        linearised=fit.linearised,
+        ran=f"{counted(len(fit.logs), 'log')} of {seconds(sum(log.duration for log in fit.logs))} "
+        "in all",
+        notes=_unread(fit.logs),
+    )
+
+
+def _named(labels: Sequence[str], values: np.ndarray) -> dict[str, float]:
+    return dict(zip(labels, values.tolist(), strict=False))
+
+
+def _curves(fit: Predictions, before: Sequence[Arrays], after: Sequence[Arrays]) -> list[Curve]:
+    return [
+        Curve(nth, label, log.measured[key].times, log.measured[key].values[:, entry], *made)
+        for nth, log in enumerate(fit.logs)
+        for key, entry, label in fit.quantities
+        if key in log.measured
+        for made in [(before[nth][key][:, entry], after[nth][key][:, entry])]
+    ]
+
+
+def _unread(logs: Sequence[MeasuredLog]) -> list[str]:
+    return [
+        f"{log.name} has columns that are nothing of the model: {checks.cut(words, 120)}"
+        for log in logs
+        if (words := ", ".join(log.unread))
+    ]

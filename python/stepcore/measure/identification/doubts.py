@@ -1,0 +1,145 @@
+"""What is doubtful about logs: units, gaps, and motions that cannot be predicted to their end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from stepcore.engine.model import Model
+from stepcore.experiment.growth import GROWTH
+from stepcore.measure.identification.log import MeasuredLog, Series
+from stepcore.measure.identification.predictions import Arrays, Predictions
+from stepcore.measure.monitors.finding import Finding, named
+from stepcore.report.units import seconds, times
+
+DEGREES = 180 / np.pi
+# A ratio is that of two units if it is this close to it.
+NEAR = 0.2
+# A measured number this many times outside a joint's range is in another unit.
+OUTSIDE = 3.0
+# Scaled by a ratio of units, a prediction fits this much better if the unit is the cause.
+BETTER = 0.5
+RATIOS = {
+    DEGREES: "degrees",
+    1 / DEGREES: "degrees in the model",
+    1e3: "mm",
+    1e-3: "mm in the model",
+}
+
+
+def unit_findings(model: Model, logs: Sequence[MeasuredLog]) -> list[Finding]:
+    """Return findings on units that the logs alone show."""
+    return [finding for log in logs for finding in _of_log(model, log)]
+
+
+def _of_log(model: Model, log: MeasuredLog) -> Iterator[Finding]:
+    qpos, qvel = log.measured["qpos"], log.measured.get("qvel")
+    for joint, kind in enumerate(model.jnt_type):
+        if kind != "hinge":
+            continue
+        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        low, high = model.jnt_range[joint]
+        largest, limit = np.nanmax(np.abs(qpos.values[:, q])), max(abs(low), abs(high))
+        ratio = _ratio(qpos, q, qvel, v) if qvel is not None else None
+        if limit > 0 and OUTSIDE * limit < largest < OUTSIDE * DEGREES * limit:
+            what = f"reaches {largest:.3g} rad, its range {limit:.3g} rad"
+            yield _degrees(model, joint, log, f"position {what}", largest)
+        elif ratio is not None and _near(ratio, DEGREES):
+            yield _degrees(
+                model, joint, log, f"position changes {times(ratio)} its velocity", ratio
+            )
+        elif ratio is not None and _near(ratio, 1 / DEGREES):
+            what = f"velocity is {times(1 / ratio)} the change of its position"
+            yield _degrees(model, joint, log, what, ratio)
+        elif ratio is not None and (_near(ratio, 1e-3) or _near(ratio, 1e3)):
+            cure = "times must be in seconds"
+            problem = f"in {log.name} the position changes {times(ratio)} the measured velocity"
+            element = named(model, "joint", [joint])
+            yield Finding("units", "error", f"{element[0].name}: {problem}", cure, element, ratio)
+
+
+def _degrees(model: Model, joint: int, log: MeasuredLog, what: str, value: float) -> Finding:
+    element = named(model, "joint", [joint])
+    problem = f"{element[0].name}: in {log.name} its {what}"
+    return Finding("units", "error", problem, "it looks like degrees", element, float(value))
+
+
+def _ratio(qpos: Series, q: int, qvel: Series, v: int) -> float | None:
+    """Return how many times the change of a position is the velocity, in the least squares."""
+    known = np.isfinite(qpos.values[:, q])
+    moved, at = qpos.values[known, q], qpos.times[known]
+    have = np.isfinite(qvel.values[:, v])
+    if known.sum() < 3 or have.sum() < 3:
+        return None
+    rate, middle = np.diff(moved) / np.diff(at), (at[1:] + at[:-1]) / 2
+    speed = np.interp(middle, qvel.times[have], qvel.values[have, v])
+    if not speed @ speed > 0 or not rate @ rate > 0:
+        return None
+    ratio = float(rate @ speed / (speed @ speed))
+    # Rows so far apart that they miss the motion show nothing.
+    alike = (rate @ speed) ** 2 / ((rate @ rate) * (speed @ speed))
+    return ratio if alike > BETTER and ratio > 0 else None
+
+
+def _near(ratio: float, unit: float) -> bool:
+    return abs(ratio / unit - 1) < NEAR
+
+
+def fit_findings(fit: Predictions, predicted: Sequence[Arrays]) -> list[Finding]:
+    """Return findings on quantities whose prediction fits when it is in another unit.
+
+    predicted: with the first guess, which the fit has not bent to these units.
+    """
+    found = []
+    for quantity in fit.quantities:
+        both = zip(predicted, fit.measured, strict=True)
+        key, entry, label = quantity
+        pairs = [(a[key][:, entry], b[key][:, entry]) for a, b in both if key in b]
+        made, known = (np.concatenate(each) for each in zip(*pairs, strict=True))
+        made, known = made[np.isfinite(known)], known[np.isfinite(known)]
+        if not made @ made > 0:
+            continue
+        ratio = float(known @ made / (made @ made))
+        left, before = np.sum((known - ratio * made) ** 2), np.sum((known - made) ** 2)
+        word = next((word for unit, word in RATIOS.items() if _near(ratio, unit)), None)
+        if word is not None and left < BETTER**2 * before:
+            problem = f"{label}: measured {times(ratio)} the prediction"
+            cure = f"it looks like another unit, {word}"
+            found.append(Finding("units", "error", problem, cure, (), ratio))
+    return found
+
+
+def gap_findings(logs: Sequence[MeasuredLog]) -> list[Finding]:
+    """Return findings on controls that are missing for long."""
+    cure = "the last ones before it were held; split the log there if they were not"
+    return [Finding("gap", "warning", gap, cure) for log in logs for gap in log.gaps]
+
+
+def predictable(fit: Predictions, slopes: Sequence[np.ndarray]) -> list[float]:
+    """Return until when each log can be predicted [s]; inf to its end.
+
+    Until an error of the first positions has grown a thousand times in the positions, as in
+    `stepcore.predict`.
+    """
+    ends, nv = [], fit.base.nv
+    for own in slopes:
+        first = len(fit.labels)
+        growth = np.linalg.norm(own[:, :nv, first : first + nv], 2, axis=(1, 2))
+        late = np.flatnonzero(~(growth <= GROWTH))
+        ends.append(float(late[0] * fit.base.settings.dt) if len(late) else np.inf)
+    return ends
+
+
+def horizon_findings(logs: Sequence[MeasuredLog], ends: Sequence[float]) -> list[Finding]:
+    """Return findings on logs that are longer than they can be predicted."""
+    found = []
+    for log, end in zip(logs, ends, strict=True):
+        if end < log.duration:
+            problem = (
+                f"{log.name} can be predicted for {seconds(end)} of {seconds(log.duration)}: from "
+                f"then on what is off at its beginning has grown {times(GROWTH)}"
+            )
+            cure = f"cut it into pieces of {seconds(end)} or less, and give them as a list"
+            found.append(Finding("horizon", "warning", problem, cure, (), end, "s"))
+    return found

@@ -1,0 +1,333 @@
+"""`MeasuredLog`: what was measured of a robot, with the controls that moved it."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stepcore import checks
+from stepcore.engine.axes import axes_of
+from stepcore.engine.model import Model
+from stepcore.engine.trajectory import Trajectory
+from stepcore.experiment.control_files import LATE, MCAP, OWN, mcap_rows
+from stepcore.experiment.control_log import ControlLog
+from stepcore.experiment.control_table import control_table
+from stepcore.experiment.user_table import TIME, read_table
+from stepcore.experiment.user_table import numbers as numbers_of
+from stepcore.report.units import seconds
+
+# What a log can tell of a state and of the sensors, and its controls.
+MEASURED = ("qpos", "qvel", "sensordata")
+ARRAYS = (*MEASURED, "ctrl")
+# A gap of the controls is this many times as long as most of their rows are apart.
+GAP = 10
+# Other words for an array in the name of a column: "knee.position", "position[knee]".
+WORDS = {"position": "qpos", "velocity": "qvel", "sensor": "sensordata", "control": "ctrl"}
+COLUMN = re.compile(r"(?P<array>\w+)\[(?P<entry>.+)\]|(?P<name>.+)[./](?P<word>\w+)")
+# Times are in milliseconds if rows are so far apart [s], and so many steps, over so many in all.
+SLOW, SPARSE, LONG = 0.5, 100, 20_000
+KINDS = 'a Trajectory, a DataFrame, a file or a dict with "time"'
+
+Log = Trajectory | Mapping[str, Any] | str | os.PathLike[str] | Any
+
+
+class Series(NamedTuple):
+    """Numbers over time: times [s], shape (T,); values, shape (T, n), NaN where there are none."""
+
+    times: np.ndarray
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class MeasuredLog:
+    """A log of a model's motion, in time from its first position on.
+
+    name: such as "logs[0]". measured: series by array of `MEASURED`. controls: of all actuators.
+    start: the first qpos, and the qvel there. unread: columns that are nothing of the model.
+    """
+
+    name: str
+    measured: Mapping[str, Series]
+    controls: ControlLog | None
+    start: tuple[np.ndarray, np.ndarray]
+    unread: tuple[str, ...] = ()
+
+    @cached_property
+    def duration(self) -> float:
+        """The time of the last measured number [s]."""
+        known = (
+            series.times[np.isfinite(series.values).any(axis=1)]
+            for series in self.measured.values()
+        )
+        return float(max(times[-1] for times in known if len(times)))
+
+    def steps(self, dt: float) -> int:
+        """Return how many steps of dt [s] the log lasts."""
+        return int(np.ceil(self.duration / dt - 1e-9))
+
+    def ctrl(self, dt: float, steps: int, delay: float) -> np.ndarray:
+        """Return the controls of the steps, shape (steps, nu): their means, `delay` [s] later."""
+        if self.controls is None:
+            return np.zeros((steps, 0))
+        return self.controls.steps(-delay, dt, steps)
+
+    def ctrl_slopes(self, dt: float, steps: int, delay: float) -> np.ndarray:
+        """Return the derivatives of `ctrl` by the delay, shape (steps, nu)."""
+        if self.controls is None:
+            return np.zeros((steps, 0))
+        slopes: np.ndarray = -self.controls.slopes(-delay, dt, steps)
+        return slopes
+
+    def until(self, end: float) -> MeasuredLog:
+        """Return the beginning of this log, to a time [s]."""
+        cut = {}
+        for name, series in self.measured.items():
+            early = series.times <= end
+            if np.isfinite(series.values[early]).any():
+                cut[name] = Series(series.times[early], series.values[early])
+        return MeasuredLog(self.name, cut, self.controls, self.start)
+
+    @property
+    def gaps(self) -> list[str]:
+        """Where controls are missing for long, in sentences."""
+        if self.controls is None or len(self.controls.times) < 3:
+            return []
+        times = self.controls.times
+        apart = np.diff(times)
+        long = np.flatnonzero(apart > GAP * np.median(apart))
+        return [
+            f"{self.name} has no controls for {seconds(apart[k])} from {seconds(times[k])} on"
+            for k in long
+        ]
+
+
+def read_log(model: Model, log: Log, name: str) -> MeasuredLog:
+    """Return a log of a user as numbers of a model; see `identify`.
+
+    Raises ValueError for what is no log of this model, and OSError for a file.
+    """
+    tables, unread = _tables(model, log, name)
+    for key, (times, _) in tables.items():
+        if times.ndim != 1 or len(times) < 2 or not (np.diff(times) > 0).all():
+            raise ValueError(f"{name}: time of {key} must be two or more increasing numbers")
+    if "ctrl" not in tables and model.nu:
+        limit = f"and the model has {model.nu} controls"
+        raise ValueError(f"{name}: ctrl is missing, {limit}")
+    first = tables["qpos"].values[0] if "qpos" in tables else np.full(max(1, model.nq), np.nan)
+    if not np.isfinite(first).all():
+        raise ValueError(f"{name}: the first row of qpos must be whole: the run begins there")
+    origin = tables["qpos"].times[0]
+    moved = {key: Series(times - origin, values) for key, (times, values) in tables.items()}
+    controls = moved.pop("ctrl", None)
+    measured = {key: series for key, series in moved.items() if np.isfinite(series.values).any()}
+    _check_times(name, model, measured)
+    return MeasuredLog(
+        name,
+        measured,
+        None if controls is None else ControlLog(*_complete(model, name, controls)),
+        (first, _velocity(model, name, moved)),
+        tuple(unread),
+    )
+
+
+def _check_times(name: str, model: Model, measured: Mapping[str, Series]) -> None:
+    """Refuse times that look like milliseconds, a thousand times as long as they are."""
+    times, dt = measured["qpos"].times, model.settings.dt
+    apart = float(np.median(np.diff(times)))
+    if apart >= SLOW and apart >= SPARSE * dt and times[-1] >= LONG * dt:
+        raise ValueError(
+            f"{name}: time: rows are {apart:g} s apart, {apart / dt:g} steps of {seconds(dt)}: "
+            "must be in seconds; these look like milliseconds"
+        )
+
+
+def _complete(model: Model, name: str, controls: Series) -> Series:
+    """Return the controls, of which every actuator must have all."""
+    bad = np.argwhere(~np.isfinite(controls.values))
+    if len(bad):
+        row, actuator = bad[0]
+        where = f"of {model.called('actuator')[actuator]} at {seconds(controls.times[row])}"
+        limit = "a control that is not known cannot be played"
+        raise ValueError(f"{name}: ctrl has gaps, {where}: {limit}")
+    return controls
+
+
+def _velocity(model: Model, name: str, measured: Mapping[str, Series]) -> np.ndarray:
+    """Return the first velocity: as measured, or from the first two positions."""
+    first = np.full(model.nv, np.nan)
+    if "qvel" in measured and measured["qvel"].times[0] == 0.0:
+        first = measured["qvel"].values[0]
+    if np.isfinite(first).all():
+        return first
+    (times, qpos), rate = measured["qpos"], np.zeros(model.nv)
+    for joint, kind in enumerate(model.jnt_type):
+        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        if kind not in ("slide", "hinge"):
+            raise ValueError(
+                f"{name}: the first row of qvel must be whole: of "
+                f"{model.element_name('joint', joint)} it does not follow from qpos"
+            )
+        rate[v] = np.nan_to_num((qpos[1, q] - qpos[0, q]) / times[1])
+    return np.where(np.isfinite(first), first, rate)
+
+
+def _tables(model: Model, log: Log, name: str) -> tuple[dict[str, Series], list[str]]:
+    """Return the series of a log by array, and its columns that are nothing of the model."""
+    if isinstance(log, Mapping) and log and set(map(str, log)) <= set(ARRAYS):
+        # Each from a source of its own, with times of its own.
+        tables: dict[str, Series] = {}
+        for key, source in log.items():
+            tables[key] = _alone(model, source, name, key)
+        return tables, []
+    return _source(model, log, name, ARRAYS)
+
+
+def _alone(model: Model, source: Any, name: str, array: str) -> Series:
+    """Return an array from a source of its own."""
+    if array == "ctrl":
+        table = control_table(source)
+        held = table.log(model, np.full(model.nu, np.nan))
+        if held is None or table.times is None:
+            raise ValueError(f"{name}: ctrl: {table.source} has no times")
+        return Series(table.times, held.rows)
+    if is_messages(source):
+        times, rows, columns = mcap_rows(os.fsdecode(source), array)
+        return Series(times, _Names(model, (array,)).table(name, array, rows, columns))
+    found, _ = _source(model, source, name, (array,))
+    if array not in found:
+        raise ValueError(f"{name}: {array}: {checks.shown(source)} has no {array}")
+    return found[array]
+
+
+def is_messages(source: Any) -> bool:
+    """Return whether a source is the path of a log of messages (.mcap)."""
+    path = os.fsdecode(source) if isinstance(source, (str, os.PathLike)) else ""
+    return MCAP.fullmatch(path) is not None
+
+
+def _source(
+    model: Model, log: Log, name: str, arrays: Sequence[str]
+) -> tuple[dict[str, Series], list[str]]:
+    if is_messages(log):
+        return dict(_messages(model, str(log), arrays, name)), []
+    source, content = read_table(log, name)
+    if isinstance(content, Trajectory):
+        content = {"time": content.time, **content.data}
+        late = tuple(key for key in LATE if key in content)
+    elif isinstance(content, dict):
+        # A recorded run as a table has at each instant the controls of the last step.
+        late = () if isinstance(log, Mapping) else LATE
+        late = tuple(key for key in late if any(str(c).startswith(f"{key}[") for c in content))
+    clocks = [key for key in content if TIME.fullmatch(str(key))] if content is not None else []
+    if not isinstance(content, dict) or not clocks:
+        raise ValueError(f"{name}: must be {KINDS}")
+    times = np.ravel(numbers_of(f"{source}, time", content.pop(clocks[0])))
+    tables, unread = _arranged(model, name, content, len(times), arrays)
+    found = {}
+    for key, values in tables.items():
+        if key in late:
+            last = values[-1:] if key == "ctrl" else np.full_like(values[-1:], np.nan)
+            values = np.concatenate([values[1:], last])
+        found[key] = Series(times, values)
+    return found, unread
+
+
+def _arranged(
+    model: Model, name: str, content: Mapping[str, Any], rows: int, arrays: Sequence[str]
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the arrays, whole or put together from columns."""
+    names, tables, unread = _Names(model, arrays), dict[str, np.ndarray](), []
+    for column, given in content.items():
+        if column in arrays:
+            table = numbers_of(f"{name}: {column}", given)
+            shape = (rows, len(names.entries[column]))
+            table = table[:, None] if table.shape == (rows,) and shape[1] == 1 else table
+            if table.shape != shape:
+                raise ValueError(f"{name}: {column} has shape {table.shape}: must be {shape}")
+            tables[column] = np.array(table)
+    for column, given in content.items():
+        place = None if column in arrays else names.place(name, str(column))
+        if place is None or place[0] in content:
+            unread += [] if column in arrays else [str(column)]
+            continue
+        array, entry = place
+        values = numbers_of(f"{name}: {column}", given)
+        if values.shape != (rows,):
+            raise ValueError(f"{name}: {column} has shape {values.shape}: must be ({rows},)")
+        shape = (rows, len(names.entries[array]))
+        tables.setdefault(array, np.full(shape, np.nan))[:, entry] = values
+    return tables, unread
+
+
+class _Names:
+    """The entries of a model's arrays, and what the names of columns stand for."""
+
+    def __init__(self, model: Model, arrays: Sequence[str]) -> None:
+        sizes = {"qpos": model.nq, "qvel": model.nv, "ctrl": model.nu}
+        sizes["sensordata"] = int(np.sum(model.sensor_dim))
+        self.entries = {key: entries_of(model, key, sizes[key]) for key in arrays}
+
+    def place(self, log: str, column: str) -> tuple[str, int] | None:
+        """Return the array and the entry of a column; None if it is none of these arrays.
+
+        A name alone is an actuator's, a sensor's, or a joint's, whose position it is.
+        """
+        match = COLUMN.fullmatch(column)
+        if match is not None:
+            word, entry = match["array"] or match["word"], match["entry"] or match["name"]
+            array = WORDS.get(word, word)
+            if array in self.entries and entry in self.entries[array]:
+                return array, self.entries[array].index(entry)
+        alone = ("qpos", "sensordata", "ctrl")
+        found = [key for key in alone if column in self.entries.get(key, ())]
+        if len(found) > 1:
+            words = " or ".join(f"{column}.{word}" for word, key in WORDS.items() if key in found)
+            raise ValueError(f"{log}: column {checks.quoted(column)}: must be {words}")
+        return (found[0], self.entries[found[0]].index(column)) if found else None
+
+    def table(
+        self, log: str, array: str, rows: np.ndarray, columns: Sequence[str] | None
+    ) -> np.ndarray:
+        """Return the rows of these columns as those of all entries; None: they are all."""
+        entries = self.entries[array]
+        if columns is None:
+            if rows.shape[1] != len(entries):
+                limit = f"must be {(len(rows), len(entries))}"
+                raise ValueError(f"{log}: {array} has shape {rows.shape}: {limit}")
+            return rows
+        table = np.full((len(rows), len(entries)), np.nan)
+        for name, values in zip(columns, rows.T, strict=True):
+            if name in entries:
+                table[:, entries.index(name)] = values
+        return table
+
+
+def entries_of(model: Model, array: str, size: int) -> tuple[str, ...]:
+    """Return the names of an array's entries, such as "knee" or "root.x"."""
+    return axes_of(model, array, (size,))[0].entries if size else ()
+
+
+def _messages(
+    model: Model, path: str, arrays: Sequence[str], name: str
+) -> Iterator[tuple[str, Series]]:
+    """Yield the arrays of a log of messages: of a recorded run all, else of joints their states."""
+    try:
+        mcap_rows(f"{path}:{OWN}", arrays[0])
+        path = f"{path}:{OWN}"
+    except ValueError:
+        arrays = [key for key in arrays if key in ("qpos", "qvel")]
+    names = _Names(model, arrays)
+    for array in arrays:
+        try:
+            times, rows, columns = mcap_rows(path, array)
+        except ValueError:
+            if array == arrays[0]:
+                raise
+            continue
+        yield array, Series(times, names.table(name, array, rows, columns))

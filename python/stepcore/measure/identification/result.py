@@ -1,0 +1,265 @@
+"""`Identification`: the values found in logs, as a result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.engine.model import Model
+from stepcore.measure.identification.predictions import DELAY
+from stepcore.measure.monitors.finding import Finding
+from stepcore.report.result import Result
+from stepcore.report.table import Table
+from stepcore.report.units import counted
+from stepcore.scene.value_paths import WHOLE
+
+# An estimate whose interval is wider than this share of its range is not known from the logs.
+WIDE = 0.5
+# The step whose integration error is looked at is this many times shorter.
+FINER = 4
+# The columns of estimates that are numbers.
+NUMBERS = ("value", "low", "high", "before", "finer")
+# A finer step changes an estimate if it moves it by more than its interval and this share of it.
+CHANGED = 1e-4
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value that was found.
+
+    parameter: its path. value: the estimate. low, high: the 95 % interval. before: the first guess.
+    finer: the estimate with steps four times shorter, to first order.
+    """
+
+    parameter: str
+    value: float
+    low: float
+    high: float
+    before: float
+    finer: float
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A measured number over time.
+
+    log: its number. quantity: such as "qpos[knee]". time: [s], shape (T,). measured, before, after:
+    what was measured, NaN in gaps, and predicted with the values before and after, shape (T,).
+    """
+
+    log: int
+    quantity: str
+    time: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Identification(Result):
+    """The values that `identify` found.
+
+    settings: of the runs. logs: how many there were. samples: measured numbers in all.
+    values: the estimates by path. start: the values before. bounds: the ranges given.
+    intervals: 95 % intervals by path, (low, high), from the residuals, taken as independent noise.
+    alike: sets of parameters that the logs cannot tell apart.
+    correlations: of the estimates, shape (n, n), in the order of `values`.
+    residuals, before: RMS residual of each quantity after and before, such as "qpos[knee]" [m or
+        rad], "qvel[knee]" [m/s or rad/s] and "sensordata[imu.0]".
+    integration: RMS change of each prediction when steps are four times shorter.
+    finer: the estimates by path with these steps, to first order.
+    predictable: until when each log can be predicted [s]; inf to its end.
+    findings: what is doubtful about the logs: units, gaps, horizons; see `Finding`.
+    curves: what was measured and predicted over time.
+    model: the model with the estimates.
+    steps: time steps made in all. linearised: of these, those of derivatives. Each of these also
+        steps eight models nearby for each parameter, in vector lanes.
+
+    >>> import stepcore as sc
+    >>> true = sc.lesson.spring().compile().with_values({"joint/spring/stiffness": 90.0})
+    >>> sim = sc.Sim(true, dt=0.005, integrator="semi-implicit")
+    >>> sim.reset("start")
+    >>> log = sim.run(0.5)
+    >>> model = sc.lesson.spring().compile().with_settings(dt=0.005, integrator="semi-implicit")
+    >>> found = sc.identify(model, log, {"joint/spring/stiffness": (50, 200)})
+    >>> round(found.values["joint/spring/stiffness"], 6)
+    90.0
+    >>> max(found.residuals.values()) < 1e-9 < max(found.integration.values())
+    True
+    """
+
+    settings: Settings
+    logs: int
+    samples: int
+    values: dict[str, float]
+    start: dict[str, float]
+    bounds: dict[str, tuple[float, float]]
+    intervals: dict[str, tuple[float, float]]
+    alike: list[tuple[str, ...]]
+    correlations: np.ndarray
+    residuals: dict[str, float]
+    before: dict[str, float]
+    integration: dict[str, float]
+    finer: dict[str, float]
+    predictable: list[float]
+    findings: list[Finding]
+    curves: list[Curve]
+    model: Model
+    steps: int
+    linearised: int
+
+    kind: ClassVar[str] = "identification"
+    units: ClassVar[Mapping[str, str]] = dict.fromkeys(NUMBERS, "of the model's field")
+
+    @property
+    def title(self) -> str:
+        """The scene, and how much was found from how much."""
+        return f"{self.name}: {counted(len(self.values), 'value')} from {counted(self.logs, 'log')}"
+
+    @property
+    def setup(self) -> str:
+        """The method in one line."""
+        made = f"{self.steps} steps, of which {self.linearised} were linearised"
+        return f"{counted(self.samples, 'measured number')}, {made}. {self.settings!r}"
+
+    @property
+    def sentences(self) -> list[str]:
+        """The estimates, what is doubtful about them, and the residuals."""
+        return [*self._estimates(), *self._doubts(), *self._remains()]
+
+    def _estimates(self) -> Iterator[str]:
+        for path, value in self.values.items():
+            low, high = self.intervals[path]
+            interval = f"95 %: {low:.6g} to {high:.6g}"
+            if not np.isfinite(high - low):
+                interval = "no interval"
+            yield f"{path} = {value:.6g} ({interval}; it was {self.start[path]:.6g})."
+
+    def _doubts(self) -> Iterator[str]:
+        yield from (finding.text for finding in self.findings)
+        for paths in self.alike:
+            names = [in_words(path) for path in paths]
+            if len(names) == 1:
+                yield f"The logs say nothing of the {names[0]}."
+            else:
+                yield f"The logs cannot tell apart {', '.join(names[:-1])} and {names[-1]}."
+        told = {path for paths in self.alike for path in paths}
+        for path in self.unknown:
+            if path not in told:
+                yield f"The logs say little of {path}: its interval is half of its range or more."
+        for path, value in self.values.items():
+            if value in self.bounds[path]:
+                yield f"{path} is at the bound of its range."
+
+    def _remains(self) -> Iterator[str]:
+        """Yield what is left unexplained, and how much of it the step makes."""
+        shares = {
+            key: self.integration[key] / (left or 1.0) for key, left in self.residuals.items()
+        }
+        worst = max(shares, key=lambda key: shares[key])
+        after, step = self.residuals[worst], self.integration[worst]
+        yield (
+            f"The residual of {worst} is {after:.3g} RMS ({self.before[worst]:.3g} before); steps "
+            f"{FINER} times shorter change the prediction by {step:.3g}, the most of all beside "
+            "their residuals" + (": take shorter steps." if step > after / 2 else ".")
+        )
+        for path, value in self.values.items():
+            low, high = self.intervals[path]
+            moved = abs(self.finer[path] - value)
+            if moved > (high - low) / 2 and moved > CHANGED * abs(value):
+                yield (
+                    f"With steps {FINER} times shorter the estimate of {path} is "
+                    f"{self.finer[path]:.6g}: outside of the interval."
+                )
+
+    @property
+    def unknown(self) -> list[str]:
+        """The parameters of which the logs say little."""
+        unknown = []
+        for path, (low, high) in self.intervals.items():
+            first, last = self.bounds[path]
+            if not high - low < WIDE * (last - first):
+                unknown.append(path)
+        return unknown
+
+    @property
+    def rows(self) -> list[Estimate]:
+        """The estimates."""
+        return [
+            Estimate(path, value, *self.intervals[path], self.start[path], self.finer[path])
+            for path, value in self.values.items()
+        ]
+
+    @property
+    def table(self) -> Table:
+        """A row for each parameter; see `Estimate`."""
+        formats = dict.fromkeys(NUMBERS, ".6g")
+        heading = f"Estimates with 95 % intervals; finer: with steps {FINER} times shorter"
+        return Table(map(vars, self.rows), formats=formats, heading=heading)
+
+    @property
+    def residual_table(self) -> Table:
+        """A row for each measured quantity, RMS."""
+        rows = [
+            {
+                "quantity": key,
+                "residual": after,
+                "before": self.before[key],
+                "finer": self.integration[key],
+            }
+            for key, after in self.residuals.items()
+        ]
+        heading = (
+            "RMS residual of each quantity; finer: what shorter steps change of its prediction"
+        )
+        return Table(rows, heading=heading)
+
+    @property
+    def correlation_table(self) -> Table:
+        """The correlation of each two estimates."""
+        rows = [
+            {"": path, **{str(k + 1): float(value) for k, value in enumerate(row[: nth + 1])}}
+            for nth, (path, row) in enumerate(zip(self.values, self.correlations, strict=True))
+        ]
+        formats = {str(k + 1): ".2f" for k in range(len(rows))}
+        return Table(rows, formats=formats, heading="Correlations of the estimates, in this order")
+
+    def tables(self, full: bool) -> list[Table]:
+        """Return the estimates, the residuals, and of several estimates the correlations."""
+        several = [self.correlation_table] if len(self.values) > 1 else []
+        return [self.table, self.residual_table, *several]
+
+    def details(self) -> dict[str, Any]:
+        """Return further numbers of the result."""
+        return {
+            "values": self.values,
+            "intervals": self.intervals,
+            "alike": self.alike,
+            "correlations": self.correlations.tolist(),
+            "residuals": self.residuals,
+            "residuals_before": self.before,
+            "integration": self.integration,
+            "finer": self.finer,
+            "predictable": self.predictable,
+            "findings": [finding.record() for finding in self.findings],
+            "steps": self.steps,
+            "linearised": self.linearised,
+        }
+
+
+def in_words(path: str) -> str:
+    """Return a parameter in words.
+
+    >>> in_words("body/shin/mass"), in_words("delay")
+    ('mass of `shin`', 'delay of the controls')
+    """
+    parts = path.split("/")
+    if path == DELAY:
+        return "delay of the controls"
+    if len(parts) < 3 or parts[0] in WHOLE:
+        return path
+    return f"{parts[-1]} of `{'/'.join(parts[1:-1])}`"

@@ -1,0 +1,64 @@
+"""The plot of an identification: what was measured and what is predicted, over time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stepcore.report.plot.style import BLUE, GREY, ORANGE, frame, legend, line, new_figure
+
+if TYPE_CHECKING:
+    from stepcore.measure.identification.result import Curve, Identification
+
+# The most panels, and the height of one [inches].
+PANELS, PANEL = 8, 1.9
+
+
+def identification(result: Identification) -> Any:
+    """Draw measured and predicted numbers of the log with the largest residual.
+
+    A panel is a quantity; of many, those with the largest residuals beside their motion.
+    """
+    shares = {id(curve): _share(curve) for curve in result.curves}
+    worst = max(result.curves, key=lambda curve: shares[id(curve)])
+    own = [curve for curve in result.curves if curve.log == worst.log]
+    kept = sorted(own, key=lambda curve: -shares[id(curve)])[:PANELS]
+    drawn = [curve for curve in own if any(curve is one for one in kept)]
+    figure = new_figure(height=max(4.0, PANEL * len(drawn)))
+    panels = figure.subplots(len(drawn), sharex=True, squeeze=False)[:, 0]
+    for axes, curve in zip(panels, drawn, strict=True):
+        axes.plot(curve.time, curve.before, color=GREY, lw=1.0, ls=":")
+        axes.plot(curve.time, curve.measured, ls="none", marker=".", ms=3, color=ORANGE)
+        axes.plot(curve.time, curve.after, color=BLUE, lw=1.2)
+        axes.set_ylabel(curve.quantity)
+        low, high = _limits(curve)
+        axes.set_ylim(low, high)
+        frame(axes)
+    log = f", logs[{worst.log}]" if result.logs > 1 else ""
+    more = f", {len(drawn)} of {len(own)} quantities" if len(drawn) < len(own) else ""
+    frame(panels[0], f"{result.title}{log}{more}")
+    panels[-1].set_xlabel("time [s]")
+    entries = [
+        line("measured", color=ORANGE, ls="none", marker="."),
+        line("predicted", color=BLUE),
+        line("predicted before", color=GREY, ls=":"),
+    ]
+    legend(figure, entries, columns=3)
+    return figure
+
+
+def _share(curve: Curve) -> float:
+    """Return the RMS residual over the spread of what was measured."""
+    off = curve.after - curve.measured
+    if not np.isfinite(off).any():
+        return 0.0
+    return float(np.sqrt(np.nanmean(off**2)) / (np.nanstd(curve.measured) or 1.0))
+
+
+def _limits(curve: Curve) -> tuple[float, float]:
+    """Return the range of the panel, which a poor first guess does not decide."""
+    every = np.concatenate([curve.measured, curve.after])
+    low, high = float(np.nanmin(every)), float(np.nanmax(every))
+    room = 0.25 * (high - low) or 1e-9 + 0.1 * abs(high)
+    return low - room, high + room

@@ -1,0 +1,226 @@
+"""Logs of identify: from every kind of source, and what is doubtful about them."""
+
+import json
+
+import numpy as np
+import pytest
+from arm_log import DAMPING, HIDDEN, RANGES, TRUE, controls, guess, mujoco_log
+
+import stepcore as sc
+from stepcore.measure.identification.log import read_log
+
+pytest.importorskip("scipy")
+WANTED = {DAMPING: RANGES[DAMPING]}
+TEXT = """<mujoco><option timestep="0.01" gravity="0 0 0"/><worldbody>
+<body><joint name="hip" axis="0 1 0" damping="1" limited="true" range="-90 90"/>
+<geom size=".1" mass="100"/></body></worldbody>
+<actuator><motor name="hip" joint="hip"/></actuator></mujoco>"""
+
+
+def known():
+    """The arm whose damping alone is wrong."""
+    return guess(**{key: value for key, value in TRUE.items() if key != "damping"})
+
+
+def columns(log, names=("shoulder", "elbow"), drives=("a", "elbow.control")):
+    """The numbers of a log by column."""
+    table = {"t": log["time"]}
+    table |= {name: log["qpos"][:, k] for k, name in enumerate(names)}
+    table |= {f"{name}.velocity": log["qvel"][:, k] for k, name in enumerate(names)}
+    return table | {name: log["ctrl"][:, k] for k, name in enumerate(drives)}
+
+
+def found_in(log, model=None):
+    return sc.identify(known() if model is None else model, log, WANTED).values[DAMPING]
+
+
+def write_mcap(path, log):
+    """Joint states of ROS on one topic, commands by name on another, which begins later."""
+    writer = pytest.importorskip("mcap.writer").Writer
+    with open(path, "wb") as file:
+        out = writer(file)
+        out.start()
+        schema = out.register_schema("Any", "jsonschema", b"{}")
+        states, commands = (out.register_channel(t, "json", schema) for t in ("/states", "/drive"))
+        for k, time in enumerate(log["time"]):
+            at = 1_700_000_000_000_000_000 + round(1e9 * time)
+            joints = {"name": ["elbow", "shoulder"]}
+            joints |= {"position": log["qpos"][k][::-1].tolist()}
+            joints |= {"velocity": log["qvel"][k][::-1].tolist()}
+            drive = dict(zip(("a", "elbow"), log["ctrl"][k].tolist(), strict=True))
+            for channel, message in ((states, joints), (commands, drive)):
+                data = json.dumps(message).encode()
+                out.add_message(channel, log_time=at, publish_time=at, data=data)
+        out.finish()
+
+
+def test_recorded_runs_and_their_files_are_logs(tmp_path):
+    true = guess().with_values(HIDDEN)
+    run = sc.Sim(true).run(0.4, control=controls(200), record=("qpos", "qvel", "ctrl"))
+    for name in ("run.csv", "run.npz"):
+        run.save(tmp_path / name)
+    logs = (run, tmp_path / "run.csv", str(tmp_path / "run.npz"), run.to_pandas(), [run, run])
+    assert [found_in(log) for log in logs] == pytest.approx([0.3] * 5, rel=1e-6)
+
+
+def test_tables_have_columns_by_joint_and_actuator(tmp_path):
+    """The same estimate from arrays, a frame, CSV with empty cells, Parquet and messages."""
+    pandas = pytest.importorskip("pandas")
+    log = mujoco_log(200)
+    log["qvel"][3] = np.nan
+    scene = known().scene
+    scene.actuators[1].name = "elbow"
+    model, exact = scene.compile(), found_in(log)
+    frame = pandas.DataFrame(columns(log, drives=("a", "elbow.control")))
+    both = r'column "elbow": must be elbow.position or elbow.control'
+    with pytest.raises(ValueError, match=both):
+        found_in(frame, model)
+    frame = frame.rename(columns={"elbow": "elbow.position"})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    frame.to_parquet(tmp_path / "log.parquet")
+    drives = {"a": log["ctrl"][:, 0], "t": log["time"], "elbow": log["ctrl"][:, 1]}
+    apart = {"qpos": frame.drop(columns=["a", "elbow.control"]), "qvel": frame, "ctrl": drives}
+    for source in (frame, tmp_path / "log.csv", tmp_path / "log.parquet", apart):
+        assert found_in(source, model) == pytest.approx(exact, rel=1e-6)
+
+
+def test_messages_of_joint_states_and_commands(tmp_path):
+    log, path = mujoco_log(200), tmp_path / "log.mcap"
+    write_mcap(path, log)
+    apart = {
+        "qpos": f"{path}:/states",
+        "qvel": f"{path}:/states.velocity",
+        "ctrl": f"{path}:/drive",
+    }
+    assert found_in(apart) == pytest.approx(found_in(log), rel=1e-6)
+    with pytest.raises(ValueError, match=r"logs\[0\]: ctrl is missing, and the model has 2"):
+        found_in(f"{path}:/states")
+    recorded = read_log(known(), apart, "log")
+    assert np.array_equal(recorded.measured["qvel"].values, log["qvel"])
+
+
+def test_columns_that_are_nothing_of_the_model_are_named():
+    log = mujoco_log(100) | {"battery": np.zeros(20)}
+    found = sc.identify(known(), log, WANTED)
+    assert found.notes == ["logs[0] has columns that are nothing of the model: battery"]
+
+
+def test_sensors_of_a_recorded_run_belong_to_the_step_before():
+    """A run records with each instant what sensors read where the step began."""
+    sensors = '<jointvel name="speed" joint="elbow"/>'
+    model = guess(sensors)
+    run = sc.Sim(model).run(0.1, control=controls(50), record=("qpos", "ctrl", "sensordata"))
+    log = read_log(model, run, "log")
+    speeds = log.measured["sensordata"].values[:, 0]
+    again = sc.Sim(model).run(0.1, control=controls(50), record=("qvel",))
+    assert np.isnan(speeds[-1])
+    assert speeds[:-1] == pytest.approx(again.qvel[:-1, 1], abs=1e-12)
+
+
+def test_times_in_milliseconds_are_refused():
+    log = mujoco_log(100)
+    log["time"] = 1e3 * log["time"]
+    with pytest.raises(ValueError, match=r"rows are 10 s apart, 5000 steps of 2 ms: .* millisec"):
+        found_in(log)
+
+
+def swing(seconds=2.0):
+    """A hinge that turns to and fro, at 100 Hz."""
+    time = np.arange(0, seconds, 0.01)
+    return {
+        "time": time,
+        "qpos": np.sin(3 * time)[:, None],
+        "qvel": 3 * np.cos(3 * time)[:, None],
+        "ctrl": np.zeros((len(time), 1)),
+    }
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({}, None),
+        ({"qpos": 57.2958}, "reaches 57.3 rad, its range 1.57 rad: it looks like degrees"),
+        ({"qvel": 57.2958}, "velocity is 57.3× the change of its position: it looks like degrees"),
+        ({"time": 0.001}, "changes 1000× the measured velocity: times must be in seconds"),
+    ],
+)
+def test_units_are_doubted(change, said):
+    """Degrees by the range and by the velocity; times by the velocity."""
+    log = {key: value * change.get(key, 1.0) for key, value in swing().items()}
+    found = sc.identify(sc.loads(TEXT), log, {"joint/hip/damping": (0.1, 10)}, most=1)
+    units = [finding for finding in found.findings if finding.kind == "units"]
+    if said is None:
+        assert not units
+    else:
+        assert units[0].severity == "error" and said in units[0].text
+        assert units[0].text in found.sentences
+
+
+def test_a_sensor_in_another_unit_is_doubted_by_the_fit():
+    sensors = '<framepos name="hand" objtype="site" objname="hand"/>'
+    log = mujoco_log(200, sensors=sensors)
+    log["sensordata"] *= 1e3
+    model = guess(sensors, **{key: value for key, value in TRUE.items() if key != "damping"})
+    found = sc.identify(model, log, WANTED, most=2)
+    texts = [finding.text for finding in found.findings]
+    assert any("sensordata[hand.0]: measured 1001× the prediction" in text for text in texts)
+
+
+def test_gaps_of_the_controls_are_told():
+    log = mujoco_log(200)
+    kept = np.r_[:10, 25:40]
+    cut = {key: value[kept] for key, value in log.items()}
+    found = sc.identify(known(), cut, WANTED)
+    (finding,) = found.findings
+    assert finding.kind == "gap"
+    assert "no controls for 160 ms from 90 ms on" in finding.text
+    log["ctrl"][7, 1] = np.nan
+    with pytest.raises(ValueError, match=r"ctrl has gaps, of .* at 70 ms"):
+        found_in(log)
+
+
+PENDULUM = """<mujoco><option timestep="0.01" integrator="RK4"/>
+<default><geom contype="0" conaffinity="0" size="0.02" mass="1"/></default><worldbody>
+<body><joint name="upper" axis="0 1 0" damping="0.01"/><geom type="capsule" fromto="0 0 0 0 0 -1"/>
+<body pos="0 0 -1"><joint name="lower" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -1"/>
+</body></body></worldbody></mujoco>"""
+
+
+def test_a_log_beyond_what_can_be_predicted_says_from_when():
+    """A double pendulum from a raised pose: the time is that of `predict`, to a third."""
+    sim = sc.Sim(sc.loads(PENDULUM))
+    sim.qpos[:] = 2.0, 0.5
+    run = sim.run(8.0)
+    found = sc.identify(sc.loads(PENDULUM), run, {"joint/upper/damping": (0.001, 0.1)}, most=2)
+    (end,) = found.predictable
+    scene = sc.loads(
+        PENDULUM.replace("</mujoco>", '<keyframe><key qpos="2 .5"/></keyframe></mujoco>')
+    )
+    known = sc.predict(scene, horizon=8.0, starts=1, progress=False, threads=1).time
+    assert end == pytest.approx(known, rel=1 / 3)
+    (finding,) = [finding for finding in found.findings if finding.kind == "horizon"]
+    assert finding.value == end and "cut it into pieces" in finding.text
+    first = {"time": run.time[:200], "qpos": run.qpos[:200], "qvel": run.qvel[:200]}
+    short = sc.identify(sc.loads(PENDULUM), first, {"joint/upper/damping": (0.001, 0.1)}, most=2)
+    assert short.predictable == [np.inf]
+
+
+def test_a_run_that_fails_with_the_present_values_is_told():
+    text = TEXT.replace('damping="1"', 'damping="1" stiffness="-1e9"')
+    with pytest.raises(ValueError, match="must be values with which the logs can be run"):
+        sc.identify(sc.loads(text), swing(), {"joint/hip/damping": (0.1, 10)})
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ((-0.1, 0.1), "must be a range of times"),
+        ((0.1, 0.0), r"must be a range \(low, high\)"),
+    ],
+)
+def test_delays_are_times_of_a_model_with_controls(given, message):
+    with pytest.raises(ValueError, match=message):
+        sc.identify(known(), mujoco_log(20), {"delay": given})
+    still = {"time": [0.0, 0.1], "qpos": np.zeros((2, 2))}
+    with pytest.raises(ValueError, match="of a model with controls"):
+        sc.identify(sc.loads(PENDULUM), still, {"delay": (0, 0.1)})
