@@ -11,9 +11,6 @@ BALL = """<mujoco model="ball"><option timestep=".002"/><worldbody>
  <geom type="plane" size="5 5 .1"/>
  <body name="ball" pos="0 0 .2"><freejoint/><geom size=".1" mass="1"/></body>
  </worldbody></mujoco>"""
-LATE = """<mujoco><worldbody><body><joint name="a" type="slide" range="-1 1"/>
- <geom size=".1"/></body></worldbody>
- <actuator><position joint="a" kp="10" delay="0.01" nsample="5"/></actuator></mujoco>"""
 FIELDS = {"horizon": 0.3, "starts": 2, "further": 2, "progress": False}
 
 
@@ -41,7 +38,9 @@ def test_what_a_model_ships_may_keep_an_accuracy():
 
 
 def test_where_steps_keep_none_no_such_row_is_tried():
-    trade = sc.trade(sc.loads(LATE), error="1mm", by="flops", **FIELDS)
+    """Under a law that a step of a fixed length defines."""
+    model = sc.loads(BALL).compile().with_settings(law="rigid")
+    trade = sc.trade(model, error="1mm", by="flops", **FIELDS)
     assert all(row.settings.accuracy is None for row in trade.rows)
 
 

@@ -30,6 +30,8 @@ use crate::world::{world, Placed, World};
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// Energy before and after, and gains by element.
 type TapedStep = (f64, f64, Vec<(Id, f64)>);
+/// A length that was refused [s], and the body whose error was too large.
+type Refused = (f64, Option<usize>);
 /// Elements, forces (n, nv), energies (n,), entries of slopes (m, 5).
 type SlopesTable<'py> = (Vec<Id>, Array<'py>, Vec<f64>, Array<'py>);
 
@@ -412,7 +414,7 @@ impl Sim {
     /// Of the last step within an accuracy: the shortest part taken [s]; the shortest refused [s],
     /// with the body whose error was too large.
     #[getter]
-    fn stretches(&self) -> PyResult<(f64, Option<(f64, Option<usize>)>)> {
+    fn stretches(&self) -> PyResult<(f64, Option<Refused>)> {
         let stretches = self.lock()?.effort().stretches;
         Ok((stretches.shortest, stretches.refused))
     }
