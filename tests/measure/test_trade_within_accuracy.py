@@ -39,7 +39,7 @@ def test_what_a_model_ships_may_keep_an_accuracy():
 
 def test_where_steps_keep_none_no_such_row_is_tried():
     """Under a law that a step of a fixed length defines."""
-    model = sc.loads(BALL).compile().with_settings(law="rigid")
+    model = sc.loads(BALL).compile().with_settings(law="rigid", solver="pgs")
     trade = sc.trade(model, error="1mm", by="flops", **FIELDS)
     assert all(row.settings.accuracy is None for row in trade.rows)
 
