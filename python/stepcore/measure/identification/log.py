@@ -13,6 +13,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.axes import axes_of
+from stepcore.engine.element import listed
 from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.control_files import LATE, MCAP, OWN, mcap_rows
@@ -20,7 +21,7 @@ from stepcore.experiment.control_log import ControlLog
 from stepcore.experiment.control_table import control_table
 from stepcore.experiment.user_table import TIME, read_table
 from stepcore.experiment.user_table import numbers as numbers_of
-from stepcore.report.units import seconds
+from stepcore.report.units import counted, seconds
 
 # What a log can tell of a state and of the sensors, and its controls.
 MEASURED = ("qpos", "qvel", "sensordata")
@@ -117,8 +118,9 @@ def read_log(model: Model, log: Log, name: str) -> MeasuredLog:
         if times.ndim != 1 or len(times) < 2 or not (np.diff(times) > 0).all():
             raise ValueError(f"{name}: time of {key} must be two or more increasing numbers")
     if "ctrl" not in tables and model.nu:
-        limit = f"and the model has {model.nu} controls"
-        raise ValueError(f"{name}: ctrl is missing, {limit}")
+        limit = f"{counted(model.nu, 'control')}, {listed(model.called('actuator'))}"
+        other = f"; columns that were not read: {listed(unread)}" if unread else ""
+        raise ValueError(f"{name}: ctrl is missing, and the model has {limit}{other}")
     first = tables["qpos"].values[0] if "qpos" in tables else np.full(max(1, model.nq), np.nan)
     if not np.isfinite(first).all():
         raise ValueError(f"{name}: the first row of qpos must be whole: the run begins there")
