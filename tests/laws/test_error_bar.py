@@ -183,3 +183,20 @@ def test_a_random_control_function_has_no_error_bar():
     with pytest.raises(ValueError, match=r"`control`.* returned other controls when a finer run"):
         sc.run(model, control=control, horizon=0.1, error_bar=True, progress=False)
     assert sc.run(model, control=control, horizon=0.1, progress=False).success
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+def test_a_control_function_that_feels_the_contacts(precision):
+    """The finer run's forces are others, at the same state: that is no randomness."""
+    model = sc.loads("""<mujoco><option timestep=".005"/><worldbody>
+     <geom type="plane" size="1 1 .1"/><body pos="0 0 .099"><joint name="z" type="slide"
+     axis="0 0 1"/><geom size=".1" mass="1"/><site name="s" size=".12"/></body></worldbody>
+     <actuator><motor joint="z"/></actuator><sensor><touch site="s"/></sensor></mujoco>""")
+    model = model.compile().with_settings(precision=precision)
+
+    def control(time, sim):
+        return -0.1 * sim.sensordata
+
+    run = sc.run(model, control=control, horizon=0.2, error_bar=True, progress=False)
+    assert run.success
+    assert 0 < run.sim.error.largest < 1e-3
