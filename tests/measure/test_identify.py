@@ -126,6 +126,19 @@ def test_sensors_alone_tell_the_values():
     assert found.residuals["sensordata[imu.0]"] < 1e-4 < found.before["sensordata[imu.0]"]
 
 
+def test_sensors_under_the_rigid_law():
+    """It has no Newton solver."""
+    text = """<mujoco><option timestep=".005"/><worldbody><body><joint name="z" type="slide"
+     axis="0 0 1" damping="{}"/><geom size=".1" mass="1"/></body></worldbody>
+     <sensor><jointvel joint="z"/></sensor></mujoco>"""
+    true, model = (
+        sc.loads(text.format(d)).compile().with_settings(law="rigid", solver="pgs") for d in (2, 1)
+    )
+    run = sc.Sim(true).run(0.25, record=("qpos", "sensordata"))
+    found = sc.identify(model, run, {"joint/z/damping": (0.1, 10)})
+    assert found.values["joint/z/damping"] == pytest.approx(2, rel=1e-9)
+
+
 def test_a_sensor_without_derivative_is_refused_by_name():
     sensors = '<contact name="felt" body1="fore" data="found"/>'
     log = mujoco_log(20) | {"sensordata": np.zeros((4, 1))}

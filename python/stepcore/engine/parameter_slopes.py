@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.engine.parameter_columns import Column, models_around
+from stepcore.engine.run_settings import converged_settings
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -56,7 +57,7 @@ class Worlds:
         cls, model: Model, read: Callable[[Batch], Floats], columns: Sequence[Column] = ()
     ) -> Worlds:
         """Return worlds whose rows are solved to rounding, as in `Sim.linearize`."""
-        settings = model.settings.replace(solver="newton", tolerance=1e-14, sweeps=200, sleep=False)
+        settings = converged_settings(model.settings, tolerance=1e-14, sleep=False)
         return cls(model.with_settings(settings), read, columns)
 
     def values(self, states: States) -> Floats:
