@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
     from stepcore.engine.model import Model
 
+Part = TypeVar("Part")
 # A gradient that grows more than this on its way back says nothing beyond the next step or two.
 GROWTH = 1e6
 
@@ -123,10 +124,19 @@ def _check_late(batch: Batch) -> None:
         raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
 
 
-def _each(batch: Batch, job: Callable[[int], Any]) -> list[Any]:
-    """Do a job for every world, on the batch's threads."""
-    with ThreadPoolExecutor(min(batch._threads, len(batch))) as pool:
-        return list(pool.map(job, range(len(batch))))
+def _each(batch: Batch, job: Callable[[Part], Any], parts: Sequence[Part]) -> list[Any]:
+    """Do a job for every part, on the batch's threads; one alone is this thread."""
+    threads = min(batch._threads, len(parts))
+    if threads == 1:
+        return [job(part) for part in parts]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(job, parts))
+
+
+def _put(sim: Sim, arrays: Mapping[str, Floats], world: int) -> None:
+    """Give a Sim the row of a world of these arrays."""
+    for name, rows in arrays.items():
+        getattr(sim, name)[...] = rows[world]
 
 
 def _rows(
@@ -179,14 +189,16 @@ class Steps:
 
     def sim(self, world: int) -> Sim:
         """A Sim of a world, with the inputs that do not change."""
-        return _single(self.models[world], world, self.held)
+        sim = unwatched(Sim(self.models[world]))
+        _put(sim, self.held, world)
+        return sim
 
-    def before(self, world: int) -> dict[str, Floats]:
-        """The states where the steps of a world begin, each of shape (steps, …)."""
-        return {
-            name: np.concatenate([rows[world][None], getattr(self.rollout, name)[world, :-1]])
-            for name, rows in self.start.items()
-        }
+    def states(self, world: int, name: str) -> Floats:
+        """An array of a world's states, from the first to that after the last step."""
+        states: Floats = np.concatenate(
+            [self.start[name][world][None], getattr(self.rollout, name)[world]]
+        )
+        return states
 
     def put(self, sim: Sim, world: int, step: int) -> None:
         """Let a Sim stand where a step began."""
@@ -220,14 +232,6 @@ class Steps:
         )
 
 
-def _single(model: Model, world: int, arrays: Mapping[str, Floats]) -> Sim:
-    """A Sim of a world of a batch, with its row of these arrays."""
-    sim = unwatched(Sim(model))
-    for name, rows in arrays.items():
-        getattr(sim, name)[...] = rows[world]
-    return sim
-
-
 def linearizations(batch: Batch, parameters: Sequence[str]) -> list[Linearization]:
     """See `Batch.linearize`."""
     _check_late(batch)
@@ -242,17 +246,13 @@ def linearizations(batch: Batch, parameters: Sequence[str]) -> list[Linearizatio
             model = batch._model_of(world)
             if model is not last:
                 last, sim = model, unwatched(Sim(model))
-            for name, rows in arrays.items():
-                getattr(sim, name)[...] = rows[world]
+            _put(sim, arrays, world)
             made.append(sim.linearize(parameters))
         return made
 
     n, threads = len(batch), batch._threads
     shares = [range(k * n // threads, (k + 1) * n // threads) for k in range(threads)]
-    if threads == 1:
-        return share(shares[0])
-    with ThreadPoolExecutor(threads) as pool:
-        return [linear for made in pool.map(share, shares) for linear in made]
+    return [linear for made in _each(batch, share, shares) for linear in made]
 
 
 def vjp(
@@ -288,7 +288,7 @@ def pulled(steps: Steps, given: Mapping[str, Floats]) -> Gradients:
             factors[step] = sizes[step] / before if before > 0 else 1.0
         return adjoint, by_ctrl, by_values, sizes, factors, sided
 
-    made = _each(steps.batch, back)
+    made = _each(steps.batch, back, range(steps.n))
     first, by_ctrl, values, sizes, factors = (
         np.array([one[k] for one in made]).reshape(steps.n, *shape)
         for k, shape in enumerate(((-1,), (count, -1), (-1,), (count,), (count,)))
@@ -418,7 +418,7 @@ def jvp(
             out[step] = x
         return out
 
-    rows = np.array(_each(batch, along)).reshape(steps.n, steps.count, -1)
+    rows = np.array(_each(batch, along, range(steps.n))).reshape(steps.n, steps.count, -1)
     nv = batch.model.nv
     qpos = steps.tangents.of_dofs(steps.rollout.qpos, rows[..., :nv])
     return steps.rollout, Rollout(qpos, rows[..., nv : 2 * nv], rows[..., 2 * nv :])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stepcore.engine.arrays import Floats
+from stepcore.engine.arrays import STATE, Floats
 from stepcore.engine.gradients import Steps
 from stepcore.engine.parameter_columns import columns
 from stepcore.engine.parameter_slopes import Worlds, after_step
@@ -44,7 +44,8 @@ def parameter_slopes(steps: Steps, world: int) -> Floats:
         return out
     # It refuses what steps do not read as a number.
     steps.linear(sim, world, 0)
-    states = steps.before(world) | {"ctrl": steps.ctrl[world]}
+    states = {name: steps.states(world, name)[:-1] for name in STATE}
+    states["ctrl"] = steps.ctrl[world]
     states |= {
         name: np.repeat(rows[world][None], steps.count, 0) for name, rows in steps.held.items()
     }

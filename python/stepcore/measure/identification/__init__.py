@@ -10,12 +10,11 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
-from stepcore.engine.parameter_columns import columns, split_entry
+from stepcore.engine.parameter_columns import columns
 from stepcore.engine.trajectory import Trajectory
-from stepcore.engine.variations import own_value
 from stepcore.experiment.arguments import Source
 from stepcore.loading import find_model
-from stepcore.measure.identification.certainty import Certainty, certainty, improvement
+from stepcore.measure.identification.certainty import Certainty, certainty
 from stepcore.measure.identification.doubts import (
     fit_findings,
     gap_findings,
@@ -82,10 +81,9 @@ def identify(
     90.0
     """
     compiled = find_model(model).with_settings(precision="f64")
-    bounds = _bounds(compiled, parameters)
+    bounds, guess = _bounds(compiled, parameters)
     read = _read(compiled, logs)
     labels = list(bounds)
-    guess = np.array([_value(compiled, label, bounds[label]) for label in labels])
     fit = Predictions(compiled, read, labels)
     check_smooth(compiled, [q.entry for q in fit.quantities if q.array == "sensordata"])
     findings = [*unit_findings(compiled, read), *gap_findings(read)]
@@ -93,7 +91,7 @@ def identify(
     most = checks.count("most", most)
     x, jacobian, settled = _fitted(fit, bounds, start, most)
     sure = certainty(jacobian, fit.residual(x), fit.kinds(), labels)
-    result = _result(fit, bounds, start, x, jacobian, sure, findings)
+    result = _result(fit, bounds, start, x, sure, findings)
     if not settled:
         result.unfinished = f"The search was cut off by most = {most}: the values may still change."
     return result
@@ -109,12 +107,12 @@ def _read(model: Model, logs: Log | Sequence[Log]) -> list[MeasuredLog]:
 
 def _bounds(
     model: Model, parameters: Mapping[str, tuple[float, float]]
-) -> dict[str, tuple[float, float]]:
-    """Return the checked ranges by label."""
+) -> tuple[dict[str, tuple[float, float]], list[float]]:
+    """Return the checked ranges by label, and the first guess: the model's values."""
     if not isinstance(parameters, Mapping) or not parameters:
         limit = 'a dict of paths and ranges, such as {"joint/knee/damping": (0.01, 10)}'
         raise ValueError(f"parameters = {checks.shown(parameters)}: must be {limit}")
-    known = {}
+    known, guess = dict[str, tuple[float, float]](), []
     for path, given in parameters.items():
         pair = checks.listed(given) or ()
         low, high = (checks.number(x) for x in pair) if len(pair) == 2 else (None, None)
@@ -135,16 +133,8 @@ def _bounds(
             shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
             raise ValueError(f"{shown}: must be {limit}")
         known[label] = (float(low), float(high))
-    return known
-
-
-def _value(model: Model, label: str, bounds: tuple[float, float]) -> float:
-    """Return the first guess of a parameter: the model's value."""
-    if label == DELAY:
-        return bounds[0]
-    path, entry = split_entry(label)
-    value = own_value(model, path)
-    return float(value if entry is None else value[entry])
+        guess.append(float(value))
+    return known, guess
 
 
 def _fitted(
@@ -220,7 +210,6 @@ def _result(
     bounds: Mapping[str, tuple[float, float]],
     start: np.ndarray,
     x: np.ndarray,
-    jacobian: np.ndarray,
     sure: Certainty,
     findings: Sequence[Finding],
 ) -> Identification:
@@ -229,14 +218,14 @@ def _result(
     finer = fit.predicted(x, FINER)
     # One step of Gauss and Newton from the estimates, by what shorter steps change.
     changed = fit.residual_of(finer) - fit.residual_of(after)
-    moved = x - improvement(jacobian, changed)
+    moved = x - sure.inverse @ changed
     low, high = np.array(list(bounds.values())).T
     own = fit.model(x)
     return Identification(
         name=fit.base.scene.name or "scene",
         settings=fit.base.settings,
         logs=len(fit.logs),
-        samples=len(jacobian),
+        samples=len(changed),
         values=_named(labels, x),
         start=_named(labels, start),
         bounds=dict(bounds),

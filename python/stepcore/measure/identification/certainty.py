@@ -22,11 +22,14 @@ class Certainty:
     errors: the standard error of each; inf where the logs say nothing.
     correlations: between each two, shape (n, n).
     alike: sets of parameters that cannot be told apart.
+    inverse: J⁺: times a residual, by how much all values are too large for it; 0 where nothing is
+        known.
     """
 
     errors: np.ndarray
     correlations: np.ndarray
     alike: list[tuple[str, ...]]
+    inverse: np.ndarray
 
 
 def certainty(
@@ -45,8 +48,8 @@ def certainty(
     )
     inverse, turns, weak = _inverse(jacobian)
     count = len(labels)
-    inverse = inverse[:count]
-    covariance = (inverse * variances[kinds]) @ inverse.T
+    own = inverse[:count]
+    covariance = (own * variances[kinds]) @ own.T
     unknown = (np.abs(turns[weak][:, :count]) > WEAK).any(axis=0)
     spread = np.sqrt(np.diag(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -60,13 +63,7 @@ def certainty(
             known = any(set(pair) <= set(names) for names in alike)
             if abs(related[i, k]) > ALIKE and not known:
                 alike.append(pair)
-    return Certainty(np.where(unknown, np.inf, spread), related, alike)
-
-
-def improvement(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Return J⁺ r: by how much values are too large for a residual; 0 where nothing is known."""
-    better: np.ndarray = _inverse(jacobian)[0] @ residual
-    return better
+    return Certainty(np.where(unknown, np.inf, spread), related, alike, inverse)
 
 
 def _inverse(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

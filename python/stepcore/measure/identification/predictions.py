@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stepcore.engine.arrays import STATE
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.engine.gradients import Steps, Tangents
 from stepcore.engine.model import Model
@@ -18,8 +19,6 @@ from stepcore.measure.identification.sensors import Readings
 
 # The time by which controls come late, among the parameters [s].
 DELAY = "delay"
-
-
 # As many runs are kept.
 KEPT = 3
 # Arrays over the times of a log, each of shape (T, n).
@@ -257,12 +256,11 @@ class _Between:
 
     def rows(self, steps: Steps, key: str) -> np.ndarray:
         """Return an array of the states near."""
-        rows: np.ndarray = np.concatenate([steps.start[key], getattr(steps.rollout, key)[0]])
-        return rows[self.near]
+        return steps.states(0, key)[self.near]
 
     def states(self, steps: Steps, ctrl: np.ndarray) -> dict[str, np.ndarray]:
         """Return the states near, with their controls of these, shape (steps + 1, nu)."""
-        states = {key: self.rows(steps, key) for key in ("qpos", "qvel", "act")}
+        states = {key: self.rows(steps, key) for key in STATE}
         return states | {"ctrl": ctrl[self.near]}
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:

@@ -20,11 +20,10 @@ def identification(result: Identification) -> Any:
 
     A panel is a quantity; of many, those with the largest residuals beside their motion.
     """
-    shares = {id(curve): _share(curve) for curve in result.curves}
-    worst = max(result.curves, key=lambda curve: shares[id(curve)])
+    worst = max(result.curves, key=_share)
     own = [curve for curve in result.curves if curve.log == worst.log]
-    kept = sorted(own, key=lambda curve: -shares[id(curve)])[:PANELS]
-    drawn = [curve for curve in own if any(curve is one for one in kept)]
+    kept = sorted(range(len(own)), key=lambda k: -_share(own[k]))[:PANELS]
+    drawn = [own[k] for k in sorted(kept)]
     figure = new_figure(height=max(4.0, PANEL * len(drawn)))
     panels = figure.subplots(len(drawn), sharex=True, squeeze=False)[:, 0]
     for axes, curve in zip(panels, drawn, strict=True):
