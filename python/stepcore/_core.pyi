@@ -1,7 +1,7 @@
 """The engine as compiled. `stepcore.Model`, `Sim` and `Batch` are built on it; of its names
 only `Settings` and `SimulationError` are meant to be used directly (as `stepcore.Settings`)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, Unpack, final
 
 import numpy as np
@@ -391,9 +391,15 @@ class Sim(_World):
         """Steps once: kinetic and spring energy before and after; energy that elements injected."""
     def forget(self) -> None:
         """Forgets the impulses of the last step."""
-    def linearize(self, parameters: Sequence[Sequence[Model]]) -> tuple[_Floats, list[_Element]]:
+    def linearize(
+        self,
+        parameters: Sequence[Sequence[Model]],
+        states: Mapping[str, _Floats] | None = None,
+        threads: int = 1,
+    ) -> tuple[_Floats, list[tuple[int, _Element]]]:
         """A (2 nv + na columns), B (nu columns) and a column for each parameter, given by the
-        models around its value, over their distance; and where these are one-sided."""
+        models around its value, over their distance, of each state (n, rows, columns); and where
+        the nth are one-sided. states: arrays of n rows by name; what is absent is as it is."""
     def element_slopes(self) -> tuple[list[_Element], _Floats, list[float], _Floats]:
         """Elements that act at the present state, forces (n, nv), energies [J], and the entries of
         their slopes in the columns (nth element, dof, dof, stiffness, damping)."""

@@ -15,7 +15,7 @@ use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
 use stepcore::warm::Sleep;
 use stepcore::watch::{
-    Around, Counter, Coupling, ElementSlopes, LastSolve, Linearizer, RayFilter, StepGains, Watched,
+    Around, Counter, Coupling, ElementSlopes, LastSolve, Linearizers, RayFilter, StepGains, Watched,
 };
 
 use crate::memo::{put_memo, warm_of, Memo, Solve};
@@ -150,7 +150,14 @@ pub trait World: Send {
     fn initial_sleep(&self) -> Sleep<f64>;
     /// How often the list of contacts had to grow.
     fn grown(&self) -> u64;
-    fn linearizer(&mut self, parameters: Vec<Around>) -> Result<Linearizer>;
+    /// By these parameters, for so many linearisations from the present state; `keep` them after use.
+    fn linearizers(
+        &mut self,
+        parameters: Vec<Around>,
+        threads: usize,
+        count: usize,
+    ) -> Result<Linearizers>;
+    fn keep(&mut self, linearizers: Linearizers);
     fn element_slopes(&mut self) -> Result<ElementSlopes>;
     fn counter(&mut self) -> Result<Counter>;
     fn bytes(&self) -> usize;
@@ -172,13 +179,15 @@ struct One<R: Real> {
     of: Last,
     /// It is in no `Sim` yet, but for its acceleration.
     unmade: bool,
+    /// The last ones.
+    linearizers: Option<Linearizers>,
 }
 
 impl<R: Real> One<R> {
     fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
         let watched = Watched::<R>::new(model, settings.clone())?;
         let last = LastSolve::new(&watched.sim);
-        Ok(Self { watched, last, of: Last::Nothing, unmade: false })
+        Ok(Self { watched, last, of: Last::Nothing, unmade: false, linearizers: None })
     }
 
     fn sim(&self) -> &Sim<R> {
@@ -435,8 +444,21 @@ impl<R: Real> World for One<R> {
     fn grown(&self) -> u64 {
         self.sim().detected.grown
     }
-    fn linearizer(&mut self, parameters: Vec<Around>) -> Result<Linearizer> {
-        Linearizer::new(self.sim(), parameters)
+    fn linearizers(
+        &mut self,
+        parameters: Vec<Around>,
+        threads: usize,
+        count: usize,
+    ) -> Result<Linearizers> {
+        let mut made = match self.linearizers.take() {
+            Some(kept) if kept.is(&parameters, threads) => kept,
+            _ => Linearizers::new(self.sim(), parameters, threads)?,
+        };
+        made.begin(self.sim(), count);
+        Ok(made)
+    }
+    fn keep(&mut self, linearizers: Linearizers) {
+        self.linearizers = Some(linearizers);
     }
     fn element_slopes(&mut self) -> Result<ElementSlopes> {
         ElementSlopes::new(self.sim())
@@ -445,6 +467,6 @@ impl<R: Real> World for One<R> {
         Counter::new(self.sim())
     }
     fn bytes(&self) -> usize {
-        self.watched.bytes()
+        self.watched.bytes() + self.linearizers.as_ref().map_or(0, Linearizers::bytes)
     }
 }

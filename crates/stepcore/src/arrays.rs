@@ -315,11 +315,17 @@ impl Plain {
 
     fn under<R: Real>(&self, settings: Settings) -> Result<Sim<R>> {
         let mut sim = Sim::<R>::new(self.model.clone(), settings)?;
+        self.give(&mut sim);
+        Ok(sim)
+    }
+
+    /// Lets a world of the same model stand where this one stands.
+    pub(crate) fn give<R: Real>(&self, sim: &mut Sim<R>) {
         sim.put(0, &Given::new(|array| &self.lists[array as usize]));
+        sim.state.warm.clear();
         sim.state.warm.extend(self.warm.iter().map(Warm::of));
         sim.state.sleep = self.sleep.cast();
         (sim.state.steps, sim.state.start) = (self.steps, self.start);
-        Ok(sim)
     }
 }
 

@@ -16,6 +16,7 @@ from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, indices_of, kept, last_of, numbers, snapshot
 from stepcore.engine.gradients import Differentiable
+from stepcore.engine.linear_steps import LinearWorlds
 from stepcore.engine.parameters import Parameters
 from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
 from stepcore.engine.sums import Momentum
@@ -106,6 +107,7 @@ class Batch(Differentiable):
         how = (self._threads, None if self._lanes == "auto" else self._lanes, goes_on)
         self._own(_core.Batch(self._model.core, own, n, *how))
         self._param = Parameters(self._model, self._core, len(self))
+        self._linear_worlds: LinearWorlds | None = None
         # Worlds that were reset individually: the batch's time at the reset, and the world's time.
         self._reset_at, self._reset_to = np.full((2, len(self)), np.nan)
 

@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
 from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers
-from stepcore.engine.linearization import Linearization
+from stepcore.engine.linear_steps import LinearSteps, LinearWorlds
+from stepcore.engine.linearization import Linearization, named
 from stepcore.engine.parameter_columns import columns, split_entry
 from stepcore.engine.rollout import Rollout
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.tangents import Tangents
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
-    from stepcore.engine.model import Model
 
-Part = TypeVar("Part")
 # A gradient that grows more than this on its way back says nothing beyond the next step or two.
 GROWTH = 1e6
+# Steps of a world that are linearised together, and as many numbers of matrices as are in memory
+# at once: 64 MiB.
+BLOCK, ROOM = 64, 2**23
+TINY = np.finfo(float).tiny
 
 
 class GradientWarning(UserWarning):
@@ -54,83 +57,9 @@ class Gradients(NamedTuple):
     one_sided: list[tuple[int, int, str]]
 
 
-class Tangents:
-    """Maps between changes of qpos and those of the dofs, where these differ: quaternions."""
-
-    def __init__(self, model: Model) -> None:
-        self.nv = model.nv
-        pairs: list[tuple[int, int]] = []
-        self.quats: list[tuple[int, int]] = []
-        for joint, kind in enumerate(model.jnt_type):
-            q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-            if kind in ("slide", "hinge"):
-                pairs.append((q, v))
-            elif kind == "free":
-                pairs += [(q + k, v + k) for k in range(3)]
-            if kind in ("ball", "free"):
-                shift = 3 * (kind == "free")
-                self.quats.append((q + shift, v + shift))
-        self.q, self.v = (np.array([pair[k] for pair in pairs], int) for k in (0, 1))
-
-    def _turns(self, qpos: Floats, q: int, inverse: bool) -> Floats:
-        """The change of a quaternion by a turn about each body axis, (…, 3, 4).
-
-        inverse: its pseudo-inverse, transposed. The rows are at right angles, each |q|/2 long.
-        """
-        quat = qpos[..., q : q + 4]
-        w, x, y, z = np.moveaxis(quat, -1, 0)
-        rows = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
-        turns: Floats = np.moveaxis(np.array(rows), (0, 1), (-2, -1)) / 2
-        return turns * (4 / (quat**2).sum(-1))[..., None, None] if inverse else turns
-
-    def of_dofs(self, qpos: Floats, change: Floats, inverse: bool = False) -> Floats:
-        """A change of dofs as one of qpos; (…, nv) to (…, nq)."""
-        out = np.zeros(qpos.shape)
-        out[..., self.q] = change[..., self.v]
-        for q, v in self.quats:
-            turns = self._turns(qpos, q, inverse)
-            out[..., q : q + 4] = np.einsum("...a,...ak->...k", change[..., v : v + 3], turns)
-        return out
-
-    def moved(self, qpos: Floats, change: Floats) -> Floats:
-        """A qpos moved by a change of dofs, to first order; quaternions keep their length."""
-        out: Floats = qpos + self.of_dofs(qpos, change)
-        for q, _ in self.quats:
-            before, after = qpos[..., q : q + 4], out[..., q : q + 4]
-            after *= np.sqrt((before**2).sum(-1, keepdims=True) / (after**2).sum(-1, keepdims=True))
-        return out
-
-    def gradient(self, qpos: Floats, change: Floats) -> Floats:
-        """A gradient by the dofs as one by qpos, of which quaternions are made unit."""
-        return self.of_dofs(qpos, change, inverse=True)
-
-    def to_dofs(self, qpos: Floats, gradient: Floats, inverse: bool = False) -> Floats:
-        """A gradient by qpos as one by the dofs; (…, nq) to (…, nv)."""
-        out = np.zeros((*qpos.shape[:-1], self.nv))
-        out[..., self.v] = gradient[..., self.q]
-        for q, v in self.quats:
-            turns = self._turns(qpos, q, inverse)
-            part = np.einsum("...k,...ak->...a", gradient[..., q : q + 4], turns)
-            out[..., v : v + 3] = part
-        return out
-
-    def changed(self, qpos: Floats, change: Floats) -> Floats:
-        """A change of qpos as one of the dofs; (…, nq) to (…, nv)."""
-        return self.to_dofs(qpos, change, inverse=True)
-
-
 def _check_late(batch: Batch) -> None:
     if batch._arrays["ctrl_history"].size:
         raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
-
-
-def _each(batch: Batch, job: Callable[[Part], Any], parts: Sequence[Part]) -> list[Any]:
-    """Do a job for every part, on the batch's threads; one alone is this thread."""
-    threads = min(batch._threads, len(parts))
-    if threads == 1:
-        return [job(part) for part in parts]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(job, parts))
 
 
 def _put(sim: Sim, arrays: Mapping[str, Floats], world: int) -> None:
@@ -163,7 +92,7 @@ class Steps:
     def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
         _check_late(batch)
         self.labels = [column.label for column in columns(batch.model, parameters)]
-        self.batch, self.parameters = batch, parameters
+        self.batch = batch
         self.ctrl, self.n = np.array(numbers("ctrl", ctrl)), len(batch)
         if self.ctrl.ndim != 3 or self.ctrl.shape[::2] != (self.n, batch.model.nu):
             limit = f"({self.n}, steps, {batch.model.nu})"
@@ -209,10 +138,20 @@ class Steps:
             getattr(sim, name)[...] = before
         sim.ctrl[...] = self.ctrl[world, step]
 
-    def linear(self, sim: Sim, world: int, step: int) -> Linearization:
-        """Linearise a step."""
-        self.put(sim, world, step)
-        return sim.linearize(self.parameters)
+    def share(self, worlds: Sequence[int]) -> Share:
+        """Some of the worlds, whose steps are linearised together."""
+        return Share(self, worlds)
+
+    def shares(self) -> Iterator[Share]:
+        """All worlds, as many at a time as `ROOM` holds the steps of a block of."""
+        size = self.batch.model.nv * 2 + self.batch.model.na
+        block = BLOCK * size * (size + self.batch.model.nu + len(self.labels))
+        most = max(1, ROOM // max(1, block))
+        return (self.share(range(k, min(k + most, self.n))) for k in range(0, self.n, most))
+
+    def blocks(self) -> list[range]:
+        """All steps, as many at a time as are linearised together."""
+        return [range(k, min(k + BLOCK, self.count)) for k in range(0, self.count, BLOCK)]
 
     def touching(self, sim: Sim, world: int, step: int) -> dict[tuple[str, str], float]:
         """The pairs of geoms that touch where a step begins, with the force between them [N]."""
@@ -232,27 +171,37 @@ class Steps:
         )
 
 
+class Share:
+    """Some worlds of a rollout, whose steps are linearised together."""
+
+    def __init__(self, steps: Steps, worlds: Sequence[int]) -> None:
+        self.steps, self.worlds = steps, list(worlds)
+        models = [steps.models[world] for world in worlds]
+        self.linear_worlds = LinearWorlds(models, steps.batch._threads)
+
+    def linear(
+        self, steps: Sequence[int] | NDArray[np.int_], by: Sequence[str] | None = None
+    ) -> LinearSteps:
+        """Linearise some steps, by their parameters or these: of shape (worlds, steps, …)."""
+        of, mine = self.steps, self.worlds
+        states = {
+            name: np.array([of.states(world, name)[:-1][steps] for world in mine]) for name in STATE
+        }
+        states["ctrl"] = of.ctrl[mine][:, steps]
+        states |= {
+            name: np.repeat(rows[mine][:, None], len(steps), 1) for name, rows in of.held.items()
+        }
+        return self.linear_worlds.linear(states, of.labels if by is None else by)
+
+
 def linearizations(batch: Batch, parameters: Sequence[str]) -> list[Linearization]:
     """See `Batch.linearize`."""
     _check_late(batch)
-    columns(batch.model, parameters)
-    arrays = {name: np.array(getattr(batch, name)) for name in (*STATE, *INPUTS)}
-    arrays = {name: rows for name, rows in arrays.items() if rows.size}
-
-    def share(worlds: range) -> list[Linearization]:
-        # A Sim costs as much as its linearisation; worlds of one model share it.
-        made, last = list[Linearization](), None
-        for world in worlds:
-            model = batch._model_of(world)
-            if model is not last:
-                last, sim = model, unwatched(Sim(model))
-            _put(sim, arrays, world)
-            made.append(sim.linearize(parameters))
-        return made
-
-    n, threads = len(batch), batch._threads
-    shares = [range(k * n // threads, (k + 1) * n // threads) for k in range(threads)]
-    return [linear for made in _each(batch, share, shares) for linear in made]
+    models = [batch._model_of(world) for world in range(len(batch))]
+    if not batch._linear_worlds or not batch._linear_worlds.is_of(models):
+        batch._linear_worlds = LinearWorlds(models, batch._threads)
+    states = {name: np.array(getattr(batch, name))[:, None] for name in (*STATE, *INPUTS)}
+    return named(batch.model, batch._linear_worlds.linear(states, parameters), parameters)
 
 
 def vjp(
@@ -272,27 +221,30 @@ def pulled(steps: Steps, given: Mapping[str, Floats]) -> Gradients:
     weights, model, count = steps.dofs(given), steps.batch.model, steps.count
     split = (model.nv, 2 * model.nv)
 
-    def back(world: int) -> tuple[Floats, Floats, Floats, Floats, Floats, list[Any]]:
-        sim, adjoint = steps.sim(world), np.zeros(weights.shape[-1])
-        by_ctrl, by_values = np.zeros((count, model.nu)), np.zeros(len(steps.labels))
-        sizes, factors, sided = np.zeros(count), np.ones(count), []
-        for step in range(count - 1, -1, -1):
-            adjoint = adjoint + weights[world, step]
-            before = np.linalg.norm(adjoint)
-            linear = steps.linear(sim, world, step)
-            sided += [(world, step, name) for name in linear.degenerate]
-            by_ctrl[step] = linear.B.T @ adjoint
-            by_values += linear.P.T @ adjoint
-            adjoint = linear.A.T @ adjoint
-            sizes[step] = np.linalg.norm(adjoint)
-            factors[step] = sizes[step] / before if before > 0 else 1.0
-        return adjoint, by_ctrl, by_values, sizes, factors, sided
-
-    made = _each(steps.batch, back, range(steps.n))
-    first, by_ctrl, values, sizes, factors = (
-        np.array([one[k] for one in made]).reshape(steps.n, *shape)
-        for k, shape in enumerate(((-1,), (count, -1), (-1,), (count,), (count,)))
-    )
+    n, size = len(steps.batch), weights.shape[-1]
+    first, by_ctrl = np.zeros((n, size)), np.zeros((n, count, model.nu))
+    values = np.zeros((n, len(steps.labels)))
+    sizes, factors = np.zeros((n, count)), np.ones((n, count))
+    sided = list[tuple[int, int, str]]()
+    for share in steps.shares():
+        own, adjoint = share.worlds, np.zeros((len(share.worlds), size))
+        for block in reversed(steps.blocks()):
+            linear = share.linear(block)
+            sided += [
+                (own[world], block[k], model.element_name(*element))
+                for world, k, element in linear.degenerate
+            ]
+            for k in reversed(range(len(block))):
+                step = block[k]
+                adjoint = adjoint + weights[own, step]
+                before = np.linalg.norm(adjoint, axis=1)
+                A, B, P = (one[:, k] for one in linear[:3])
+                by_ctrl[own, step] = _pulled(adjoint, B)
+                values[own] += _pulled(adjoint, P)
+                adjoint = _pulled(adjoint, A)
+                sizes[own, step] = after = np.linalg.norm(adjoint, axis=1)
+                factors[own, step] = np.where(before > 0, after / np.maximum(before, TINY), 1.0)
+        first[own] = adjoint
     asked = np.linalg.norm(weights, axis=-1).sum(axis=1)
     growth = sizes.max(axis=1, initial=0.0) / np.where(asked > 0, asked, np.inf)
     for world in np.flatnonzero(growth > GROWTH)[:1]:
@@ -306,8 +258,14 @@ def pulled(steps: Steps, given: Mapping[str, Floats]) -> Gradients:
         by_ctrl,
         {label: values[:, k] for k, label in enumerate(steps.labels)},
         growth,
-        [entry for one in made for entry in one[5][::-1]],
+        sorted(sided, key=lambda entry: entry[:2]),
     )
+
+
+def _pulled(rows: Floats, matrices: Floats) -> Floats:
+    """Rows of worlds, each times its matrix."""
+    out: Floats = np.matmul(rows[:, None], matrices)[:, 0]
+    return out
 
 
 def _grown(steps: Steps, world: int, growth: float, step: int) -> str:
@@ -407,18 +365,16 @@ def jvp(
     changes["qpos"] = steps.tangents.changed(steps.start["qpos"], changes["qpos"])
     first = np.concatenate([changes[name] for name in STATE], axis=-1)
 
-    def along(world: int) -> Floats:
-        sim, x = steps.sim(world), first[world]
-        out = np.zeros((steps.count, len(x)))
-        for step in range(steps.count):
-            linear = steps.linear(sim, world, step)
-            x = linear.A @ x + linear.B @ moved[world, step]
-            if steps.labels:
-                x = x + linear.P @ values[:, world]
-            out[step] = x
-        return out
-
-    rows = np.array(_each(batch, along, range(steps.n))).reshape(steps.n, steps.count, -1)
+    rows = np.zeros((steps.n, steps.count, first.shape[1]))
+    for share in steps.shares():
+        own = share.worlds
+        x = first[own]
+        for block in steps.blocks():
+            linear = share.linear(block)
+            for k, step in enumerate(block):
+                ways = zip(linear[:3], (x, moved[own, step], values[:, own].T), strict=True)
+                x = sum(np.matmul(one[:, k], way[..., None])[..., 0] for one, way in ways)
+                rows[own, step] = x
     nv = batch.model.nv
     qpos = steps.tangents.of_dofs(steps.rollout.qpos, rows[..., :nv])
     return steps.rollout, Rollout(qpos, rows[..., nv : 2 * nv], rows[..., 2 * nv :])

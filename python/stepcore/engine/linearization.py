@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.parameter_columns import columns, models_around
+from stepcore.engine.linear_steps import LinearSteps
+from stepcore.engine.parameter_columns import columns
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -111,33 +111,21 @@ class Linearization:
         return f"<Linearization: {count}; a step of {self.dt:g} s; {radius}{sides}>"
 
 
-def linearized(model: Model, dt: float, core: Any, parameters: Sequence[str]) -> Linearization:
-    """Linearise the next step of a `_core.Sim`, a step of dt [s], by these parameters too."""
-    by = columns(model, parameters)
-    try:
-        numbers, degenerate = core.linearize([models_around(model, column) for column in by])
-    except ValueError as error:
-        # The core knows parameters by their number.
-        found = re.match(r"parameter = (\d+): (.*)", str(error))
-        if found is None:
-            raise
-        raise ValueError(f"parameters: {by[int(found[1])].label}: {found[2]}") from None
-    split = 2 * model.nv + model.na
+def named(model: Model, steps: LinearSteps, parameters: Sequence[str]) -> list[Linearization]:
+    """Each of linear steps with its names; they are by these parameters too."""
     labels = tuple(
         name + axis
         for name, kind in zip(model.called("joint"), model.jnt_type, strict=True)
         for axis in AXES[kind]
     )
-    controls = model.called("actuator")
-    last = split + model.nu
-    return Linearization(
-        numbers[:, :split],
-        numbers[:, split:last],
-        dt,
-        labels,
-        controls,
-        tuple(model.element_name(*element) for element in degenerate),
-        tuple(degenerate),
-        numbers[:, last:] / np.array([column.apart for column in by]),
-        tuple(column.label for column in by),
-    )
+    controls, dt = model.called("actuator"), model.settings.dt
+    known = tuple(column.label for column in columns(model, parameters))
+    elements: dict[int, list[tuple[str, int, int]]] = {}
+    for world, _, element in steps.degenerate:
+        elements.setdefault(world, []).append(element)
+    made = []
+    for world, (A, B, P) in enumerate(zip(*(one[:, 0] for one in steps[:3]), strict=True)):
+        ids = tuple(elements.get(world, ()))
+        sided = tuple(model.element_name(*element) for element in ids)
+        made.append(Linearization(A, B, dt, labels, controls, sided, ids, P, known))
+    return made

@@ -18,18 +18,18 @@ def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -
     Shape (steps + 1, 2 nv + na, parameters + further + 2 nv + na); the first row is the initial
     state.
     """
-    model, sim = steps.models[0], steps.sim(world)
+    model, share = steps.models[world], steps.share([world])
     size, by = 2 * model.nv + model.na, parameter_slopes(steps, world)
     pushes = np.zeros((steps.count, model.nu, 0)) if changes is None else changes
     count = by.shape[2] + pushes.shape[2]
     slopes = np.concatenate([np.zeros((size, count)), np.eye(size)], axis=1)
     out = [slopes]
-    for step in range(steps.count):
-        steps.put(sim, world, step)
-        linear = sim.linearize()
-        slopes = linear.A @ slopes
-        slopes[:, :count] += np.concatenate([by[step], linear.B @ pushes[step]], axis=1)
-        out.append(slopes)
+    for block in steps.blocks():
+        linear = share.linear(block, ())
+        for step, A, B in zip(block, linear.A[0], linear.B[0], strict=True):
+            slopes = A @ slopes
+            slopes[:, :count] += np.concatenate([by[step], B @ pushes[step]], axis=1)
+            out.append(slopes)
     return np.array(out)
 
 
@@ -38,12 +38,12 @@ def parameter_slopes(steps: Steps, world: int) -> Floats:
 
     Each is P of `Sim.linearize`: by differences in a batch where these are as good.
     """
-    model, sim = steps.models[world], steps.sim(world)
+    model, share = steps.models[world], steps.share([world])
     out = np.zeros((steps.count, 2 * model.nv + model.na, len(steps.labels)))
     if not steps.labels or not steps.count:
         return out
     # It refuses what steps do not read as a number.
-    steps.linear(sim, world, 0)
+    share.linear([0])
     states = {name: steps.states(world, name)[:-1] for name in STATE}
     states["ctrl"] = steps.ctrl[world]
     states |= {
@@ -58,6 +58,7 @@ def parameter_slopes(steps: Steps, world: int) -> Floats:
         ways = np.moveaxis(slopes[:, : split[0]], -1, 0)
         change = [steps.tangents.changed(after, way) for way in ways]
         out = np.concatenate([np.stack(change, axis=-1), slopes[:, split[0] :]], axis=1)
-    for step in np.flatnonzero(doubtful):
-        out[step] = steps.linear(sim, world, int(step)).P
+    left = np.flatnonzero(doubtful)
+    if len(left):
+        out[left] = share.linear(left).P[0]
     return out

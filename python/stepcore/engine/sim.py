@@ -14,7 +14,8 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, kept, last_of, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.error_bar import FinerRun, Judged
-from stepcore.engine.linearization import Linearization, linearized
+from stepcore.engine.linear_steps import linear_steps
+from stepcore.engine.linearization import Linearization, named
 from stepcore.engine.sums import Energy, Momentum
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run, whole_steps
@@ -169,7 +170,8 @@ class Sim(Judged):
         Raises the same errors as `step`, and ValueError if the step has an infinite derivative, and
         for a parameter that is unknown, zero, or changes more than numbers of the model.
         """
-        return linearized(self._model, self.settings.dt, self._core, parameters)
+        steps = linear_steps(self._model, self._core, parameters)
+        return named(self._model, steps, parameters)[0]
 
     def element_slopes(self) -> dict[Element, ElementSlopes]:
         """Compute stiffness, damping, force and energy of every active element.

@@ -11,7 +11,7 @@ use core::ops::{Add, Div, Mul, Neg, Sub};
 use super::{elementary, Constant, Real, Value};
 
 /// Directions that travel together.
-pub const WAYS: usize = 4;
+pub const WAYS: usize = 8;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dual {

@@ -111,8 +111,8 @@ impl Solve<Dual> for Differentiated {
         self.carried.solve(settings, free, rows)
     }
 
-    fn degenerate(&self) -> &[Element] {
-        &self.degenerate
+    fn take_degenerate(&mut self) -> Vec<Element> {
+        std::mem::take(&mut self.degenerate)
     }
 }
 

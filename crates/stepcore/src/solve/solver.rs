@@ -33,9 +33,9 @@ pub(crate) trait Solve<R: Real>: Room + Send + Sync {
         rows: &mut Rows<R>,
     ) -> Result<Report<R>>;
 
-    /// Elements at which the slopes so far are those of one side; ascending.
-    fn degenerate(&self) -> &[Element] {
-        &[]
+    /// Elements at which the slopes were those of one side since this was last asked; ascending.
+    fn take_degenerate(&mut self) -> Vec<Element> {
+        Vec::new()
     }
 }
 

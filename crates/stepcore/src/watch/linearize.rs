@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use super::watched::explained;
 use super::zeros;
-use crate::arrays::{Array, Plain};
+use crate::arrays::{Array, Given, Givens, Plain};
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
 use crate::model::{differ_in_numbers, Model, SideBySide};
@@ -24,19 +24,26 @@ use crate::state::State;
 /// The models around that of a parameter's own value; see `AROUND`.
 pub type Around = [Arc<Model>; AROUND];
 
-/// A linearisation under way: ∂x⁺/∂x, ∂x⁺/∂ctrl and ∂x⁺/∂parameter at one state.
+/// Linearisations under way, ∂x⁺/∂x, ∂x⁺/∂ctrl and ∂x⁺/∂parameter, each at a state of one model.
 pub struct Linearizer {
     sim: Sim<Dual>,
     start: State<Dual>,
     ctrl: Vec<Dual>,
     parameters: Vec<Around>,
+    /// The model, then that with those around the parameters of each step.
+    models: Vec<SideBySide<Dual>>,
     /// Columns before those of parameters.
     own: usize,
+    /// The linearisations that are asked for, the one under way, and its columns that are done.
+    asked: Range<usize>,
+    nth: usize,
     done: usize,
-    /// 2 nv + na rows of 2 nv + na + nu numbers and one a parameter: A, B and P beside each other, P by the
-    /// distance of the models around.
-    pub matrix: Vec<f64>,
+    /// Elements at which the derivatives of the nth linearisation are those of one side: a row of theirs
+    /// is exactly where it becomes active.
+    pub degenerate: Vec<(usize, Element)>,
 }
+
+room!(Linearizer: sim, start, ctrl, models, degenerate; parameters, own, asked, nth, done);
 
 /// Derivatives start and end here; every one is found by its place.
 #[derive(Clone, Copy)]
@@ -48,8 +55,8 @@ pub(super) enum Direction {
 }
 
 impl Linearizer {
-    /// At the present state and inputs of a world, with its settings, computed in `f64`; by these
-    /// parameters too. Refuses one around which models differ in more than numbers.
+    /// Of worlds with the model and the settings of this one, computed in `f64`; by these parameters
+    /// too. Refuses one around which models differ in more than numbers.
     pub fn new<R: Real>(from: &Sim<R>, parameters: Vec<Around>) -> Result<Self> {
         from.settings.check_fixed("linearize")?;
         let alike = |around: &Around| around.iter().all(|m| differ_in_numbers(from.model(), m));
@@ -62,41 +69,133 @@ impl Linearizer {
 
     fn of(from: &Plain, parameters: Vec<Around>) -> Result<Self> {
         let sim = differentiated(from)?;
-        let model = sim.model();
-        let rows = 2 * model.nv + model.na;
-        let own = rows + model.actuators.len();
+        let model = sim.model().clone();
+        let mut models = vec![sim.models()];
+        for some in parameters.chunks(WAYS) {
+            let mut beside = vec![model.clone(); 1 + AROUND * WAYS];
+            beside
+                .iter_mut()
+                .skip(1)
+                .zip(some.iter().flatten())
+                .for_each(|(to, m)| *to = m.clone());
+            models.push(SideBySide::new(beside)?);
+        }
         Ok(Self {
             start: sim.state.clone(),
             ctrl: sim.inputs.ctrl.clone(),
             sim,
-            own,
-            done: 0,
-            matrix: zeros("linearize", rows, own + parameters.len())?,
             parameters,
+            models,
+            own: 2 * model.nv + model.na + model.actuators.len(),
+            asked: 0..0,
+            nth: 0,
+            done: 0,
+            degenerate: Vec::new(),
         })
     }
 
-    fn width(&self) -> usize {
+    /// Another one by the same parameters.
+    pub fn another(&self) -> Result<Self> {
+        let mut sim = Sim::side_by_side(self.models[0].clone(), self.sim.settings.clone())?;
+        sim.solver = Box::new(Differentiated::new());
+        Ok(Self {
+            sim,
+            start: self.start.clone(),
+            ctrl: self.ctrl.clone(),
+            parameters: self.parameters.clone(),
+            models: self.models.clone(),
+            own: self.own,
+            asked: 0..0,
+            nth: 0,
+            done: 0,
+            degenerate: Vec::new(),
+        })
+    }
+
+    /// Whether it is by these parameters.
+    pub fn is_by(&self, parameters: &[Around]) -> bool {
+        let same = |(a, b): (&Around, &Around)| a.iter().zip(b).all(|(a, b)| Arc::ptr_eq(a, b));
+        self.parameters.len() == parameters.len()
+            && self.parameters.iter().zip(parameters).all(same)
+    }
+
+    /// Linearisations of these numbers come next: the first at the present state, inputs and impulses
+    /// of a world of the model.
+    pub fn begin<R: Real>(&mut self, from: &Sim<R>, asked: Range<usize>) {
+        self.begin_at(&from.plain(), asked);
+    }
+
+    fn begin_at(&mut self, from: &Plain, asked: Range<usize>) {
+        (self.nth, self.done) = (asked.start, 0);
+        self.asked = asked;
+        self.degenerate.clear();
+        self.restore();
+        from.give(&mut self.sim);
+        self.stand();
+    }
+
+    /// The next linearisation is of a step from there, whose impulses nobody knows.
+    fn go_to(&mut self, given: &Given) {
+        self.restore();
+        self.sim.put(0, given);
+        self.sim.state.warm.clear();
+        self.stand();
+    }
+
+    /// Without derivatives, where the linearisation is.
+    fn restore(&mut self) {
+        self.sim.state.clone_from(&self.start);
+        self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
+    }
+
+    /// The linearisation is here.
+    fn stand(&mut self) {
+        // Asleep nothing answers: what is differentiated is the world awake.
+        self.sim.state.wake();
+        self.start.clone_from(&self.sim.state);
+        self.ctrl.copy_from_slice(&self.sim.inputs.ctrl);
+    }
+
+    /// Of a matrix.
+    pub fn rows(&self) -> usize {
+        self.own - self.ctrl.len()
+    }
+
+    /// Of a matrix.
+    pub fn width(&self) -> usize {
         self.own + self.parameters.len()
     }
 
-    /// Steps that it takes in all.
+    /// Of all matrices that are asked for.
+    pub fn numbers(&self) -> usize {
+        self.asked.len() * self.rows() * self.width()
+    }
+
+    /// So many matrices of zeros, one after the other. Each has 2 nv + na rows of 2 nv + na + nu numbers
+    /// and one a parameter: A, B and P beside each other, P by the distance of the models around.
+    pub fn matrices(&self, count: usize) -> Result<Vec<f64>> {
+        zeros("linearize", count.saturating_mul(self.rows()), self.width())
+    }
+
+    /// Steps that it still takes.
     pub fn steps(&self) -> u64 {
-        (self.own.div_ceil(WAYS) + self.parameters.len().div_ceil(WAYS)) as u64
+        let steps = |done: usize| {
+            done.min(self.own).div_ceil(WAYS) + done.saturating_sub(self.own).div_ceil(WAYS)
+        };
+        ((self.asked.end - self.nth) * steps(self.width()) - steps(self.done)) as u64
     }
 
-    /// Elements at which the derivatives are those of one side: a row of theirs is exactly where it
-    /// becomes active.
-    pub fn degenerate(&self) -> &[Element] {
-        self.sim.solver.degenerate()
-    }
-
-    /// Takes the next `n` of them.
+    /// Takes the next `n` of them, or all that are left. `states`: where each linearisation is. `to`: the
+    /// matrices of those that are asked for.
     #[inline] // A failure is explained in plain numbers, whose step is compiled where this is called.
-    pub fn advance(&mut self, n: u64) -> Result<()> {
-        for _ in 0..n {
+    pub fn advance(&mut self, n: u64, states: Option<&Givens>, to: &mut [f64]) -> Result<()> {
+        let size = self.rows() * self.width();
+        for _ in 0..n.min(self.steps()) {
+            if let (0, Some(states)) = (self.done, states) {
+                self.go_to(&states.of(self.nth));
+            }
             self.step().map_err(|error| explained(&self.sim, error))?;
-            self.read_all()?;
+            self.read_all(&mut to[(self.nth - self.asked.start) * size..][..size])?;
         }
         Ok(())
     }
@@ -108,40 +207,36 @@ impl Linearizer {
     }
 
     fn step(&mut self) -> Result<()> {
-        self.sim.state.clone_from(&self.start);
-        self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
-        if self.done < self.own {
-            for way in self.ways() {
-                Direction::nth(self.sim.model(), way).seed(&mut self.sim, way - self.done);
+        self.restore();
+        let beside = match self.done.checked_sub(self.own) {
+            None => {
+                for way in self.ways() {
+                    Direction::nth(self.sim.model(), way).seed(&mut self.sim, way - self.done);
+                }
+                0
             }
-        } else {
-            self.sim.take_models(&self.around()?);
-        }
+            Some(parameters) => 1 + parameters / WAYS,
+        };
+        self.sim.take_models(&self.models[beside]);
         self.sim.step(1)
     }
 
-    /// The model, and those around the parameters of the next step.
-    fn around(&self) -> Result<SideBySide<Dual>> {
-        let own = self.sim.model().clone();
-        let mut models = vec![own; 1 + AROUND * WAYS];
-        for (slot, way) in self.ways().enumerate() {
-            let place = 1 + AROUND * slot;
-            models[place..place + AROUND].clone_from_slice(&self.parameters[way - self.own]);
-        }
-        SideBySide::new(models)
-    }
-
-    fn read_all(&mut self) -> Result<()> {
+    fn read_all(&mut self, matrix: &mut [f64]) -> Result<()> {
         let ways = self.ways();
         for way in ways.clone() {
-            self.read(way, way - self.done)?;
+            self.read(way, way - self.done, matrix)?;
         }
         self.done = ways.end;
+        if self.done == self.width() {
+            let (nth, sided) = (self.nth, self.sim.solver.take_degenerate());
+            self.degenerate.extend(sided.into_iter().map(|element| (nth, element)));
+            (self.nth, self.done) = (nth + 1, 0);
+        }
         Ok(())
     }
 
     /// One column, from the state after the step.
-    fn read(&mut self, column: usize, slot: usize) -> Result<()> {
+    fn read(&self, column: usize, slot: usize, matrix: &mut [f64]) -> Result<()> {
         let (nv, width) = (self.sim.model.nv, self.width());
         let state = &self.sim.state;
         for dof in 0..nv {
@@ -162,8 +257,8 @@ impl Linearizer {
             if !(dq.is_finite() && dv.is_finite()) {
                 return Err(self.steep(dof));
             }
-            self.matrix[dof * width + column] = dq;
-            self.matrix[(nv + dof) * width + column] = dv;
+            matrix[dof * width + column] = dq;
+            matrix[(nv + dof) * width + column] = dv;
         }
         for (entry, act) in state.act.iter().enumerate() {
             if !act.slopes[slot].is_finite() {
@@ -171,7 +266,7 @@ impl Linearizer {
                 let owner = model.element_name(Array::Act.owner(model, entry));
                 return Err(self.infinite(format!("derivative of act[{entry}] of {owner}")));
             }
-            self.matrix[(2 * nv + entry) * width + column] = act.slopes[slot];
+            matrix[(2 * nv + entry) * width + column] = act.slopes[slot];
         }
         Ok(())
     }

@@ -9,10 +9,11 @@ import numpy as np
 
 from stepcore.engine.arrays import STATE
 from stepcore.engine.batch import Batch, unwatched
-from stepcore.engine.gradients import Steps, Tangents
+from stepcore.engine.gradients import Steps
 from stepcore.engine.model import Model
 from stepcore.engine.parameter_columns import split_entry
 from stepcore.engine.sensitivities import sensitivities
+from stepcore.engine.tangents import Tangents
 from stepcore.engine.variations import own_value
 from stepcore.measure.identification.log import MEASURED, MeasuredLog, entries_of
 from stepcore.measure.identification.sensors import Readings

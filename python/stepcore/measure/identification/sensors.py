@@ -9,10 +9,10 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
-from stepcore.engine.gradients import Tangents
 from stepcore.engine.model import Model
 from stepcore.engine.parameter_columns import AROUND, columns
 from stepcore.engine.parameter_slopes import States, Worlds, differences
+from stepcore.engine.tangents import Tangents
 
 # Readings that no change of state or of a parameter moves smoothly.
 STEPPED = ("contact", "insidesite", "user", "clock")

@@ -72,7 +72,7 @@ fn slopes(problem: &Problem, way: &[f64], settings: &Settings) -> Option<(Vec<f6
         assert_eq!(u.value.to_bits(), plain.to_bits());
         assert_eq!(u.slopes[0], 0.0);
     }
-    let degenerate = solver.degenerate().iter().map(|element| element.index as u32).collect();
+    let degenerate = solver.take_degenerate().iter().map(|element| element.index as u32).collect();
     Some((rows.u.iter().map(|u| u.slopes[1]).collect(), degenerate))
 }
 
