@@ -44,7 +44,7 @@ def linear_steps(
     alone.
     """
     by = columns(model, parameters)
-    around = [models_around(model, column) for column in by]
+    around = models_around(model, by)
     shape, rows = (1, 1), None
     if states is not None:
         shape = states["qpos"].shape[:2]

@@ -105,18 +105,22 @@ def _columns(model: Model, path: str) -> Iterator[Column]:
         yield column
 
 
-def models_around(model: Model, column: Column) -> list[_core.Model]:
-    """Return the compiled models around a parameter's value, which the model keeps."""
+def models_around(model: Model, by: Sequence[Column]) -> list[list[_core.Model]]:
+    """Return the compiled models around the value of each parameter, which the model keeps."""
     kept: dict[str, list[_core.Model]] = model.__dict__.setdefault("_around", {})
-    if column.label not in kept:
-        variation = ModelVariation(model, [column.path])
+    new = [column for column in by if column.label not in kept]
+    variation = ModelVariation(model, dict.fromkeys(column.path for column in new))
+    for column in new:
         made = []
         for k in AROUND:
             value = own_value(model, column.path)
             value[() if column.entry is None else column.entry] = column.value + k * column.apart
+            # What lies between two values that are allowed is allowed.
+            checked = abs(k) == max(AROUND)
             try:
-                made.append(variation.compiled(variation.data({column.path: value.tolist()})))
+                data = variation.data({column.path: value.tolist()}, checked=checked)
+                made.append(variation.compiled(data))
             except ValueError as error:
                 raise ValueError(f"parameters: {column.label}: {error}") from None
         kept[column.label] = made
-    return kept[column.label]
+    return [kept[column.label] for column in by]

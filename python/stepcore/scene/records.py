@@ -152,15 +152,16 @@ class Variation:
             return [geom for geom in self.scene.geoms if geom.body is element]
         return [element]
 
-    def data(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return `Scene.to_dict` of the scene with these values; raise the same errors."""
+    def data(self, values: Mapping[str, Any], checked: bool = True) -> dict[str, Any]:
+        """Return `Scene.to_dict` of the scene with these values; if checked, raise the same errors."""
         for element, initial in self._initial:
             element.__dict__.update(initial)
         for word, value in self._whole.items():
             setattr(self.scene, word, value)
         self.scene.mass_rules.__dict__.update(self._rules)
         assign(self.scene, values, self._body_mass)
-        check(self._layout)
+        if checked:
+            check(self._layout)
         if self._all_anew or self._data is None:
             self._data = plain(self._layout)
             length_ranges.fill(self.scene, self._data)

@@ -11,8 +11,8 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
 from stepcore.engine.model import Model
 from stepcore.engine.parameter_columns import AROUND, columns
-from stepcore.engine.parameter_slopes import States, Worlds, differences
 from stepcore.engine.tangents import Tangents
+from stepcore.measure.identification.worlds import States, Worlds, differences
 
 # Readings that no change of state or of a parameter moves smoothly.
 STEPPED = ("contact", "insidesite", "user", "clock")
@@ -50,7 +50,7 @@ class Readings:
         by_push = _by(worlds, states, pushed) if push.any() else np.zeros(by_x.shape[:2])
         if not self.columns:
             return by_x, by_x[..., :0], by_push
-        by_values = Worlds.solved(self.model, _read, self.columns).slopes(states)[0]
+        by_values = Worlds.solved(self.model, _read, self.columns).slopes(states)
         return by_x, by_values, by_push
 
 
@@ -60,7 +60,7 @@ def _by(worlds: Worlds, states: States, change: Callable[[States, Floats], Chang
     around = {name: np.repeat(rows, len(AROUND), axis=0) for name, rows in states.items()}
     moved = APART * np.tile(np.array(AROUND, float), count)
     values = worlds.values(around | change(around, moved))
-    return differences(values.reshape(count, len(AROUND), -1), APART)[0]
+    return differences(values.reshape(count, len(AROUND), -1), APART)
 
 
 def _moved(model: Model, way: int) -> Callable[[States, Floats], Changed]:

@@ -1,10 +1,6 @@
-"""Derivatives by parameters at many states at once: differences of models around, in vector lanes.
+"""A batch's worlds at many states, with the models around values of parameters: differences.
 
-`Sim.linearize` is exact at a row's switch too, and takes as long as some hundred steps. Here the
-same eight models around a parameter's value step from each state, in the worlds of a batch, and the
-derivative is their difference of the eighth order: at the distance of these models its truncation
-is below rounding. Where a row switches between the models, the differences of the eighth and the
-sixth order disagree; there the caller takes the exact derivative.
+For readings of sensors, which have no formula for each type; steps have `Sim.linearize`.
 """
 
 from __future__ import annotations
@@ -13,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch, unwatched
@@ -23,13 +18,9 @@ from stepcore.engine.run_settings import converged_settings
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# Differences at the distances `AROUND` (Fornberg 1988), of the eighth and of the sixth order.
 EIGHTH = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-SIXTH = np.array([0, -1 / 60, 3 / 20, -3 / 4, 3 / 4, -3 / 20, 1 / 60, 0])
 # Worlds that step at once: as many as stay in a processor's cache.
 WORLDS = 256
-# Differences of both orders agree to this share of the largest, besides rounding.
-AGREE, ROUNDING = 1e-8, 64 * 2.0**-53
 States = Mapping[str, Floats]
 
 
@@ -44,7 +35,7 @@ class Worlds:
         self, model: Model, read: Callable[[Batch], Floats], columns: Sequence[Column] = ()
     ) -> None:
         self.read, self.columns = read, columns
-        models = [around for column in columns for around in models_around(model, column)]
+        models = [one for around in models_around(model, columns) for one in around]
         models = models or [model.core]
         self.chunk = max(1, WORLDS // len(models))
         worlds = self.chunk * len(models)
@@ -77,31 +68,17 @@ class Worlds:
             parts.append(values[: count - first])
         return np.concatenate(parts)
 
-    def slopes(self, states: States) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the derivatives at each state by the columns, (n, m, columns), and the doubtful.
-
-        A state, of shape (n,), is doubtful where a row switches between the models.
-        """
-        values = self.values(states)
-        each = np.split(values, len(self.columns), axis=1)
+    def slopes(self, states: States) -> Floats:
+        """Return the derivatives at each state by the columns, shape (n, m, columns)."""
+        each = np.split(self.values(states), len(self.columns), axis=1)
         pairs = zip(each, self.columns, strict=True)
-        made = [differences(around, column.apart) for around, column in pairs]
-        return np.stack([own for own, _ in made], axis=-1), np.any([bad for _, bad in made], axis=0)
+        return np.stack([differences(around, column.apart) for around, column in pairs], axis=-1)
 
 
-def differences(values: Floats, apart: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return differences of the eighth order, and where the sixth order disagrees.
+def differences(values: Floats, apart: float) -> Floats:
+    """Return central differences of the eighth order (Fornberg 1988), shape (n, m).
 
     values: at the distances `AROUND`, shape (n, 8, m). apart: the distance of two.
     """
-    eighth, sixth = (np.einsum("nkm,k->nm", values, each) / apart for each in (EIGHTH, SIXTH))
-    most = AGREE * np.abs(eighth).max(axis=1, initial=0.0)
-    most += ROUNDING * np.abs(values).max(axis=(1, 2), initial=0.0) / apart
-    doubtful: NDArray[np.bool_] = ~(np.abs(eighth - sixth).max(axis=1, initial=0.0) <= most)
-    return eighth, doubtful
-
-
-def after_step(batch: Batch) -> Floats:
-    """Step, and return the states side by side."""
-    batch.step()
-    return np.concatenate([batch.qpos, batch.qvel, batch.act], axis=1)
+    found: Floats = np.einsum("nkm,k->nm", values, EIGHTH) / apart
+    return found
