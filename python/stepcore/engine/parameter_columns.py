@@ -109,9 +109,16 @@ def models_around(model: Model, by: Sequence[Column]) -> list[list[_core.Model]]
     """Return the compiled models around the value of each parameter, which the model keeps."""
     kept: dict[str, list[_core.Model]] = model.__dict__.setdefault("_around", {})
     new = [column for column in by if column.label not in kept]
-    variation = ModelVariation(model, dict.fromkeys(column.path for column in new))
-    for column in new:
-        made = []
+    if new:
+        kept |= _compiled_around(model, new)
+    return [kept[column.label] for column in by]
+
+
+def _compiled_around(model: Model, by: Sequence[Column]) -> dict[str, list[_core.Model]]:
+    variation = ModelVariation(model, dict.fromkeys(column.path for column in by))
+    made: dict[str, list[_core.Model]] = {}
+    for column in by:
+        around = made[column.label] = []
         for k in AROUND:
             value = own_value(model, column.path)
             value[() if column.entry is None else column.entry] = column.value + k * column.apart
@@ -119,8 +126,7 @@ def models_around(model: Model, by: Sequence[Column]) -> list[list[_core.Model]]
             checked = abs(k) == max(AROUND)
             try:
                 data = variation.data({column.path: value.tolist()}, checked=checked)
-                made.append(variation.compiled(data))
+                around.append(variation.compiled(data))
             except ValueError as error:
                 raise ValueError(f"parameters: {column.label}: {error}") from None
-        kept[column.label] = made
-    return [kept[column.label] for column in by]
+    return made

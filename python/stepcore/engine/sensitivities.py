@@ -20,12 +20,12 @@ def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -
     size, labels = 2 * model.nv + model.na, len(steps.labels)
     pushes = np.zeros((steps.count, model.nu, 0)) if changes is None else changes
     count = labels + pushes.shape[2]
-    slopes = np.concatenate([np.zeros((size, count)), np.eye(size)], axis=1)
-    out = [slopes]
+    slopes = np.zeros((steps.count + 1, size, count + size))
+    slopes[0, :, count:] = np.eye(size)
     for block in steps.blocks():
         A, B, P = (one[0] for one in share.linear(block)[:3])
         for k, by in enumerate(np.concatenate([P, B @ pushes[block]], axis=2)):
-            slopes = A[k] @ slopes
-            slopes[:, :count] += by
-            out.append(slopes)
-    return np.array(out)
+            before, after = slopes[block[k]], slopes[block[k] + 1]
+            np.matmul(A[k], before, out=after)
+            after[:, :count] += by
+    return slopes

@@ -153,7 +153,10 @@ class Variation:
         return [element]
 
     def data(self, values: Mapping[str, Any], checked: bool = True) -> dict[str, Any]:
-        """Return `Scene.to_dict` of the scene with these values; if checked, raise the same errors."""
+        """Return `Scene.to_dict` of the scene with these values.
+
+        checked: raise the same errors.
+        """
         for element, initial in self._initial:
             element.__dict__.update(initial)
         for word, value in self._whole.items():
