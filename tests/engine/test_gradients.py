@@ -109,8 +109,55 @@ def test_a_gradient_that_grows_without_bound_is_told():
     assert found.growth[0] > 1e6
 
 
+BOUNCE = """<mujoco><option timestep="{dt}" integrator="Euler" solver="Newton"/><worldbody>
+ <geom name="floor" type="plane" size="1 1 .1" solref="{solref}" priority="1"/>
+ <body pos="0 0 .6"><joint type="slide" axis="0 0 1"/><geom name="ball" size=".1" mass="1"/></body>
+ </worldbody></mujoco>"""
+
+
+def height(solref, dt=0.002):
+    """The gradient of a ball's height after 1.2 s by its first height and speed."""
+    batch, count = sc.Batch(sc.loads(BOUNCE.format(solref=solref, dt=dt)), 1), round(1.2 / dt)
+    weights = np.zeros((1, count, 1))
+    weights[0, -1] = 1.0
+    return batch.vjp(np.zeros((1, count, 0)), weights, error_bar=True)
+
+
+def test_a_gradient_that_is_another_in_shorter_steps_is_told():
+    """A ball that bounces: its gradient has grown little, and any sign by the time step."""
+    words = (
+        r"world 0 changes by \d+ % in steps half as long, .* the impact of `floor` with `ball` at"
+    )
+    signs = set()
+    for dt in (0.005, 0.002):
+        with pytest.warns(sc.GradientWarning, match=words):
+            found = height("-5000 -2", dt)
+        assert found.growth[0] < 100 and found.error[0] > 0.5
+        signs.add(float(np.sign(found.qpos[0, 0])))
+    assert signs == {-1.0, 1.0}
+
+
+def test_nothing_is_told_where_the_gradient_is_that_of_the_motion(recwarn):
+    """Of a ball that has come to rest nothing is left; a spring's error is of the first order."""
+    assert height(".02 1").error[0] < 1e-6
+    off = []
+    for dt in (0.02, 0.01):
+        model = sc.lesson.spring().compile().with_settings(dt=dt, integrator="semi-implicit")
+        batch, count = sc.Batch(model, 1), round(1.0 / dt)
+        batch.reset("start")
+        weights = np.zeros((1, count, 1))
+        weights[0, -1] = 1.0
+        path = "joint/spring/stiffness"
+        off.append(batch.vjp(np.zeros((1, count, 0)), weights, None, None, [path], True).error[0])
+    assert 0.01 < off[0] < 0.5
+    assert off[1] == pytest.approx(off[0] / 2, rel=0.3)
+    assert not [one for one in recwarn if one.category is sc.GradientWarning]
+
+
 def test_what_does_not_fit_is_told():
     batch = hopper()
+    with pytest.raises(ValueError, match="error_bar = 1: must be"):
+        batch.vjp(np.zeros((2, 3, 3)), error_bar=1)
     ctrl = np.zeros((2, 3, 3))
     with pytest.raises(ValueError, match=r"qpos has shape \(2, 3\): must be \(2, 3, 6\)"):
         batch.vjp(ctrl, np.zeros((2, 3)))

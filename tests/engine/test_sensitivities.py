@@ -5,7 +5,7 @@ import pytest
 from test_linearize_by_parameters import ARM, PATHS
 
 import stepcore as sc
-from stepcore.engine.gradients import Steps
+from stepcore.engine.rollout_steps import Steps
 from stepcore.engine.sensitivities import sensitivities
 
 STEPS = 40

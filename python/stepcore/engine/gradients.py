@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stepcore import checks
+from stepcore.engine.adjoints import adjoints, apart, grown, parted, spread
 from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers
-from stepcore.engine.linear_steps import LinearSteps, LinearWorlds
+from stepcore.engine.linear_steps import LinearWorlds
 from stepcore.engine.linearization import Linearization, named
-from stepcore.engine.parameter_columns import columns, split_entry
+from stepcore.engine.parameter_columns import split_entry
 from stepcore.engine.rollout import Rollout
-from stepcore.engine.sim import Sim, unwatched
-from stepcore.engine.tangents import Tangents
+from stepcore.engine.rollout_steps import Steps, check_late, rows_of
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:
@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 
 # A gradient that grows more than this on its way back says nothing beyond the next step or two.
 GROWTH = 1e6
-# Steps of a world that are linearised together, and as many numbers of matrices as are in memory
-# at once: 64 MiB.
-BLOCK, ROOM = 64, 2**23
-TINY = np.finfo(float).tiny
+# One that is another by this share of itself in steps half as long says nothing either.
+APART = 0.5
 
 
 class GradientWarning(UserWarning):
-    """A gradient grows without bound over a rollout; the text names the world, step and impact."""
+    """A gradient says nothing over a rollout; the text names the world, the time and the impact.
+
+    It grows without bound or, as its error bar tells, is another one in shorter steps.
+    """
 
 
 class Gradients(NamedTuple):
@@ -45,6 +46,8 @@ class Gradients(NamedTuple):
     parameters: by each parameter, by its label, shape (n,).
     growth: how much the gradient grew on its way back at most, shape (n,).
     one_sided: (world, step, element) where a row is exactly at its switch.
+    error: with `error_bar`, how far it is from that in steps half as long, as a share of it, shape
+        (n,); else None.
     """
 
     rollout: Rollout
@@ -55,148 +58,12 @@ class Gradients(NamedTuple):
     parameters: dict[str, Floats]
     growth: Floats
     one_sided: list[tuple[int, int, str]]
-
-
-def _check_late(batch: Batch) -> None:
-    if batch._arrays["ctrl_history"].size:
-        raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
-
-
-def _put(sim: Sim, arrays: Mapping[str, Floats], world: int) -> None:
-    """Give a Sim the row of a world of these arrays."""
-    for name, rows in arrays.items():
-        getattr(sim, name)[...] = rows[world]
-
-
-def _rows(
-    given: Mapping[str, ArrayLike | None], sizes: Mapping[str, tuple[int, ...]]
-) -> dict[str, Floats]:
-    """Arrays of these shapes; None is zero."""
-    arrays = {}
-    for name, value in given.items():
-        array = np.zeros(sizes[name]) if value is None else numbers(name, value)
-        if array.shape != sizes[name]:
-            raise ValueError(f"{name} has shape {array.shape}: must be {sizes[name]}")
-        arrays[name] = array
-    return arrays
-
-
-class Steps:
-    """The steps of a rollout of a batch, each to be linearised where it began.
-
-    Arguments are checked first; `roll` then steps the batch, once.
-    """
-
-    rollout: Rollout
-
-    def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
-        _check_late(batch)
-        self.labels = [column.label for column in columns(batch.model, parameters)]
-        self.batch = batch
-        self.ctrl, self.n = np.array(numbers("ctrl", ctrl)), len(batch)
-        if self.ctrl.ndim != 3 or self.ctrl.shape[::2] != (self.n, batch.model.nu):
-            limit = f"({self.n}, steps, {batch.model.nu})"
-            raise ValueError(f"ctrl has shape {self.ctrl.shape}: must be {limit}")
-        self.count = self.ctrl.shape[1]
-        self.tangents = Tangents(batch.model)
-
-    def sizes(self, *rows: int) -> dict[str, tuple[int, ...]]:
-        """The shapes of arrays with so many rows for each world's state."""
-        model = self.batch.model
-        widths = (model.nq, model.nv, model.na)
-        return {name: (self.n, *rows, width) for name, width in zip(STATE, widths, strict=True)}
-
-    def roll(self) -> Steps:
-        """Step the batch."""
-        batch = self.batch
-        self.models = [batch._model_of(world) for world in range(self.n)]
-        self.held = {name: np.array(getattr(batch, name)) for name in INPUTS[1:]}
-        self.start = {name: np.array(getattr(batch, name)) for name in STATE}
-        self.time = batch.time
-        self.rollout = batch.rollout(self.ctrl)
-        return self
-
-    def sim(self, world: int) -> Sim:
-        """A Sim of a world, with the inputs that do not change."""
-        sim = unwatched(Sim(self.models[world]))
-        _put(sim, self.held, world)
-        return sim
-
-    def states(self, world: int, name: str) -> Floats:
-        """An array of a world's states, from the first to that after the last step."""
-        states: Floats = np.concatenate(
-            [self.start[name][world][None], getattr(self.rollout, name)[world]]
-        )
-        return states
-
-    def put(self, sim: Sim, world: int, step: int) -> None:
-        """Let a Sim stand where a step began."""
-        for name in STATE:
-            before = self.start[name][world]
-            if step:
-                before = getattr(self.rollout, name)[world, step - 1]
-            getattr(sim, name)[...] = before
-        sim.ctrl[...] = self.ctrl[world, step]
-
-    def share(self, worlds: Sequence[int]) -> Share:
-        """Some of the worlds, whose steps are linearised together."""
-        return Share(self, worlds)
-
-    def shares(self) -> Iterator[Share]:
-        """All worlds, as many at a time as `ROOM` holds the steps of a block of."""
-        size = self.batch.model.nv * 2 + self.batch.model.na
-        block = BLOCK * size * (size + self.batch.model.nu + len(self.labels))
-        most = max(1, ROOM // max(1, block))
-        return (self.share(range(k, min(k + most, self.n))) for k in range(0, self.n, most))
-
-    def blocks(self) -> list[range]:
-        """All steps, as many at a time as are linearised together."""
-        return [range(k, min(k + BLOCK, self.count)) for k in range(0, self.count, BLOCK)]
-
-    def touching(self, sim: Sim, world: int, step: int) -> dict[tuple[str, str], float]:
-        """The pairs of geoms that touch where a step begins, with the force between them [N]."""
-        self.put(sim, world, step)
-        sim.forward()
-        forces = dict[tuple[str, str], float]()
-        for contact in sim.contacts:
-            pair = str(contact["name1"]), str(contact["name2"])
-            forces[pair] = forces.get(pair, 0.0) + float(np.linalg.norm(contact["force"]))
-        return {pair: force for pair, force in forces.items() if force > 0}
-
-    def dofs(self, given: Mapping[str, Floats]) -> Floats:
-        """The gradients by the states after each step as those of x, (n, steps, 2 nv + na)."""
-        return np.concatenate(
-            [self.tangents.to_dofs(self.rollout.qpos, given["qpos"]), given["qvel"], given["act"]],
-            axis=-1,
-        )
-
-
-class Share:
-    """Some worlds of a rollout, whose steps are linearised together."""
-
-    def __init__(self, steps: Steps, worlds: Sequence[int]) -> None:
-        self.steps, self.worlds = steps, list(worlds)
-        models = [steps.models[world] for world in worlds]
-        self.linear_worlds = LinearWorlds(models, steps.batch._threads)
-
-    def linear(
-        self, steps: Sequence[int] | NDArray[np.int_], by: Sequence[str] | None = None
-    ) -> LinearSteps:
-        """Linearise some steps, by their parameters or these: of shape (worlds, steps, …)."""
-        of, mine = self.steps, self.worlds
-        states = {
-            name: np.array([of.states(world, name)[:-1][steps] for world in mine]) for name in STATE
-        }
-        states["ctrl"] = of.ctrl[mine][:, steps]
-        states |= {
-            name: np.repeat(rows[mine][:, None], len(steps), 1) for name, rows in of.held.items()
-        }
-        return self.linear_worlds.linear(states, of.labels if by is None else by)
+    error: Floats | None = None
 
 
 def linearizations(batch: Batch, parameters: Sequence[str]) -> list[Linearization]:
     """See `Batch.linearize`."""
-    _check_late(batch)
+    check_late(batch)
     models = [batch._model_of(world) for world in range(len(batch))]
     if not batch._linear_worlds or not batch._linear_worlds.is_of(models):
         batch._linear_worlds = LinearWorlds(models, batch._threads)
@@ -209,84 +76,49 @@ def vjp(
     ctrl: ArrayLike,
     given: Mapping[str, ArrayLike | None],
     parameters: Sequence[str],
+    error_bar: bool = False,
 ) -> Gradients:
     """See `Batch.vjp`."""
+    checks.one_of(True, False)("vjp", "error_bar", error_bar)
     steps = Steps(batch, ctrl, parameters)
-    weights = _rows(given, steps.sizes(steps.count))
-    return pulled(steps.roll(), weights)
+    weights = rows_of(given, steps.sizes(steps.count))
+    steps.roll()
+    return pulled(steps, weights, steps.halved() if error_bar else None)
 
 
-def pulled(steps: Steps, given: Mapping[str, Floats]) -> Gradients:
-    """Return the gradient of the rollout that was made."""
-    weights, model, count = steps.dofs(given), steps.batch.model, steps.count
-    split = (model.nv, 2 * model.nv)
+def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = None) -> Gradients:
+    """Return the gradient of the rollout that was made.
 
-    n, size = len(steps.batch), weights.shape[-1]
-    first, by_ctrl = np.zeros((n, size)), np.zeros((n, count, model.nu))
-    values = np.zeros((n, len(steps.labels)))
-    sizes, factors = np.zeros((n, count)), np.ones((n, count))
-    sided = list[tuple[int, int, str]]()
-    for share in steps.shares():
-        own, adjoint = share.worlds, np.zeros((len(share.worlds), size))
-        for block in reversed(steps.blocks()):
-            linear = share.linear(block)
-            sided += [
-                (own[world], block[k], model.element_name(*element))
-                for world, k, element in linear.degenerate
-            ]
-            for k in reversed(range(len(block))):
-                step = block[k]
-                adjoint = adjoint + weights[own, step]
-                before = np.linalg.norm(adjoint, axis=1)
-                A, B, P = (one[:, k] for one in linear[:3])
-                by_ctrl[own, step] = _pulled(adjoint, B)
-                values[own] += _pulled(adjoint, P)
-                adjoint = _pulled(adjoint, A)
-                sizes[own, step] = after = np.linalg.norm(adjoint, axis=1)
-                factors[own, step] = np.where(before > 0, after / np.maximum(before, TINY), 1.0)
-        first[own] = adjoint
+    halved: the same rollout in steps half as long, for the error.
+    """
+    weights, nv = steps.dofs(given), steps.batch.model.nv
+    back = adjoints(steps, weights)
     asked = np.linalg.norm(weights, axis=-1).sum(axis=1)
-    growth = sizes.max(axis=1, initial=0.0) / np.where(asked > 0, asked, np.inf)
+    growth = back.sizes.max(axis=1, initial=0.0) / np.where(asked > 0, asked, np.inf)
     for world in np.flatnonzero(growth > GROWTH)[:1]:
-        text = _grown(steps, int(world), float(growth[world]), int(factors[world].argmax()))
-        warnings.warn(GradientWarning(text), stacklevel=4)
+        _warn(grown(steps, int(world), float(growth[world]), int(back.factors[world].argmax())))
+    error = None
+    if halved is not None:
+        finer = adjoints(halved, halved.dofs({name: spread(rows) for name, rows in given.items()}))
+        error = apart(back, finer, asked)
+        for world in np.flatnonzero((error > APART) & (growth <= GROWTH))[:1]:
+            _warn(parted(steps, int(world), float(error[world]), back, finer))
+    first = back.rows[:, 0]
     return Gradients(
         steps.rollout,
-        steps.tangents.gradient(steps.start["qpos"], first[:, : split[0]]),
-        first[:, split[0] : split[1]],
-        first[:, split[1] :],
-        by_ctrl,
-        {label: values[:, k] for k, label in enumerate(steps.labels)},
+        steps.tangents.gradient(steps.start["qpos"], first[:, :nv]),
+        first[:, nv : 2 * nv],
+        first[:, 2 * nv :],
+        back.ctrl,
+        {label: back.values[:, k] for k, label in enumerate(steps.labels)},
         growth,
-        sorted(sided, key=lambda entry: entry[:2]),
+        back.sided,
+        error,
     )
 
 
-def _pulled(rows: Floats, matrices: Floats) -> Floats:
-    """Rows of worlds, each times its matrix."""
-    out: Floats = np.matmul(rows[:, None], matrices)[:, 0]
-    return out
-
-
-def _grown(steps: Steps, world: int, growth: float, step: int) -> str:
-    """Say that a gradient has grown, most in this step, and name the contact that began there."""
-    sim, dt = steps.sim(world), steps.batch.settings.dt
-    pairs = steps.touching(sim, world, step)
-    where = ""
-    if pairs:
-        pair = max(pairs, key=lambda names: pairs[names])
-        began = step
-        while began and pair in steps.touching(sim, world, began - 1):
-            began -= 1
-        known = "contact" if began == 0 else "impact"
-        names = " with ".join(f"`{checks.cut(name, 60)}`" for name in pair)
-        time = steps.time + began * dt
-        where = f", at the {known} of {names}" + f" at {time:.4g} s" * (known == "impact")
-    return (
-        f"the gradient of world {world} grows {growth:.0e} times over {steps.count} steps, most in "
-        f"step {step} [{steps.time + step * dt:.4g} s]{where}: before it, the gradient holds only "
-        "for changes that are as much smaller; begin after it, or sample instead"
-    )
+def _warn(text: str) -> None:
+    warnings.warn(GradientWarning(text), stacklevel=5)
 
 
 class Tape:
@@ -322,7 +154,7 @@ class Tape:
                 labels.append(path)
         self.labels, self.steps = labels, Steps(batch, ctrl, labels)
         sizes = self.steps.sizes()
-        state = _rows({"qpos": qpos, "qvel": qvel}, sizes)
+        state = rows_of({"qpos": qpos, "qvel": qvel}, sizes)
         if changed:
             batch.param.update(changed)
         batch.qpos, batch.qvel = state["qpos"], state["qvel"]
@@ -332,7 +164,7 @@ class Tape:
     def gradient(self, qpos: Floats, qvel: Floats) -> tuple[Floats, ...]:
         """Return the gradient by qpos, qvel, ctrl and each parameter, of one by the states."""
         sizes = self.steps.sizes(self.steps.count)
-        found = pulled(self.steps, _rows({"qpos": qpos, "qvel": qvel, "act": None}, sizes))
+        found = pulled(self.steps, rows_of({"qpos": qpos, "qvel": qvel, "act": None}, sizes))
         by = (found.parameters[label] for label in self.labels)
         return (found.qpos, found.qvel, found.ctrl, *by)
 
@@ -346,7 +178,7 @@ def jvp(
 ) -> tuple[Rollout, Rollout]:
     """See `Batch.jvp`."""
     steps = Steps(batch, ctrl, tuple(parameters))
-    changes = _rows(
+    changes = rows_of(
         {**given, "ctrl_change": ctrl_change}, steps.sizes() | {"ctrl_change": steps.ctrl.shape}
     )
     missing = [label for label in steps.labels if label not in parameters]
@@ -406,6 +238,7 @@ class Differentiable(World):
         qvel: ArrayLike | None = None,
         act: ArrayLike | None = None,
         parameters: Sequence[str] = (),
+        error_bar: bool = False,
     ) -> Gradients:
         """Step with given controls, and return the gradient of a sum of the states, backward.
 
@@ -413,10 +246,13 @@ class Differentiable(World):
         qpos, qvel, act: the gradient of a number by the states after each step, shapes
             (n, steps, nq), …; None for zero.
         parameters: paths as in `Sim.linearize`.
+        error_bar: take the same gradient in steps half as long as well, which costs twice as much
+            again: `error` is how far apart both are.
 
         Each step is differentiated exactly where it began, its rows solved to rounding; see
         `Sim.linearize`. Kept are the states alone. Worlds share the batch's threads, and the batch
-        ends where the rollout ends. Warns (`GradientWarning`) where a gradient grows without bound.
+        ends where the rollout ends. Warns (`GradientWarning`) where a gradient grows without bound,
+        and where its error is more than half of it.
 
         >>> import numpy as np
         >>> from stepcore import Batch, lesson
@@ -428,7 +264,8 @@ class Differentiable(World):
         >>> list(found.parameters), found.qvel.shape
         (['joint/spring/stiffness'], (1, 1))
         """
-        return vjp(self, ctrl, {"qpos": qpos, "qvel": qvel, "act": act}, parameters)
+        given = {"qpos": qpos, "qvel": qvel, "act": act}
+        return vjp(self, ctrl, given, parameters, error_bar)
 
     def jvp(
         self: Any,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.gradients import Steps
+from stepcore.engine.rollout_steps import Steps
 
 
 def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -> Floats:

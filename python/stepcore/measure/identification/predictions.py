@@ -9,9 +9,9 @@ import numpy as np
 
 from stepcore.engine.arrays import STATE
 from stepcore.engine.batch import Batch, unwatched
-from stepcore.engine.gradients import Steps
 from stepcore.engine.model import Model
 from stepcore.engine.parameter_columns import split_entry
+from stepcore.engine.rollout_steps import Steps
 from stepcore.engine.sensitivities import sensitivities
 from stepcore.engine.tangents import Tangents
 from stepcore.engine.variations import own_value

@@ -1,0 +1,150 @@
+"""Gradients of rollouts on their way back through the steps, and what makes them say nothing."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from stepcore import checks
+from stepcore.engine.arrays import Floats
+from stepcore.engine.rollout_steps import Steps
+
+TINY = np.finfo(float).tiny
+# Of what is asked: a share below which nothing is said of the initial state.
+LEFT = 1e-6
+# Steps before and after one, in which its contact is looked for.
+NEAR = 50
+
+
+class Adjoints(NamedTuple):
+    """A gradient by the states, from the last to the first.
+
+    rows: by the state where each step begins, and after the last: shape (n, steps + 1, 2 nv + na).
+    What is asked of a state comes to it in the step before.
+    ctrl: by the controls, (n, steps, nu). values: by the parameters, (n, parameters).
+    sizes: of a row, (n, steps). factors: by how much each step makes it larger.
+    sided: (world, step, element) where a row is exactly at its switch.
+    """
+
+    rows: Floats
+    ctrl: Floats
+    values: Floats
+    sizes: Floats
+    factors: Floats
+    sided: list[tuple[int, int, str]]
+
+
+def adjoints(steps: Steps, weights: Floats) -> Adjoints:
+    """Go back through a rollout.
+
+    weights: the gradient by the state after each step, (n, steps, 2 nv + na).
+    """
+    model, (n, count, size) = steps.batch.model, weights.shape
+    rows, ctrl = np.zeros((n, count + 1, size)), np.zeros((n, count, model.nu))
+    values, factors = np.zeros((n, len(steps.labels))), np.ones((n, count))
+    sided = list[tuple[int, int, str]]()
+    for share in steps.shares():
+        own = share.worlds
+        for block in reversed(steps.blocks()):
+            linear = share.linear(block)
+            sided += [
+                (own[world], block[k], model.element_name(*element))
+                for world, k, element in linear.degenerate
+            ]
+            for k in reversed(range(len(block))):
+                step = block[k]
+                after = rows[own, step + 1] + weights[own, step]
+                A, B, P = (one[:, k] for one in linear[:3])
+                ctrl[own, step] = _times(after, B)
+                values[own] += _times(after, P)
+                rows[own, step] = _times(after, A)
+                before, size_after = (
+                    np.linalg.norm(row, axis=1) for row in (rows[own, step], after)
+                )
+                grows = before / np.maximum(size_after, TINY)
+                factors[own, step] = np.where(size_after > 0, grows, 1.0)
+    sizes = np.linalg.norm(rows[:, :-1], axis=2)
+    return Adjoints(rows, ctrl, values, sizes, factors, sorted(sided, key=lambda one: one[:2]))
+
+
+def _times(rows: Floats, matrices: Floats) -> Floats:
+    """Rows of worlds, each times its matrix."""
+    out: Floats = np.matmul(rows[:, None], matrices)[:, 0]
+    return out
+
+
+def spread(rows: Floats) -> Floats:
+    """What is asked of each state, asked after the second of two steps; (n, steps, …)."""
+    out = np.zeros((rows.shape[0], 2 * rows.shape[1], *rows.shape[2:]))
+    out[:, 1::2] = rows
+    return out
+
+
+def apart(back: Adjoints, finer: Adjoints, asked: Floats) -> Floats:
+    """How far a gradient is from that in steps half as long, as a share of it, (n,).
+
+    The largest of its parts: by the initial state, by the controls, by each parameter. A state of
+    which almost nothing is left in the end counts as much as that. asked: the size of the
+    gradient that was given, (n,).
+    """
+    both = finer.ctrl[:, ::2] + finer.ctrl[:, 1::2]
+    least = LEFT * np.maximum(asked, back.sizes.max(axis=1, initial=0.0))
+    each = [
+        _distance(back.rows[:, 0], finer.rows[:, 0], least),
+        _distance(back.ctrl, both),
+        *(_distance(a, b) for a, b in zip(back.values.T, finer.values.T, strict=True)),
+    ]
+    largest: Floats = np.max(each, axis=0)
+    return largest
+
+
+def _distance(one: Floats, other: Floats, least: Floats | float = TINY) -> Floats:
+    """Of rows of worlds, as a share of the larger."""
+    off, *sizes = (
+        np.linalg.norm(rows.reshape(len(rows), -1), axis=1) for rows in (one - other, one, other)
+    )
+    return off / np.maximum(np.maximum(*sizes), least)
+
+
+def grown(steps: Steps, world: int, growth: float, step: int) -> str:
+    """Say that a gradient has grown, most in this step, and name the contact that began there."""
+    time = steps.time + step * steps.batch.settings.dt
+    return (
+        f"the gradient of world {world} grows {growth:.0e} times over {steps.count} steps, most in "
+        f"step {step} [{time:.4g} s]{_impact(steps, world, step)}: before it, the gradient holds "
+        "only for changes that are as much smaller; begin after it, or sample instead"
+    )
+
+
+def parted(steps: Steps, world: int, error: float, back: Adjoints, finer: Adjoints) -> str:
+    """Say where the gradient becomes another one than in steps half as long."""
+    each = _distance(back.rows[world], finer.rows[world, ::2])
+    step = min(int(np.flatnonzero(each >= error / 2)[-1]), steps.count - 1) if error > 0 else 0
+    dt = steps.batch.settings.dt
+    return (
+        f"the gradient of world {world} changes by {100 * error:.0f} % in steps half as long, from "
+        f"step {step} [{steps.time + step * dt:.4g} s] on its way back"
+        f"{_impact(steps, world, step)}: take shorter steps or a softer contact, or begin after it"
+    )
+
+
+def _impact(steps: Steps, world: int, step: int) -> str:
+    """Name the contact that pushes most near where a step begins, with the time when it began."""
+    sim, dt = steps.sim(world), steps.batch.settings.dt
+    # In steps half as long an impact of few steps may be over before, or still to come.
+    near = sorted(
+        range(max(0, step - NEAR), min(step + NEAR, steps.count)), key=lambda k: abs(k - step)
+    )
+    for k in near:
+        if pairs := steps.touching(sim, world, k):
+            break
+    else:
+        return ""
+    pair, began = max(pairs, key=lambda names: pairs[names]), k
+    while began and pair in steps.touching(sim, world, began - 1):
+        began -= 1
+    known = "contact" if began == 0 else "impact"
+    names = " with ".join(f"`{checks.cut(name, 60)}`" for name in pair)
+    time = steps.time + began * dt
+    return f", at the {known} of {names}" + f" at {time:.4g} s" * (known == "impact")

@@ -1,0 +1,171 @@
+"""The steps of rollouts of many worlds, each to be linearised where it began."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers
+from stepcore.engine.linear_steps import LinearSteps, LinearWorlds
+from stepcore.engine.parameter_columns import columns
+from stepcore.engine.rollout import Rollout
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.tangents import Tangents
+
+if TYPE_CHECKING:
+    from stepcore.engine.batch import Batch
+
+# Steps of a world that are linearised together, and as many numbers of matrices as are in memory
+# at once: 64 MiB.
+BLOCK, ROOM = 64, 2**23
+
+
+def check_late(batch: Batch) -> None:
+    if batch._arrays["ctrl_history"].size:
+        raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
+
+
+def _put(sim: Sim, arrays: Mapping[str, Floats], world: int) -> None:
+    """Give a Sim the row of a world of these arrays."""
+    for name, rows in arrays.items():
+        getattr(sim, name)[...] = rows[world]
+
+
+def rows_of(
+    given: Mapping[str, ArrayLike | None], sizes: Mapping[str, tuple[int, ...]]
+) -> dict[str, Floats]:
+    """Arrays of these shapes; None is zero."""
+    arrays = {}
+    for name, value in given.items():
+        array = np.zeros(sizes[name]) if value is None else numbers(name, value)
+        if array.shape != sizes[name]:
+            raise ValueError(f"{name} has shape {array.shape}: must be {sizes[name]}")
+        arrays[name] = array
+    return arrays
+
+
+class Steps:
+    """The steps of a rollout of a batch, each to be linearised where it began.
+
+    Arguments are checked first; `roll` then steps the batch, once.
+    """
+
+    rollout: Rollout
+
+    def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
+        check_late(batch)
+        self.labels = [column.label for column in columns(batch.model, parameters)]
+        self.batch = batch
+        self.ctrl, self.n = np.array(numbers("ctrl", ctrl)), len(batch)
+        if self.ctrl.ndim != 3 or self.ctrl.shape[::2] != (self.n, batch.model.nu):
+            limit = f"({self.n}, steps, {batch.model.nu})"
+            raise ValueError(f"ctrl has shape {self.ctrl.shape}: must be {limit}")
+        self.count = self.ctrl.shape[1]
+        self.tangents = Tangents(batch.model)
+
+    def sizes(self, *rows: int) -> dict[str, tuple[int, ...]]:
+        """The shapes of arrays with so many rows for each world's state."""
+        model = self.batch.model
+        widths = (model.nq, model.nv, model.na)
+        return {name: (self.n, *rows, width) for name, width in zip(STATE, widths, strict=True)}
+
+    def roll(self) -> Steps:
+        """Step the batch."""
+        batch = self.batch
+        self.models = [batch._model_of(world) for world in range(self.n)]
+        self.held = {name: np.array(getattr(batch, name)) for name in INPUTS[1:]}
+        self.start = {name: np.array(getattr(batch, name)) for name in STATE}
+        self.time = batch.time
+        self.rollout = batch.rollout(self.ctrl)
+        return self
+
+    def halved(self) -> Steps:
+        """The same rollout in steps half as long, of a batch of its own."""
+        batch = self.batch
+        model = batch.model.with_settings(dt=batch.settings.dt / 2)
+        own = type(batch)(model, self.n, threads=batch._threads)
+        own._core.unwatch()
+        own.param.update(batch.param.columns())
+        for name, rows in (self.start | self.held).items():
+            getattr(own, name)[...] = rows
+        return Steps(own, np.repeat(self.ctrl, 2, axis=1), self.labels).roll()
+
+    def sim(self, world: int) -> Sim:
+        """A Sim of a world, with the inputs that do not change."""
+        sim = unwatched(Sim(self.models[world]))
+        _put(sim, self.held, world)
+        return sim
+
+    def states(self, world: int, name: str) -> Floats:
+        """An array of a world's states, from the first to that after the last step."""
+        states: Floats = np.concatenate(
+            [self.start[name][world][None], getattr(self.rollout, name)[world]]
+        )
+        return states
+
+    def put(self, sim: Sim, world: int, step: int) -> None:
+        """Let a Sim stand where a step began."""
+        for name in STATE:
+            before = self.start[name][world]
+            if step:
+                before = getattr(self.rollout, name)[world, step - 1]
+            getattr(sim, name)[...] = before
+        sim.ctrl[...] = self.ctrl[world, step]
+
+    def share(self, worlds: Sequence[int]) -> Share:
+        """Some of the worlds, whose steps are linearised together."""
+        return Share(self, worlds)
+
+    def shares(self) -> Iterator[Share]:
+        """All worlds, as many at a time as `ROOM` holds the steps of a block of."""
+        size = self.batch.model.nv * 2 + self.batch.model.na
+        block = BLOCK * size * (size + self.batch.model.nu + len(self.labels))
+        most = max(1, ROOM // max(1, block))
+        return (self.share(range(k, min(k + most, self.n))) for k in range(0, self.n, most))
+
+    def blocks(self) -> list[range]:
+        """All steps, as many at a time as are linearised together."""
+        return [range(k, min(k + BLOCK, self.count)) for k in range(0, self.count, BLOCK)]
+
+    def touching(self, sim: Sim, world: int, step: int) -> dict[tuple[str, str], float]:
+        """The pairs of geoms that touch where a step begins, with the force between them [N]."""
+        self.put(sim, world, step)
+        sim.forward()
+        forces = dict[tuple[str, str], float]()
+        for contact in sim.contacts:
+            pair = str(contact["name1"]), str(contact["name2"])
+            forces[pair] = forces.get(pair, 0.0) + float(np.linalg.norm(contact["force"]))
+        return {pair: force for pair, force in forces.items() if force > 0}
+
+    def dofs(self, given: Mapping[str, Floats]) -> Floats:
+        """The gradients by the states after each step as those of x, (n, steps, 2 nv + na)."""
+        return np.concatenate(
+            [self.tangents.to_dofs(self.rollout.qpos, given["qpos"]), given["qvel"], given["act"]],
+            axis=-1,
+        )
+
+
+class Share:
+    """Some worlds of a rollout, whose steps are linearised together."""
+
+    def __init__(self, steps: Steps, worlds: Sequence[int]) -> None:
+        self.steps, self.worlds = steps, list(worlds)
+        models = [steps.models[world] for world in worlds]
+        self.linear_worlds = LinearWorlds(models, steps.batch._threads)
+
+    def linear(
+        self, steps: Sequence[int] | NDArray[np.int_], by: Sequence[str] | None = None
+    ) -> LinearSteps:
+        """Linearise some steps, by their parameters or these: of shape (worlds, steps, …)."""
+        of, mine = self.steps, self.worlds
+        states = {
+            name: np.array([of.states(world, name)[:-1][steps] for world in mine]) for name in STATE
+        }
+        states["ctrl"] = of.ctrl[mine][:, steps]
+        states |= {
+            name: np.repeat(rows[mine][:, None], len(steps), 1) for name, rows in of.held.items()
+        }
+        return self.linear_worlds.linear(states, of.labels if by is None else by)
