@@ -56,6 +56,17 @@ def test_what_cannot_be_told_apart_is_named():
     assert words in found.sentences
 
 
+def test_a_value_that_is_zero_in_the_model_is_found():
+    """It begins in the middle of its range: a damper that is not there has no derivative."""
+    text = """<mujoco><option timestep=".005"/><worldbody><body><joint name="z" type="slide"
+     axis="0 0 1" damping="{}"/><joint name="x" type="slide" axis="1 0 0"/>
+     <geom name="g" size=".1" mass="1"/></body></worldbody></mujoco>"""
+    sim = sc.Sim(sc.loads(text.format(2.0)))
+    found = sc.identify(sc.loads(text.format(0.0)), sim.run(0.25), {"joint/z/damping": (0.1, 10)})
+    assert found.start["joint/z/damping"] == pytest.approx(1.0)
+    assert found.values["joint/z/damping"] == pytest.approx(2.0, rel=1e-9)
+
+
 def test_a_search_that_is_cut_off_says_so():
     log, wanted = mujoco_log(200), {DAMPING: RANGES[DAMPING]}
     found = sc.identify(guess(), log, wanted, most=1)

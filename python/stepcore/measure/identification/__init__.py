@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 
@@ -10,8 +11,9 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
-from stepcore.engine.parameter_columns import columns
+from stepcore.engine.parameter_columns import columns, split_entry
 from stepcore.engine.trajectory import Trajectory
+from stepcore.engine.variations import own_value
 from stepcore.experiment.arguments import Source
 from stepcore.loading import find_model
 from stepcore.measure.identification.certainty import Certainty, certainty
@@ -58,8 +60,9 @@ def identify(
         name of a joint, a sensor or an actuator; or a dict of such sources by array, each with
         times of its own: {"qpos": "log.mcap:/joint_states", "ctrl": "log.mcap:/commands"}. NaN is
         not measured. The first row needs a whole qpos.
-    parameters: the range of each value, by path as in `Sim.linearize`: (low, high). "delay" is the
-        time by which controls act later than their rows say [s]; it begins at the low end.
+    parameters: the range of each value, by path as in `Sim.linearize`: (low, high), without 0. A
+        value that is 0 in the model begins at √(low·high). "delay" is the time by which controls
+        act later than their rows say [s]; it begins at the low end.
     most: the largest number of iterations.
 
     Each log is predicted from its first row, which is estimated too, under its controls, each held
@@ -80,8 +83,8 @@ def identify(
     >>> round(found.values["joint/spring/stiffness"], 6)
     90.0
     """
-    compiled = find_model(model).with_settings(precision="f64")
-    bounds, guess = _bounds(compiled, parameters)
+    given = find_model(model).with_settings(precision="f64")
+    compiled, bounds, guess = _bounds(given, parameters)
     read = _read(compiled, logs)
     labels = list(bounds)
     fit = Predictions(compiled, read, labels)
@@ -107,8 +110,8 @@ def _read(model: Model, logs: Log | Sequence[Log]) -> list[MeasuredLog]:
 
 def _bounds(
     model: Model, parameters: Mapping[str, tuple[float, float]]
-) -> tuple[dict[str, tuple[float, float]], list[float]]:
-    """Return the checked ranges by label, and the first guess: the model's values."""
+) -> tuple[Model, dict[str, tuple[float, float]], list[float]]:
+    """Return the model to begin with, the checked ranges by label, and the guess: its values."""
     if not isinstance(parameters, Mapping) or not parameters:
         limit = 'a dict of paths and ranges, such as {"joint/knee/damping": (0.01, 10)}'
         raise ValueError(f"parameters = {checks.shown(parameters)}: must be {limit}")
@@ -119,22 +122,40 @@ def _bounds(
         if low is None or high is None or not low < high:
             raise ValueError(f"parameters[{checks.shown(path)}]: must be a range (low, high)")
         label, value = path, low
-        if path != DELAY:
+        limit, allowed = "a range without 0", low * high > 0
+        if path == DELAY:
+            limit, allowed = "a range of times [s] from 0 on, of a model with controls", low >= 0
+            allowed = allowed and model.nu > 0
+        elif allowed:
+            model = _begun(model, path, low, high)
             several = columns(model, [path])
             if len(several) > 1:
                 raise ValueError(f"parameters: {path} has several entries: name one, as {path}[0]")
             label, value = several[0].label, several[0].value
-        limit = f"a range around {value:g}, the model's value, without 0"
-        allowed = low <= value <= high and low * high > 0
-        if path == DELAY:
-            limit, allowed = "a range of times [s] from 0 on, of a model with controls", low >= 0
-            allowed = allowed and model.nu > 0
+            limit, allowed = f"a range around {value:g}, the model's value", low <= value <= high
         if not allowed:
             shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
             raise ValueError(f"{shown}: must be {limit}")
         known[label] = (float(low), float(high))
         guess.append(float(value))
-    return known, guess
+    return model, known, guess
+
+
+def _begun(model: Model, path: str, low: float, high: float) -> Model:
+    """Return the model with √(low·high) for a value that is zero.
+
+    A step leaves out what is zero, and so has no derivative by it.
+    """
+    name, entry = split_entry(path)
+    value = own_value(model, name)
+    if bool(value.ndim) != (entry is not None) or (entry or 0) >= value.size:
+        # `columns` refuses it.
+        return model
+    place = () if entry is None else entry
+    if value[place] != 0:
+        return model
+    value[place] = math.copysign(math.sqrt(low * high), low)
+    return model.with_values({name: value.tolist()})
 
 
 def _fitted(
