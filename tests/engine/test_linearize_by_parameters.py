@@ -18,7 +18,7 @@ ARM = """<mujoco><option timestep="0.005" integrator="{integrator}"/><worldbody>
  <body name="fore" pos=".3 0 0"><joint name="elbow" axis="0 1 0" damping=".1" range="-60 60"/>
   <geom name="lower" type="capsule" size=".03" fromto="0 0 0 .1 .02 -.3" mass=".4"/></body></body>
  <body name="box" pos=".6 .4 .099"><freejoint/><geom name="crate" type="box" size=".1 .12 .1"
-  mass="2"/></body></worldbody>
+  mass="2" solimp=".9 .95 .002 .2 2"/></body></worldbody>
  <tendon><fixed name="cord" stiffness="3" damping=".2" springlength=".1">
   <joint joint="shoulder" coef="1"/><joint joint="elbow" coef="-.5"/></fixed></tendon>
  <actuator><position name="servo" joint="elbow" kp="30" kv="1"/></actuator></mujoco>"""
@@ -26,6 +26,12 @@ PATHS = (
     *("body/arm/mass", "body/fore/mass", "joint/shoulder/stiffness", "joint/shoulder/damping"),
     *("joint/shoulder/armature", "joint/shoulder/frictionloss", "joint/elbow/damping"),
     *("geom/upper/size", "geom/crate/size[1]", "geom/floor/friction[0]", "geom/crate/solref[0]"),
+    *(
+        "geom/crate/solimp[0]",
+        "geom/crate/solimp[1]",
+        "geom/crate/solimp[2]",
+        "geom/crate/solimp[3]",
+    ),
     *("tendon/cord/stiffness", "tendon/cord/damping", "actuator/servo/kp", "gravity[2]"),
 )
 
@@ -54,7 +60,7 @@ def tangent(model, start, end):
 
 def differences(model, path, entry, value, make):
     """The stencil on steps; distances much larger than those of the models inside."""
-    apart, base = abs(value) * 2e-3, make(model)
+    apart, base = abs(value) * 1e-3, make(model)
     base.step()
 
     def at(k):
@@ -144,7 +150,7 @@ def test_patterns_and_labels():
         ("joint/elbow/stiffness", r"joint/elbow/stiffness = 0: must be finite and not zero"),
         ("geom/floor/friction[3]", r"geom/floor/friction has 3 entries, and no \[3\]"),
         ("body/arm/mass[0]", "is a number and has no entry"),
-        ("geom/crate/solimp[2]", r"geom/crate/solimp\[2\]: must be one that steps read as a"),
+        ("geom/crate/solimp[4]", r"geom/crate/solimp\[4\]: must be one that steps read as a"),
         ("body/a*z/mass", 'no body is named "a.z"'),
         ("body/arm/pos[2]", r"body/arm/pos\[2\]|"),
         (3, "parameters = 3: must be paths of values"),
@@ -157,6 +163,13 @@ def test_what_is_no_parameter(path, message):
         return
     with pytest.raises(ValueError, match=message):
         sim.linearize([path] if isinstance(path, str) else path)
+
+
+def test_an_impedance_that_steps_clamp_is_no_parameter():
+    model = sc.loads(ARM.format(integrator="Euler")).compile()
+    model = model.with_values({"geom/crate/solimp": [0.9, 1.0, 0.002, 0.4, 2]})
+    with pytest.raises(ValueError, match=r"solimp\[1\] = 1: must be between 0.00011 and 0.99989"):
+        moving(model).linearize(["geom/crate/solimp[1]"])
 
 
 def test_what_changes_more_than_numbers_is_refused_by_name():

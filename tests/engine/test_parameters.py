@@ -332,3 +332,19 @@ def test_bad_values_are_named_and_change_nothing(path, values, says):
     batch.step(20)
     other.step(20)
     assert np.array_equal(batch.qpos, other.qpos)
+
+
+def test_worlds_of_their_own_impedances_share_lanes():
+    text = """<mujoco><option timestep=".002"/><worldbody><geom type="plane" size="1 1 1"/>
+     <body pos="0 0 .15"><freejoint/><geom name="b" size=".1" mass="1" solimp=".8 .9 .003 .5 2"/>
+     </body></worldbody></mujoco>"""
+    model, values = sc.loads(text).compile(), np.tile([0.8, 0.9, 0.003, 0.5, 2.0], (8, 1))
+    values[:, 0], values[:, 2] = np.linspace(0.6, 0.85, 8), np.linspace(0.002, 0.005, 8)
+    batch = sc.Batch(model, 8, lanes=True)
+    batch.param["geom/b/solimp"] = values
+    batch.step(200)
+    assert batch.in_lanes
+    for world, row in enumerate(values):
+        sim = sc.Sim(model.with_values({"geom/b/solimp": row.tolist()}))
+        sim.step(200)
+        assert np.array_equal(sim.qpos, batch.qpos[world])

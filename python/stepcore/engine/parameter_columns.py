@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 # the share is far below rounding, and rounding over it is 1e-14.
 AROUND = (-4, -3, -2, -1, 1, 2, 3, 4)
 SHARE = 2.0**-8
+# Impedances are clamped at 0.0001 and 0.9999: the models around one are within.
+CLAMPED = 0.00011
 ENTRY = re.compile(r"(.*)\[(\d+)\]")
 
 
@@ -43,9 +45,15 @@ class Column:
         return self.path if self.entry is None else f"{self.path}[{self.entry}]"
 
     @property
+    def clamped(self) -> bool:
+        """Whether it is an impedance or its midpoint, which steps clamp to 0.0001 … 0.9999."""
+        return "/solimp" in self.path and self.entry in (0, 1, 3)
+
+    @property
     def apart(self) -> float:
         """The distance between the values around that of the model."""
-        return abs(self.value) * SHARE
+        near = min(self.value, 1.0 - self.value) if self.clamped else abs(self.value)
+        return near * SHARE
 
 
 def columns(model: Model, parameters: Sequence[str]) -> list[Column]:
@@ -101,6 +109,9 @@ def _columns(model: Model, path: str) -> Iterator[Column]:
         column = Column(path, entry, number)
         if number == 0 or not np.isfinite(number):
             limit = "finite and not zero: what is zero is left out of a step"
+            raise ValueError(f"parameters: {column.label} = {number:g}: must be {limit}")
+        if column.clamped and not CLAMPED < number < 1 - CLAMPED:
+            limit = f"between {CLAMPED} and {1 - CLAMPED}: steps clamp it"
             raise ValueError(f"parameters: {column.label} = {number:g}: must be {limit}")
         yield column
 

@@ -20,6 +20,7 @@ use crate::plan::acting::{Acting, Acts, ActuatorAt, DamperAt, MassAt, SpringAt, 
 use crate::real::{Constant, Real};
 use crate::room::Room;
 use crate::scene::{Actuator, Softness};
+use crate::solve::law::impedance_form;
 
 /// A part of several models as one; None where more than numbers differs.
 trait Together<V> {
@@ -149,7 +150,7 @@ macro_rules! parts {
     };
 }
 
-parts!(Softness: solref; solimp; |soft| soft.solref[0] > 0.0);
+parts!(Softness: solref, solimp; ; |soft| soft.solref[0] > 0.0; |soft| impedance_form(&soft.solimp));
 parts!(Body: pos, mass, ipos, iquat, inertia, invweight;
     name, parent, weld, tree, quat, joints, dofs, chain, closed, gravcomp, mocap, carried, turns;
     isotropic);

@@ -7,7 +7,7 @@ pub struct Softness<N = f64> {
     /// Time constant [s] and damping ratio, both > 0; or −stiffness and −damping, both ≤ 0.
     pub solref: [N; 2],
     /// d0, dwidth, width [m or rad], midpoint, power.
-    pub solimp: [f64; 5],
+    pub solimp: [N; 5],
 }
 
 impl Default for Softness {

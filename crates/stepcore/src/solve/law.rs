@@ -33,9 +33,7 @@ pub struct SolRef<R: Real> {
 /// What `solref` and `solimp` say whatever the violation is.
 #[derive(Clone, Copy)]
 pub struct Spring<'a, R: Real> {
-    solimp: &'a [f64; 5],
-    d0: f64,
-    dw: f64,
+    solimp: &'a [R::Value; 5],
     stiffness: R,
     b: R,
 }
@@ -47,23 +45,27 @@ impl<'a, R: Real> Spring<'a, R> {
 
     /// The same of `solref` and `solimp`.
     #[inline(always)]
-    pub fn of([s0, s1]: [&R::Value; 2], solimp: &'a [f64; 5], dt: f64, refsafe: bool) -> Self {
-        let (d0, dw) = (impedance(solimp[0]), impedance(solimp[1]));
+    pub fn of([s0, s1]: [&R::Value; 2], solimp: &'a [R::Value; 5], dt: f64, refsafe: bool) -> Self {
+        let dw = &solimp[1];
         let (stiffness, b) = if s0.is_positive() {
             let tc = |s0: f64| if refsafe { s0.max(2.0 * dt) } else { s0 };
-            let stiffness = Value::calc([s0, s1], |[s0, s1]| {
-                let tc = tc(s0);
+            let stiffness = Value::calc([s0, s1, dw], |[s0, s1, dw]| {
+                let (tc, dw) = (tc(s0), impedance(dw));
                 1.0 / (dw * dw * tc * tc * s1 * s1)
             });
-            (stiffness, Value::calc([s0], |[s0]| 2.0 / (dw * tc(s0))))
+            (stiffness, Value::calc([s0, dw], |[s0, dw]| 2.0 / (impedance(dw) * tc(s0))))
         } else {
-            (Value::calc([s0], |[s0]| -s0 / (dw * dw)), Value::calc([s1], |[s1]| -s1 / dw))
+            let stiffness = Value::calc([s0, dw], |[s0, dw]| {
+                let dw = impedance(dw);
+                -s0 / (dw * dw)
+            });
+            (stiffness, Value::calc([s1, dw], |[s1, dw]| -s1 / impedance(dw)))
         };
-        Self { solimp, d0, dw, stiffness, b }
+        Self { solimp, stiffness, b }
     }
 
     /// Of a time constant alone: critically damped.
-    pub fn critical(time: &R::Value, solimp: &'a [f64; 5], dt: f64, refsafe: bool) -> Self {
+    pub fn critical(time: &R::Value, solimp: &'a [R::Value; 5], dt: f64, refsafe: bool) -> Self {
         let ratio = R::Value::by_lane(&[1.0]);
         Self::of([time, &ratio], solimp, dt, refsafe)
     }
@@ -71,7 +73,7 @@ impl<'a, R: Real> Spring<'a, R> {
     /// At the violation `r` (its size, for a block).
     #[inline(always)]
     pub fn at(&self, r: R) -> SolRef<R> {
-        let d = impedance_at(self.solimp, self.d0, self.dw, r);
+        let d = impedance_at(self.solimp, r);
         SolRef { b: self.b, kd: self.stiffness * d, softness: (R::one() - d) / d }
     }
 }
@@ -156,30 +158,52 @@ fn impedance(d: f64) -> f64 {
     d.clamp(IMPEDANCE[0], IMPEDANCE[1])
 }
 
-/// d(r): from d0 at r = 0 along two power curves to dw at |r| = width.
-fn impedance_at<R: Real>(solimp: &[f64; 5], d0: f64, dw: f64, r: R) -> R {
-    let [_, _, width, mid, power] = *solimp;
-    if d0 == dw || width <= 0.0 {
-        return R::of(0.5 * (d0 + dw));
+/// How d(r) goes: not with r, or along curves of power 1, 2 or another. Worlds that stand side by side
+/// have one form.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum ImpedanceForm {
+    Flat,
+    Linear,
+    Square,
+    Power,
+}
+
+pub fn impedance_form<N: Constant>(solimp: &[N; 5]) -> ImpedanceForm {
+    let [d0, dw, width, _, power] = solimp.each_ref().map(|x| x.lane(0));
+    match power.max(1.0) {
+        _ if impedance(d0) == impedance(dw) || width <= 0.0 => ImpedanceForm::Flat,
+        1.0 => ImpedanceForm::Linear,
+        2.0 => ImpedanceForm::Square,
+        _ => ImpedanceForm::Power,
     }
-    let (mid, power) = (impedance(mid), power.max(1.0));
+}
+
+/// d(r): from d0 at r = 0 along two power curves to dw at |r| = width.
+fn impedance_at<R: Real>(solimp: &[R::Value; 5], r: R) -> R {
+    let [d0, dw, width, mid, power] = solimp;
+    let form = impedance_form(solimp);
+    if form == ImpedanceForm::Flat {
+        return Value::calc([d0, dw], |[d0, dw]| 0.5 * (impedance(d0) + impedance(dw)));
+    }
     let one = R::one();
-    let x = (r.abs() * R::of(1.0 / width)).min(one);
-    let raise = |x: R| {
-        if power == 1.0 {
-            x
-        } else if power == 2.0 {
-            x * x
-        } else {
-            x.powf(R::of(power))
-        }
+    let x = (r.abs() * R::Value::calc([width], |[width]| 1.0 / width)).min(one);
+    let raise = |x: R| match form {
+        ImpedanceForm::Linear => x,
+        ImpedanceForm::Square => x * x,
+        _ => x.powf(Value::calc([power], |[power]| power.max(1.0))),
     };
-    let slope =
-        |mid: f64| if power == 2.0 { 1.0 / mid } else { 1.0 / elementary::pow(mid, power - 1.0) };
-    let below = raise(x) * R::of(slope(mid));
-    let above = one - raise(one - x) * R::of(slope(1.0 - mid));
-    let y = R::select(x.le(R::of(mid)), below, above);
-    R::of(d0) + y * R::of(dw - d0)
+    let slope = |mid: f64, power: f64| match form {
+        ImpedanceForm::Square => 1.0 / mid,
+        _ => 1.0 / elementary::pow(mid, power.max(1.0) - 1.0),
+    };
+    let slope_below = Value::calc([mid, power], |[mid, power]| slope(impedance(mid), power));
+    let slope_above =
+        R::Value::calc([mid, power], |[mid, power]| slope(1.0 - impedance(mid), power));
+    let below: R = raise(x) * slope_below;
+    let above = one - raise(one - x) * slope_above;
+    let y = R::select(x.le(Value::calc([mid], |[mid]| impedance(mid))), below, above);
+    let rise: R = Value::calc([d0, dw], |[d0, dw]| impedance(dw) - impedance(d0));
+    R::Value::calc([d0], |[d0]| impedance(d0)) + y * rise
 }
 
 /// How near a row of an inequality is, under the laws on velocities.
