@@ -164,8 +164,8 @@ class Sim(Judged):
         By a parameter, all that follows of it when the model is compiled is differentiated with the
         model at eight values nearby, which are compiled once.
 
-        The cost is that of about (2 nv + nu + parameters)/4 steps in dual numbers, each a few times
-        as expensive as a plain step. The GIL is released. See docs/linearize.md.
+        The cost is that of about (2 nv + nu + parameters)/8 steps in dual numbers, each a few times
+        as expensive as a plain step; the first call makes their working space, which is kept. The GIL is released. See docs/linearize.md.
 
         Raises the same errors as `step`, and ValueError if the step has an infinite derivative, and
         for a parameter that is unknown, zero, or changes more than numbers of the model.
