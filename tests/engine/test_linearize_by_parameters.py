@@ -204,3 +204,39 @@ def test_friction_that_holds_and_that_slides(cone, speed, condim):
         assert np.abs(column - true).max() <= 1e-6 * size, found.parameters[entry]
         most = max(most, size)
     assert most > 1e-3 or not speed
+
+
+def same(one, other):
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in "ABP")
+
+
+def test_a_sim_that_was_linearised_before_gives_what_a_fresh_one_gives():
+    """Its working space is kept: after steps, by other parameters, and where nothing changed."""
+    model = sc.loads(ARM.format(integrator="implicitfast")).compile()
+    sim = moving(model)
+    for by, steps in ((PATHS, 0), ((), 0), (PATHS[:2], 7), (PATHS, 30), ((), 1), ((), 0)):
+        if steps:
+            sim.step(steps)
+        fresh = moving(model)
+        fresh.restore(sim.state())
+        fresh.ctrl[:] = sim.ctrl
+        assert same(sim.linearize(by), fresh.linearize(by)), (len(by), steps)
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_worlds_are_linearised_alike_on_any_number_of_threads(alike):
+    model, made = sc.loads(ARM.format(integrator="Euler")).compile(), []
+    rng = np.random.default_rng(1)
+    speeds, masses = rng.normal(0, 0.5, (7, model.nv)), rng.uniform(0.5, 2, 7)
+    for threads in (1, 3):
+        batch = sc.Batch(model, 7, threads=threads, **EXACT)
+        batch.qvel[:] = speeds
+        if not alike:
+            batch.param["body/fore/mass"] = masses
+        made.append([batch.linearize(), batch.linearize(PATHS[:3])])
+    for one, three in zip(*made, strict=True):
+        assert all(same(*pair) for pair in zip(one, three, strict=True))
+    for world in range(7):
+        sim = sc.Sim(batch.model_of(world), **EXACT)
+        sim.qvel[:] = speeds[world]
+        assert same(sim.linearize(), made[0][0][world])
