@@ -250,9 +250,9 @@ class Differentiable(World):
             again: `error` is how far apart both are.
 
         Each step is differentiated exactly where it began, its rows solved to rounding; see
-        `Sim.linearize`. Kept are the states and the gradient by each. Worlds share the batch's threads, and the batch
-        ends where the rollout ends. Warns (`GradientWarning`) where a gradient grows without bound,
-        and where its error is more than half of it.
+        `Sim.linearize`. Kept are the states and the gradient by each. Worlds share the batch's
+        threads, and the batch ends where the rollout ends. Warns (`GradientWarning`) where a
+        gradient grows without bound, and where its error is more than half of it.
 
         >>> import numpy as np
         >>> from stepcore import Batch, lesson

@@ -165,7 +165,8 @@ class Sim(Judged):
         model at eight values nearby, which are compiled once.
 
         The cost is that of about (2 nv + nu + parameters)/8 steps in dual numbers, each a few times
-        as expensive as a plain step; the first call makes their working space, which is kept. The GIL is released. See docs/linearize.md.
+        as expensive as a plain step; the first call makes their working space, which is kept. The
+        GIL is released. See docs/linearize.md.
 
         Raises the same errors as `step`, and ValueError if the step has an infinite derivative, and
         for a parameter that is unknown, zero, or changes more than numbers of the model.
