@@ -95,15 +95,14 @@ class Differences:
         )
 
 
-def off(ours: list[sc.Linearization], theirs: Differences) -> float:
+def off(ours: sc.Linearizations, theirs: Differences) -> float:
     each = [
         max(
-            np.abs(own - other).max(initial=0.0) / np.abs(other).max(initial=1e-12)
-            for own, other in pair
+            np.abs(own[world] - other[world]).max(initial=0.0)
+            / np.abs(other[world]).max(initial=1e-12)
+            for own, other in ((ours.A, theirs.A), (ours.B, theirs.B))
         )
-        for pair in (
-            ((linear.A, theirs.A[w]), (linear.B, theirs.B[w])) for w, linear in enumerate(ours)
-        )
+        for world in range(WORLDS)
     ]
     return float(np.median(each))
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from stepcore.engine.gradients import Gradients as Gradients
     from stepcore.engine.gradients import GradientWarning as GradientWarning
     from stepcore.engine.linearization import Linearization as Linearization
+    from stepcore.engine.linearization import Linearizations as Linearizations
     from stepcore.engine.model import Model as Model
     from stepcore.engine.noise import Noise as Noise
     from stepcore.engine.plan import Plan as Plan
@@ -100,7 +101,7 @@ _MODULES = {
     "stepcore.engine.batch": "Batch",
     "stepcore.engine.error_bar": "ErrorBar",
     "stepcore.engine.gradients": "Gradients GradientWarning",
-    "stepcore.engine.linearization": "Linearization",
+    "stepcore.engine.linearization": "Linearization Linearizations",
     "stepcore.engine.model": "Model",
     "stepcore.engine.noise": "Noise",
     "stepcore.engine.plan": "Plan",

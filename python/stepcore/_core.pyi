@@ -391,15 +391,9 @@ class Sim(_World):
         """Steps once: kinetic and spring energy before and after; energy that elements injected."""
     def forget(self) -> None:
         """Forgets the impulses of the last step."""
-    def linearize(
-        self,
-        parameters: Sequence[Sequence[Model]],
-        states: Mapping[str, _Floats] | None = None,
-        threads: int = 1,
-    ) -> tuple[_Floats, list[tuple[int, _Element]]]:
+    def linearize(self, parameters: Sequence[Sequence[Model]]) -> tuple[_Floats, list[_Element]]:
         """A (2 nv + na columns), B (nu columns) and a column for each parameter, given by the
-        models around its value, over their distance, of each state (n, rows, columns); and where
-        the nth are one-sided. states: arrays of n rows by name; what is absent is as it is."""
+        models around its value, over their distance; and where they are one-sided."""
     def element_slopes(self) -> tuple[list[_Element], _Floats, list[float], _Floats]:
         """Elements that act at the present state, forces (n, nv), energies [J], and the entries of
         their slopes in the columns (nth element, dof, dof, stiffness, damping)."""
@@ -442,6 +436,27 @@ class Sim(_World):
         """Elements, geoms, and dist, pos, normal, force in the columns of one array."""
     def rows(self) -> tuple[list[_Element], list[str], list[int], _Floats]:
         """Elements, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi."""
+
+@final
+class Linearizers:
+    def __new__(
+        cls,
+        models: Sequence[Model],
+        of: Sequence[int],
+        settings: Settings,
+        threads: int,
+        first: int,
+    ) -> Linearizers:
+        """models: those that differ. of: by world, the number of its model. first: the first
+        world's number."""
+    def linearize(
+        self, parameters: Sequence[Sequence[Sequence[Model]]], states: Mapping[str, _Floats]
+    ) -> tuple[_Floats, list[tuple[int, _Element]]]:
+        """A, B and P of each state, as in `Sim`, (worlds, states, rows, columns); and where the nth
+        are one-sided. parameters: by model. states: arrays of shape (worlds, states, …) by name;
+        what is absent is as at the start."""
+    @property
+    def nbytes(self) -> int: ...
 
 @final
 class Batch(_World):

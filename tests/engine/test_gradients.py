@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.engine.gradients import Tape
+from stepcore.engine.gradients import Tape, pulled
+from stepcore.engine.rollout_steps import Steps
 
 EXACT = {"solver": "newton", "tolerance": 1e-14, "sweeps": 200}
 FLYER = """<mujoco><option timestep="0.005" integrator="Euler"/><worldbody>
@@ -126,7 +127,8 @@ def height(solref, dt=0.002):
 def test_a_gradient_that_is_another_in_shorter_steps_is_told():
     """A ball that bounces: its gradient has grown little, and any sign by the time step."""
     words = (
-        r"world 0 changes by \d+ % in steps half as long, .* the impact of `floor` with `ball` at"
+        r"world 0 by the initial state changes by \d+ % in steps half as long, "
+        r".* the impact of `floor` with `ball` at"
     )
     signs = set()
     for dt in (0.005, 0.002):
@@ -152,6 +154,66 @@ def test_nothing_is_told_where_the_gradient_is_that_of_the_motion(recwarn):
     assert 0.01 < off[0] < 0.5
     assert off[1] == pytest.approx(off[0] / 2, rel=0.3)
     assert not [one for one in recwarn if one.category is sc.GradientWarning]
+
+
+SWING = """<mujoco><option timestep="0.005" integrator="Euler"/><worldbody>
+ <body name="bob"><joint name="pin" axis="0 1 0"/>
+ <geom name="ball" size=".1" pos=".3 0 0" mass="1"/></body></worldbody>
+ <actuator><motor joint="pin"/></actuator></mujoco>"""
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_cancels_is_not_far_from_what_cancels():
+    """The swing of a point does not depend on its mass: that gradient is rounding."""
+    model = sc.loads(SWING.replace('size=".1"', 'size="1e-4"')).compile()
+    batch, weights = sc.Batch(model, 1), np.zeros((1, 20, 1))
+    weights[0, -1] = 1.0
+    ctrl = np.zeros((1, 20, 1))
+    found = batch.vjp(ctrl, weights, parameters=["geom/ball/mass"], error_bar=True)
+    assert abs(found.parameters["geom/ball/mass"][0]) < 1e-12
+    assert found.error[0] < 0.1
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("steps", (0, 5))
+def test_of_nothing_the_error_is_nothing(steps):
+    for scene in (SWING, "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"):
+        batch = sc.Batch(sc.loads(scene), 2)
+        found = batch.vjp(np.zeros((2, steps, batch.model.nu)), error_bar=True)
+        assert np.array_equal(found.error, [0, 0])
+
+
+def test_a_part_of_a_gradient_that_parts_alone_is_named():
+    """A ball falls upon a floor: its height by the gravity parts, after its first state did not."""
+    model = sc.loads(BOUNCE.format(solref="-5000 -2", dt=0.005))
+    batch, count = sc.Batch(model, 1), 240
+    weights = np.zeros((1, count, 1))
+    weights[0, -1] = 1.0
+    with pytest.warns(sc.GradientWarning, match=r"world 0 by `?.+ changes by"):
+        batch.vjp(np.zeros((1, count, 0)), weights, parameters=["gravity"], error_bar=True)
+
+
+def test_a_rollout_that_fails_in_shorter_steps_keeps_its_gradient():
+    """A step of 5 ms ends before the force is infinite, two of half as long do not."""
+    model = sc.loads(SWING).compile()
+    batch = sc.Batch(model, 2)
+    steps = Steps(batch, np.zeros((2, 5, 1)), ()).roll()
+    finer = steps.halved()
+    finer.batch.qvel[1] = 1e308
+    finer.batch.qfrc_applied[1] = 1e308
+    finer.batch.step()
+    given = {"qpos": np.ones((2, 5, 1)), "qvel": np.zeros((2, 5, 1)), "act": np.zeros((2, 5, 0))}
+    with pytest.warns(sc.GradientWarning, match="world 1 has no error bar.*diverged in step"):
+        found = pulled(steps, given, finer)
+    assert np.isinf(found.error[1]) and found.error[0] < 1
+
+
+def test_steps_of_any_length_are_refused_before_the_first():
+    batch = sc.Batch(sc.loads(SWING), 2, accuracy=1e-3)
+    for call in (batch.linearize, lambda: batch.vjp(np.zeros((2, 5, 1)))):
+        with pytest.raises(ValueError, match=r"accuracy = 0\.001: must be None for linearize"):
+            call()
+    assert batch.time == 0
 
 
 def test_what_does_not_fit_is_told():
@@ -207,6 +269,39 @@ def test_a_batch_is_linearised_as_its_worlds_are():
         for name in ("A", "B", "P"):
             assert np.array_equal(getattr(found, name), getattr(alone, name)), name
     assert batch.time == 0
+
+
+def test_worlds_whose_values_are_zero_elsewhere():
+    """The columns are those of the batch's model; a world in which one is zero is named."""
+    batch = sc.Batch(sc.loads(BOUNCE.format(solref=".02 1", dt=0.005)), 3)
+    batch.param["gravity"] = np.array([[0, 0, -9.81], [0.5, 0, -9.8], [0, 0, -9.81]])
+    found = batch.linearize(["gravity"])
+    assert found.P.shape == (3, 2, 1)
+    assert found.parameters == found[1].parameters == ("gravity[2]",)
+    sim = sc.Sim(batch.model_of(1))
+    sim.qpos[:] = batch.qpos[1]
+    assert np.array_equal(found[1].P, sim.linearize(["gravity[2]"]).P)
+    batch.param["gravity"] = np.array([[0, 0, -9.81], [0, 0, 0], [0, 0, -9.81]])
+    with pytest.raises(ValueError, match=r"gravity\[2\] = 0: must be .* \(world 1\)"):
+        batch.linearize(["gravity"])
+
+
+def test_errors_name_the_world():
+    batch = sc.Batch(sc.loads(SWING), 3)
+    batch.qpos[1] = np.nan
+    with pytest.raises(ValueError, match=r"qpos\[0\] = NaN: must be finite \(.*`pin`, world 1\)"):
+        batch.linearize()
+    batch.qpos[1], batch.qvel[1], batch.qfrc_applied[1] = 0.0, 1e308, 1e308
+    with pytest.raises(sc.SimulationError, match="in world 1") as told:
+        batch.linearize()
+    assert told.value.world == 1
+
+
+def test_the_memory_of_linearisations_is_counted():
+    batch = sc.Batch(sc.loads(SWING), 3)
+    before = batch.nbytes
+    batch.linearize()
+    assert batch.nbytes > before + 10_000
 
 
 BALL = """<mujoco><option timestep="0.002" integrator="Euler" solver="Newton"/><worldbody>

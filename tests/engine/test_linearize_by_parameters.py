@@ -172,6 +172,26 @@ def test_an_impedance_that_steps_clamp_is_no_parameter():
         moving(model).linearize(["geom/crate/solimp[1]"])
 
 
+def test_a_whole_impedance_is_by_what_steps_read_as_numbers():
+    model = sc.loads(ARM.format(integrator="Euler")).compile()
+    assert moving(model).linearize("geom/crate/solimp").parameters == tuple(
+        f"geom/crate/solimp[{entry}]" for entry in range(4)
+    )
+    cubic = model.with_values({"geom/crate/solimp": [0.9, 0.95, 0.002, 0.4, 3]})
+    assert len(moving(cubic).linearize("geom/crate/solimp").parameters) == 5
+    level = [0.9, 0.9, 0.002, 0.4, 3]
+    flat = model.with_values({"geom/crate/solimp": level, "geom/floor/solimp": level})
+    with pytest.raises(ValueError, match=r"solimp\[0\]: must be .*an impedance that is flat"):
+        moving(flat).linearize("geom/crate/solimp")
+
+
+def test_what_an_element_is_called_is_no_field():
+    """A joint of a body called as a field is."""
+    text = ARM.format(integrator="Euler").replace('"shoulder"', '"a/solimp"')
+    by = moving(sc.loads(text).compile()).linearize(["joint/a/solimp/stiffness"])
+    assert by.parameters == ("joint/a/solimp/stiffness",)
+
+
 def test_what_changes_more_than_numbers_is_refused_by_name():
     sim = moving(sc.loads(ARM.format(integrator="Euler")).compile())
     with pytest.raises(ValueError, match=r"parameters: geom/crate/condim: .*must be one of"):

@@ -65,6 +65,19 @@ def test_a_value_that_is_zero_in_the_model_is_found():
     found = sc.identify(sc.loads(text.format(0.0)), sim.run(0.25), {"joint/z/damping": (0.1, 10)})
     assert found.start["joint/z/damping"] == pytest.approx(1.0)
     assert found.values["joint/z/damping"] == pytest.approx(2.0, rel=1e-9)
+    # By a pattern, as one that is not zero; within the smallest numbers too.
+    again = sc.identify(sc.loads(text.format(0.0)), sim.run(0.25), {"joint/z*/damping": (0.1, 10)})
+    assert again.values["joint/z/damping"] == pytest.approx(2.0, rel=1e-9)
+    tiny = {"joint/z/damping": (1e-200, 1e-180)}
+    assert sc.identify(sc.loads(text.format(0.0)), sim.run(0.25), tiny).start == {
+        "joint/z/damping": pytest.approx(1e-190)
+    }
+    with pytest.raises(
+        ValueError, match=r"parameters\['joint/z/damping'\] = \(-10, -0.1\): must be"
+    ):
+        sc.identify(sc.loads(text.format(0.0)), sim.run(0.25), {"joint/z/damping": (-10, -0.1)})
+    with pytest.raises(ValueError, match=r"parameters = \[3\]: must be paths of values"):
+        sc.identify(sc.loads(text.format(0.0)), sim.run(0.25), {3: (0.1, 1)})
 
 
 def test_a_search_that_is_cut_off_says_so():

@@ -14,6 +14,7 @@ mod errors;
 mod extract;
 mod gil;
 mod integrators;
+mod linearizers;
 mod memo;
 #[allow(unsafe_code)]
 mod memory;
@@ -54,6 +55,8 @@ mod _core {
     use super::errors::{EnergyWarning, SimulationError};
     #[pymodule_export]
     use super::integrators::{amplification, integrators, linear_step};
+    #[pymodule_export]
+    use super::linearizers::Linearizers;
     #[pymodule_export]
     use super::model::{compile, machine_code, Model};
     #[pymodule_export]

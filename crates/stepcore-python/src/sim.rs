@@ -1,23 +1,22 @@
 //! `Sim` as Python sees it: one world, its arrays, and what can be read of it.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use numpy::{PyArrayDyn, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use stepcore::arrays::{Array as EngineArray, Givens};
 use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
-use stepcore::real::{Stage, AROUND};
-use stepcore::watch::Around;
+use stepcore::real::Stage;
 
 use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
 use crate::element::{id, Id};
 use crate::errors::{warn, Raised};
 use crate::extract::{At, Read};
 use crate::gil;
+use crate::linearizers::{neighbourhood, Parameters};
 use crate::memo::Memo;
 use crate::memory::{Arrays, Named};
 use crate::model::{result, shaped, Model};
@@ -65,30 +64,6 @@ impl Sim {
 
     fn store(&self, py: Python<'_>, world: &mut dyn World) {
         self.arrays.store(py, move |array, out| world.take(array, out));
-    }
-
-    /// How many states are given, and all arrays of each: those that are absent as they are at present.
-    fn rows_of(
-        &self,
-        py: Python<'_>,
-        given: HashMap<String, PyReadonlyArrayDyn<'_, f64>>,
-    ) -> PyResult<(usize, Vec<Vec<f64>>)> {
-        let count = given.values().next().map_or(0, |rows| rows.shape()[0]);
-        let mut lists = Vec::new();
-        for array in EngineArray::ALL {
-            let length = self.arrays.lengths[array as usize];
-            let Some(rows) = given.get(array.name()) else {
-                let own = self.arrays.read(py, 0, |now| now[array].to_vec());
-                lists.push(own.repeat(count));
-                continue;
-            };
-            if rows.len() != count * length {
-                let text = format!("{} of {count} states has {} numbers", array.name(), rows.len());
-                return Err(PyValueError::new_err(text));
-            }
-            lists.push(rows.as_slice()?.to_vec());
-        }
-        Ok((count, lists))
     }
 
     fn placed<'py>(&self, py: Python<'py>, what: Placed) -> PyResult<Array<'py>> {
@@ -236,44 +211,31 @@ impl Sim {
         Ok(())
     }
 
-    /// A (2 nv + na columns), B (nu columns) and P, side by side, of a step from each of some states,
-    /// (n, rows, columns); the elements at which the nth are one-sided.
-    /// `parameters`: the models around each. `states`: some arrays by name, each of as many rows; the
-    /// others are the present ones, as are all if there is none.
-    #[pyo3(signature = (parameters, states = None, threads = 1))]
+    /// A (2 nv + na columns), B (nu columns) and P, side by side, of a step from the present state; the
+    /// elements at which they are one-sided. `parameters`: the models around each.
     fn linearize<'py>(
         &self,
         py: Python<'py>,
-        parameters: Vec<[PyRef<'py, Model>; AROUND]>,
-        states: Option<HashMap<String, PyReadonlyArrayDyn<'py, f64>>>,
-        threads: usize,
-    ) -> PyResult<(Array<'py>, Vec<(usize, Id)>)> {
-        let parameters: Vec<Around> =
-            parameters.iter().map(|around| around.each_ref().map(|m| m.0.clone())).collect();
-        let states = states.map(|states| self.rows_of(py, states)).transpose()?;
-        let count = states.as_ref().map_or(1, |states| states.0);
-        let states = states
-            .as_ref()
-            .map(|(n, lists)| Givens::new((*n).max(1), |array| &lists[array as usize]));
-        let states = states.as_ref();
-        let mut linearizers = {
+        parameters: Parameters<'py>,
+    ) -> PyResult<(Array<'py>, Vec<Id>)> {
+        let of = neighbourhood(&self.model, &parameters);
+        let mut linearizer = {
             let mut guard = self.lock()?;
             let world = &mut **guard;
             self.load_beside(py, world)?;
-            gil::release(py, || {
-                (0..count).try_for_each(|n| states.map_or(Ok(()), |s| world.check(&s.of(n))))?;
-                world.linearizers(parameters, threads.clamp(1, count.max(1)), count)
-            })?
+            gil::release(py, || world.linearizer(&of))?
         };
-        let mut matrices = gil::release(py, || linearizers.matrices())?;
-        let steps = linearizers.steps();
-        gil::steps_told(py, steps, &self.pace, None, |n| {
-            linearizers.advance(n, states, &mut matrices)
+        let mut matrix = gil::release(py, || linearizer.matrices(1))?;
+        gil::steps_told(py, linearizer.steps(), &self.pace, None, |n| {
+            linearizer.advance(n, None, &mut matrix)
         })?;
-        let degenerate = linearizers.degenerate().map(|(nth, at)| (nth, id(at))).collect();
-        let shape = linearizers.shape();
-        self.lock()?.keep(linearizers);
-        Ok((result(py, matrices, &shape)?, degenerate))
+        let degenerate = linearizer.degenerate.iter().map(|(_, at)| id(*at)).collect();
+        let shape = [linearizer.rows(), linearizer.width()];
+        // Who works with the world now makes another one.
+        if let Ok(mut world) = self.lock() {
+            world.keep(linearizer);
+        }
+        Ok((result(py, matrix, &shape)?, degenerate))
     }
 
     /// Of every element that acts at the present state: its force by dof, what it stores [J], and

@@ -15,7 +15,8 @@ use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
 use stepcore::warm::Sleep;
 use stepcore::watch::{
-    Around, Counter, Coupling, ElementSlopes, LastSolve, Linearizers, RayFilter, StepGains, Watched,
+    Counter, Coupling, ElementSlopes, LastSolve, Linearizer, Neighbourhood, RayFilter, StepGains,
+    Watched,
 };
 
 use crate::memo::{put_memo, warm_of, Memo, Solve};
@@ -150,14 +151,9 @@ pub trait World: Send {
     fn initial_sleep(&self) -> Sleep<f64>;
     /// How often the list of contacts had to grow.
     fn grown(&self) -> u64;
-    /// By these parameters, for so many linearisations from the present state; `keep` them after use.
-    fn linearizers(
-        &mut self,
-        parameters: Vec<Around>,
-        threads: usize,
-        count: usize,
-    ) -> Result<Linearizers>;
-    fn keep(&mut self, linearizers: Linearizers);
+    /// For a linearisation from the present state; `keep` it after use.
+    fn linearizer(&mut self, of: &Arc<Neighbourhood>) -> Result<Linearizer>;
+    fn keep(&mut self, linearizer: Linearizer);
     fn element_slopes(&mut self) -> Result<ElementSlopes>;
     fn counter(&mut self) -> Result<Counter>;
     fn bytes(&self) -> usize;
@@ -179,15 +175,15 @@ struct One<R: Real> {
     of: Last,
     /// It is in no `Sim` yet, but for its acceleration.
     unmade: bool,
-    /// The last ones.
-    linearizers: Option<Linearizers>,
+    /// The last one.
+    linearizer: Option<Linearizer>,
 }
 
 impl<R: Real> One<R> {
     fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
         let watched = Watched::<R>::new(model, settings.clone())?;
         let last = LastSolve::new(&watched.sim);
-        Ok(Self { watched, last, of: Last::Nothing, unmade: false, linearizers: None })
+        Ok(Self { watched, last, of: Last::Nothing, unmade: false, linearizer: None })
     }
 
     fn sim(&self) -> &Sim<R> {
@@ -444,21 +440,14 @@ impl<R: Real> World for One<R> {
     fn grown(&self) -> u64 {
         self.sim().detected.grown
     }
-    fn linearizers(
-        &mut self,
-        parameters: Vec<Around>,
-        threads: usize,
-        count: usize,
-    ) -> Result<Linearizers> {
-        let mut made = match self.linearizers.take() {
-            Some(kept) if kept.is(&parameters, threads) => kept,
-            _ => Linearizers::new(self.sim(), parameters, threads)?,
-        };
-        made.begin(self.sim(), count);
+    fn linearizer(&mut self, of: &Arc<Neighbourhood>) -> Result<Linearizer> {
+        let kept = self.linearizer.take().map(Ok);
+        let mut made = kept.unwrap_or_else(|| Linearizer::new(self.sim()))?;
+        made.begin(self.sim(), of)?;
         Ok(made)
     }
-    fn keep(&mut self, linearizers: Linearizers) {
-        self.linearizers = Some(linearizers);
+    fn keep(&mut self, linearizer: Linearizer) {
+        self.linearizer = Some(linearizer);
     }
     fn element_slopes(&mut self) -> Result<ElementSlopes> {
         ElementSlopes::new(self.sim())
@@ -467,6 +456,6 @@ impl<R: Real> World for One<R> {
         Counter::new(self.sim())
     }
     fn bytes(&self) -> usize {
-        self.watched.bytes() + self.linearizers.as_ref().map_or(0, Linearizers::bytes)
+        self.watched.bytes() + self.linearizer.as_ref().map_or(0, Linearizer::bytes)
     }
 }

@@ -69,6 +69,16 @@ fn brief(value: String) -> String {
 }
 
 impl Error {
+    /// The same, of a world of several.
+    pub(crate) fn in_world(mut self, world: usize) -> Self {
+        match &mut self {
+            Self::Value { limit, .. } => *limit += &format!(" (world {world})"),
+            Self::Diverged(divergence) => (divergence.world, divergence.batch) = (world, true),
+            Self::Scene(_) | Self::Interrupted => (),
+        }
+        self
+    }
+
     /// Where the elements of a scene that it names stand in its text.
     pub fn mentions(&self) -> &[Mention] {
         match self {

@@ -343,7 +343,7 @@ impl Settings {
     }
 
     /// Refuses an accuracy to what regards one step of a fixed length.
-    pub(crate) fn check_fixed(&self, who: &str) -> Result<()> {
+    pub fn check_fixed(&self, who: &str) -> Result<()> {
         let Some(accuracy) = self.accuracy.0 else { return Ok(()) };
         let limit = format!("None for {who}, which regards one step of a fixed length");
         Err(Error::value("accuracy", accuracy, limit))

@@ -9,6 +9,7 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.rollout_steps import Steps
+from stepcore.engine.sim import Sim, unwatched
 
 TINY = np.finfo(float).tiny
 # Of what is asked: a share below which nothing is said of the initial state.
@@ -23,6 +24,7 @@ class Adjoints(NamedTuple):
     rows: by the state where each step begins, and after the last: shape (n, steps + 1, 2 nv + na).
     What is asked of a state comes to it in the step before.
     ctrl: by the controls, (n, steps, nu). values: by the parameters, (n, parameters).
+    ctrl_terms: the sum of the sizes of what those by the controls are sums of, (n,).
     sizes: of a row, (n, steps). factors: by how much each step makes it larger.
     sided: (world, step, element) where a row is exactly at its switch.
     """
@@ -30,6 +32,7 @@ class Adjoints(NamedTuple):
     rows: Floats
     ctrl: Floats
     values: Floats
+    ctrl_terms: Floats
     sizes: Floats
     factors: Floats
     sided: list[tuple[int, int, str]]
@@ -42,7 +45,8 @@ def adjoints(steps: Steps, weights: Floats) -> Adjoints:
     """
     model, (n, count, size) = steps.batch.model, weights.shape
     rows, ctrl = np.zeros((n, count + 1, size)), np.zeros((n, count, model.nu))
-    values, factors = np.zeros((n, len(steps.labels))), np.ones((n, count))
+    values, ctrl_terms = np.zeros((n, len(steps.labels))), np.zeros(n)
+    factors = np.ones((n, count))
     sided = list[tuple[int, int, str]]()
     for share in steps.shares():
         own = share.worlds
@@ -58,6 +62,7 @@ def adjoints(steps: Steps, weights: Floats) -> Adjoints:
                 A, B, P = (one[:, k] for one in linear[:3])
                 ctrl[own, step] = _times(after, B)
                 values[own] += _times(after, P)
+                ctrl_terms[own] += _times(np.abs(after), np.abs(B)).sum(axis=1)
                 rows[own, step] = _times(after, A)
                 before, size_after = (
                     np.linalg.norm(row, axis=1) for row in (rows[own, step], after)
@@ -65,7 +70,8 @@ def adjoints(steps: Steps, weights: Floats) -> Adjoints:
                 grows = before / np.maximum(size_after, TINY)
                 factors[own, step] = np.where(size_after > 0, grows, 1.0)
     sizes = np.linalg.norm(rows[:, :-1], axis=2)
-    return Adjoints(rows, ctrl, values, sizes, factors, sorted(sided, key=lambda one: one[:2]))
+    sided.sort(key=lambda one: one[:2])
+    return Adjoints(rows, ctrl, values, ctrl_terms, sizes, factors, sided)
 
 
 def _times(rows: Floats, matrices: Floats) -> Floats:
@@ -81,30 +87,33 @@ def spread(rows: Floats) -> Floats:
     return out
 
 
-def apart(back: Adjoints, finer: Adjoints, asked: Floats) -> Floats:
-    """How far a gradient is from that in steps half as long, as a share of it, (n,).
+def apart(back: Adjoints, finer: Adjoints, steps: Steps, weights: Floats) -> dict[str, Floats]:
+    """How far each part of a gradient is from that in steps half as long, as a share of it, (n,).
 
-    The largest of its parts: by the initial state, by the controls, by each parameter. A state of
-    which almost nothing is left in the end counts as much as that. asked: the size of the
-    gradient that was given, (n,).
+    Below these sizes a part is nothing: a share of what the gradient was by any state; of what the
+    controls' is a sum of; for a change of a parameter by itself, of what all steps change.
+    weights: as in `adjoints`.
     """
+    asked = np.linalg.norm(weights, axis=-1).sum(axis=1)
+    most = np.maximum(asked, back.sizes.max(axis=1, initial=0.0))
     both = finer.ctrl[:, ::2] + finer.ctrl[:, 1::2]
-    least = LEFT * np.maximum(asked, back.sizes.max(axis=1, initial=0.0))
-    each = [
-        _distance(back.rows[:, 0], finer.rows[:, 0], least),
-        _distance(back.ctrl, both),
-        *(_distance(a, b) for a, b in zip(back.values.T, finer.values.T, strict=True)),
-    ]
-    largest: Floats = np.max(each, axis=0)
-    return largest
+    parts = {
+        "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], LEFT * most),
+        "the controls": _distance(back.ctrl, both, LEFT * back.ctrl_terms),
+    }
+    changes = np.sum(np.abs((back.rows[:, 1:] + weights) * steps.changes()), axis=(1, 2))
+    for k, column in enumerate(steps.by):
+        least = LEFT * changes / abs(column.value)
+        parts[f"`{column.label}`"] = _distance(back.values[:, k], finer.values[:, k], least)
+    return parts
 
 
-def _distance(one: Floats, other: Floats, least: Floats | float = TINY) -> Floats:
+def _distance(one: Floats, other: Floats, least: Floats | float = 0.0) -> Floats:
     """Of rows of worlds, as a share of the larger."""
     off, *sizes = (
         np.linalg.norm(rows.reshape(len(rows), -1), axis=1) for rows in (one - other, one, other)
     )
-    return off / np.maximum(np.maximum(*sizes), least)
+    return off / np.maximum(np.maximum(*sizes), np.maximum(least, TINY))
 
 
 def grown(steps: Steps, world: int, growth: float, step: int) -> str:
@@ -117,34 +126,65 @@ def grown(steps: Steps, world: int, growth: float, step: int) -> str:
     )
 
 
-def parted(steps: Steps, world: int, error: float, back: Adjoints, finer: Adjoints) -> str:
-    """Say where the gradient becomes another one than in steps half as long."""
+def parted(steps: Steps, world: int, of: str, error: float, back: Adjoints, finer: Adjoints) -> str:
+    """Say where the gradient becomes another one than in steps half as long.
+
+    of: the part that changes most.
+    """
     each = _distance(back.rows[world], finer.rows[world, ::2])
-    step = min(int(np.flatnonzero(each >= error / 2)[-1]), steps.count - 1) if error > 0 else 0
-    dt = steps.batch.settings.dt
+    time = steps.time + np.arange(steps.count + 1) * steps.batch.settings.dt
+    # Before it the gradient by the states has parted, whatever it is asked by.
+    parts = np.flatnonzero(each >= min(error, 1.0) / 2)
+    where = ""
+    if parts.size:
+        step = min(int(parts[-1]), steps.count - 1)
+        where = (
+            f", from step {step} [{time[step]:.4g} s] on its way back{_impact(steps, world, step)}"
+        )
     return (
-        f"the gradient of world {world} changes by {100 * error:.0f} % in steps half as long, from "
-        f"step {step} [{steps.time + step * dt:.4g} s] on its way back"
-        f"{_impact(steps, world, step)}: take shorter steps or a softer contact, or begin after it"
+        f"the gradient of world {world} by {of} changes by {100 * error:.0f} % in steps half as "
+        f"long{where}: take shorter steps or a softer contact, or begin after it"
     )
 
 
 def _impact(steps: Steps, world: int, step: int) -> str:
     """Name the contact that pushes most near where a step begins, with the time when it began."""
-    sim, dt = steps.sim(world), steps.batch.settings.dt
+    touches, dt = _Touches(steps, world), steps.batch.settings.dt
     # In steps half as long an impact of few steps may be over before, or still to come.
     near = sorted(
         range(max(0, step - NEAR), min(step + NEAR, steps.count)), key=lambda k: abs(k - step)
     )
     for k in near:
-        if pairs := steps.touching(sim, world, k):
+        if pairs := touches.at(k):
             break
     else:
         return ""
     pair, began = max(pairs, key=lambda names: pairs[names]), k
-    while began and pair in steps.touching(sim, world, began - 1):
+    while began and pair in touches.at(began - 1):
         began -= 1
     known = "contact" if began == 0 else "impact"
     names = " with ".join(f"`{checks.cut(name, 60)}`" for name in pair)
     time = steps.time + began * dt
     return f", at the {known} of {names}" + f" at {time:.4g} s" * (known == "impact")
+
+
+class _Touches:
+    """What touches in a world where its steps begin."""
+
+    def __init__(self, steps: Steps, world: int) -> None:
+        self.sim, self.steps, self.world = unwatched(Sim(steps.models[world])), steps, world
+        for name, rows in steps.held.items():
+            getattr(self.sim, name)[...] = rows[world]
+
+    def at(self, step: int) -> dict[tuple[str, str], float]:
+        """The pairs of geoms that touch there, with the force between them [N]."""
+        sim, steps, world = self.sim, self.steps, self.world
+        for name, rows in steps.states.items():
+            getattr(sim, name)[...] = rows[world, step]
+        sim.ctrl[...] = steps.ctrl[world, step]
+        sim.forward()
+        forces = dict[tuple[str, str], float]()
+        for contact in sim.contacts:
+            pair = str(contact["name1"]), str(contact["name2"])
+            forces[pair] = forces.get(pair, 0.0) + float(np.linalg.norm(contact["force"]))
+        return {pair: force for pair, force in forces.items() if force > 0}

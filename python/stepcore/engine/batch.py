@@ -260,10 +260,11 @@ class Batch(Differentiable):
     def nbytes(self) -> int:
         """Memory of all worlds, their arrays and the threads' workspace [bytes].
 
-        The memory of the shared model is not included.
+        That in which `linearize` works is included once it was called, the shared model is not.
         """
         size: int = self._core.nbytes
-        return size + self._reset_at.nbytes + self._reset_to.nbytes
+        linear: int = self._linear_worlds.core.nbytes if self._linear_worlds else 0
+        return size + linear + self._reset_at.nbytes + self._reset_to.nbytes
 
     @property
     def in_lanes(self) -> bool:

@@ -8,16 +8,16 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
-from stepcore.engine.adjoints import adjoints, apart, grown, parted, spread
+from stepcore.engine.adjoints import Adjoints, adjoints, apart, grown, parted, spread
 from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers
 from stepcore.engine.linear_steps import LinearWorlds
-from stepcore.engine.linearization import Linearization, named
-from stepcore.engine.parameter_columns import split_entry
+from stepcore.engine.linearization import Linearizations
+from stepcore.engine.parameter_columns import columns, split_entry
 from stepcore.engine.rollout import Rollout
-from stepcore.engine.rollout_steps import Steps, check_late, rows_of
+from stepcore.engine.rollout_steps import Steps, check_steps, rows_of
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Gradients(NamedTuple):
     growth: how much the gradient grew on its way back at most, shape (n,).
     one_sided: (world, step, element) where a row is exactly at its switch.
     error: with `error_bar`, how far it is from that in steps half as long, as a share of it, shape
-        (n,); else None.
+        (n,), infinite where these fail; else None.
     """
 
     rollout: Rollout
@@ -61,14 +61,15 @@ class Gradients(NamedTuple):
     error: Floats | None = None
 
 
-def linearizations(batch: Batch, parameters: Sequence[str]) -> list[Linearization]:
+def linearizations(batch: Batch, parameters: Sequence[str]) -> Linearizations:
     """See `Batch.linearize`."""
-    check_late(batch)
+    check_steps(batch)
+    by = columns(batch.model, parameters)
     models = [batch._model_of(world) for world in range(len(batch))]
     if not batch._linear_worlds or not batch._linear_worlds.is_of(models):
         batch._linear_worlds = LinearWorlds(models, batch._threads)
     states = {name: np.array(getattr(batch, name))[:, None] for name in (*STATE, *INPUTS)}
-    return named(batch.model, batch._linear_worlds.linear(states, parameters), parameters)
+    return Linearizations(batch.model, batch._linear_worlds.linear(states, by), by)
 
 
 def vjp(
@@ -95,14 +96,18 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
     back = adjoints(steps, weights)
     asked = np.linalg.norm(weights, axis=-1).sum(axis=1)
     growth = back.sizes.max(axis=1, initial=0.0) / np.where(asked > 0, asked, np.inf)
-    for world in np.flatnonzero(growth > GROWTH)[:1]:
-        _warn(grown(steps, int(world), float(growth[world]), int(back.factors[world].argmax())))
+    texts = [
+        grown(steps, int(world), float(growth[world]), int(back.factors[world].argmax()))
+        for world in np.flatnonzero(growth > GROWTH)[:1]
+    ]
     error = None
     if halved is not None:
         finer = adjoints(halved, halved.dofs({name: spread(rows) for name, rows in given.items()}))
-        error = apart(back, finer, asked)
-        for world in np.flatnonzero((error > APART) & (growth <= GROWTH))[:1]:
-            _warn(parted(steps, int(world), float(error[world]), back, finer))
+        error, doubts = _error(steps, back, halved, finer, weights, told=growth > GROWTH)
+        texts += doubts
+    for text in texts:
+        # In the name of who calls `Batch.vjp`.
+        warnings.warn(GradientWarning(text), stacklevel=4)
     first = back.rows[:, 0]
     return Gradients(
         steps.rollout,
@@ -117,8 +122,31 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
     )
 
 
-def _warn(text: str) -> None:
-    warnings.warn(GradientWarning(text), stacklevel=5)
+def _error(
+    steps: Steps,
+    back: Adjoints,
+    halved: Steps,
+    finer: Adjoints,
+    weights: Floats,
+    told: NDArray[np.bool_],
+) -> tuple[Floats, list[str]]:
+    """How far a gradient is from that in steps half as long, and what is to be said of it.
+
+    told: worlds of whose gradient more was said.
+    """
+    parts = apart(back, finer, steps, weights)
+    error: Floats = np.max(list(parts.values()), axis=0)
+    failed = halved.batch.failures
+    texts = [
+        f"the gradient of world {world} has no error bar, as in steps half as long the rollout "
+        f"{checks.one_line(failed[world])}"
+        for world in list(failed)[:1]
+    ]
+    error[list(failed)] = np.inf
+    for world in np.flatnonzero(np.isfinite(error) & (error > APART) & ~told)[:1]:
+        of = max(parts, key=lambda part: parts[part][world])
+        texts.append(parted(steps, int(world), of, float(error[world]), back, finer))
+    return error, texts
 
 
 class Tape:
@@ -140,7 +168,7 @@ class Tape:
         *values: Floats,
     ) -> None:
         limit = f"of shape ({len(batch)},), a value for each world"
-        labels, changed = [], dict[str, Floats]()
+        labels, changed = list[str](), dict[str, Floats]()
         for name, value in zip(parameters, values, strict=True):
             if np.shape(value) != (len(batch),):
                 raise ValueError(f"parameters: {name} has shape {np.shape(value)}: must be {limit}")
@@ -215,7 +243,7 @@ def jvp(
 class Differentiable(World):
     """Worlds whose steps and rollouts have derivatives."""
 
-    def linearize(self: Any, parameters: Sequence[str] = ()) -> list[Linearization]:
+    def linearize(self: Any, parameters: Sequence[str] = ()) -> Linearizations:
         """Linearise the next step of every world about its state, without taking the step.
 
         parameters: paths as in `Sim.linearize`, whose errors it raises.
@@ -226,8 +254,8 @@ class Differentiable(World):
 
         >>> from stepcore import Batch, lesson
         >>> batch = Batch(lesson.spring(), 3, dt=0.01, integrator="semi-implicit")
-        >>> [linear.A.shape for linear in batch.linearize()]
-        [(2, 2), (2, 2), (2, 2)]
+        >>> batch.linearize().A.shape
+        (3, 2, 2)
         """
         return linearizations(self, parameters)
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from stepcore import _core
 from stepcore.engine.arrays import Floats
-from stepcore.engine.parameter_columns import columns, models_around
+from stepcore.engine.parameter_columns import Column, columns, models_around
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
-
-# As many worlds of their own models keep their working space.
-KEPT = 64
 
 
 class LinearSteps(NamedTuple):
@@ -31,88 +29,79 @@ class LinearSteps(NamedTuple):
     degenerate: list[tuple[int, int, tuple[str, int, int]]]
 
 
-def linear_steps(
-    model: Model,
-    core: Any,
-    parameters: Sequence[str],
-    states: Mapping[str, Floats] | None = None,
-    threads: int = 1,
-) -> LinearSteps:
-    """Linearise steps of a `_core.Sim`, by these parameters too.
-
-    states: arrays of shape (worlds, steps, …); what is absent is as in the Sim. None: its state
-    alone.
-    """
-    by = columns(model, parameters)
+def linear_step(model: Model, core: Any, by: Sequence[Column]) -> LinearSteps:
+    """Linearise the next step of a `_core.Sim`, by these parameters too."""
     around = models_around(model, by)
-    shape, rows = (1, 1), None
-    if states is not None:
-        shape = states["qpos"].shape[:2]
-        flat = shape[0] * shape[1]
-        rows = {
-            name: np.ascontiguousarray(array).reshape(flat, *array.shape[2:])
-            for name, array in states.items()
-        }
+    with _named_parameters(by):
+        numbers, degenerate = core.linearize(around)
+    apart = np.array([column.apart for column in by])
+    return _split(model, numbers[None, None], apart, [(0, 0, element) for element in degenerate])
+
+
+@contextmanager
+def _named_parameters(by: Sequence[Column]) -> Iterator[None]:
+    """Name parameters in errors of the core, which knows their numbers."""
     try:
-        numbers, degenerate = core.linearize(around, rows, threads)
+        yield
     except ValueError as error:
-        # The core knows parameters by their number.
         found = re.match(r"parameter = (\d+): (.*)", str(error))
         if found is None:
             raise
         raise ValueError(f"parameters: {by[int(found[1])].label}: {found[2]}") from None
-    numbers = numbers.reshape(*shape, *numbers.shape[1:])
+
+
+def _split(
+    model: Model, numbers: Floats, apart: Floats, degenerate: list[tuple[int, int, Any]]
+) -> LinearSteps:
     split = 2 * model.nv + model.na
     last = split + model.nu
-    by_values = numbers[..., last:] / np.array([column.apart for column in by])
-    sided = [(*divmod(nth, shape[1]), element) for nth, element in degenerate]
-    return LinearSteps(numbers[..., :split], numbers[..., split:last], by_values, sided)
+    by_values = numbers[..., last:] / apart
+    return LinearSteps(numbers[..., :split], numbers[..., split:last], by_values, degenerate)
 
 
 class LinearWorlds:
-    """Worlds, each with its model, whose steps are linearised together.
+    """Worlds whose steps are linearised together, on several threads.
 
-    models: of each world. threads: those of one model share the work.
+    models: of each world; they differ in numbers. first: the first world's number, in errors.
     """
 
-    def __init__(self, models: Sequence[Model], threads: int) -> None:
-        self.models, self.threads = list(models), threads
-        groups: dict[int, list[int]] = {}
-        for world, model in enumerate(models):
-            groups.setdefault(id(model), []).append(world)
-        self.groups = list(groups.values())
-        self.kept: dict[int, Any] = {}
+    def __init__(self, models: Sequence[Model], threads: int, first: int = 0) -> None:
+        self.models, self.first = list(models), first
+        different = {id(model): model for model in self.models}
+        self.different = list(different.values())
+        number = {key: k for k, key in enumerate(different)}
+        self.of = [number[id(model)] for model in self.models]
+        cores = [model.core for model in self.different]
+        settings = self.models[0].settings
+        self.core = _core.Linearizers(cores, self.of, settings, threads, first)
+        self._by: tuple[list[str], list[Any], Floats] | None = None
 
     def is_of(self, models: Sequence[Model]) -> bool:
         """Whether these are the models of the worlds."""
         return all(own is model for own, model in zip(self.models, models, strict=True))
 
-    def _core(self, group: int) -> Any:
-        """A `_core.Sim` of a group's model."""
-        core = self.kept.get(group)
-        if core is None:
-            model = self.models[self.groups[group][0]]
-            core = _core.Sim(model.core, model.settings)
-            core.unwatch()
-            if len(self.groups) <= KEPT:
-                self.kept[group] = core
-        return core
+    def _around(self, by: Sequence[Column]) -> tuple[list[Any], Floats]:
+        """The models around parameters, by model; and how far apart their values are, by world."""
+        labels = [column.label for column in by]
+        if self._by is None or self._by[0] != labels:
+            around, apart = [], np.zeros((len(self.different), len(by)))
+            for k, model in enumerate(self.different):
+                try:
+                    own = columns(model, labels)
+                except ValueError as error:
+                    world = self.first + self.of.index(k)
+                    raise ValueError(f"{error} (world {world})") from None
+                around.append(models_around(model, own))
+                apart[k] = [column.apart for column in own]
+            self._by = labels, around, apart[self.of]
+        return self._by[1:]
 
-    def linear(self, states: Mapping[str, Floats], parameters: Sequence[str]) -> LinearSteps:
+    def linear(self, states: Mapping[str, Floats], by: Sequence[Column]) -> LinearSteps:
         """Linearise a step at each of these states, arrays of shape (worlds, steps, …)."""
-        made = []
-        for group, worlds in enumerate(self.groups):
-            alone = len(self.groups) == 1
-            own = states if alone else {name: rows[worlds] for name, rows in states.items()}
-            model, core = self.models[worlds[0]], self._core(group)
-            made.append(linear_steps(model, core, parameters, own, self.threads))
-        if len(made) == 1:
-            return made[0]
-        order = np.argsort(np.concatenate(self.groups))
-        A, B, P = (np.concatenate([one[k] for one in made])[order] for k in range(3))
-        sided = [
-            (worlds[nth], step, element)
-            for worlds, one in zip(self.groups, made, strict=True)
-            for nth, step, element in one.degenerate
-        ]
-        return LinearSteps(A, B, P, sided)
+        around, apart = self._around(by)
+        whole = {name: np.ascontiguousarray(rows) for name, rows in states.items()}
+        with _named_parameters(by):
+            numbers, degenerate = self.core.linearize(around, whole)
+        steps = numbers.shape[1]
+        sided = [(*divmod(nth, steps), element) for nth, element in degenerate]
+        return _split(self.models[0], numbers, apart[:, None, None], sided)

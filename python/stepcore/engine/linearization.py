@@ -1,16 +1,17 @@
-"""`Linearization`: the linear map of a step about one state."""
+"""`Linearization`: the linear map of a step about one state; `Linearizations`: of many worlds."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_steps import LinearSteps
-from stepcore.engine.parameter_columns import columns
+from stepcore.engine.parameter_columns import Column
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -111,21 +112,57 @@ class Linearization:
         return f"<Linearization: {count}; a step of {self.dt:g} s; {radius}{sides}>"
 
 
-def named(model: Model, steps: LinearSteps, parameters: Sequence[str]) -> list[Linearization]:
-    """Each of linear steps with its names; they are by these parameters too."""
-    labels = tuple(
-        name + axis
-        for name, kind in zip(model.called("joint"), model.jnt_type, strict=True)
-        for axis in AXES[kind]
-    )
-    controls, dt = model.called("actuator"), model.settings.dt
-    known = tuple(column.label for column in columns(model, parameters))
-    elements: dict[int, list[tuple[str, int, int]]] = {}
-    for world, _, element in steps.degenerate:
-        elements.setdefault(world, []).append(element)
-    made = []
-    for world, (A, B, P) in enumerate(zip(*(one[:, 0] for one in steps[:3]), strict=True)):
-        ids = tuple(elements.get(world, ()))
-        sided = tuple(model.element_name(*element) for element in ids)
-        made.append(Linearization(A, B, dt, labels, controls, sided, ids, P, known))
-    return made
+class Linearizations(Sequence[Linearization]):
+    """Steps of many worlds, each linearised about its state: a `Linearization` of each by index.
+
+    A, B, P: the matrices of all worlds, arrays of shape (n, 2 nv + na, …).
+    parameters: paths of those of P.
+
+    >>> from stepcore import Batch, lesson
+    >>> linear = Batch(lesson.spring(), 3, dt=0.01).linearize()
+    >>> linear.A.shape, linear[2].labels
+    ((3, 2, 2), ('spring',))
+    """
+
+    def __init__(self, model: Model, steps: LinearSteps, by: Sequence[Column] = ()) -> None:
+        self.A, self.B, self.P = (one[:, 0] for one in steps[:3])
+        self.parameters = tuple(column.label for column in by)
+        self._model, self._degenerate = model, steps.degenerate
+
+    def __len__(self) -> int:
+        return len(self.A)
+
+    @cached_property
+    def _labels(self) -> tuple[str, ...]:
+        model = self._model
+        return tuple(
+            name + axis
+            for name, kind in zip(model.called("joint"), model.jnt_type, strict=True)
+            for axis in AXES[kind]
+        )
+
+    @overload
+    def __getitem__(self, index: int) -> Linearization: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Linearization]: ...
+    def __getitem__(self, index: int | slice) -> Linearization | list[Linearization]:
+        """The linearisation of a world, or a list of those of some."""
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        world = range(len(self))[index]
+        ids = tuple(element for own, _, element in self._degenerate if own == world)
+        return Linearization(
+            self.A[world],
+            self.B[world],
+            self._model.settings.dt,
+            self._labels,
+            self._model.called("actuator"),
+            tuple(self._model.element_name(*element) for element in ids),
+            ids,
+            self.P[world],
+            self.parameters,
+        )
+
+    def __repr__(self) -> str:
+        size = "×".join(str(n) for n in self.A.shape[1:])
+        return f"<Linearizations of {len(self)} worlds, each {size}>"

@@ -47,7 +47,7 @@ class Column:
     @property
     def clamped(self) -> bool:
         """Whether it is an impedance or its midpoint, which steps clamp to 0.0001 … 0.9999."""
-        return "/solimp" in self.path and self.entry in (0, 1, 3)
+        return _is_impedance(self.path) and self.entry in (0, 1, 3)
 
     @property
     def apart(self) -> float:
@@ -55,11 +55,34 @@ class Column:
         near = min(self.value, 1.0 - self.value) if self.clamped else abs(self.value)
         return near * SHARE
 
+    def check(self) -> None:
+        """Refuse a number by which no step is differentiated."""
+        limit = None
+        if self.value == 0 or not np.isfinite(self.value):
+            limit = "finite and not zero: what is zero is left out of a step"
+        elif self.clamped and not CLAMPED < self.value < 1 - CLAMPED:
+            limit = f"between {CLAMPED} and {1 - CLAMPED}: steps clamp it"
+        if limit:
+            raise ValueError(f"parameters: {self.label} = {self.value:g}: must be {limit}")
+
 
 def columns(model: Model, parameters: Sequence[str]) -> list[Column]:
+    """Return the columns of parameters; raise ValueError for a value that is zero, too.
+
+    See `named_columns`.
+    """
+    found = named_columns(model, parameters)
+    for column in found:
+        column.check()
+    return found
+
+
+def named_columns(model: Model, parameters: Sequence[str]) -> list[Column]:
     """Return the columns of parameters: of a vector, those of its entries that are not zero.
 
-    Raises ValueError for an unknown path, and for a value that is zero.
+    The power of an impedance that is 1 or 2, which steps compute in another way, is left out too.
+
+    Raises ValueError for an unknown path.
     """
     names = checks.listed(parameters) if not isinstance(parameters, str) else [parameters]
     if names is None or not all(isinstance(name, str) for name in names):
@@ -91,6 +114,10 @@ def _expanded(model: Model, name: str) -> Iterator[str]:
         yield f"{kind}/{one}/{field}"
 
 
+def _is_impedance(path: str) -> bool:
+    return path.rpartition("/")[2].startswith("solimp")
+
+
 def _columns(model: Model, path: str) -> Iterator[Column]:
     path, wanted = split_entry(path)
     value = own_value(model, path)
@@ -99,21 +126,15 @@ def _columns(model: Model, path: str) -> Iterator[Column]:
             raise ValueError(f"parameters: {path} is a number and has no entry [{wanted}]")
         entries: list[int | None] = [None]
     elif wanted is None:
-        entries = [int(k) for k in np.flatnonzero(value)] or [0]
+        entries = [int(k) for k in np.flatnonzero(value)] or list(range(len(value)))
+        if _is_impedance(path) and value[-1] in (1.0, 2.0):
+            entries.remove(len(value) - 1)
     elif wanted < len(value):
         entries = [wanted]
     else:
         raise ValueError(f"parameters: {path} has {len(value)} entries, and no [{wanted}]")
     for entry in entries:
-        number = float(value if entry is None else value[entry])
-        column = Column(path, entry, number)
-        if number == 0 or not np.isfinite(number):
-            limit = "finite and not zero: what is zero is left out of a step"
-            raise ValueError(f"parameters: {column.label} = {number:g}: must be {limit}")
-        if column.clamped and not CLAMPED < number < 1 - CLAMPED:
-            limit = f"between {CLAMPED} and {1 - CLAMPED}: steps clamp it"
-            raise ValueError(f"parameters: {column.label} = {number:g}: must be {limit}")
-        yield column
+        yield Column(path, entry, float(value if entry is None else value[entry]))
 
 
 def models_around(model: Model, by: Sequence[Column]) -> list[list[_core.Model]]:

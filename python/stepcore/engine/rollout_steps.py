@@ -6,32 +6,28 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers
 from stepcore.engine.linear_steps import LinearSteps, LinearWorlds
 from stepcore.engine.parameter_columns import columns
 from stepcore.engine.rollout import Rollout
-from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.tangents import Tangents
 
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
+    from stepcore.report.progress import Choice
 
 # Steps of a world that are linearised together, and as many numbers of matrices as are in memory
 # at once: 64 MiB.
 BLOCK, ROOM = 64, 2**23
 
 
-def check_late(batch: Batch) -> None:
+def check_steps(batch: Batch) -> None:
+    """Refuse steps that cannot be linearised, before any is taken."""
     if batch._arrays["ctrl_history"].size:
         raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
-
-
-def _put(sim: Sim, arrays: Mapping[str, Floats], world: int) -> None:
-    """Give a Sim the row of a world of these arrays."""
-    for name, rows in arrays.items():
-        getattr(sim, name)[...] = rows[world]
+    LinearWorlds([batch.model], 1)
 
 
 def rows_of(
@@ -54,10 +50,13 @@ class Steps:
     """
 
     rollout: Rollout
+    # Of each world, before the first step and after each.
+    states: dict[str, Floats]
 
     def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
-        check_late(batch)
-        self.labels = [column.label for column in columns(batch.model, parameters)]
+        check_steps(batch)
+        self.by = columns(batch.model, parameters)
+        self.labels = [column.label for column in self.by]
         self.batch = batch
         self.ctrl, self.n = np.array(numbers("ctrl", ctrl)), len(batch)
         if self.ctrl.ndim != 3 or self.ctrl.shape[::2] != (self.n, batch.model.nu):
@@ -72,48 +71,36 @@ class Steps:
         widths = (model.nq, model.nv, model.na)
         return {name: (self.n, *rows, width) for name, width in zip(STATE, widths, strict=True)}
 
-    def roll(self) -> Steps:
+    def roll(self, progress: Choice = None) -> Steps:
         """Step the batch."""
         batch = self.batch
         self.models = [batch._model_of(world) for world in range(self.n)]
         self.held = {name: np.array(getattr(batch, name)) for name in INPUTS[1:]}
         self.start = {name: np.array(getattr(batch, name)) for name in STATE}
         self.time = batch.time
-        self.rollout = batch.rollout(self.ctrl)
+        self.rollout = batch.rollout(self.ctrl, progress=progress)
+        self.states = {
+            name: np.concatenate([first[:, None], getattr(self.rollout, name)], axis=1)
+            for name, first in self.start.items()
+        }
         return self
 
     def halved(self) -> Steps:
-        """The same rollout in steps half as long, of a batch of its own."""
+        """The same rollout in steps half as long, of a batch of its own that goes on."""
         batch = self.batch
         model = batch.model.with_settings(dt=batch.settings.dt / 2)
-        own = type(batch)(model, self.n, threads=batch._threads)
+        own = type(batch)(model, self.n, threads=batch._threads, on_failure="go on")
         own._core.unwatch()
+        own._residuals.told = True
         own.param.update(batch.param.columns())
         for name, rows in (self.start | self.held).items():
             getattr(own, name)[...] = rows
-        return Steps(own, np.repeat(self.ctrl, 2, axis=1), self.labels).roll()
-
-    def sim(self, world: int) -> Sim:
-        """A Sim of a world, with the inputs that do not change."""
-        sim = unwatched(Sim(self.models[world]))
-        _put(sim, self.held, world)
-        return sim
-
-    def states(self, world: int, name: str) -> Floats:
-        """An array of a world's states, from the first to that after the last step."""
-        states: Floats = np.concatenate(
-            [self.start[name][world][None], getattr(self.rollout, name)[world]]
-        )
-        return states
-
-    def put(self, sim: Sim, world: int, step: int) -> None:
-        """Let a Sim stand where a step began."""
-        for name in STATE:
-            before = self.start[name][world]
-            if step:
-                before = getattr(self.rollout, name)[world, step - 1]
-            getattr(sim, name)[...] = before
-        sim.ctrl[...] = self.ctrl[world, step]
+        steps = Steps(own, np.repeat(self.ctrl, 2, axis=1), self.labels).roll(progress=False)
+        # Where a world fails is no state to be linearised at.
+        failed = list(own.failures)
+        for name, rows in steps.states.items():
+            rows[failed] = steps.start[name][failed, None]
+        return steps
 
     def share(self, worlds: Sequence[int]) -> Share:
         """Some of the worlds, whose steps are linearised together."""
@@ -130,15 +117,11 @@ class Steps:
         """All steps, as many at a time as are linearised together."""
         return [range(k, min(k + BLOCK, self.count)) for k in range(0, self.count, BLOCK)]
 
-    def touching(self, sim: Sim, world: int, step: int) -> dict[tuple[str, str], float]:
-        """The pairs of geoms that touch where a step begins, with the force between them [N]."""
-        self.put(sim, world, step)
-        sim.forward()
-        forces = dict[tuple[str, str], float]()
-        for contact in sim.contacts:
-            pair = str(contact["name1"]), str(contact["name2"])
-            forces[pair] = forces.get(pair, 0.0) + float(np.linalg.norm(contact["force"]))
-        return {pair: force for pair, force in forces.items() if force > 0}
+    def changes(self) -> Floats:
+        """What each step changes of x, nearly, (n, steps, 2 nv + na)."""
+        moved = self.batch.settings.dt * self.states["qvel"][:, 1:]
+        others = (np.diff(self.states[name], axis=1) for name in ("qvel", "act"))
+        return np.concatenate([moved, *others], axis=-1)
 
     def dofs(self, given: Mapping[str, Floats]) -> Floats:
         """The gradients by the states after each step as those of x, (n, steps, 2 nv + na)."""
@@ -149,23 +132,18 @@ class Steps:
 
 
 class Share:
-    """Some worlds of a rollout, whose steps are linearised together."""
+    """Some worlds of a rollout, one after the other, whose steps are linearised together."""
 
     def __init__(self, steps: Steps, worlds: Sequence[int]) -> None:
         self.steps, self.worlds = steps, list(worlds)
         models = [steps.models[world] for world in worlds]
-        self.linear_worlds = LinearWorlds(models, steps.batch._threads)
+        self.linear_worlds = LinearWorlds(models, steps.batch._threads, self.worlds[0])
 
-    def linear(
-        self, steps: Sequence[int] | NDArray[np.int_], by: Sequence[str] | None = None
-    ) -> LinearSteps:
-        """Linearise some steps, by their parameters or these: of shape (worlds, steps, …)."""
-        of, mine = self.steps, self.worlds
-        states = {
-            name: np.array([of.states(world, name)[:-1][steps] for world in mine]) for name in STATE
-        }
-        states["ctrl"] = of.ctrl[mine][:, steps]
-        states |= {
-            name: np.repeat(rows[mine][:, None], len(steps), 1) for name, rows in of.held.items()
-        }
-        return self.linear_worlds.linear(states, of.labels if by is None else by)
+    def linear(self, steps: Sequence[int]) -> LinearSteps:
+        """Linearise some steps, one after the other: of shape (worlds, steps, …)."""
+        of, mine, some = self.steps, self.worlds, slice(steps[0], steps[-1] + 1)
+        states = {name: rows[mine, some] for name, rows in of.states.items()}
+        states["ctrl"] = of.ctrl[mine, some]
+        for name, rows in of.held.items():
+            states[name] = np.repeat(rows[mine][:, None], len(steps), 1)
+        return self.linear_worlds.linear(states, of.by)

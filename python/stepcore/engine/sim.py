@@ -14,8 +14,9 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, kept, last_of, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.error_bar import FinerRun, Judged
-from stepcore.engine.linear_steps import linear_steps
-from stepcore.engine.linearization import Linearization, named
+from stepcore.engine.linear_steps import linear_step
+from stepcore.engine.linearization import Linearization, Linearizations
+from stepcore.engine.parameter_columns import columns
 from stepcore.engine.sums import Energy, Momentum
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run, whole_steps
@@ -171,8 +172,9 @@ class Sim(Judged):
         Raises the same errors as `step`, and ValueError if the step has an infinite derivative, and
         for a parameter that is unknown, zero, or changes more than numbers of the model.
         """
-        steps = linear_steps(self._model, self._core, parameters)
-        return named(self._model, steps, parameters)[0]
+        by = columns(self._model, parameters)
+        step = linear_step(self._model, self._core, by)
+        return Linearizations(self._model, step, by)[0]
 
     def element_slopes(self) -> dict[Element, ElementSlopes]:
         """Compute stiffness, damping, force and energy of every active element.

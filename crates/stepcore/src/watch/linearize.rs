@@ -16,6 +16,7 @@ use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
 use crate::model::{differ_in_numbers, Model, SideBySide};
 use crate::real::{Dual, Real, AROUND, WAYS};
+use crate::room::Room;
 use crate::scene::JointType;
 use crate::sim::Sim;
 use crate::solve::Differentiated;
@@ -24,13 +25,70 @@ use crate::state::State;
 /// The models around that of a parameter's own value; see `AROUND`.
 pub type Around = [Arc<Model>; AROUND];
 
-/// Linearisations under way, ∂x⁺/∂x, ∂x⁺/∂ctrl and ∂x⁺/∂parameter, each at a state of one model.
+/// A model, and those around the value of each parameter by which its steps are differentiated.
+pub struct Neighbourhood {
+    pub model: Arc<Model>,
+    pub parameters: Vec<Around>,
+}
+
+impl Neighbourhood {
+    /// Whether these are the same models.
+    fn is(&self, other: &Self) -> bool {
+        let all = |of: &Self| of.parameters.iter().flatten().cloned().collect::<Vec<_>>();
+        let (own, others) = (all(self), all(other));
+        Arc::ptr_eq(&self.model, &other.model)
+            && own.len() == others.len()
+            && own.iter().zip(&others).all(|(a, b)| Arc::ptr_eq(a, b))
+    }
+
+    /// The model; then for each step by parameters the model with those around these. Refuses a
+    /// parameter around which models differ in more than numbers.
+    fn side_by_side(&self) -> Result<Vec<SideBySide<Dual>>> {
+        let mut all = vec![SideBySide::new(vec![self.model.clone()])?];
+        for some in self.parameters.chunks(WAYS) {
+            let mut beside = vec![self.model.clone(); 1 + AROUND * WAYS];
+            let around = some.iter().flatten();
+            beside.iter_mut().skip(1).zip(around).for_each(|(to, model)| *to = model.clone());
+            all.push(SideBySide::new(beside).map_err(|error| self.different().unwrap_or(error))?);
+        }
+        Ok(all)
+    }
+
+    /// The parameter that changes more than numbers.
+    fn different(&self) -> Option<Error> {
+        let alike = |around: &Around| around.iter().all(|m| differ_in_numbers(&self.model, m));
+        let nth = self.parameters.iter().position(|around| !alike(around))?;
+        let limit =
+            "one that steps read as a number: not zero or infinite, and no case of its own, \
+                     as an impedance that is flat or of power 1 or 2";
+        Some(Error::value("parameter", nth, limit))
+    }
+}
+
+/// States of worlds, as many of each, to be linearised at.
+pub struct Asked<'a> {
+    pub states: Givens<'a>,
+    pub count: usize,
+    /// Of each world, with the same number of parameters.
+    pub worlds: &'a [Arc<Neighbourhood>],
+    /// The first world's number, in errors.
+    pub first: usize,
+}
+
+impl Asked<'_> {
+    /// That of the nth state.
+    pub(super) fn world(&self, nth: usize) -> usize {
+        nth * self.worlds.len() / self.count.max(1)
+    }
+}
+
+/// Linearisations under way, ∂x⁺/∂x, ∂x⁺/∂ctrl and ∂x⁺/∂parameter, each at a state of a model.
 pub struct Linearizer {
     sim: Sim<Dual>,
     start: State<Dual>,
     ctrl: Vec<Dual>,
-    parameters: Vec<Around>,
-    /// The model, then that with those around the parameters of each step.
+    of: Arc<Neighbourhood>,
+    /// Those of it.
     models: Vec<SideBySide<Dual>>,
     /// Columns before those of parameters.
     own: usize,
@@ -43,7 +101,7 @@ pub struct Linearizer {
     pub degenerate: Vec<(usize, Element)>,
 }
 
-room!(Linearizer: sim, start, ctrl, models, degenerate; parameters, own, asked, nth, done);
+room!(Linearizer: sim, start, ctrl, of, models, degenerate; own, asked, nth, done);
 
 /// Derivatives start and end here; every one is found by its place.
 #[derive(Clone, Copy)]
@@ -55,56 +113,23 @@ pub(super) enum Direction {
 }
 
 impl Linearizer {
-    /// Of worlds with the model and the settings of this one, computed in `f64`; by these parameters
-    /// too. Refuses one around which models differ in more than numbers.
-    pub fn new<R: Real>(from: &Sim<R>, parameters: Vec<Around>) -> Result<Self> {
+    /// Of worlds with the settings of this one, and models that differ from its own in numbers;
+    /// computed in `f64`.
+    pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
         from.settings.check_fixed("linearize")?;
-        let alike = |around: &Around| around.iter().all(|m| differ_in_numbers(from.model(), m));
-        if let Some(nth) = parameters.iter().position(|around| !alike(around)) {
-            let limit = "one that steps read as a number, neither zero nor infinite";
-            return Err(Error::value("parameter", nth, limit));
-        }
-        Self::of(&from.plain(), parameters)
+        Self::like(&from.plain())
     }
 
-    fn of(from: &Plain, parameters: Vec<Around>) -> Result<Self> {
+    fn like(from: &Plain) -> Result<Self> {
         let sim = differentiated(from)?;
-        let model = sim.model().clone();
-        let mut models = vec![sim.models()];
-        for some in parameters.chunks(WAYS) {
-            let mut beside = vec![model.clone(); 1 + AROUND * WAYS];
-            beside
-                .iter_mut()
-                .skip(1)
-                .zip(some.iter().flatten())
-                .for_each(|(to, m)| *to = m.clone());
-            models.push(SideBySide::new(beside)?);
-        }
+        let model = sim.models().first().clone();
         Ok(Self {
             start: sim.state.clone(),
             ctrl: sim.inputs.ctrl.clone(),
-            sim,
-            parameters,
-            models,
             own: 2 * model.nv + model.na + model.actuators.len(),
-            asked: 0..0,
-            nth: 0,
-            done: 0,
-            degenerate: Vec::new(),
-        })
-    }
-
-    /// Another one by the same parameters.
-    pub fn another(&self) -> Result<Self> {
-        let mut sim = Sim::side_by_side(self.models[0].clone(), self.sim.settings.clone())?;
-        sim.solver = Box::new(Differentiated::new());
-        Ok(Self {
+            models: vec![sim.models()],
+            of: Arc::new(Neighbourhood { model, parameters: Vec::new() }),
             sim,
-            start: self.start.clone(),
-            ctrl: self.ctrl.clone(),
-            parameters: self.parameters.clone(),
-            models: self.models.clone(),
-            own: self.own,
             asked: 0..0,
             nth: 0,
             done: 0,
@@ -112,26 +137,35 @@ impl Linearizer {
         })
     }
 
-    /// Whether it is by these parameters.
-    pub fn is_by(&self, parameters: &[Around]) -> bool {
-        let same = |(a, b): (&Around, &Around)| a.iter().zip(b).all(|(a, b)| Arc::ptr_eq(a, b));
-        self.parameters.len() == parameters.len()
-            && self.parameters.iter().zip(parameters).all(same)
+    /// Steps are of these models from now on.
+    fn take(&mut self, of: &Arc<Neighbourhood>) -> Result<()> {
+        if !self.of.is(of) {
+            self.models = of.side_by_side()?;
+        }
+        self.of = of.clone();
+        Ok(())
     }
 
-    /// Linearisations of these numbers come next: the first at the present state, inputs and impulses
-    /// of a world of the model.
-    pub fn begin<R: Real>(&mut self, from: &Sim<R>, asked: Range<usize>) {
-        self.begin_at(&from.plain(), asked);
+    /// The next linearisation is at the present state, inputs and impulses of a world.
+    pub fn begin<R: Real>(&mut self, from: &Sim<R>, of: &Arc<Neighbourhood>) -> Result<()> {
+        self.begin_at(&from.plain(), of)
     }
 
-    fn begin_at(&mut self, from: &Plain, asked: Range<usize>) {
-        (self.nth, self.done) = (asked.start, 0);
-        self.asked = asked;
-        self.degenerate.clear();
+    fn begin_at(&mut self, from: &Plain, of: &Arc<Neighbourhood>) -> Result<()> {
+        self.begin_of(0..1, of)?;
         self.restore();
         from.give(&mut self.sim);
         self.stand();
+        Ok(())
+    }
+
+    /// Linearisations of these numbers come next, the first of them of this model.
+    pub(super) fn begin_of(&mut self, asked: Range<usize>, of: &Arc<Neighbourhood>) -> Result<()> {
+        self.take(of)?;
+        (self.nth, self.done) = (asked.start, 0);
+        self.asked = asked;
+        self.degenerate.clear();
+        Ok(())
     }
 
     /// The next linearisation is of a step from there, whose impulses nobody knows.
@@ -163,7 +197,7 @@ impl Linearizer {
 
     /// Of a matrix.
     pub fn width(&self) -> usize {
-        self.own + self.parameters.len()
+        self.own + self.of.parameters.len()
     }
 
     /// Of all matrices that are asked for.
@@ -185,19 +219,31 @@ impl Linearizer {
         ((self.asked.end - self.nth) * steps(self.width()) - steps(self.done)) as u64
     }
 
-    /// Takes the next `n` of them, or all that are left. `states`: where each linearisation is. `to`: the
-    /// matrices of those that are asked for.
+    /// Takes the next `n` of them, or all that are left. `to`: the matrices of those it was asked for.
     #[inline] // A failure is explained in plain numbers, whose step is compiled where this is called.
-    pub fn advance(&mut self, n: u64, states: Option<&Givens>, to: &mut [f64]) -> Result<()> {
-        let size = self.rows() * self.width();
+    pub fn advance(&mut self, n: u64, asked: Option<&Asked>, to: &mut [f64]) -> Result<()> {
         for _ in 0..n.min(self.steps()) {
-            if let (0, Some(states)) = (self.done, states) {
-                self.go_to(&states.of(self.nth));
-            }
-            self.step().map_err(|error| explained(&self.sim, error))?;
-            self.read_all(&mut to[(self.nth - self.asked.start) * size..][..size])?;
+            self.advance_once(asked, to).map_err(|error| match asked {
+                Some(asked) => error.in_world(asked.first + asked.world(self.nth)),
+                None => error,
+            })?;
         }
         Ok(())
+    }
+
+    fn advance_once(&mut self, asked: Option<&Asked>, to: &mut [f64]) -> Result<()> {
+        if let (0, Some(asked)) = (self.done, asked) {
+            self.take(&asked.worlds[asked.world(self.nth)])?;
+            self.go_to(&asked.states.of(self.nth));
+        }
+        self.step().map_err(|error| explained(&self.sim, error))?;
+        let size = self.rows() * self.width();
+        self.read_all(&mut to[(self.nth - self.asked.start) * size..][..size])
+    }
+
+    /// Memory [bytes]; models are not in it.
+    pub fn bytes(&self) -> usize {
+        size_of::<Self>() + self.room()
     }
 
     /// The directions of the next step; those of parameters begin with one.

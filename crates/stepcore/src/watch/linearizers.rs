@@ -2,8 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use super::linearize::{Around, Linearizer};
-use crate::arrays::Givens;
+use super::linearize::{Asked, Linearizer};
 use crate::elements::Element;
 use crate::error::Result;
 use crate::pool::{lock, Pool};
@@ -15,45 +14,33 @@ use crate::sim::Sim;
 pub struct Linearizers {
     each: Vec<Linearizer>,
     pool: Option<Arc<Pool>>,
-    count: usize,
 }
 
-room!(Linearizers: each; pool, count);
+room!(Linearizers: each; pool);
 
 impl Linearizers {
-    /// Of worlds with the model and the settings of this one; see `Linearizer::new`.
-    pub fn new<R: Real>(from: &Sim<R>, parameters: Vec<Around>, threads: usize) -> Result<Self> {
+    /// Of worlds like this one; see `Linearizer::new`.
+    pub fn new<R: Real>(from: &Sim<R>, threads: usize) -> Result<Self> {
         let pool = Pool::new(threads)?;
-        let mut each = vec![Linearizer::new(from, parameters)?];
-        for _ in 1..threads {
-            each.push(each[0].another()?);
-        }
-        Ok(Self { each, pool, count: 0 })
+        let each = (0..threads).map(|_| Linearizer::new(from)).collect::<Result<_>>()?;
+        Ok(Self { each, pool })
     }
 
-    /// Whether it is by these parameters, on so many threads.
-    pub fn is(&self, parameters: &[Around], threads: usize) -> bool {
-        self.each.len() == threads && self.each[0].is_by(parameters)
-    }
-
-    /// So many linearisations come next: at the present state, inputs and impulses of a world of the
-    /// model, unless `advance` is given others.
-    pub fn begin<R: Real>(&mut self, from: &Sim<R>, count: usize) {
-        let threads = self.each.len();
-        self.count = count;
+    /// Linearisations at these states come next. Returns room for their matrices; see
+    /// `Linearizer::matrices`.
+    pub fn begin(&mut self, asked: &Asked) -> Result<Vec<f64>> {
+        let (count, threads) = (asked.count, self.each.len());
         for (k, linearizer) in self.each.iter_mut().enumerate() {
-            linearizer.begin(from, k * count / threads..(k + 1) * count / threads);
+            let own = k * count / threads..(k + 1) * count / threads;
+            let first = asked.worlds.get(asked.world(own.start)).unwrap_or(&asked.worlds[0]);
+            linearizer.begin_of(own, first)?;
         }
+        self.each[0].matrices(count)
     }
 
-    /// That of the matrices: (linearisations, rows, columns).
-    pub fn shape(&self) -> [usize; 3] {
-        [self.count, self.each[0].rows(), self.each[0].width()]
-    }
-
-    /// Matrices of zeros, to be filled in.
-    pub fn matrices(&self) -> Result<Vec<f64>> {
-        self.each[0].matrices(self.count)
+    /// Rows and columns of a matrix.
+    pub fn shape(&self) -> [usize; 2] {
+        [self.each[0].rows(), self.each[0].width()]
     }
 
     /// Steps that the thread with the most takes.
@@ -61,14 +48,11 @@ impl Linearizers {
         self.each.iter().map(Linearizer::steps).max().unwrap_or(0)
     }
 
-    /// Takes the next `n` steps of each thread.
-    pub fn advance(
-        &mut self,
-        n: u64,
-        states: Option<&Givens>,
-        mut matrices: &mut [f64],
-    ) -> Result<()> {
-        let Some(pool) = &self.pool else { return self.each[0].advance(n, states, matrices) };
+    /// Takes the next `n` steps of each thread. Of several errors, the first state's is returned.
+    pub fn advance(&mut self, n: u64, asked: &Asked, mut matrices: &mut [f64]) -> Result<()> {
+        let Some(pool) = &self.pool else {
+            return self.each[0].advance(n, Some(asked), matrices);
+        };
         let mut parts = Vec::new();
         for linearizer in &mut self.each {
             let (own, others) = matrices.split_at_mut(linearizer.numbers());
@@ -77,7 +61,7 @@ impl Linearizers {
         }
         pool.share(parts.len(), &|part| {
             let (linearizer, own, outcome) = &mut *lock(&parts[part]);
-            *outcome = linearizer.advance(n, states, own);
+            *outcome = linearizer.advance(n, Some(asked), own);
         });
         parts.into_iter().try_for_each(|part| lock(&part).2.clone())
     }

@@ -34,7 +34,7 @@ pub use element_slopes::{Acts, ElementSlopes};
 pub use energy::Energy;
 pub use last_solve::LastSolve;
 pub(crate) use ledger::{Care, Ledger};
-pub use linearize::{Around, Linearizer};
+pub use linearize::{Around, Asked, Linearizer, Neighbourhood};
 pub use linearizers::Linearizers;
 pub use rays::{first_hit, RayFilter};
 pub use readout::Coupling;

@@ -11,7 +11,7 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
-from stepcore.engine.parameter_columns import columns, split_entry
+from stepcore.engine.parameter_columns import Column, named_columns
 from stepcore.engine.trajectory import Trajectory
 from stepcore.engine.variations import own_value
 from stepcore.experiment.arguments import Source
@@ -122,16 +122,13 @@ def _bounds(
         if low is None or high is None or not low < high:
             raise ValueError(f"parameters[{checks.shown(path)}]: must be a range (low, high)")
         label, value = path, low
-        limit, allowed = "a range without 0", low * high > 0
+        limit, allowed = "a range without 0", low > 0 or high < 0
         if path == DELAY:
             limit, allowed = "a range of times [s] from 0 on, of a model with controls", low >= 0
             allowed = allowed and model.nu > 0
         elif allowed:
-            model = _begun(model, path, low, high)
-            several = columns(model, [path])
-            if len(several) > 1:
-                raise ValueError(f"parameters: {path} has several entries: name one, as {path}[0]")
-            label, value = several[0].label, several[0].value
+            model, column = _begun(model, path, low, high)
+            label, value = column.label, column.value
             limit, allowed = f"a range around {value:g}, the model's value", low <= value <= high
         if not allowed:
             shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
@@ -141,21 +138,27 @@ def _bounds(
     return model, known, guess
 
 
-def _begun(model: Model, path: str, low: float, high: float) -> Model:
-    """Return the model with √(low·high) for a value that is zero.
+def _begun(model: Model, path: str, low: float, high: float) -> tuple[Model, Column]:
+    """Return the model to begin with and the number of a path: √(low·high) where it is zero.
 
     A step leaves out what is zero, and so has no derivative by it.
     """
-    name, entry = split_entry(path)
-    value = own_value(model, name)
-    if bool(value.ndim) != (entry is not None) or (entry or 0) >= value.size:
-        # `columns` refuses it.
-        return model
-    place = () if entry is None else entry
-    if value[place] != 0:
-        return model
-    value[place] = math.copysign(math.sqrt(low * high), low)
-    return model.with_values({name: value.tolist()})
+    several = named_columns(model, [path])
+    if len(several) > 1:
+        raise ValueError(f"parameters: {path} has several entries: name one, as {several[0].label}")
+    (column,) = several
+    if column.value == 0:
+        value = own_value(model, column.path)
+        middle = math.copysign(math.sqrt(abs(low)) * math.sqrt(abs(high)), low)
+        value[() if column.entry is None else column.entry] = middle
+        try:
+            model = model.with_values({column.path: value.tolist()})
+        except ValueError as error:
+            shown = f"parameters[{checks.shown(path)}] = ({low:g}, {high:g})"
+            raise ValueError(f"{shown}: must be a range of values: {error}") from None
+        (column,) = named_columns(model, [column.label])
+    column.check()
+    return model, column
 
 
 def _fitted(

@@ -257,7 +257,8 @@ class _Between:
 
     def rows(self, steps: Steps, key: str) -> np.ndarray:
         """Return an array of the states near."""
-        return steps.states(0, key)[self.near]
+        found: np.ndarray = steps.states[key][0, self.near]
+        return found
 
     def states(self, steps: Steps, ctrl: np.ndarray) -> dict[str, np.ndarray]:
         """Return the states near, with their controls of these, shape (steps + 1, nu)."""
