@@ -14,6 +14,7 @@ __all__ = [
     "VECTORS",
     "Batch",
     "EnergyWarning",
+    "Linearizers",
     "Model",
     "Settings",
     "Sim",
