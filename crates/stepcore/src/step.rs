@@ -7,6 +7,7 @@ use crate::commit::Next;
 use crate::detect::Detected;
 use crate::elements::force::Moment;
 use crate::error::Result;
+use crate::integrator::Stages;
 use crate::observer::Observer;
 use crate::real::{Mask, Real, Stage};
 use crate::shapes::searched;
@@ -83,6 +84,13 @@ impl<R: Real> Sim<R> {
         Moment { model: &self.model, frames, qpos, qvel, act, inputs: &self.inputs }
     }
 
+    /// The next step begins at the positions of the last one, with their derivatives, of the same
+    /// models and inputs: what follows of these alone stays as it is.
+    pub(crate) fn hold_positions(&mut self) {
+        // Other integrators have placed further positions since.
+        self.placed.held = self.plan.scheme.stages == Stages::Start;
+    }
+
     pub(crate) fn place_detect_solve(&mut self, at: At) -> Result<()> {
         if std::mem::take(&mut self.stands) {
             return Ok(());
@@ -106,12 +114,16 @@ impl<R: Real> Sim<R> {
         }
         let (qpos, qvel) = at.of(&self.state, &self.next);
         let act = at.activations(&self.state, &self.next, self.clock);
+        let held = self.placed.held;
         self.placed.place(&self.model, qpos, qvel, act, &self.inputs, self.clock.dt);
         if self.plan.sleeps {
             self.hold_asleep();
         }
         let before = searched();
-        self.detect(at)?;
+        // Contacts ahead depend on velocities too.
+        if !held || self.settings.ahead().is_some() {
+            self.detect(at)?;
+        }
         if self.model.adheres {
             let act = at.activations(&self.state, &self.next, self.clock);
             let (at, contacts) = (at.of(&self.state, &self.next), &self.detected.contacts);

@@ -17,7 +17,7 @@ from stepcore.engine.linear_steps import LinearWorlds
 from stepcore.engine.linearization import Linearizations
 from stepcore.engine.parameter_columns import columns, split_entry
 from stepcore.engine.rollout import Rollout
-from stepcore.engine.rollout_steps import Steps, check_steps, rows_of
+from stepcore.engine.rollout_steps import Steps, check_late, rows_of
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:
@@ -63,10 +63,9 @@ class Gradients(NamedTuple):
 
 def linearizations(batch: Batch, parameters: Sequence[str]) -> Linearizations:
     """See `Batch.linearize`."""
-    check_steps(batch)
-    by = columns(batch.model, parameters)
-    models = [batch._model_of(world) for world in range(len(batch))]
-    if not batch._linear_worlds or not batch._linear_worlds.is_of(models):
+    check_late(batch)
+    by, models = columns(batch.model, parameters), batch.param.models()
+    if batch._linear_worlds is None or batch._linear_worlds.models is not models:
         batch._linear_worlds = LinearWorlds(models, batch._threads)
     states = {name: np.array(getattr(batch, name))[:, None] for name in (*STATE, *INPUTS)}
     return Linearizations(batch.model, batch._linear_worlds.linear(states, by), by)

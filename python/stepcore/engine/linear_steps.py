@@ -66,7 +66,7 @@ class LinearWorlds:
     """
 
     def __init__(self, models: Sequence[Model], threads: int, first: int = 0) -> None:
-        self.models, self.first = list(models), first
+        self.models, self.first = models, first
         different = {id(model): model for model in self.models}
         self.different = list(different.values())
         number = {key: k for k, key in enumerate(different)}
@@ -75,10 +75,6 @@ class LinearWorlds:
         settings = self.models[0].settings
         self.core = _core.Linearizers(cores, self.of, settings, threads, first)
         self._by: tuple[list[str], list[Any], Floats] | None = None
-
-    def is_of(self, models: Sequence[Model]) -> bool:
-        """Whether these are the models of the worlds."""
-        return all(own is model for own, model in zip(self.models, models, strict=True))
 
     def _around(self, by: Sequence[Column]) -> tuple[list[Any], Floats]:
         """The models around parameters, by model; and how far apart their values are, by world."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -117,6 +118,10 @@ class Parameters(Mapping[str, Floats]):
     def model_of(self, world: int) -> Model:
         """Return the model of a world."""
         return self._variants.model(world)
+
+    def models(self) -> list[Model]:
+        """Return the model of each world: the same list until a parameter is set."""
+        return self._variants.by_world
 
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
         """Return the worlds whose initial arrays differ from the model's, with these arrays."""
@@ -271,6 +276,11 @@ class Variants:
         if index not in self._made:
             self._made[index] = self._base.with_values(self.values(world))
         return self._made[index]
+
+    @cached_property
+    def by_world(self) -> list[Model]:
+        """The model of each world."""
+        return [self.model(world) for world in range(len(self.model_of))]
 
     def initial(self) -> list[tuple[list[int], dict[str, Any]]]:
         """Return the worlds whose initial arrays differ from the model's, with these arrays."""

@@ -23,11 +23,9 @@ if TYPE_CHECKING:
 BLOCK, ROOM = 64, 2**23
 
 
-def check_steps(batch: Batch) -> None:
-    """Refuse steps that cannot be linearised, before any is taken."""
+def check_late(batch: Batch) -> None:
     if batch._arrays["ctrl_history"].size:
         raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
-    LinearWorlds([batch.model], 1)
 
 
 def rows_of(
@@ -54,7 +52,9 @@ class Steps:
     states: dict[str, Floats]
 
     def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
-        check_steps(batch)
+        check_late(batch)
+        # Refuses steps that cannot be linearised before one is taken.
+        LinearWorlds([batch.model], 1)
         self.by = columns(batch.model, parameters)
         self.labels = [column.label for column in self.by]
         self.batch = batch
@@ -74,7 +74,7 @@ class Steps:
     def roll(self, progress: Choice = None) -> Steps:
         """Step the batch."""
         batch = self.batch
-        self.models = [batch._model_of(world) for world in range(self.n)]
+        self.models = batch.param.models()
         self.held = {name: np.array(getattr(batch, name)) for name in INPUTS[1:]}
         self.start = {name: np.array(getattr(batch, name)) for name in STATE}
         self.time = batch.time

@@ -49,6 +49,8 @@ pub struct Placed<R: Real> {
     /// Everything was placed once, so that constants stand.
     placed: bool,
     /// Trees that sleep, and need not be placed again.
+    /// The next placing is at the positions of the last one: see `Sim::hold_positions`.
+    pub(crate) held: bool,
     resting: Resting<R>,
     /// Pose of each geom that collides, by geom.
     pub geom: Vec<Pose<R>>,
@@ -97,7 +99,7 @@ pub struct Placed<R: Real> {
     pub guess: Vec<R>,
 }
 
-room!(Placed<R>: xpos, xquat, xmat, offset, mocap, placed, resting, geom, origin, motion, inertia,
+room!(Placed<R>: xpos, xquat, xmat, offset, mocap, placed, held, resting, geom, origin, motion, inertia,
     composite, in_plane, in_space, mass, metric, effective, velocity, acceleration, wrench, bias,
     passive, tendon_length, tendon_arms, actuator, act_rate, act_fading, shares, force, u, guess);
 
@@ -132,6 +134,7 @@ impl<R: Real> Placed<R> {
             offset: vec![V3::zeros(); nbody],
             mocap: model.mocaps.iter().map(|body| pose_of(&model.bodies[*body])).collect(),
             placed: false,
+            held: false,
             resting: Resting::new(),
             geom: vec![Pose { pos: V3::zeros(), rot: identity.matrix() }; model.geoms.len()],
             origin: vec![V3::zeros(); model.trees.len()],
@@ -290,13 +293,15 @@ impl<R: Real> Placed<R> {
             if !self.resting.skips(index) {
                 let tree = &model.trees[index];
                 let plane = tree.plane.as_ref().filter(|_| !self.in_space);
-                R::enter(Stage::Inertia);
-                match plane {
-                    Some(plane) => self.weigh_in_plane(model, tree, plane),
-                    None => self.weigh(model, tree),
+                if !self.held {
+                    R::enter(Stage::Inertia);
+                    match plane {
+                        Some(plane) => self.weigh_in_plane(model, tree, plane),
+                        None => self.weigh(model, tree),
+                    }
+                    R::enter(Stage::Factor);
+                    self.factor_mass(tree);
                 }
-                R::enter(Stage::Factor);
-                self.factor_mass(tree);
                 R::enter(Stage::Bias);
                 match plane {
                     Some(plane) => self.bias_in_plane(model, qvel, tree, plane),
@@ -342,9 +347,12 @@ impl<R: Real> Placed<R> {
         dt: R,
     ) {
         self.resting.begin();
-        self.carry(inputs);
-        self.positions_in_step(model, qpos);
+        if !self.held {
+            self.carry(inputs);
+            self.positions_in_step(model, qpos);
+        }
         self.dynamics(model, qpos, qvel, act, inputs);
+        self.held = false;
         R::enter(Stage::Guess);
         self.metric.to_factored(qvel, &mut self.u);
         self.make_guess(dt);

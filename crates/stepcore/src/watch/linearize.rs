@@ -96,12 +96,14 @@ pub struct Linearizer {
     asked: Range<usize>,
     nth: usize,
     done: usize,
+    /// The last step was from here too, and in no direction that moves positions.
+    still: bool,
     /// Elements at which the derivatives of the nth linearisation are those of one side: a row of theirs
     /// is exactly where it becomes active.
     pub degenerate: Vec<(usize, Element)>,
 }
 
-room!(Linearizer: sim, start, ctrl, of, models, degenerate; own, asked, nth, done);
+room!(Linearizer: sim, start, ctrl, of, models, degenerate; own, asked, nth, done, still);
 
 /// Derivatives start and end here; every one is found by its place.
 #[derive(Clone, Copy)]
@@ -133,6 +135,7 @@ impl Linearizer {
             asked: 0..0,
             nth: 0,
             done: 0,
+            still: false,
             degenerate: Vec::new(),
         })
     }
@@ -188,6 +191,7 @@ impl Linearizer {
         self.sim.state.wake();
         self.start.clone_from(&self.sim.state);
         self.ctrl.copy_from_slice(&self.sim.inputs.ctrl);
+        self.still = false;
     }
 
     /// Of a matrix.
@@ -254,6 +258,7 @@ impl Linearizer {
 
     fn step(&mut self) -> Result<()> {
         self.restore();
+        let mut still = self.done >= self.sim.model.nv;
         let beside = match self.done.checked_sub(self.own) {
             None => {
                 for way in self.ways() {
@@ -261,9 +266,16 @@ impl Linearizer {
                 }
                 0
             }
-            Some(parameters) => 1 + parameters / WAYS,
+            Some(parameters) => {
+                still = false;
+                1 + parameters / WAYS
+            }
         };
         self.sim.take_models(&self.models[beside]);
+        if still && self.still {
+            self.sim.hold_positions();
+        }
+        self.still = still;
         self.sim.step(1)
     }
 
@@ -385,5 +397,51 @@ fn coordinate(model: &Model, dof: usize) -> (usize, Option<usize>) {
         JointType::Ball => (joint.qpos, Some(within)),
         JointType::Free if within < 3 => (joint.qpos + within, None),
         JointType::Free => (joint.qpos + 3, Some(within - 3)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Body, Geom, GeomType, Joint, Scene};
+    use crate::settings::{Integrator, Settings};
+
+    /// Boxes that fall on each other, so that there are more velocities than a step has directions.
+    fn boxes() -> Arc<Model> {
+        let mut scene = Scene::default();
+        scene.geoms.push(Geom { kind: GeomType::Plane, ..Geom::default() });
+        for z in [0.099, 0.298, 0.497] {
+            scene.bodies.push(Body { pos: [0.0, 0.0, z], ..Body::default() });
+            let body = scene.bodies.len() - 1;
+            let damping = [0.1, 0.0, 0.0];
+            scene.joints.push(Joint { body, kind: JointType::Free, damping, ..Joint::default() });
+            let kind = GeomType::Box;
+            scene.geoms.push(Geom { body, kind, size: [0.1; 3], ..Geom::default() });
+        }
+        Arc::new(Model::compile(&scene).unwrap())
+    }
+
+    /// Where positions are held between two steps, derivatives are those of steps that place anew.
+    #[test]
+    fn what_is_held_is_what_is_placed_again() {
+        for integrator in Integrator::ALL {
+            let settings = Settings { integrator: *integrator, ..Settings::default() };
+            let mut sim = Sim::<f64>::new(boxes(), settings).unwrap();
+            sim.state.qvel.iter_mut().enumerate().for_each(|(k, v)| *v = 0.01 * k as f64);
+            sim.step(3).unwrap();
+            let model = sim.model().clone();
+            let of = Arc::new(Neighbourhood { model, parameters: Vec::new() });
+            let made = [false, true].map(|anew| {
+                let mut linearizer = Linearizer::new(&sim).unwrap();
+                linearizer.begin(&sim, &of).unwrap();
+                let mut matrix = linearizer.matrices(1).unwrap();
+                while linearizer.steps() > 0 {
+                    linearizer.still &= !anew;
+                    linearizer.advance(1, None, &mut matrix).unwrap();
+                }
+                matrix
+            });
+            assert_eq!(made[0], made[1], "{integrator:?}");
+        }
     }
 }
