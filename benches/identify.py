@@ -7,7 +7,7 @@ Both sides get the same model, the same log, which MuJoCo's rollout made, the sa
 the same bounds, in one process and in turn. mujoco.sysid knows the first state; stepcore estimates
 it too, and finds intervals and the share of the integration error in the same call. Wall time, the
 median of the pairs. "steps" are the steps of rollouts; of stepcore's the linearised ones stand
-apart, each of which also steps eight models nearby for each parameter, in vector lanes. The
+apart, each of which also steps four models nearby for each parameter, in vector lanes. The
 problems and their figures are those of mujoco/sysid/tests/test_integration.py, written anew.
 """
 

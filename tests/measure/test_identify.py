@@ -100,11 +100,31 @@ def test_a_delay_of_the_controls_is_found_with_the_values():
     assert found.predictable == [np.inf] and found.findings == []
 
 
+def test_what_was_measured_late_is_found_with_the_values():
+    """Positions 31.7 ms late, which are no steps, and speeds at once."""
+    ctrl, dt, begin = controls(600)[::5], 0.002, 25
+    control = ControlLog(5 * dt * np.arange(120), ctrl).steps(0.0, dt, 600)
+    run = sc.Sim(guess().with_values(HIDDEN)).run(1.2, control=control, record=("qpos", "qvel"))
+    times = run.time[begin:-1:5]
+
+    def seen(rows, late):
+        return np.column_stack([np.interp(times - late, run.time, row) for row in rows.T])
+
+    log = {"time": times, "qpos": seen(run.qpos, 0.0317), "qvel": seen(run.qvel, 0.0)}
+    found = sc.identify(guess(), log | {"ctrl": ctrl[5:]}, RANGES | {"delay/qpos": (0, 0.1)})
+    assert found.values == pytest.approx(HIDDEN | {"delay/qpos": 0.0317}, rel=1e-6)
+    assert "delay/qpos = 0.0317" in str(found)
+    with pytest.raises(ValueError, match='no sensor is named "tipp"'):
+        sc.identify(guess(SENSORS), log, {"delay/tipp": (0, 0.1)})
+
+
 def test_the_jacobian_is_that_of_the_residuals():
-    """By the parameters, the delay and the first states: differences of residuals, 1e-5 of them."""
-    log, labels = mujoco_log(100, sensors=SENSORS), [*RANGES, "delay"]
+    """By parameters, delays and the first states: differences of residuals, 1e-5 of them."""
+    sensor = guess(SENSORS).called("sensor")[0]
+    labels = [*RANGES, "delay", f"delay/{sensor}", "delay/qvel"]
+    log = mujoco_log(100, sensors=SENSORS)
     fit = Predictions(guess(SENSORS), [read_log(guess(SENSORS), log, "log")], labels)
-    x = np.array([0.1, 0.1, 0.4, 30.0, 0.0071, 0.01, -0.01, 0.4, -0.6])
+    x = np.array([0.1, 0.1, 0.4, 30.0, 0.0071, 0.0033, -0.0021, 0.01, -0.01, 0.4, -0.6])
     exact = fit.jacobian(x)
     for k, value in enumerate(x):
         way = 1e-6 * max(abs(value), 0.01) * np.eye(len(x))[k]

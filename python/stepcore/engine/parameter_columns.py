@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from stepcore import _core
     from stepcore.engine.model import Model
 
-# Where the model is compiled around a value: these multiples of a share of it. The eighth power of
-# the share is far below rounding, and rounding over it is 1e-14.
-AROUND = (-4, -3, -2, -1, 1, 2, 3, 4)
-SHARE = 2.0**-8
+# Where the model is compiled around a value: these multiples of a share of it. Of a number that
+# goes with 1/p³ the derivative is then off by 2e-12 of itself, and by 1e-12 for rounding.
+AROUND = (-2, -1, 1, 2)
+SHARE = 2.0**-11
 # Impedances are clamped at 0.0001 and 0.9999: the models around one are within.
 CLAMPED = 0.00011
 ENTRY = re.compile(r"(.*)\[(\d+)\]")

@@ -20,12 +20,14 @@ def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -
     size, labels = 2 * model.nv + model.na, len(steps.labels)
     pushes = np.zeros((steps.count, model.nu, 0)) if changes is None else changes
     count = labels + pushes.shape[2]
-    slopes = np.zeros((steps.count + 1, size, count + size))
-    slopes[0, :, count:] = np.eye(size)
+    # The numbers stand below the state as what stays: each step is one product.
+    slopes = np.zeros((steps.count + 1, size + count, count + size))
+    slopes[0, :size, count:] = np.eye(size)
+    slopes[:, size:, :count] = np.eye(count)
     for block in steps.blocks():
         A, B, P = (one[0] for one in share.linear(block)[:3])
-        for k, by in enumerate(np.concatenate([P, B @ pushes[block]], axis=2)):
-            before, after = slopes[block[k]], slopes[block[k] + 1]
-            np.matmul(A[k], before, out=after)
-            after[:, :count] += by
-    return slopes
+        each = np.concatenate([A, P, B @ pushes[block]], axis=2)
+        own = slopes[block[0] : block[-1] + 2]
+        for step, before, after in zip(each, own, own[1:, :size], strict=False):
+            np.matmul(step, before, out=after)
+    return slopes[:, :size]

@@ -163,7 +163,7 @@ class Sim(Judged):
         elements whose rows are exactly at such a switch.
 
         By a parameter, all that follows of it when the model is compiled is differentiated with the
-        model at eight values nearby, which are compiled once.
+        model at four values nearby, which are compiled once.
 
         The cost is that of about (2 nv + nu + parameters)/8 steps in dual numbers, each a few times
         as expensive as a plain step; the first call makes their working space, which is kept. The

@@ -208,17 +208,17 @@ mod tests {
     }
 }
 
-/// Models around that of a parameter's own value: at −4, −3, −2, −1, 1, 2, 3, 4 distances.
-pub const AROUND: usize = 8;
+/// Models around that of a parameter's own value: at −2, −1, 1 and 2 distances.
+pub const AROUND: usize = 4;
 /// Of central differences, by distance (Fornberg 1988).
-const WEIGHTS: [f64; AROUND / 2] = [4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0];
+const WEIGHTS: [f64; AROUND / 2] = [2.0 / 3.0, -1.0 / 12.0];
 
 /// A number of a model as `Dual` reads it, with its derivatives by parameters.
 ///
 /// What follows of a parameter when a model is compiled (inertias, weights of contacts, reaches) has no
-/// formula here. So the model is compiled at eight values around each parameter, evenly apart, and a
-/// derivative is that of the polynomial through them: exact for polynomials of degree eight, and to the
-/// eighth power of the distance for others.
+/// formula here. So the model is compiled at four values around each parameter, evenly apart, and a
+/// derivative is that of the polynomial through them: exact for polynomials of degree four, and to the
+/// fourth power of the distance for others.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Sampled {
     One(f64),

@@ -15,11 +15,10 @@ from stepcore.engine.rollout_steps import Steps
 from stepcore.engine.sensitivities import sensitivities
 from stepcore.engine.tangents import Tangents
 from stepcore.engine.variations import own_value
+from stepcore.measure.identification.delays import DELAY, is_delay, late_entries
 from stepcore.measure.identification.log import MEASURED, MeasuredLog, entries_of
 from stepcore.measure.identification.sensors import Readings
 
-# The time by which controls come late, among the parameters [s].
-DELAY = "delay"
 # As many runs are kept.
 KEPT = 3
 # Arrays over the times of a log, each of shape (T, n).
@@ -50,7 +49,14 @@ class Predictions:
         scales: Mapping[str, float] | None = None,
     ) -> None:
         self.base, self.logs, self.labels = model, logs, tuple(labels)
-        self.paths = [label for label in labels if label != DELAY]
+        self.paths = [label for label in labels if not is_delay(label)]
+        # By array and entry: the numbers of the parameters by which its rows are late.
+        self.late: dict[tuple[str, int], tuple[int, ...]] = {}
+        for k, label in enumerate(labels):
+            if is_delay(label) and label != DELAY:
+                array, entries = late_entries(model, label)
+                for entry in entries:
+                    self.late[array, entry] = (*self.late.get((array, entry), ()), k)
         self.free = 2 * model.nv * len(logs)
         self.steps = self.linearised = 0
         self.quantities = _quantities(model, logs)
@@ -67,7 +73,7 @@ class Predictions:
         """Return the model with these values of the parameters."""
         changed: dict[str, Any] = {}
         for label, value in zip(self.labels, x, strict=False):
-            if label != DELAY:
+            if not is_delay(label):
                 path, entry = split_entry(label)
                 own = changed.setdefault(path, own_value(self.base, path))
                 own[() if entry is None else entry] = value
@@ -103,17 +109,35 @@ class Predictions:
         """Return the predicted arrays at the times of each log."""
         made = []
         for steps, log in zip(runs, self.logs, strict=True):
-            arrays = {}
-            for key, series in log.measured.items():
-                between = _Between(steps, series.times)
-                if key == "sensordata":
-                    states = between.states(steps, self._ctrl(x, steps, log))
-                    rows = Readings(steps.models[0], ()).at(states)
-                else:
-                    rows = between.rows(steps, key)
-                arrays[key] = between(rows)
+            arrays = {key: np.empty_like(series.values) for key, series in log.measured.items()}
+            for key, rows in arrays.items():
+                for between, entries, _ in self._parts(x, steps, log, key):
+                    near = self._rows(x, steps, log, key, between)
+                    rows[:, entries] = between(near)[:, entries]
             made.append(arrays)
         return made
+
+    def _parts(
+        self, x: np.ndarray, steps: Steps, log: MeasuredLog, key: str
+    ) -> list[tuple[_Between, list[int], tuple[int, ...]]]:
+        """Return where an array's rows are in a run: entries that are alike late, and by what."""
+        times, values = log.measured[key]
+        groups: dict[tuple[int, ...], list[int]] = {}
+        for entry in range(values.shape[1]):
+            groups.setdefault(self.late.get((key, entry), ()), []).append(entry)
+        return [
+            (_Between(steps, times - sum(x[k] for k in late), bool(late)), entries, late)
+            for late, entries in groups.items()
+        ]
+
+    def _rows(
+        self, x: np.ndarray, steps: Steps, log: MeasuredLog, key: str, between: _Between
+    ) -> np.ndarray:
+        """Return an array of the states near."""
+        if key != "sensordata":
+            return between.rows(steps, key)
+        states = between.states(steps, self._ctrl(x, steps, log))
+        return Readings(steps.models[0], ()).at(states)
 
     def _ctrl(self, x: np.ndarray, steps: Steps, log: MeasuredLog) -> np.ndarray:
         """Return the controls of the steps and of one more, which sensors at the end read."""
@@ -174,21 +198,25 @@ class Predictions:
 
         Shape (steps + 1, 2 nv + na, parameters + 2 nv).
         """
-        late, model = int(DELAY in self.labels), self.base
+        late, nv, first = int(DELAY in self.labels), self.base.nv, len(self.labels)
         self.steps += steps.count
         self.linearised += steps.count
-        slopes = sensitivities(steps, 0, self._pushes(x, nth)[:-1, :, None][..., :late])
-        order = [self.paths.index(k) if k != DELAY else len(self.paths) for k in self.labels]
-        first, nv = len(self.labels), model.nv
-        order += range(first, first + 2 * nv)
-        slopes = slopes[..., order]
+        found = sensitivities(steps, 0, self._pushes(x, nth)[:-1, :, None][..., :late])
+        own = len(self.paths) + late
+        slopes = np.zeros((*found.shape[:2], first + 2 * nv))
+        slopes[..., first:] = found[..., own : own + 2 * nv]
+        for k, label in enumerate(self.labels):
+            if label in self.paths:
+                slopes[..., k] = found[..., self.paths.index(label)]
+            elif label == DELAY:
+                slopes[..., k] = found[..., len(self.paths)]
         # What the first position is off turns a quaternion from that of the log on, not from where
         # it has come to.
         turns, off = steps.tangents, x[first:].reshape(-1, 2, nv)[nth, 0]
         start = np.tile(self.logs[nth].start[0], (nv, 1))
         here = start + turns.of_dofs(start, np.tile(off, (nv, 1)))
-        own = turns.changed(here, turns.of_dofs(start, np.eye(nv)))
-        slopes[..., first : first + nv] = slopes[..., first : first + nv] @ own.T
+        turned = turns.changed(here, turns.of_dofs(start, np.eye(nv)))
+        slopes[..., first : first + nv] = slopes[..., first : first + nv] @ turned.T
         return slopes
 
     def _pushes(self, x: np.ndarray, nth: int) -> np.ndarray:
@@ -204,24 +232,45 @@ class Predictions:
         slopes: those of the states.
         """
         log = self.logs[nth]
-        between, nv = _Between(steps, log.measured[key].times), self.base.nv
-        near = slopes[between.near]
+        whole = np.zeros((*log.measured[key].values.shape, slopes.shape[2]))
+        for between, entries, late in self._parts(x, steps, log, key):
+            near = self._moved_near(x, nth, steps, slopes, key, between)
+            whole[:, entries] = between(near)[:, entries]
+            if late:
+                rates = between.rates(self._rows(x, steps, log, key, between))
+            for k in late:
+                whole[:, entries, k] -= rates[:, entries]
+        return whole
+
+    def _moved_near(
+        self,
+        x: np.ndarray,
+        nth: int,
+        steps: Steps,
+        slopes: np.ndarray,
+        key: str,
+        between: _Between,
+    ) -> np.ndarray:
+        """Return the derivatives of an array of the states near."""
+        near, nv = slopes[between.near], self.base.nv
         if key == "qvel":
-            return between(near[:, nv : 2 * nv])
+            return near[:, nv : 2 * nv]
         if key == "qpos":
             qpos = between.rows(steps, "qpos")
             ways = np.moveaxis(near[:, :nv], -1, 0)
-            return between(np.stack([steps.tangents.of_dofs(qpos, way) for way in ways], axis=-1))
+            return np.stack([steps.tangents.of_dofs(qpos, way) for way in ways], axis=-1)
         readings, pushes = Readings(steps.models[0], self.paths), self._pushes(x, nth)
-        ctrl = self._ctrl(x, steps, log)
+        ctrl = self._ctrl(x, steps, self.logs[nth])
         by_x, by_values, by_push = readings.slopes(
             between.states(steps, ctrl), pushes[between.near]
         )
-        whole = by_x @ near
+        whole: np.ndarray = by_x @ near
         for k, label in enumerate(self.labels):
-            own = by_push if label == DELAY else by_values[..., self.paths.index(label)]
-            whole[..., k] += own
-        return between(whole)
+            if label in self.paths:
+                whole[..., k] += by_values[..., self.paths.index(label)]
+            elif label == DELAY:
+                whole[..., k] += by_push
+        return whole
 
     def rms(self, first: Sequence[Arrays], second: Sequence[Arrays]) -> dict[str, float]:
         """Return the RMS difference of each quantity in two sets of arrays of all logs."""
@@ -242,18 +291,31 @@ class Predictions:
 
 
 class _Between:
-    """Linear interpolation between the states of a run, of which only the near ones are needed."""
+    """Linear interpolation between the states of a run, of which only the near ones are needed.
 
-    def __init__(self, steps: Steps, times: np.ndarray) -> None:
-        grid = np.arange(steps.count + 1) * steps.models[0].settings.dt
+    late: the times move with a parameter, so that they are between states everywhere.
+    """
+
+    def __init__(self, steps: Steps, times: np.ndarray, late: bool = False) -> None:
+        self.dt = steps.models[0].settings.dt
+        grid = np.arange(steps.count + 1) * self.dt
         before = np.clip(np.searchsorted(grid, times, "right") - 1, 0, steps.count - 1)
-        share = np.clip((times - grid[before]) / (grid[before + 1] - grid[before]), 0.0, 1.0)
-        share[np.abs(share) < 1e-9] = 0.0
-        share[np.abs(share - 1) < 1e-9] = 1.0
-        first, second = before + (share == 1), before + (share > 0)
+        share = (times - grid[before]) / (grid[before + 1] - grid[before])
+        self.within = (share >= 0) & (share <= 1)
+        share = np.clip(share, 0.0, 1.0)
+        if not late:
+            share[np.abs(share) < 1e-9] = 0.0
+            share[np.abs(share - 1) < 1e-9] = 1.0
+        first = before + (0 if late else share == 1)
+        second = before + (1 if late else share > 0)
         self.near, places = np.unique([first, second], return_inverse=True)
         self.before, self.after = places.reshape(2, -1)
         self.share = np.where(first == second, 0.0, share)
+
+    def rates(self, rows: np.ndarray) -> np.ndarray:
+        """Return how what is between rows of the states near changes by time [1/s]."""
+        rates = (rows[self.after] - rows[self.before]) / self.dt
+        return np.where(self.within[:, None], rates, 0.0)
 
     def rows(self, steps: Steps, key: str) -> np.ndarray:
         """Return an array of the states near."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.measure.identification.predictions import DELAY
+from stepcore.measure.identification.delays import DELAY, is_delay
 from stepcore.measure.monitors.finding import Finding
 from stepcore.report.result import Result
 from stepcore.report.table import Table
@@ -77,7 +77,7 @@ class Identification(Result):
     curves: what was measured and predicted over time.
     model: the model with the estimates.
     steps: time steps made in all. linearised: of these, those of derivatives. Each of these also
-        steps eight models nearby for each parameter, in vector lanes.
+        steps four models nearby for each parameter, in vector lanes.
 
     >>> import stepcore as sc
     >>> true = sc.lesson.spring().compile().with_values({"joint/spring/stiffness": 90.0})
@@ -258,8 +258,9 @@ def in_words(path: str) -> str:
     ('mass of `shin`', 'delay of the controls')
     """
     parts = path.split("/")
-    if path == DELAY:
-        return "delay of the controls"
+    if is_delay(path):
+        name = path.partition("/")[2]
+        return f"{DELAY} of `{name}`" if name else f"{DELAY} of the controls"
     if len(parts) < 3 or parts[0] in WHOLE:
         return path
     return f"{parts[-1]} of `{'/'.join(parts[1:-1])}`"

@@ -16,8 +16,8 @@ from stepcore.measure.identification.worlds import States, Worlds, differences
 
 # Readings that no change of state or of a parameter moves smoothly.
 STEPPED = ("contact", "insidesite", "user", "clock")
-# Distance of the states around one [m or rad, and by second]: its eighth power is below rounding.
-APART = 2.0**-12
+# Distance of the states around one [m or rad, and by second]: its fourth power is 6e-14.
+APART = 2.0**-11
 Changed = dict[str, Floats]
 
 
@@ -38,7 +38,7 @@ class Readings:
         """Return their derivatives at each state by x, (n, m, 2 nv + na), by the parameters, and
         by a change `push` of the controls, (n, nu).
 
-        Differences of the eighth order: there are no formulas for all types of sensors.
+        Differences of the fourth order: there are no formulas for all types of sensors.
         """
         worlds = Worlds.solved(self.model, _read)
         ways = range(2 * self.model.nv + self.model.na)
