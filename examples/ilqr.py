@@ -42,9 +42,9 @@ class Planner:
         self.states.qpos, self.states.qvel = np.split(plan.x[:-1], [self.nq], axis=1)
         self.states.ctrl = plan.u
         slope, curve = (1 + END) * COST @ (plan.x[-1] - self.goal), (1 + END) * COST
-        linears = self.states.linearize()
+        linear = self.states.linearize()
         for t in range(AHEAD - 1, -1, -1):
-            A, B = linears[t].A, linears[t].B
+            A, B = linear.A[t], linear.B[t]
             by_u, by_x = EFFORT @ plan.u[t] + B.T @ slope, COST @ (plan.x[t] - self.goal)
             uu, ux = EFFORT + B.T @ curve @ B + 1e-3 * np.eye(len(by_u)), B.T @ curve @ A
             whole = -np.linalg.solve(uu, by_u)

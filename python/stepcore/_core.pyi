@@ -393,7 +393,7 @@ class Sim(_World):
     def forget(self) -> None:
         """Forgets the impulses of the last step."""
     def linearize(self, parameters: Sequence[Sequence[Model]]) -> tuple[_Floats, list[_Element]]:
-        """A (2 nv + na columns), B (nu columns) and a column for each parameter, given by the
+        """A (as many columns as rows), B (nu columns) and a column for each parameter, given by the
         models around its value, over their distance; and where they are one-sided."""
     def element_slopes(self) -> tuple[list[_Element], _Floats, list[float], _Floats]:
         """Elements that act at the present state, forces (n, nv), energies [J], and the entries of

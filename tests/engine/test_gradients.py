@@ -286,6 +286,51 @@ def test_worlds_whose_values_are_zero_elsewhere():
         batch.linearize(["gravity"])
 
 
+LATE = """<mujoco><option timestep="0.01" integrator="Euler"/><worldbody>
+ <body><joint name="a" axis="0 1 0" damping=".1"/><geom size=".1" pos=".3 0 0" mass="1"/>
+ <body pos=".5 0 0"><joint name="b" axis="0 1 0"/><geom size=".1" pos=".2 0 0" mass="1"/></body>
+ </body></worldbody><actuator><motor joint="a" delay=".035" nsample="6" interp="linear"/>
+ <general joint="b" dyntype="filter" dynprm=".05" delay=".02" nsample="3"/></actuator></mujoco>"""
+
+
+def test_controls_that_come_late():
+    """Past controls are part of x: against differences of rollouts, and forward against back."""
+    rng, count = np.random.default_rng(0), 12
+    ctrl, push = rng.normal(size=(2, 1, count, 2))
+    first, weights = rng.normal(size=9), rng.normal(size=(1, count, 2))
+
+    def batch(ctrl_history=first):
+        made = sc.Batch(sc.loads(LATE), 1)
+        made.ctrl_history[0] = ctrl_history
+        return made
+
+    def number(**changed):
+        rolled = batch(changed.get("ctrl_history", first)).rollout(changed.get("ctrl", ctrl))
+        return (rolled.qpos * weights).sum()
+
+    found = batch().vjp(ctrl, weights, parameters=["joint/a/damping"])
+    ends = [number(ctrl=ctrl + h * push) for h in (-1e-5, 1e-5)]
+    assert (found.ctrl * push).sum() == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-7)
+    # Of a control that comes after the end nothing is left.
+    assert (found.ctrl[0, -2:] == 0).all() and (found.ctrl[0, :4] != 0).all()
+    forward = batch().jvp(ctrl, ctrl_change=push, parameters={"joint/a/damping": 0.0})[1]
+    assert (forward.qpos * weights).sum() == pytest.approx((found.ctrl * push).sum(), rel=1e-12)
+
+    # A step: what was given moves along the list, and acts from it.
+    linear = batch().linearize()[0]
+    assert linear.A.shape == (14, 14) and linear.B.shape == (14, 2)
+    for entry in range(9):
+        ends = []
+        for h in (-1e-6, 1e-6):
+            made = batch(first + h * np.eye(9)[entry])
+            made.step()
+            state = [made.qpos, made.qvel, made.act, made.ctrl_history]
+            ends.append(np.concatenate([rows[0] for rows in state]))
+        assert np.abs(linear.A[:, 5 + entry] - (ends[1] - ends[0]) / 2e-6).max() < 1e-8
+    with pytest.raises(ValueError, match="error_bar = True: must be False in a scene with late"):
+        batch().vjp(ctrl, weights, error_bar=True)
+
+
 def test_errors_name_the_world():
     batch = sc.Batch(sc.loads(SWING), 3)
     batch.qpos[1] = np.nan

@@ -224,3 +224,8 @@ def test_delays_are_times_of_a_model_with_controls(given, message):
     still = {"time": [0.0, 0.1], "qpos": np.zeros((2, 2))}
     with pytest.raises(ValueError, match="of a model with controls"):
         sc.identify(sc.loads(PENDULUM), still, {"delay": (0, 0.1)})
+    late = PENDULUM.replace(
+        "</mujoco>", '<actuator><motor joint="upper" delay=".1" nsample="9"/></actuator></mujoco>'
+    )
+    with pytest.raises(ValueError, match='without delays of actuators: make these 0, and "delay"'):
+        sc.identify(sc.loads(late), still, {"joint/hip/damping": (0.1, 10)})

@@ -108,7 +108,7 @@ impl Linearizers {
         })
     }
 
-    /// A (2 nv + na columns), B (nu columns) and P, side by side, of a step from each of some states,
+    /// A (as many columns as rows), B (nu columns) and P, side by side, of a step from each of some states,
     /// (worlds, states, rows, columns); the elements at which the nth are one-sided.
     /// `parameters`: of each model, the models around each. `states`: arrays by name, of shape (worlds,
     /// states, …); those that are absent are as at the start.

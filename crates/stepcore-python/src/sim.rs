@@ -211,7 +211,7 @@ impl Sim {
         Ok(())
     }
 
-    /// A (2 nv + na columns), B (nu columns) and P, side by side, of a step from the present state; the
+    /// A (as many columns as rows), B (nu columns) and P, side by side, of a step from the present state; the
     /// elements at which they are one-sided. `parameters`: the models around each.
     fn linearize<'py>(
         &self,

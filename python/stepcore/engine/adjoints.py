@@ -21,7 +21,7 @@ NEAR = 50
 class Adjoints(NamedTuple):
     """A gradient by the states, from the last to the first.
 
-    rows: by the state where each step begins, and after the last: shape (n, steps + 1, 2 nv + na).
+    rows: by the state where each step begins, and after the last: shape (n, steps + 1, size of x).
     What is asked of a state comes to it in the step before.
     ctrl: by the controls, (n, steps, nu). values: by the parameters, (n, parameters).
     ctrl_terms: the sum of the sizes of what those by the controls are sums of, (n,).
@@ -41,7 +41,7 @@ class Adjoints(NamedTuple):
 def adjoints(steps: Steps, weights: Floats) -> Adjoints:
     """Go back through a rollout.
 
-    weights: the gradient by the state after each step, (n, steps, 2 nv + na).
+    weights: the gradient by the state after each step, (n, steps, size of x).
     """
     model, (n, count, size) = steps.batch.model, weights.shape
     rows, ctrl = np.zeros((n, count + 1, size)), np.zeros((n, count, model.nu))

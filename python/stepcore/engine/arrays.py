@@ -18,6 +18,13 @@ STATE = ("qpos", "qvel", "act")
 INPUTS = ("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat")
 
 
+def refuse_late(option: str, world: Any) -> None:
+    """Raise ValueError for an option that steps the same motion in steps of another length."""
+    if world._arrays["ctrl_history"].size:
+        limit = "False in a scene with late controls, whose past depends on the time step"
+        raise ValueError(f"{option} = True: must be {limit}")
+
+
 class StateArray:
     """An array of a `Sim` or a `Batch` that can be written, in place or by assignment."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import INPUTS, STATE, Floats
+from stepcore.engine.arrays import INPUTS, STATE, Floats, refuse_late
 from stepcore.engine.control import ControlError, controls, fresh
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.world import World
@@ -97,9 +97,8 @@ class FinerRun:
     """
 
     def __init__(self, sim: Sim) -> None:
-        if sim._arrays["ctrl_history"].size and sim.settings.accuracy is None:
-            limit = "False in a scene with late controls, whose past depends on the time step"
-            raise ValueError(f"error_bar = True: must be {limit}")
+        if sim.settings.accuracy is None:
+            refuse_late("error_bar", sim)
         model: Model = sim.model
         own = finer_settings(model.settings)
         self.of, self.sim = sim, type(sim)(model, own)

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
 from stepcore.engine.adjoints import Adjoints, adjoints, apart, grown, parted, spread
-from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers
+from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers, refuse_late
 from stepcore.engine.linear_steps import LinearWorlds
 from stepcore.engine.linearization import Linearizations
 from stepcore.engine.parameter_columns import columns, split_entry
 from stepcore.engine.rollout import Rollout
-from stepcore.engine.rollout_steps import Steps, check_late, rows_of
+from stepcore.engine.rollout_steps import Steps, X, rows_of
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:
@@ -63,11 +63,10 @@ class Gradients(NamedTuple):
 
 def linearizations(batch: Batch, parameters: Sequence[str]) -> Linearizations:
     """See `Batch.linearize`."""
-    check_late(batch)
     by, models = columns(batch.model, parameters), batch.param.models()
     if batch._linear_worlds is None or batch._linear_worlds.models is not models:
         batch._linear_worlds = LinearWorlds(models, batch._threads)
-    states = {name: np.array(getattr(batch, name))[:, None] for name in (*STATE, *INPUTS)}
+    states = {name: np.array(getattr(batch, name))[:, None] for name in (*X, *INPUTS)}
     return Linearizations(batch.model, batch._linear_worlds.linear(states, by), by)
 
 
@@ -82,6 +81,8 @@ def vjp(
     checks.one_of(True, False)("vjp", "error_bar", error_bar)
     steps = Steps(batch, ctrl, parameters)
     weights = rows_of(given, steps.sizes(steps.count))
+    if error_bar:
+        refuse_late("error_bar", batch)
     steps.roll()
     return pulled(steps, weights, steps.halved() if error_bar else None)
 
@@ -112,7 +113,7 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
         steps.rollout,
         steps.tangents.gradient(steps.start["qpos"], first[:, :nv]),
         first[:, nv : 2 * nv],
-        first[:, 2 * nv :],
+        first[:, 2 * nv : 2 * nv + steps.batch.model.na],
         back.ctrl,
         {label: back.values[:, k] for k, label in enumerate(steps.labels)},
         growth,
@@ -222,7 +223,7 @@ def jvp(
     steps.roll()
     moved = changes.pop("ctrl_change")
     changes["qpos"] = steps.tangents.changed(steps.start["qpos"], changes["qpos"])
-    first = np.concatenate([changes[name] for name in STATE], axis=-1)
+    first = steps.x([changes[name] for name in STATE])
 
     rows = np.zeros((steps.n, steps.count, first.shape[1]))
     for share in steps.shares():
@@ -236,7 +237,8 @@ def jvp(
                 rows[own, step] = x
     nv = batch.model.nv
     qpos = steps.tangents.of_dofs(steps.rollout.qpos, rows[..., :nv])
-    return steps.rollout, Rollout(qpos, rows[..., nv : 2 * nv], rows[..., 2 * nv :])
+    dv, dw = rows[..., nv : 2 * nv], rows[..., 2 * nv : 2 * nv + batch.model.na]
+    return steps.rollout, Rollout(qpos, dv, dw)
 
 
 class Differentiable(World):
@@ -274,7 +276,7 @@ class Differentiable(World):
             (n, steps, nq), …; None for zero.
         parameters: paths as in `Sim.linearize`.
         error_bar: take the same gradient in steps half as long as well, which costs twice as much
-            again: `error` is how far apart both are.
+            again: `error` is how far apart both are. Not of a scene with late controls.
 
         Each step is differentiated exactly where it began, its rows solved to rounding; see
         `Sim.linearize`. Kept are the states and the gradient by each. Worlds share the batch's

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class LinearSteps(NamedTuple):
-    """Linearised steps of worlds: A, B and P, each of shape (worlds, steps, 2 nv + na, …).
+    """Linearised steps of worlds: A, B and P, each of shape (worlds, steps, size of x, …).
 
     degenerate: where these are one-sided: a world's and a step's number, and the element.
     """
@@ -35,7 +35,7 @@ def linear_step(model: Model, core: Any, by: Sequence[Column]) -> LinearSteps:
     with _named_parameters(by):
         numbers, degenerate = core.linearize(around)
     apart = np.array([column.apart for column in by])
-    return _split(model, numbers[None, None], apart, [(0, 0, element) for element in degenerate])
+    return _split(numbers[None, None], apart, [(0, 0, element) for element in degenerate])
 
 
 @contextmanager
@@ -50,11 +50,9 @@ def _named_parameters(by: Sequence[Column]) -> Iterator[None]:
         raise ValueError(f"parameters: {by[int(found[1])].label}: {found[2]}") from None
 
 
-def _split(
-    model: Model, numbers: Floats, apart: Floats, degenerate: list[tuple[int, int, Any]]
-) -> LinearSteps:
-    split = 2 * model.nv + model.na
-    last = split + model.nu
+def _split(numbers: Floats, apart: Floats, degenerate: list[tuple[int, int, Any]]) -> LinearSteps:
+    split = numbers.shape[-2]
+    last = numbers.shape[-1] - apart.shape[-1]
     by_values = numbers[..., last:] / apart
     return LinearSteps(numbers[..., :split], numbers[..., split:last], by_values, degenerate)
 
@@ -100,4 +98,4 @@ class LinearWorlds:
             numbers, degenerate = self.core.linearize(around, whole)
         steps = numbers.shape[1]
         sided = [(*divmod(nth, steps), element) for nth, element in degenerate]
-        return _split(self.models[0], numbers, apart[:, None, None], sided)
+        return _split(numbers, apart[:, None, None], sided)

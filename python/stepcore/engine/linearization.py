@@ -27,12 +27,13 @@ AXES = {
 class Linearization:
     """A step linearised about one state: x⁺ = A x + B u + P p to first order.
 
-    x = (dq, dv, dw) is a small change of position, velocity and activation, and u is a small change
-    of ctrl. dq has nv entries [m or rad] and changes qpos as a velocity dq does in one second: a
-    ball or free joint rotates by a rotation vector in its body's axes. dw has na entries.
+    x = (dq, dv, dw, dc) is a small change of position, velocity, activation and past controls, and
+    u is a small change of ctrl. dq has nv entries [m or rad] and changes qpos as a velocity dq does
+    in one second: a ball or free joint rotates by a rotation vector in its body's axes. dw has na
+    entries, and dc those of ctrl_history, of scenes with late controls.
 
-    A: shape (2 nv + na, 2 nv + na). B: shape (2 nv + na, nu). dt: the time step [s].
-    P: shape (2 nv + na, number of parameters), by changes p of the parameters.
+    A: shape (n, n), where n is the number of entries of x. B: shape (n, nu). dt: the time step [s].
+    P: shape (n, number of parameters), by changes p of the parameters.
     labels: names of the dofs. controls: names of the actuators. parameters: their paths.
     degenerate: names of the elements at which A and B are one-sided, because a row of the element
     is exactly at its switch between active and inactive; usually empty. degenerate_ids: (kind,
@@ -80,7 +81,7 @@ class Linearization:
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A, largest first, shape (2 nv + na,): factors of the modes per step."""
+        """Eigenvalues of A, largest first, shape (n,): factors of the modes per step."""
         values: NDArray[np.complex128] = np.linalg.eigvals(self.A).astype(complex)
         return values[np.argsort(-np.abs(values), kind="stable")]
 
@@ -115,7 +116,7 @@ class Linearization:
 class Linearizations(Sequence[Linearization]):
     """Steps of many worlds, each linearised about its state: a `Linearization` of each by index.
 
-    A, B, P: the matrices of all worlds, arrays of shape (n, 2 nv + na, …).
+    A, B, P: the matrices of all worlds, arrays with a first axis of one world each.
     parameters: paths of those of P.
 
     >>> from stepcore import Batch, lesson

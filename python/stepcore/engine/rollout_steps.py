@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 BLOCK, ROOM = 64, 2**23
 
 
-def check_late(batch: Batch) -> None:
-    if batch._arrays["ctrl_history"].size:
-        raise ValueError("ctrl: gradients of scenes with late controls are not built yet")
+# What x is made of.
+X = (*STATE, "ctrl_history")
 
 
 def rows_of(
@@ -52,7 +51,6 @@ class Steps:
     states: dict[str, Floats]
 
     def __init__(self, batch: Batch, ctrl: ArrayLike, parameters: Sequence[str]) -> None:
-        check_late(batch)
         # Refuses steps that cannot be linearised before one is taken.
         LinearWorlds([batch.model], 1)
         self.by = columns(batch.model, parameters)
@@ -64,6 +62,8 @@ class Steps:
             raise ValueError(f"ctrl has shape {self.ctrl.shape}: must be {limit}")
         self.count = self.ctrl.shape[1]
         self.tangents = Tangents(batch.model)
+        # Of x.
+        self.size = 2 * batch.model.nv + batch.model.na + batch._arrays["ctrl_history"].shape[1]
 
     def sizes(self, *rows: int) -> dict[str, tuple[int, ...]]:
         """The shapes of arrays with so many rows for each world's state."""
@@ -76,11 +76,15 @@ class Steps:
         batch = self.batch
         self.models = batch.param.models()
         self.held = {name: np.array(getattr(batch, name)) for name in INPUTS[1:]}
-        self.start = {name: np.array(getattr(batch, name)) for name in STATE}
+        self.start = {name: np.array(getattr(batch, name)) for name in X}
         self.time = batch.time
-        self.rollout = batch.rollout(self.ctrl, progress=progress)
+        past = [name for name in X[len(STATE) :] if self.start[name].size]
+        self.rollout = batch.rollout(self.ctrl, past, progress=progress)
+        after = {**self.rollout._asdict(), **self.rollout.recorded}
+        # Scenes without late controls have no past.
+        nothing = np.zeros((self.n, self.count, 0))
         self.states = {
-            name: np.concatenate([first[:, None], getattr(self.rollout, name)], axis=1)
+            name: np.concatenate([first[:, None], after.get(name, nothing)], axis=1)
             for name, first in self.start.items()
         }
         return self
@@ -108,7 +112,7 @@ class Steps:
 
     def shares(self) -> Iterator[Share]:
         """All worlds, as many at a time as `ROOM` holds the steps of a block of."""
-        size = self.batch.model.nv * 2 + self.batch.model.na
+        size = self.size
         block = BLOCK * size * (size + self.batch.model.nu + len(self.labels))
         most = max(1, ROOM // max(1, block))
         return (self.share(range(k, min(k + most, self.n))) for k in range(0, self.n, most))
@@ -118,17 +122,20 @@ class Steps:
         return [range(k, min(k + BLOCK, self.count)) for k in range(0, self.count, BLOCK)]
 
     def changes(self) -> Floats:
-        """What each step changes of x, nearly, (n, steps, 2 nv + na)."""
+        """What each step changes of x, nearly, (n, steps, size)."""
         moved = self.batch.settings.dt * self.states["qvel"][:, 1:]
-        others = (np.diff(self.states[name], axis=1) for name in ("qvel", "act"))
+        others = (np.diff(self.states[name], axis=1) for name in X[1:])
         return np.concatenate([moved, *others], axis=-1)
 
     def dofs(self, given: Mapping[str, Floats]) -> Floats:
-        """The gradients by the states after each step as those of x, (n, steps, 2 nv + na)."""
-        return np.concatenate(
-            [self.tangents.to_dofs(self.rollout.qpos, given["qpos"]), given["qvel"], given["act"]],
-            axis=-1,
-        )
+        """The gradients by the states after each step as those of x, (n, steps, size)."""
+        dq = self.tangents.to_dofs(self.rollout.qpos, given["qpos"])
+        return self.x([dq, given["qvel"], given["act"]])
+
+    def x(self, parts: Sequence[Floats]) -> Floats:
+        """Changes by dof, of velocities and activations as those of x; none of the past."""
+        past = np.zeros((*parts[1].shape[:-1], self.batch._arrays["ctrl_history"].shape[1]))
+        return np.concatenate([*parts, past], axis=-1)
 
 
 class Share:

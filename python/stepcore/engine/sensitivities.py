@@ -13,11 +13,11 @@ def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -
 
     changes: of the controls by further numbers, shape (steps, nu, further).
 
-    Shape (steps + 1, 2 nv + na, parameters + further + 2 nv + na); the first row is the initial
+    Shape (steps + 1, size of x, parameters + further + size of x); the first row is the initial
     state.
     """
     model, share = steps.models[world], steps.share([world])
-    size, labels = 2 * model.nv + model.na, len(steps.labels)
+    size, labels = steps.size, len(steps.labels)
     pushes = np.zeros((steps.count, model.nu, 0)) if changes is None else changes
     count = labels + pushes.shape[2]
     # The numbers stand below the state as what stays: each step is one product.

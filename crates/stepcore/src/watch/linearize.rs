@@ -1,10 +1,10 @@
 //! The step as a linear map: how the state after it moves with the state before it.
 //!
 //! One step of a `Sim<Dual>`, from the same state and inputs, as often as there are
-//! directions, a few at a time. Tangent coordinates x = (dq, dv, dw) have nv, nv and na entries: dq
-//! moves positions as a velocity of that size moves them in a unit of time (`advance`), so
-//! that a turn is a rotation vector in the body's own axes; dw are activations. The impulses that the solver
-//! starts from are held.
+//! directions, a few at a time. Tangent coordinates x = (dq, dv, dw, dc) have nv, nv, na and nhistory
+//! entries: dq moves positions as a velocity of that size moves them in a unit of time (`advance`), so
+//! that a turn is a rotation vector in the body's own axes; dw are activations, dc past controls. The
+//! impulses that the solver starts from are held.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -111,6 +111,7 @@ pub(super) enum Direction {
     Position(usize),
     Velocity(usize),
     Activation(usize),
+    Past(usize),
     Control(usize),
 }
 
@@ -128,7 +129,7 @@ impl Linearizer {
         Ok(Self {
             start: sim.state.clone(),
             ctrl: sim.inputs.ctrl.clone(),
-            own: 2 * model.nv + model.na + model.actuators.len(),
+            own: 2 * model.nv + model.na + model.nhistory + model.actuators.len(),
             models: vec![sim.models()],
             of: Arc::new(Neighbourhood { model, parameters: Vec::new() }),
             sim,
@@ -209,8 +210,8 @@ impl Linearizer {
         self.asked.len() * self.rows() * self.width()
     }
 
-    /// So many matrices of zeros, one after the other. Each has 2 nv + na rows of 2 nv + na + nu numbers
-    /// and one a parameter: A, B and P beside each other, P by the distance of the models around.
+    /// So many matrices of zeros, one after the other. Each has 2 nv + na + nhistory rows of as many
+    /// numbers, nu and one a parameter: A, B and P beside each other, P by the distance of the models around.
     pub fn matrices(&self, count: usize) -> Result<Vec<f64>> {
         zeros("linearize", count.saturating_mul(self.rows()), self.width())
     }
@@ -326,6 +327,10 @@ impl Linearizer {
             }
             matrix[(2 * nv + entry) * width + column] = act.slopes[slot];
         }
+        let first = 2 * nv + state.act.len();
+        for (entry, ctrl) in state.ctrl_history.iter().enumerate() {
+            matrix[(first + entry) * width + column] = ctrl.slopes[slot];
+        }
         Ok(())
     }
 
@@ -350,17 +355,20 @@ pub(super) fn differentiated(from: &Plain) -> Result<Sim<Dual>> {
 }
 
 impl Direction {
-    /// They are numbered as the columns of A and B: positions, velocities, activations, controls.
+    /// They are numbered as the columns of A and B: positions, velocities, activations, past controls,
+    /// controls.
     pub(super) fn nth(model: &Model, way: usize) -> Self {
-        let (nv, na) = (model.nv, model.na);
+        let (nv, na, past) = (model.nv, model.na, 2 * model.nv + model.na);
         if way < nv {
             Self::Position(way)
         } else if way < 2 * nv {
             Self::Velocity(way - nv)
         } else if way < 2 * nv + na {
             Self::Activation(way - 2 * nv)
+        } else if way < past + model.nhistory {
+            Self::Past(way - past)
         } else {
-            Self::Control(way - 2 * nv - na)
+            Self::Control(way - past - model.nhistory)
         }
     }
 
@@ -369,6 +377,7 @@ impl Direction {
         match self {
             Self::Velocity(dof) => sim.state.qvel[dof].slopes[slot] = 1.0,
             Self::Activation(entry) => sim.state.act[entry].slopes[slot] = 1.0,
+            Self::Past(entry) => sim.state.ctrl_history[entry].slopes[slot] = 1.0,
             Self::Control(index) => sim.inputs.ctrl[index].slopes[slot] = 1.0,
             Self::Position(dof) => {
                 let (place, axis) = coordinate(sim.model(), dof);

@@ -88,6 +88,9 @@ def identify(
     90.0
     """
     given = find_model(model).with_settings(precision="f64")
+    if any(actuator.delay > 0 for actuator in given.scene.actuators):
+        limit = 'without delays of actuators: make these 0, and "delay" a parameter'
+        raise ValueError(f"model: must be {limit}")
     compiled, bounds, guess = _bounds(given, parameters)
     read = [within(compiled, log, bounds) for log in _read(compiled, logs)]
     labels = list(bounds)

@@ -196,7 +196,7 @@ class Predictions:
     def slopes(self, x: np.ndarray, nth: int, steps: Steps) -> np.ndarray:
         """Return the derivatives of a log's states by the parameters and its first state.
 
-        Shape (steps + 1, 2 nv + na, parameters + 2 nv).
+        Shape (steps + 1, size of x, parameters + 2 nv).
         """
         late, nv, first = int(DELAY in self.labels), self.base.nv, len(self.labels)
         self.steps += steps.count
@@ -264,7 +264,8 @@ class Predictions:
         by_x, by_values, by_push = readings.slopes(
             between.states(steps, ctrl), pushes[between.near]
         )
-        whole: np.ndarray = by_x @ near
+        # Sensors do not read past controls.
+        whole: np.ndarray = by_x @ near[:, : by_x.shape[2]]
         for k, label in enumerate(self.labels):
             if label in self.paths:
                 whole[..., k] += by_values[..., self.paths.index(label)]
