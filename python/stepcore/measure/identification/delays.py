@@ -27,7 +27,11 @@ def late_entries(model: Model, label: str) -> tuple[str, Sequence[int]]:
     """
     name = label.partition("/")[2]
     if name not in MEASURED:
-        sensor = model.index("sensor", name)
+        try:
+            sensor = model.index("sensor", name)
+        except ValueError as error:
+            limit = f"{', '.join(MEASURED)} or a sensor: {error}"
+            raise ValueError(f"parameters: {label}: must be of {limit}") from None
         owners = np.repeat(np.arange(len(model.sensor_dim)), model.sensor_dim)
         return "sensordata", [int(entry) for entry in np.flatnonzero(owners == sensor)]
     widths = {"qpos": model.nq, "qvel": model.nv, "sensordata": sum(model.sensor_dim)}
