@@ -97,10 +97,11 @@ def test_the_ledger_balances():
         sim.step(20)
 
 
-def test_linearised_a_late_control_does_nothing_yet():
+def test_linearised_a_late_control_is_kept_and_moves_nothing_yet():
     sim = sc.Sim(sc.loads(TEXT))
-    column = sim.linearize().B
-    assert not column[:, :4].any() and column[:, 4].any()
+    column, now = sim.linearize().B, 2 * sim.model.nv + sim.model.na
+    assert not column[:now, :4].any() and column[:now, 4].any()
+    assert (column[now:, :4].sum(axis=0) == 1).all()
 
 
 @pytest.mark.parametrize(
