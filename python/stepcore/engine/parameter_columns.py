@@ -154,8 +154,8 @@ def _compiled_around(model: Model, by: Sequence[Column]) -> dict[str, list[_core
         for k in AROUND:
             value = own_value(model, column.path)
             value[() if column.entry is None else column.entry] = column.value + k * column.apart
-            # What lies between two values that are allowed is allowed.
-            checked = abs(k) == max(AROUND)
+            # What lies between two values that are allowed is allowed, and nearer to zero too.
+            checked = k == max(AROUND)
             try:
                 data = variation.data({column.path: value.tolist()}, checked=checked)
                 around.append(variation.compiled(data))

@@ -41,15 +41,31 @@ impl Neighbourhood {
             && own.iter().zip(&others).all(|(a, b)| Arc::ptr_eq(a, b))
     }
 
-    /// The model; then for each step by parameters the model with those around these. Refuses a
-    /// parameter around which models differ in more than numbers.
-    fn side_by_side(&self) -> Result<Vec<SideBySide<Dual>>> {
+    /// The first of the ways of parameters, behind `own` others: these share a step with the last of
+    /// those where that makes a step less, and else have steps of their own, as models of many numbers
+    /// take longer.
+    fn first(&self, own: usize) -> usize {
+        let apart = own.next_multiple_of(WAYS);
+        let count = self.parameters.len();
+        if (own + count).div_ceil(WAYS) < (apart + count).div_ceil(WAYS) {
+            own
+        } else {
+            apart
+        }
+    }
+
+    /// The model; then for each step with ways of parameters, from the first on, the model with those
+    /// around these. Refuses a parameter around which models differ in more than numbers.
+    fn side_by_side(&self, first: usize) -> Result<Vec<SideBySide<Dual>>> {
         let mut all = vec![SideBySide::new(vec![self.model.clone()])?];
-        for some in self.parameters.chunks(WAYS) {
+        let (mut left, mut taken) = (self.parameters.as_slice(), first % WAYS);
+        while !left.is_empty() {
+            let (some, others) = left.split_at(left.len().min(WAYS - taken));
             let mut beside = vec![self.model.clone(); 1 + AROUND * WAYS];
-            let around = some.iter().flatten();
-            beside.iter_mut().skip(1).zip(around).for_each(|(to, model)| *to = model.clone());
+            let places = beside.iter_mut().skip(1 + AROUND * taken);
+            places.zip(some.iter().flatten()).for_each(|(to, model)| *to = model.clone());
             all.push(SideBySide::new(beside).map_err(|error| self.different().unwrap_or(error))?);
+            (left, taken) = (others, 0);
         }
         Ok(all)
     }
@@ -92,7 +108,7 @@ pub struct Linearizer {
     models: Vec<SideBySide<Dual>>,
     /// Columns before those of parameters.
     own: usize,
-    /// The linearisations that are asked for, the one under way, and its columns that are done.
+    /// The linearisations that are asked for, the one under way, and its ways that are done.
     asked: Range<usize>,
     nth: usize,
     done: usize,
@@ -144,7 +160,7 @@ impl Linearizer {
     /// Steps are of these models from now on.
     fn take(&mut self, of: &Arc<Neighbourhood>) -> Result<()> {
         if !self.of.is(of) {
-            self.models = of.side_by_side()?;
+            self.models = of.side_by_side(of.first(self.own))?;
         }
         self.of = of.clone();
         Ok(())
@@ -218,10 +234,8 @@ impl Linearizer {
 
     /// Steps that it still takes.
     pub fn steps(&self) -> u64 {
-        let steps = |done: usize| {
-            done.min(self.own).div_ceil(WAYS) + done.saturating_sub(self.own).div_ceil(WAYS)
-        };
-        ((self.asked.end - self.nth) * steps(self.width()) - steps(self.done)) as u64
+        let each = self.end().div_ceil(WAYS);
+        ((self.asked.end - self.nth) * each - self.done.div_ceil(WAYS)) as u64
     }
 
     /// Takes the next `n` of them, or all that are left. `to`: the matrices of those it was asked for.
@@ -251,28 +265,38 @@ impl Linearizer {
         size_of::<Self>() + self.room()
     }
 
-    /// The directions of the next step; those of parameters begin with one.
+    /// Of all ways.
+    fn end(&self) -> usize {
+        match self.of.parameters.len() {
+            0 => self.own,
+            count => self.of.first(self.own) + count,
+        }
+    }
+
+    /// Those of the next step.
     fn ways(&self) -> Range<usize> {
-        let end = if self.done < self.own { self.own } else { self.width() };
-        self.done..(self.done + WAYS).min(end)
+        self.done..(self.done + WAYS).min(self.end())
+    }
+
+    /// That of a way, if it has one.
+    fn column(&self, way: usize) -> Option<usize> {
+        match way.checked_sub(self.of.first(self.own)) {
+            Some(parameter) => Some(self.own + parameter),
+            None => (way < self.own).then_some(way),
+        }
     }
 
     fn step(&mut self) -> Result<()> {
         self.restore();
-        let mut still = self.done >= self.sim.model.nv;
-        let beside = match self.done.checked_sub(self.own) {
-            None => {
-                for way in self.ways() {
-                    Direction::nth(self.sim.model(), way).seed(&mut self.sim, way - self.done);
-                }
-                0
-            }
-            Some(parameters) => {
-                still = false;
-                1 + parameters / WAYS
-            }
-        };
+        let ways = self.ways();
+        for way in ways.start..ways.end.min(self.own) {
+            Direction::nth(self.sim.model(), way).seed(&mut self.sim, way - ways.start);
+        }
+        let first = self.of.first(self.own);
+        let parameters = ways.end > first;
+        let beside = if parameters { 1 + ways.start / WAYS - first / WAYS } else { 0 };
         self.sim.take_models(&self.models[beside]);
+        let still = ways.start >= self.sim.model.nv && !parameters;
         if still && self.still {
             self.sim.hold_positions();
         }
@@ -283,10 +307,12 @@ impl Linearizer {
     fn read_all(&mut self, matrix: &mut [f64]) -> Result<()> {
         let ways = self.ways();
         for way in ways.clone() {
-            self.read(way, way - self.done, matrix)?;
+            if let Some(column) = self.column(way) {
+                self.read(column, way - ways.start, matrix)?;
+            }
         }
         self.done = ways.end;
-        if self.done == self.width() {
+        if self.done == self.end() {
             let (nth, sided) = (self.nth, self.sim.solver.take_degenerate());
             self.degenerate.extend(sided.into_iter().map(|element| (nth, element)));
             (self.nth, self.done) = (nth + 1, 0);
