@@ -22,7 +22,7 @@ class Adjoints(NamedTuple):
     """A gradient by the states, from the last to the first.
 
     rows: by the state where each step begins, and after the last: shape (n, steps + 1, size of x).
-    What is asked of a state comes to it in the step before.
+    after: by the state after each step, with what is asked of that itself, (n, steps, size of x).
     ctrl: by the controls, (n, steps, nu). values: by the parameters, (n, parameters).
     ctrl_terms: the sum of the sizes of what those by the controls are sums of, (n,).
     sizes: of a row, (n, steps). factors: by how much each step makes it larger.
@@ -30,6 +30,7 @@ class Adjoints(NamedTuple):
     """
 
     rows: Floats
+    after: Floats
     ctrl: Floats
     values: Floats
     ctrl_terms: Floats
@@ -44,40 +45,32 @@ def adjoints(steps: Steps, weights: Floats) -> Adjoints:
     weights: the gradient by the state after each step, (n, steps, size of x).
     """
     model, (n, count, size) = steps.batch.model, weights.shape
-    rows, ctrl = np.zeros((n, count + 1, size)), np.zeros((n, count, model.nu))
-    values, ctrl_terms = np.zeros((n, len(steps.labels))), np.zeros(n)
-    factors = np.ones((n, count))
+    rows, after = np.zeros((n, count + 1, size)), np.array(weights)
+    ctrl, ctrl_terms = np.zeros((n, count, model.nu)), np.zeros(n)
+    values = np.zeros((n, len(steps.by)))
     sided = list[tuple[int, int, str]]()
     for share in steps.shares():
-        own = share.worlds
+        own = share.own
         for block in reversed(steps.blocks()):
-            linear = share.linear(block)
+            A, B, P, degenerate = share.linear(block)
             sided += [
-                (own[world], block[k], model.element_name(*element))
-                for world, k, element in linear.degenerate
+                (share.worlds[world], block[k], model.element_name(*element))
+                for world, k, element in degenerate
             ]
             for k in reversed(range(len(block))):
                 step = block[k]
-                after = rows[own, step + 1] + weights[own, step]
-                A, B, P = (one[:, k] for one in linear[:3])
-                ctrl[own, step] = _times(after, B)
-                values[own] += _times(after, P)
-                ctrl_terms[own] += _times(np.abs(after), np.abs(B)).sum(axis=1)
-                rows[own, step] = _times(after, A)
-                before, size_after = (
-                    np.linalg.norm(row, axis=1) for row in (rows[own, step], after)
-                )
-                grows = before / np.maximum(size_after, TINY)
-                factors[own, step] = np.where(size_after > 0, grows, 1.0)
+                after[own, step] += rows[own, step + 1]
+                rows[own, step] = np.matmul(after[own, step, None], A[:, k])[:, 0]
+            some = slice(block[0], block[-1] + 1)
+            each = after[own, some, None]
+            ctrl[own, some] = np.matmul(each, B)[:, :, 0]
+            ctrl_terms[own] += np.matmul(np.abs(each), np.abs(B)).sum(axis=(1, 2, 3))
+            values[own] += np.matmul(each, P)[:, :, 0].sum(axis=1)
     sizes = np.linalg.norm(rows[:, :-1], axis=2)
+    asked = np.linalg.norm(after, axis=2)
+    factors = np.where(asked > 0, sizes / np.maximum(asked, TINY), 1.0)
     sided.sort(key=lambda one: one[:2])
-    return Adjoints(rows, ctrl, values, ctrl_terms, sizes, factors, sided)
-
-
-def _times(rows: Floats, matrices: Floats) -> Floats:
-    """Rows of worlds, each times its matrix."""
-    out: Floats = np.matmul(rows[:, None], matrices)[:, 0]
-    return out
+    return Adjoints(rows, after, ctrl, values, ctrl_terms, sizes, factors, sided)
 
 
 def spread(rows: Floats) -> Floats:
@@ -87,21 +80,20 @@ def spread(rows: Floats) -> Floats:
     return out
 
 
-def apart(back: Adjoints, finer: Adjoints, steps: Steps, weights: Floats) -> dict[str, Floats]:
+def apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict[str, Floats]:
     """How far each part of a gradient is from that in steps half as long, as a share of it, (n,).
 
     Below these sizes a part is nothing: a share of what the gradient was by any state; of what the
     controls' is a sum of; for a change of a parameter by itself, of what all steps change.
-    weights: as in `adjoints`.
+    asked: the size of the gradient that was given, (n,).
     """
-    asked = np.linalg.norm(weights, axis=-1).sum(axis=1)
     most = np.maximum(asked, back.sizes.max(axis=1, initial=0.0))
     both = finer.ctrl[:, ::2] + finer.ctrl[:, 1::2]
     parts = {
         "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], LEFT * most),
         "the controls": _distance(back.ctrl, both, LEFT * back.ctrl_terms),
     }
-    changes = np.sum(np.abs((back.rows[:, 1:] + weights) * steps.changes()), axis=(1, 2))
+    changes = np.sum(np.abs(back.after * steps.changes()), axis=(1, 2))
     for k, column in enumerate(steps.by):
         least = LEFT * changes / abs(column.value)
         parts[f"`{column.label}`"] = _distance(back.values[:, k], finer.values[:, k], least)

@@ -13,11 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from stepcore import checks
 from stepcore.engine.adjoints import Adjoints, adjoints, apart, grown, parted, spread
 from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers, refuse_late
-from stepcore.engine.linear_steps import LinearWorlds
 from stepcore.engine.linearization import Linearizations
 from stepcore.engine.parameter_columns import columns, split_entry
 from stepcore.engine.rollout import Rollout
-from stepcore.engine.rollout_steps import Steps, X, rows_of
+from stepcore.engine.rollout_steps import Steps, X, linear_worlds, rows_of
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:
@@ -63,11 +62,9 @@ class Gradients(NamedTuple):
 
 def linearizations(batch: Batch, parameters: Sequence[str]) -> Linearizations:
     """See `Batch.linearize`."""
-    by, models = columns(batch.model, parameters), batch.param.models()
-    if batch._linear_worlds is None or batch._linear_worlds.models is not models:
-        batch._linear_worlds = LinearWorlds(models, batch._threads)
+    by = columns(batch.model, parameters)
     states = {name: np.array(getattr(batch, name))[:, None] for name in (*X, *INPUTS)}
-    return Linearizations(batch.model, batch._linear_worlds.linear(states, by), by)
+    return Linearizations(batch.model, linear_worlds(batch).linear(states, by), by)
 
 
 def vjp(
@@ -103,7 +100,7 @@ def pulled(steps: Steps, given: Mapping[str, Floats], halved: Steps | None = Non
     error = None
     if halved is not None:
         finer = adjoints(halved, halved.dofs({name: spread(rows) for name, rows in given.items()}))
-        error, doubts = _error(steps, back, halved, finer, weights, told=growth > GROWTH)
+        error, doubts = _error(steps, back, halved, finer, asked, told=growth > GROWTH)
         texts += doubts
     for text in texts:
         # In the name of who calls `Batch.vjp`.
@@ -127,14 +124,14 @@ def _error(
     back: Adjoints,
     halved: Steps,
     finer: Adjoints,
-    weights: Floats,
+    asked: Floats,
     told: NDArray[np.bool_],
 ) -> tuple[Floats, list[str]]:
     """How far a gradient is from that in steps half as long, and what is to be said of it.
 
     told: worlds of whose gradient more was said.
     """
-    parts = apart(back, finer, steps, weights)
+    parts = apart(back, finer, steps, asked)
     error: Floats = np.max(list(parts.values()), axis=0)
     failed = halved.batch.failures
     texts = [
@@ -227,13 +224,15 @@ def jvp(
 
     rows = np.zeros((steps.n, steps.count, first.shape[1]))
     for share in steps.shares():
-        own = share.worlds
+        own = share.own
         x = first[own]
         for block in steps.blocks():
-            linear = share.linear(block)
+            A, B, P, _ = share.linear(block)
+            by = (
+                B @ moved[own, block[0] : block[-1] + 1, :, None] + P @ values.T[own, None, :, None]
+            )
             for k, step in enumerate(block):
-                ways = zip(linear[:3], (x, moved[own, step], values[:, own].T), strict=True)
-                x = sum(np.matmul(one[:, k], way[..., None])[..., 0] for one, way in ways)
+                x = (A[:, k] @ x[..., None] + by[:, k])[..., 0]
                 rows[own, step] = x
     nv = batch.model.nv
     qpos = steps.tangents.of_dofs(steps.rollout.qpos, rows[..., :nv])

@@ -22,9 +22,16 @@ if TYPE_CHECKING:
 # at once: 64 MiB.
 BLOCK, ROOM = 64, 2**23
 
-
 # What x is made of.
 X = (*STATE, "ctrl_history")
+
+
+def linear_worlds(batch: Batch) -> LinearWorlds:
+    """The worlds of a batch, which keeps them until a parameter is set."""
+    models = batch.param.models()
+    if batch._linear_worlds is None or batch._linear_worlds.models is not models:
+        batch._linear_worlds = LinearWorlds(models, batch._threads)
+    return batch._linear_worlds
 
 
 def rows_of(
@@ -143,12 +150,16 @@ class Share:
 
     def __init__(self, steps: Steps, worlds: Sequence[int]) -> None:
         self.steps, self.worlds = steps, list(worlds)
-        models = [steps.models[world] for world in worlds]
-        self.linear_worlds = LinearWorlds(models, steps.batch._threads, self.worlds[0])
+        self.own = slice(self.worlds[0], self.worlds[-1] + 1)
+        if len(self.worlds) == steps.n and steps.models is steps.batch.param.models():
+            self.linear_worlds = linear_worlds(steps.batch)
+        else:
+            models = [steps.models[world] for world in worlds]
+            self.linear_worlds = LinearWorlds(models, steps.batch._threads, self.worlds[0])
 
     def linear(self, steps: Sequence[int]) -> LinearSteps:
         """Linearise some steps, one after the other: of shape (worlds, steps, …)."""
-        of, mine, some = self.steps, self.worlds, slice(steps[0], steps[-1] + 1)
+        of, mine, some = self.steps, self.own, slice(steps[0], steps[-1] + 1)
         states = {name: rows[mine, some] for name, rows in of.states.items()}
         states["ctrl"] = of.ctrl[mine, some]
         for name, rows in of.held.items():
