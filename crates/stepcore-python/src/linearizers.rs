@@ -51,9 +51,9 @@ impl Linearizers {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn made(&self) -> Result<Engine, Error> {
+    fn made(&self, threads: usize) -> Result<Engine, Error> {
         let settings = EngineSettings { precision: Precision::F64, ..self.settings.clone() };
-        Engine::new(&Sim::<f64>::new(self.models[0].clone(), settings)?, self.threads)
+        Engine::new(&Sim::<f64>::new(self.models[0].clone(), settings)?, threads)
     }
 
     /// How many states of the worlds are given, and all arrays of each.
@@ -125,7 +125,8 @@ impl Linearizers {
         let each = count / worlds.len();
         let states = Givens::new(count.max(1), |array| &lists[array as usize]);
         let asked = Asked { states, count, worlds: &worlds, first: self.first };
-        let kept = self.kept().take();
+        let threads = self.threads.clamp(1, count.max(1));
+        let kept = self.kept().take().filter(|kept| kept.threads() >= threads);
         let (mut linearizers, mut matrices) = gil::release(py, || {
             for nth in 0..count {
                 let (given, world) = (asked.states.of(nth), Some(self.first + nth / each));
@@ -134,7 +135,7 @@ impl Linearizers {
                     Precision::F32 => given.check::<f32>(&self.models[0], world)?,
                 }
             }
-            let mut linearizers = kept.map_or_else(|| self.made(), Ok)?;
+            let mut linearizers = kept.map_or_else(|| self.made(threads), Ok)?;
             let matrices = linearizers.begin(&asked)?;
             Ok((linearizers, matrices))
         })?;

@@ -26,6 +26,10 @@ impl Linearizers {
         Ok(Self { each, pool })
     }
 
+    pub fn threads(&self) -> usize {
+        self.each.len()
+    }
+
     /// Linearisations at these states come next. Returns room for their matrices; see
     /// `Linearizer::matrices`.
     pub fn begin(&mut self, asked: &Asked) -> Result<Vec<f64>> {
