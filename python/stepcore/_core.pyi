@@ -23,7 +23,6 @@ __all__ = [
     "compile",
     "integrators",
     "linear_step",
-    "machine_code",
     "noise",
     "quantile",
 ]
@@ -66,9 +65,6 @@ def linear_step(
 
 def noise(keys: NDArray[np.uint64], drawn: NDArray[np.uint64], width: int, normal: bool) -> _Floats:
     """The next `width` numbers of each stream, flat: normal, or evenly between 0 and 1."""
-
-def machine_code() -> str | None:
-    """The vectors of machine code here, "avx512" or "avx2"; None: steps run the stages."""
 
 def quantile(shares: _Floats) -> _Floats:
     """Quantiles of the standard normal distribution, shape (n,)."""
@@ -340,10 +336,6 @@ class Model:
     def entries(
         self, settings: Settings
     ) -> list[tuple[str, str, str, str, list[int], int, bool, str, str | None]]: ...
-    def compiled(self, settings: Settings) -> tuple[int, int, int, list[str]] | None:
-        """Machine code of its steps: operations, bytes, worlds side by side, and operations, one
-        a line, if they are few; None: its steps run the stages."""
-
     def keys(self) -> list[tuple[float, list[list[float]]]]:
         """Time of every keyframe and its qpos, qvel, act, ctrl, mocap_pos and mocap_quat, defaults
         filled in."""

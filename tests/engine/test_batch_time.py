@@ -69,10 +69,8 @@ def test_memory_is_told():
     assert alone > many
 
 
-def test_so_many_worlds_that_a_sample_is_tried_have_the_bits_of_few(monkeypatch):
+def test_so_many_worlds_that_a_sample_is_tried_have_the_bits_of_few():
     """Above 65,536 worlds "auto" tries the other way aside."""
-    # Code would take memory to work in.
-    monkeypatch.setenv("STEPCORE_COMPILE", "0")
     many = sc.Batch("gymnasium:inverted_pendulum", (1 << 16) + 8, threads=1)
     few = sc.Batch("gymnasium:inverted_pendulum", 16, threads=1, lanes=False)
     angles = np.linspace(-0.2, 0.2, 16)

@@ -1,4 +1,4 @@
-"""Small models step by machine code: the numbers of the stages, which single steps run."""
+"""Small models: calls of many steps and worlds of batches have the bits of single steps."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,6 @@ def scene(name):
 @pytest.mark.parametrize("name", [*SCENES, "pendulum"])
 def test_calls_of_many_steps_are_single_steps(name):
     model = scene(name).compile()
-    assert sc.plan(scene(name)).code
     one, other = sc.Sim(model), sc.Sim(model)
     for sim in (one, other):
         sim.reset(key="start")
@@ -42,7 +41,6 @@ def test_calls_of_many_steps_are_single_steps(name):
         assert one.state() == other.state()
         assert np.array_equal(one.qacc, other.qacc)
         assert (one.row_updates, one.most_rows) == (other.row_updates, other.most_rows)
-        # An applied force is none of the code.
         for sim in (one, other):
             sim.qfrc_applied[0] = 0.5 if n == 7 else 0.0
 
@@ -84,10 +82,3 @@ def test_whoever_leaves_the_finite_numbers_says_so_as_before():
     batch.qpos[:, 0] = np.linspace(0.5, 1.0, 20)
     with pytest.raises(sc.SimulationError):
         batch.step(400)
-
-
-def test_a_plan_prints_the_operations_of_few():
-    plan = sc.plan(lesson.spring())
-    assert len(plan.code.lines) <= 12
-    assert any("* -100.0" in line for line in plan.code.lines)
-    assert "machine code" in str(plan)

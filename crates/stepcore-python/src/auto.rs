@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use stepcore::arrays::{Array, Given, Givens};
-use stepcore::batch::{Common, Rollout};
+use stepcore::batch::{kinds, Rollout};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::WIDEST;
@@ -38,8 +38,6 @@ pub struct Auto {
     /// The other way, once it was tried.
     other: Option<Box<dyn Worlds>>,
     make: Box<Make>,
-    /// Lanes are quicker for sure: there is machine code of the whole step.
-    settled: Box<dyn Fn() -> bool + Send + Sync>,
     in_lanes: bool,
     /// What the last portion of steps took a step.
     cost: Duration,
@@ -55,19 +53,13 @@ pub struct Auto {
 }
 
 impl Auto {
-    /// `make(lanes, some)`: the same worlds, or some of them, in lanes or one by one. `settled`: whether
-    /// lanes are quicker for sure.
-    pub fn new(
-        worlds: usize,
-        make: Box<Make>,
-        settled: impl Fn() -> bool + Send + Sync + 'static,
-    ) -> Result<Self> {
+    /// `make(lanes, some)`: the same worlds, or some of them, in lanes or one by one.
+    pub fn new(worlds: usize, make: Box<Make>) -> Result<Self> {
         Ok(Self {
             worlds,
             now: make(true, None)?,
             other: None,
             make,
-            settled: Box::new(settled),
             in_lanes: true,
             cost: Duration::ZERO,
             ratios: Vec::with_capacity(VOTES + 1),
@@ -87,23 +79,18 @@ impl Auto {
     ) -> Result<()> {
         let mut left = n;
         while left > 0 {
-            let settled = (self.settled)();
-            if settled && !self.in_lanes && self.may_change() {
-                self.turn()?;
-            }
-            let due = !settled && self.steps >= self.next && self.may_change();
+            let due = self.steps >= self.next && self.may_change();
             let trial = due && self.worlds <= KEPT;
             if due && !trial {
                 self.try_sample()?;
             }
-            if trial || std::mem::take(&mut self.change) && !settled && self.may_change() {
+            if trial || std::mem::take(&mut self.change) && self.may_change() {
                 self.turn()?;
             }
             let until = self.next.saturating_sub(self.steps);
             // A trial is of one step, as is the one before it, which it is compared with.
             let portion = match until {
                 _ if trial => 1,
-                _ if settled => left,
                 0 => left,
                 1 => 1,
                 until => left.min(until - 1),
@@ -200,8 +187,8 @@ impl Worlds for Auto {
     fn set_models(&mut self, how: &How, models: &[Arc<Model>], model_of: &[usize]) -> bool {
         let taken = self.now.set_models(how, models, model_of);
         if taken {
-            let common = Common::without_code(models);
-            (self.other, self.make) = (None, how.make(models.to_vec(), model_of, common));
+            let make = how.make(models.to_vec(), model_of, kinds(models));
+            (self.other, self.make) = (None, make);
         }
         taken
     }

@@ -58,7 +58,7 @@ mod _core {
     #[pymodule_export]
     use super::linearizers::Linearizers;
     #[pymodule_export]
-    use super::model::{compile, machine_code, Model};
+    use super::model::{compile, Model};
     #[pymodule_export]
     use super::noise::{noise, quantile};
     #[pymodule_export]

@@ -7,13 +7,10 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use stepcore::arrays::Array;
-use stepcore::compile::Compiled;
 use stepcore::elements::{joint_forces, Kind};
 use stepcore::model::Model as Engine;
 use stepcore::plan::{Entry, Of, Plan};
-use stepcore::real::Real;
 use stepcore::scene::{JointType, Scene, Target};
-use stepcore::settings::Precision;
 
 use crate::element::read;
 use crate::errors::printable;
@@ -64,18 +61,8 @@ fn joint_type(kind: JointType) -> &'static str {
     }
 }
 
-/// Operations, bytes and worlds side by side of machine code; and the operations if they are few.
-type Code = (usize, usize, usize, Vec<String>);
-
 /// No limit, as a range.
 const FREE: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
-
-impl Model {
-    fn compiled_in<R: Real>(&self, settings: &Settings) -> Option<Code> {
-        let code = Compiled::of::<R>(&[self.0.clone()].into(), &settings.0, usize::MAX)?;
-        Some((code.operations, code.bytes(), code.lanes(), code.lines::<R>()))
-    }
-}
 
 #[pymethods]
 impl Model {
@@ -348,15 +335,6 @@ impl Model {
         Some(meet.into_iter().map(|((a, b), count)| (a.word(), b.word(), count)).collect())
     }
 
-    /// Machine code of its steps: operations, bytes, worlds side by side, and the operations one a line if
-    /// they are few; None: its steps run the stages.
-    fn compiled(&self, settings: &Settings) -> Option<Code> {
-        match settings.0.precision {
-            Precision::F64 => self.compiled_in::<f64>(settings),
-            Precision::F32 => self.compiled_in::<f32>(settings),
-        }
-    }
-
     /// What a step does and leaves out: see `Plan` in `plan/mod.rs`. Stage, kind, name, what its
     /// elements are, these by index, how many, whether it is used, why not, and the kind of rows.
     #[allow(clippy::type_complexity)]
@@ -451,10 +429,4 @@ impl Model {
     fn initial(&self) -> Vec<(&'static str, Vec<f64>)> {
         Array::ALL.map(|array| (array.name(), array.initial(&self.0))).to_vec()
     }
-}
-
-/// The vectors of machine code here; none: steps run the stages.
-#[pyfunction]
-pub fn machine_code() -> Option<&'static str> {
-    stepcore::compile::vectors()
 }

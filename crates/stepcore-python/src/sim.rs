@@ -90,7 +90,6 @@ impl Sim {
         let world = gil::release(py, || {
             let mut world = world(model.clone(), &settings.0)?;
             world.use_threads(threads)?;
-            world.use_code();
             Ok(world)
         })?;
         let arrays = Arrays::new(py, &model, 1)?;

@@ -96,8 +96,6 @@ pub trait World: Send {
     fn take(&self, array: Array, out: &mut [f64]);
     /// Lets so many threads share the work of each step.
     fn use_threads(&mut self, threads: usize) -> Result<()>;
-    /// Makes steps by machine code where that is quicker; for whoever takes many.
-    fn use_code(&mut self);
     fn step(&mut self, n: u64) -> Result<()>;
     /// A call of so many steps ends: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
@@ -240,9 +238,6 @@ impl<R: Real> World for One<R> {
     }
     fn use_threads(&mut self, threads: usize) -> Result<()> {
         self.watched.sim.use_threads(threads)
-    }
-    fn use_code(&mut self) {
-        self.watched.sim.use_code();
     }
     fn step(&mut self, n: u64) -> Result<()> {
         if n > 0 {

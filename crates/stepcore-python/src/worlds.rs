@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given, Givens};
-use stepcore::batch::{fills_lanes, gains_by_lanes, Batch, Common, Last, Rollout};
+use stepcore::batch::{fills_lanes, gains_by_lanes, kinds, Batch, Last, Rollout};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::Real;
@@ -96,42 +96,27 @@ impl How {
         let width = if self.single() { <WideF32>::LANES } else { <Wide>::LANES };
         let gains = models.iter().all(|model| gains_by_lanes(model, &self.settings));
         self.settings.check()?;
-        let common = self.common(&models);
-        let can = width > 1 && gains && fills_lanes(&common.kinds, model_of, width);
-        // Code takes about as long in each world whatever its neighbours meet; the stages do not.
-        let code = common.code.clone();
-        let there = move || {
-            let code = code.as_ref().and_then(|code| code.code());
-            code.is_some_and(|code| !code.hands_over())
-        };
+        let kinds = kinds(&models);
+        let can = width > 1 && gains && fills_lanes(&kinds, model_of, width);
         // An account of energies stays with those who began it, and one world has no neighbours.
-        if self.lanes.is_some() || !can || self.settings.ledger || model_of.len() == 1 || there() {
+        if self.lanes.is_some() || !can || self.settings.ledger || model_of.len() == 1 {
             let alone = self.lanes.is_none() && model_of.len() == 1;
             let lanes = can && !alone && self.lanes != Some(false);
-            return self.made(lanes, models, model_of, common);
+            return self.made(lanes, models, model_of, kinds);
         }
-        let make = self.make(models, model_of, common);
-        Ok(Box::new(Auto::new(model_of.len(), make, there)?))
+        Ok(Box::new(Auto::new(model_of.len(), self.make(models, model_of, kinds))?))
     }
 
     /// Makes these worlds, or some of them, in lanes or one by one.
-    pub fn make(&self, models: Vec<Arc<Model>>, model_of: &[usize], common: Common) -> Box<Make> {
+    pub fn make(&self, models: Vec<Arc<Model>>, model_of: &[usize], kinds: Vec<usize>) -> Box<Make> {
         let (how, own) = (self.clone(), model_of.to_vec());
         Box::new(move |lanes, some: Option<&[usize]>| match some {
-            None => how.made(lanes, models.clone(), &own, common.clone()),
+            None => how.made(lanes, models.clone(), &own, kinds.clone()),
             Some(some) => {
                 let own: Vec<usize> = some.iter().map(|world| own[*world]).collect();
-                how.made(lanes, models.clone(), &own, common.clone())
+                how.made(lanes, models.clone(), &own, kinds.clone())
             }
         })
-    }
-
-    fn common(&self, models: &[Arc<Model>]) -> Common {
-        if self.single() {
-            Common::of::<f32>(models, &self.settings)
-        } else {
-            Common::of::<f64>(models, &self.settings)
-        }
     }
 
     fn single(&self) -> bool {
@@ -143,15 +128,13 @@ impl How {
         lanes: bool,
         models: Vec<Arc<Model>>,
         model_of: &[usize],
-        common: Common,
+        kinds: Vec<usize>,
     ) -> Result<Box<dyn Worlds>> {
-        // Worlds one by one run the stages.
-        let common = Common { code: common.code.filter(|_| lanes), ..common };
         match (self.single(), lanes) {
-            (false, true) => self.made_of::<Wide>(models, model_of, common),
-            (false, false) => self.made_of::<f64>(models, model_of, common),
-            (true, true) => self.made_of::<WideF32>(models, model_of, common),
-            (true, false) => self.made_of::<f32>(models, model_of, common),
+            (false, true) => self.made_of::<Wide>(models, model_of, kinds),
+            (false, false) => self.made_of::<f64>(models, model_of, kinds),
+            (true, true) => self.made_of::<WideF32>(models, model_of, kinds),
+            (true, false) => self.made_of::<f32>(models, model_of, kinds),
         }
     }
 
@@ -159,10 +142,10 @@ impl How {
         &self,
         models: Vec<Arc<Model>>,
         model_of: &[usize],
-        common: Common,
+        kinds: Vec<usize>,
     ) -> Result<Box<dyn Worlds>> {
         let Self { settings, threads, .. } = self;
-        let mut batch = Batch::<R>::of_common(models, model_of, settings, *threads, common)?;
+        let mut batch = Batch::<R>::of_kinds(models, model_of, settings, *threads, kinds)?;
         batch.goes_on = self.goes_on;
         if self.unwatched.load(Ordering::Relaxed) {
             batch.unwatch();

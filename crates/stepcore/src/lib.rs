@@ -30,8 +30,7 @@
 //! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight (`f32`: sixteen)
 //! worlds side by side that equal, bit for bit, the same worlds stepped alone. Two more
 //! accompany a world: [`real::Dual`] carries derivatives through the step
-//! ([`watch::Linearizer`]), [`real::Counted`] counts its operations ([`watch::Counter`]); and
-//! `real::traced` writes them down, of which machine code is made for many worlds (`compile/`).
+//! ([`watch::Linearizer`]), [`real::Counted`] counts its operations ([`watch::Counter`]).
 //!
 //! ```
 //! use std::sync::Arc;
@@ -55,7 +54,6 @@ pub mod assets;
 pub mod batch;
 mod clock;
 pub mod commit;
-pub mod compile;
 pub mod detect;
 pub mod elements;
 pub mod error;

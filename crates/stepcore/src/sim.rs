@@ -8,7 +8,6 @@ use std::sync::Arc;
 use crate::arrays::array::Array;
 use crate::clock::Clock;
 use crate::commit::{Extrapolation, Next};
-use crate::compile::Alone;
 use crate::detect::Detected;
 use crate::elements::activation::Activations;
 use crate::elements::{Element, Kind};
@@ -101,8 +100,6 @@ pub struct Sim<R: Real> {
     pub(crate) solver: Box<dyn Solve<R>>,
     noslip: Noslip<R>,
     pub(crate) sleeper: Sleeper<R>,
-    /// What makes steps that nobody looks at.
-    pub(crate) code: Option<Box<Alone<R>>>,
     /// Working space of steps within an accuracy.
     pub(crate) extrapolation: Option<Box<Extrapolation<R>>>,
 }
@@ -147,7 +144,7 @@ impl At {
 }
 
 room!(Sim<R>: model, models, plan, clock, state, inputs, placed, detected, rows, velocity, qacc, effort,
-    next, stands, solver, noslip, sleeper, code, extrapolation; settings, period);
+    next, stands, solver, noslip, sleeper, extrapolation; settings, period);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
@@ -226,7 +223,6 @@ impl<R: Real> Sim<R> {
             sleeper: if settings.sleep { Sleeper::new(&models[0]) } else { Sleeper::off() },
             clock: Clock::new(settings.dt),
             period: settings.dt,
-            code: None,
             models,
             model,
             settings,

@@ -133,13 +133,6 @@ impl<R: Real> Inputs<R> {
         self.applied
     }
 
-    /// The controls, by lane and actuator.
-    pub(crate) fn set_ctrl(&mut self, value: impl Fn(usize, usize) -> f64) {
-        for (at, x) in self.ctrl.iter_mut().enumerate() {
-            (0..R::LANES).for_each(|lane| x.set_lane(lane, value(lane, at)));
-        }
-    }
-
     /// Lets `write(qfrc_applied, xfrc_applied)` change the applied forces.
     pub fn apply(&mut self, write: impl FnOnce(&mut [R], &mut [R])) {
         self.edit(|[_, qfrc, xfrc, ..]| write(qfrc, xfrc));

@@ -23,13 +23,7 @@ impl<R: Real> Sim<R> {
     /// The same while `observer` watches.
     pub fn step_watched<O: Observer<R>>(&mut self, n: u64, observer: &mut O) -> Result<()> {
         self.wake_where_off();
-        let mut left = n;
-        while left > 0 {
-            // The last step leaves all that can be read.
-            if left > 1 && !self.stands {
-                left -= self.step_by_code(left - 1, observer);
-            }
-            left -= 1;
+        for _ in 0..n {
             R::enter(Stage::Commit);
             match self.settings.accuracy.0 {
                 Some(asked) => self.integrate_within(asked)?,

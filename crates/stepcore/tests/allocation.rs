@@ -159,8 +159,6 @@ fn no_number_allocates() {
 /// `Batch::bytes` is too, but for what threads need among themselves.
 #[test]
 fn a_batch_knows_its_memory() {
-    // Code of a model is no part of a batch: others of that model may step by it.
-    std::env::set_var("STEPCORE_COMPILE", "0");
     let settings = settings(Law::SolRef, Integrator::Euler);
     for scene in [scenes::tower(2), scenes::runner()] {
         let model = Arc::new(Model::compile(&scene).unwrap());

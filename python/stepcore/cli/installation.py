@@ -75,8 +75,6 @@ def _info(args: argparse.Namespace) -> int:
         "vectors": _core.VECTORS,
         # The values of the variable STEPCORE_VECTORS that are valid on this machine.
         "levels": ", ".join(vectors.levels()),
-        # The vectors of the machine code of steps; STEPCORE_COMPILE=0 leaves it out.
-        "machine code": _core.machine_code() or "none: steps run the stages",
         "python": platform.python_version() + (" free-threaded" if _free_threaded() else ""),
         "machine": f"{platform.system()} {platform.machine()}",
         "cores": os.cpu_count(),

@@ -2,7 +2,6 @@
 
 use super::failed::Standing;
 use crate::arrays::{ArraySet, Given, Givens};
-use crate::compile::{Compiled, Desk};
 use crate::error::{Divergence, Error, Result};
 use crate::model::SideBySide;
 use crate::real::Real;
@@ -10,9 +9,6 @@ use crate::state::{Inputs, State};
 use crate::warm::Sleep;
 use crate::watch::{Care, Ledger, Watched};
 use std::sync::Arc;
-
-/// The most steps that the stages make before code is asked again, as a power of two.
-const MOST_REST: u32 = 5;
 
 /// What the last solve of the worlds belonged to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,13 +23,6 @@ pub(super) struct Group<R: Real> {
     /// The models of its worlds; and with those of the worlds that copies repeat.
     pub models: SideBySide<R>,
     mirrored: Mirrored<R>,
-    /// The code that came by last, and whether it is right for the models; and what it reads of these.
-    code: Option<(Arc<Compiled>, bool)>,
-    /// How often in a row it was not right for a step, and how many steps the stages make before it is asked
-    /// again.
-    misses: u32,
-    pub rest: u64,
-    parameters: Vec<R>,
     pub state: State<R>,
     pub inputs: Inputs<R>,
     /// Who sleeps in a world that begins anew.
@@ -60,7 +49,7 @@ pub(super) struct Group<R: Real> {
 }
 
 room!(Group<R>: models, mirrored, state, inputs, initial, qacc, actuator, keeps_actuator, start, before, last,
-    standing, ended, ledger, parameters, misses, rest; failed, code);
+    standing, ended, ledger; failed);
 
 impl<R: Real> Group<R> {
     /// A lane's next step starts without impulses, and nothing is known of its last solve; a world
@@ -96,7 +85,6 @@ impl<R: Real> Group<R> {
         self.ledger = care.map(|care| Box::new(Ledger::new(&models.model, care)));
         self.models = models;
         self.mirrored = Mirrored { copies: 0, models: None };
-        self.code = None;
     }
 
     /// `worlds` of these models, at qpos0 and at rest.
@@ -125,10 +113,6 @@ impl<R: Real> Group<R> {
             ledger: care.map(|care| Box::new(Ledger::new(model, care))),
             models,
             mirrored: Mirrored { copies: 0, models: None },
-            code: None,
-            misses: 0,
-            rest: 0,
-            parameters: vec![],
         }
     }
 
@@ -136,62 +120,6 @@ impl<R: Real> Group<R> {
     pub fn put_to_sleep(&mut self) {
         self.initial.copy_to(&mut self.state.sleep);
         self.initial.copy_to(&mut self.before.sleep);
-    }
-
-    /// No code can step it as it is.
-    pub fn is_special(&self) -> bool {
-        self.ledger.as_ref().is_some_and(|ledger| ledger.is_full())
-            || self.standing.any()
-            || self.inputs.applied()
-    }
-
-    /// Its worlds come to the desk of code. False: the code is not right for them.
-    pub fn enter(&mut self, desk: &mut Desk<R>) -> bool {
-        let Self { models, code, parameters, state, inputs, .. } = self;
-        let own = desk.compiled();
-        if code.as_ref().is_none_or(|(code, _)| !Arc::ptr_eq(code, own)) {
-            let numbers = own.parameters(models);
-            *code = Some((own.clone(), numbers.is_some()));
-            *parameters = numbers.unwrap_or_default();
-        }
-        code.as_ref().is_some_and(|(_, right)| *right)
-            && desk.enter(state, inputs, &models.model, parameters)
-    }
-
-    /// Code has made so many steps, and was not right for the next if `missed`. Where that goes on it is asked
-    /// less and less often: to find out costs it a part of a step.
-    pub fn missed(&mut self, missed: bool, made: u64) {
-        if !missed || made > 0 {
-            self.misses = 0;
-        }
-        if missed {
-            self.rest = 1 << self.misses.min(MOST_REST);
-            self.misses += 1;
-        }
-    }
-
-    /// The state in which its last step begins, so many steps on.
-    pub fn keep_before(&mut self, desk: &Desk<R>, made: u64) {
-        let Self { before, state, .. } = self;
-        desk.leave(before);
-        (before.start, before.steps) = (state.start, state.steps + made);
-    }
-
-    /// Code has made so many steps.
-    pub fn went_by_code(&mut self, desk: &Desk<R>, made: u64) {
-        desk.leave(&mut self.state);
-        desk.accelerations(&mut self.qacc);
-        self.keeps_actuator = false;
-        self.state.steps += made;
-        self.last.fill(Last::Step);
-        // What controls put in on the way is not known: of driven worlds there is no account any more.
-        self.ledger = self.ledger.take().filter(|_| self.inputs.ctrl.is_empty());
-        self.ledger.iter_mut().for_each(|ledger| ledger.went_on(&self.state));
-    }
-
-    /// Steps until somebody looks at its energies, if anybody does.
-    pub fn until_look(&self) -> Option<u64> {
-        self.ledger.as_ref().map(|ledger| ledger.until_due(&self.state))
     }
 
     /// What there is to say of a world whose energies cannot be, which is that of a lane.
@@ -202,17 +130,6 @@ impl<R: Real> Group<R> {
     /// Unless the settings ask for it, there is no account of energies any more.
     pub fn unwatch(&mut self) {
         self.ledger = self.ledger.take().filter(|ledger| ledger.is_full());
-    }
-
-    /// Some world of it failed in this call.
-    pub fn has_failed(&self) -> bool {
-        self.failed.is_some() || self.standing.any()
-    }
-
-    /// As it was when the call began, when none had failed.
-    pub fn begin_again(&mut self) {
-        self.start.copy_to(&mut self.state);
-        self.standing.lanes.fill(None);
     }
 
     /// Takes the arrays of the world in lane `own`; `worlds`: how many worlds the group has.

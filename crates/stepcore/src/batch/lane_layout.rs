@@ -3,35 +3,11 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::compile::Coming;
 use crate::model::{differ_in_numbers, Model};
-use crate::real::{Constant, Real};
+use crate::real::Constant;
 use crate::room::listed;
 use crate::settings::{Settings, Solver};
 use crate::solve::dofs::any_heap;
-
-/// What models have in common.
-#[derive(Clone)]
-pub struct Common {
-    /// By model its kind: models of one kind differ in numbers alone, and their worlds can stand side by
-    /// side.
-    pub kinds: Vec<usize>,
-    /// Machine code of a step, of models of one kind.
-    pub code: Option<Arc<Coming>>,
-}
-
-impl Common {
-    pub fn of<R: Real>(models: &[Arc<Model>], settings: &Settings) -> Self {
-        let own = Self::without_code(models);
-        let one = own.kinds.iter().all(|kind| *kind == 0);
-        let fixed = settings.accuracy.0.is_none();
-        Self { code: (one && fixed).then(|| Coming::of::<R>(models.into(), settings)), ..own }
-    }
-
-    pub fn without_code(models: &[Arc<Model>]) -> Self {
-        Self { kinds: kinds(models), code: None }
-    }
-}
 
 /// Worlds of one model sit beside each other, then those whose models differ in numbers alone, in
 /// their own order; the last group of such models may have lanes to spare.
@@ -129,7 +105,9 @@ pub fn fills_lanes(kinds: &[usize], model_of: &[usize], lanes: usize) -> bool {
     one || 3 * registers(lanes, kinds, model_of) <= model_of.len()
 }
 
-fn kinds(models: &[Arc<Model>]) -> Vec<usize> {
+/// By model its kind: models of one kind differ in numbers alone, and their worlds can stand side by
+/// side.
+pub fn kinds(models: &[Arc<Model>]) -> Vec<usize> {
     let mut first: Vec<&Arc<Model>> = vec![];
     let mut kind = |model| {
         let known = first.iter().position(|other| differ_in_numbers(other, model));

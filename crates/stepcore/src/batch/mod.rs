@@ -5,8 +5,6 @@
 //! computes depends on nothing else, so results are the same bits at any number of
 //! threads, and, because a lane is a world, in lanes or one by one.
 
-mod compiled_steps;
-mod contest;
 mod failed;
 mod group;
 mod lane_layout;
@@ -19,18 +17,14 @@ pub use group::Last;
 pub use rollout::Rollout;
 
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
 
-use compiled_steps::{step_compiled, Given};
-use contest::Contest;
 use group::{in_batch, Group};
 use lane_layout::LaneLayout;
-pub use lane_layout::{fills_lanes, gains_by_lanes, Common};
+pub use lane_layout::{fills_lanes, gains_by_lanes, kinds};
 use rollout::Part;
 use workers::{Workers, Workspace};
 
 use crate::arrays::{Array, Given as Arrays};
-use crate::compile::{Coming, Desk};
 use crate::error::{Error, Result};
 use crate::model::{differ_in_numbers, Model, SideBySide};
 use crate::pool::{check_threads, lock};
@@ -54,11 +48,6 @@ pub struct Batch<R: Real> {
     layout: LaneLayout,
     groups: Vec<Group<R>>,
     workers: Workers<R>,
-    /// Machine code of a step; and what it works in, by thread, once it is there.
-    code: Option<Arc<Coming>>,
-    desks: Mutex<Vec<Desk<R>>>,
-    /// Where the stages do a part of the code's steps: which way is quicker.
-    contest: Contest,
     /// A world that fails stands still, and the others go on; else all stop with it.
     pub goes_on: bool,
 }
@@ -100,17 +89,17 @@ impl<R: Real> Batch<R> {
         threads: usize,
     ) -> Result<Self> {
         settings.check()?;
-        let common = Common::of::<R>(&models, settings);
-        Self::of_common(models, model_of, settings, threads, common)
+        let kinds = kinds(&models);
+        Self::of_kinds(models, model_of, settings, threads, kinds)
     }
 
-    /// The same of models of which it is known what they have in common.
-    pub fn of_common(
+    /// The same of models whose kinds are known.
+    pub fn of_kinds(
         models: Vec<Arc<Model>>,
         model_of: &[usize],
         settings: &Settings,
         threads: usize,
-        Common { kinds, code }: Common,
+        kinds: Vec<usize>,
     ) -> Result<Self> {
         settings.check()?;
         let worlds = model_of.len();
@@ -148,9 +137,6 @@ impl<R: Real> Batch<R> {
 
         Ok(Self {
             worlds,
-            code,
-            desks: Mutex::default(),
-            contest: Contest::default(),
             dt: settings.dt,
             groups,
             workers,
@@ -169,13 +155,11 @@ impl<R: Real> Batch<R> {
             1 => 0,
             _ => models.map(|same| same[0].models.model.bytes()).sum(),
         };
-        let desks = lock(&self.desks).room();
         size_of::<Self>()
             + self.layout.bytes()
             + listed(&self.model_of)
             + self.groups.room()
             + self.workers.bytes()
-            + desks
             + models
     }
 
@@ -224,9 +208,6 @@ impl<R: Real> Batch<R> {
             groups[index].take_models(models);
         }
         (self.models, self.model_of) = (models.to_vec(), model_of.to_vec());
-        // Code is that of the models before.
-        self.code = self.code.take().map(|code| code.of_other::<R>(models.into()));
-        lock(&self.desks).clear();
         true
     }
 
@@ -401,21 +382,12 @@ impl<R: Real> Batch<R> {
 
     /// Does `n` steps in every world; of a rollout from this one on.
     fn advance(&mut self, n: u64, rollout: Option<(&[Mutex<Part>], usize)>) -> Result<()> {
-        let Self { workers, groups, layout, goes_on, code, desks, contest, .. } = self;
-        let coming = code.as_ref();
-        let code = coming.and_then(|coming| coming.code());
-        let contested = coming.is_some_and(|coming| coming.contested());
-        contest.begin();
-        // Steps `from..from + n` of a group by the stages.
-        let run = |workspace: &mut Workspace<R>,
-                   index,
-                   group: &mut Group<R>,
-                   given: Given,
-                   (from, n): (u64, u64)| {
-            let part = given.map(|(part, start)| (Mutex::new(part), start));
+        let Self { workers, groups, layout, goes_on, .. } = self;
+        let run = |workspace: &mut Workspace<R>, index: usize, group: &mut Group<R>, n| {
+            let part = rollout.map(|(parts, start)| (&parts[index], start));
             let one = |k, watched: &mut Watched<R>| {
-                let Some((part, start)) = &part else { return watched.step(1) };
-                let (mut part, step) = (lock(part), start + (from + k) as usize);
+                let Some((part, start)) = part else { return watched.step(1) };
+                let (mut part, step) = (lock(part), start + k as usize);
                 part.control(step, watched);
                 watched.step(1)?;
                 part.record(step, &watched.sim.state);
@@ -424,34 +396,10 @@ impl<R: Real> Batch<R> {
             let watched = workspace.space(layout.kind(index));
             group.run(watched, layout.worlds(index), n, Last::Step, *goes_on, one);
         };
-        let started = Instant::now();
         workers.share(groups, n, |workspace, index, group| {
             group.state.copy_to(&mut group.start);
-            let mut part = rollout.map(|(parts, start)| (lock(&parts[index]), start));
-            let given = part.as_mut().map(|(part, start)| (&mut **part, *start));
-            let Some(code) = code.filter(|_| n > 0) else {
-                return run(workspace, index, group, given, (0, n));
-            };
-            if contested && !contest.by_code(index) {
-                return contest.time(false, n, || run(workspace, index, group, given, (0, n)));
-            }
-            let by_code = || {
-                let own = lock(desks).pop();
-                let mut desk = own.unwrap_or_else(|| Desk::new(code.clone()));
-                step_compiled(&mut desk, group, n, given, |group, given, from, n| {
-                    run(workspace, index, group, given, (from, n));
-                });
-                lock(desks).push(desk);
-            };
-            if contested {
-                contest.time(true, n, by_code);
-            } else {
-                by_code();
-            }
+            run(workspace, index, group, n);
         });
-        if let Some(coming) = coming.filter(|_| code.is_none()) {
-            coming.stages_took(started.elapsed());
-        }
         let Some((done, error)) = first_failure(groups, layout) else { return Ok(()) };
         groups.iter_mut().for_each(|group| drop(group.take_said()));
         // All worlds go back, and then on to where this one was still well.
@@ -460,9 +408,7 @@ impl<R: Real> Batch<R> {
             group.start.copy_to(&mut group.before);
             group.last.fill(Last::Forward);
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
-            let mut part = rollout.map(|(parts, start)| (lock(&parts[index]), start));
-            let given = part.as_mut().map(|(part, start)| (&mut **part, *start));
-            run(workspace, index, group, given, (0, done));
+            run(workspace, index, group, done);
         });
         if let Error::Diverged(divergence) = &error {
             let (group, lane) = self.layout.of(divergence.world);

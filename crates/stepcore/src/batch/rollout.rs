@@ -63,12 +63,6 @@ impl Part<'_> {
         }
     }
 
-    /// The controls of a lane in a step; lanes without a world repeat the last one.
-    pub fn ctrl(&self, step: usize, lane: usize) -> &[f64] {
-        let nu = self.counts[Array::Ctrl as usize];
-        &self.ctrl[lane.min(self.ctrl.len() - 1)][step * nu..(step + 1) * nu]
-    }
-
     /// Keeps the state after a step.
     pub fn record<R: Real>(&mut self, step: usize, state: &State<R>) {
         for (lane, lists) in self.states.iter_mut().enumerate() {

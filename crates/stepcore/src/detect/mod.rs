@@ -313,7 +313,7 @@ fn beyond<R: Real>(model: &Model<R::Value>, qpos: &[R]) -> bool {
         let q = qpos[guard.at];
         beyond.or(q.ge(R::of(guard.low)).and(q.le(R::of(guard.high))).not())
     });
-    beyond.seldom()
+    beyond.any()
 }
 
 /// The smallest distance of a pair's geoms [m].

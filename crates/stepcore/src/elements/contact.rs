@@ -321,7 +321,7 @@ impl<R: Real> Rows<R> {
         let mut mask = contact.mask.and(closing.or(touching));
         let mut arrives = R::Mask::of(true);
         let ahead = closing.and(touching.not());
-        if pair.test.curved() && ahead.seldom() {
+        if pair.test.curved() && ahead.any() {
             let found = self.met_ahead(now, contact, pair, size, ahead);
             mask = mask.and(ahead.not().or(found.met));
             arrives = found.turned.not();
@@ -341,7 +341,7 @@ impl<R: Real> Rows<R> {
         let mut push = law.push(phi);
         if let Some(most) = now.settings.max_recovery_speed.under(now.settings.law) {
             let over = mask.and(push.gt(R::of(most)));
-            if over.seldom() {
+            if over.any() {
                 let row = &self.rows[first];
                 let guess = self.dot(now.dof_lists, row, &now.placed.guess);
                 let most = push.min(target_at(row, law.regulariser(), guess, most));

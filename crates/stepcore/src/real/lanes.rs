@@ -5,13 +5,13 @@
 //! find them among single lanes, a compiler takes eight numbers of single precision apart and puts
 //! them together again. What vectors a processor has is the business of the crate `wide`.
 
-use bytemuck::{bytes_of, bytes_of_mut, cast};
+use bytemuck::cast;
 use core::fmt::Debug;
 use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 use num_traits::{One, Zero};
 use wide::{f32x8, f64x4, CmpLe, CmpLt};
 
-use super::{elementary, Constant, Mask, Real, Value, PACK};
+use super::{elementary, Constant, Mask, Real, Value};
 
 /// How many worlds of `f64` stand side by side: of fewer, a register would ask as often what there is
 /// to do; of more, it would make the rows of more worlds that touch in other places.
@@ -58,8 +58,6 @@ pub trait Number<const W: usize>:
     fn less(a: [Self; W], b: [Self; W]) -> [Self::Bits; W];
     fn at_most(a: [Self; W], b: [Self; W]) -> [Self::Bits; W];
     fn choose(mask: [Self::Bits; W], yes: [Self; W], no: [Self; W]) -> [Self; W];
-    fn bytes(a: &[Self; W]) -> &[u8];
-    fn bytes_mut(a: &mut [Self; W]) -> &mut [u8];
 }
 
 /// A number and its bits, `$w` of them in vectors of `$vector`: so many of these, by index.
@@ -144,14 +142,6 @@ macro_rules! number {
                 fn at_most(a: [Self; $w], b: [Self; $w]) -> [$bits; $w] {
                     let (a, b): (Vectors, Vectors) = (cast(a), cast(b));
                     cast([$(a[$at].cmp_le(b[$at])),*])
-                }
-                #[inline(always)]
-                fn bytes(a: &[Self; $w]) -> &[u8] {
-                    bytes_of(a)
-                }
-                #[inline(always)]
-                fn bytes_mut(a: &mut [Self; $w]) -> &mut [u8] {
-                    bytes_of_mut(a)
                 }
                 #[inline(always)]
                 fn choose(
@@ -365,14 +355,6 @@ impl<T: Number<W>, const W: usize> Real for Lanes<T, W> {
         // What is not finite makes no number of 0.
         let zero = self * Self::zero();
         zero.le(zero)
-    }
-    #[inline(always)]
-    fn pack(&self, to: &mut [u8; PACK]) {
-        to.copy_from_slice(T::bytes(&self.0));
-    }
-    #[inline(always)]
-    fn unpack(&mut self, from: &[u8; PACK]) {
-        T::bytes_mut(&mut self.0).copy_from_slice(from);
     }
     #[inline(always)]
     fn sqrt(self) -> Self {

@@ -2,10 +2,9 @@
 //!
 //! Every stage is written once against this trait. `f64` and `f32` are one
 //! world; `Lanes` is eight worlds side by side, or sixteen of `f32`; `Dual` is one world whose numbers
-//! carry derivatives, `Counted` one that counts its operations, `Traced` writes them down. A comparison
-//! gives a mask and `select` chooses where lanes may
-//! differ. With a scalar a mask is a `bool`, so `if mask.none() { continue }` is an
-//! ordinary branch.
+//! carry derivatives, `Counted` one that counts its operations. A comparison gives a mask and
+//! `select` chooses where lanes may differ. With a scalar a mask is a `bool`, so
+//! `if mask.none() { continue }` is an ordinary branch.
 //!
 //! Rules that keep a lane equal, bit for bit, to the same world run alone: a
 //! masked update is `select(mask, new, old)`; no fused multiply-add; no sum in
@@ -78,7 +77,6 @@ mod dual;
 pub mod elementary;
 mod lanes;
 mod stage;
-pub(crate) mod traced;
 pub(crate) mod value;
 
 pub use count::Count;
@@ -101,30 +99,12 @@ pub trait Mask: Copy + Debug + Send + Sync + 'static {
     fn none(self) -> bool {
         !self.any()
     }
-    /// `any`, where that rarely is so and leads to much work: machine code (`compile/`) leaves
-    /// it to the stages.
-    #[inline(always)]
-    fn seldom(self) -> bool {
-        self.any()
-    }
     #[inline(always)]
     fn all(self) -> bool {
         self.not().none()
     }
     fn lane(&self, lane: usize) -> bool;
     fn from_lanes(value: impl Fn(usize) -> bool) -> Self;
-}
-
-/// Bytes of a number in machine code: of all lanes.
-pub const PACK: usize = 64;
-
-/// What the turns of a loop change: see `Real::repeat_while`.
-pub trait Turns<R: Real> {
-    /// Lanes in which another turn follows.
-    fn live(&self) -> R::Mask;
-    /// Goes through all numbers, and through all masks, `live` the first, always in one order.
-    fn numbers(&mut self, of: &mut dyn FnMut(&mut R));
-    fn masks(&mut self, of: &mut dyn FnMut(&mut R::Mask));
 }
 
 /// The closed set of operations a stage may use.
@@ -196,23 +176,6 @@ pub trait Real:
     fn steepness(self) -> f64 {
         0.0
     }
-    /// Turn after turn, at most so many, while some lane is live. Turns change what `it` names and
-    /// nothing else that is read later, and all do the same.
-    #[inline(always)]
-    fn repeat_while<T: Turns<Self>>(most: u32, it: &mut T, mut turn: impl FnMut(&mut T)) {
-        for _ in 0..most {
-            if it.live().none() {
-                break;
-            }
-            turn(it);
-        }
-    }
-    /// As machine code holds it: the bytes of its lanes, as often as they fit. Numbers that no code
-    /// computes with have none.
-    #[inline(always)]
-    fn pack(&self, _to: &mut [u8; PACK]) {}
-    #[inline(always)]
-    fn unpack(&mut self, _from: &[u8; PACK]) {}
     /// The largest of all lanes, to report: nothing that is computed follows from it.
     #[inline(always)]
     fn largest(self) -> f64 {
@@ -363,13 +326,6 @@ macro_rules! scalar_real {
             #[inline(always)]
             fn is_finite(self) -> bool {
                 <$t>::is_finite(self)
-            }
-            fn pack(&self, to: &mut [u8; PACK]) {
-                to.chunks_exact_mut(size_of::<$t>())
-                    .for_each(|to| to.copy_from_slice(&self.to_ne_bytes()));
-            }
-            fn unpack(&mut self, from: &[u8; PACK]) {
-                *self = <$t>::from_ne_bytes(core::array::from_fn(|k| from[k]));
             }
             #[inline(always)]
             fn sqrt(self) -> Self {

@@ -80,7 +80,7 @@ pub fn balls<R: Real>(a: &Ball<R>, b: &Ball<R>) -> Touch<R> {
     let length = apart.dot(&apart).sqrt();
     let dist = length - a.radius - b.radius;
     let same = length.le(R::of(SAME_POINT) * (a.radius + b.radius));
-    let some_are_same = same.seldom();
+    let some_are_same = same.any();
     let mut normal = apart * (R::one() / length);
     if some_are_same {
         let cross = a.axis.cross(&b.axis);

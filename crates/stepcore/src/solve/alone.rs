@@ -29,7 +29,7 @@ impl<R: Real> Rows<R> {
             }
             let (mut impulse, mut lost) = self.update_alone(free, *b);
             lost = mask.and(lost);
-            if lost.seldom() {
+            if lost.any() {
                 self.begin_afresh(free, *b, lost);
                 (impulse, _) = self.update_alone(free, *b);
             }

@@ -258,7 +258,7 @@ impl OnGuess {
             R::select(wait, arrive, back)
         } else {
             let far = near.closing.and(near.far).and(near.arrives);
-            if far.seldom() {
+            if far.any() {
                 R::select(far, arrive, push)
             } else {
                 push

@@ -30,7 +30,7 @@ mod tests;
 
 pub(crate) use derivative::Differentiated;
 pub(crate) use direct::{Choice, GROUP};
-pub(crate) use limits::{Limits, Report};
+pub(crate) use limits::Report;
 #[cfg(test)]
 pub(crate) use live::Live;
 pub(crate) use pgs::Noslip;

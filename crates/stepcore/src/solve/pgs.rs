@@ -17,7 +17,7 @@ use super::limits::{Limits, Report};
 use super::momentum::Momentum;
 use super::rows::{Rows, Set};
 use crate::interrupt::ends_after;
-use crate::real::{Count, Mask, Real, Turns};
+use crate::real::{Count, Mask, Real};
 pub(crate) use noslip::Noslip;
 use sweep::Sweeps;
 
@@ -101,33 +101,34 @@ impl<R: Real> Pgs<R> {
             } else if measured {
                 sweeps.measure(inv_d, accelerated);
             }
-            let live = alive(rows, blocks);
+            let mut live = alive(rows, blocks);
             let single = if limits.exact { rows.alone(blocks) } else { R::Mask::of(false) };
             let tolerance = reachable(dof_lists, rows, &sweeps.weight, blocks, limits);
             let judged = R::zero().lt(tolerance);
             let (count, mut done) = (row_count(rows, blocks), Count::ZERO);
             let free = momentum.is_none();
             let mut interrupted = false;
-            let mut it = Sweeping { sweeps, rows, blocks, live, sweep: 0 };
-            let mut turn = |it: &mut Sweeping<R>| {
-                let Sweeping { sweeps, rows, live, sweep, .. } = it;
-                let order = momentum.as_mut().map_or(blocks, |momentum| momentum.order(*sweep));
+            for sweep in 0..limits.sweeps {
+                if live.none() {
+                    break;
+                }
+                let order = momentum.as_mut().map_or(blocks, |momentum| momentum.order(sweep));
                 let swept = if measured {
-                    sweeps.sweep::<true>(dof_lists, inv_d, rows, order, *live)
+                    sweeps.sweep::<true>(dof_lists, inv_d, rows, order, live)
                 } else {
-                    sweeps.sweep::<false>(dof_lists, inv_d, rows, order, *live)
+                    sweeps.sweep::<false>(dof_lists, inv_d, rows, order, live)
                 };
-                done.add(*live, 1);
-                report.updates.add_each(*live, &count);
-                *live = live.and(single.not());
+                done.add(live, 1);
+                report.updates.add_each(live, &count);
+                live = live.and(single.not());
                 if let Some(floor) = floor {
-                    *live = live.and(swept.gain.abs().lt(floor).not());
+                    live = live.and(swept.gain.abs().lt(floor).not());
                 }
                 if live.none() {
-                    return;
+                    break;
                 }
                 if let Some(momentum) = &mut momentum {
-                    momentum.step(dof_lists, inv_d, rows, blocks, swept.gain, *live);
+                    momentum.step(dof_lists, inv_d, rows, blocks, swept.gain, live);
                 }
                 let close = live.and(swept.change.le(tolerance)).and(judged);
                 if close.any() {
@@ -135,30 +136,20 @@ impl<R: Real> Pgs<R> {
                         sweeps.store(rows, blocks);
                     }
                     let residual = rows.residual_of(dof_lists, blocks);
-                    *live = live.and(close.and(residual.le(tolerance)).not());
+                    live = live.and(close.and(residual.le(tolerance)).not());
                 }
-                if ends_after(*sweep) {
-                    (interrupted, *live) = (true, R::Mask::of(false));
+                if ends_after(sweep) {
+                    (interrupted, live) = (true, R::Mask::of(false));
                 }
-                *sweep += 1;
                 // Whatever sweep is the last one ends within the sets.
-                if live.any() && *sweep < limits.sweeps {
+                if live.any() && sweep + 1 < limits.sweeps {
                     sweeps.go_on();
-                }
-            };
-            if free {
-                R::repeat_while(limits.sweeps, &mut it, turn);
-            } else {
-                // Momentum has an order for each.
-                while it.live.any() && it.sweep < limits.sweeps {
-                    turn(&mut it);
                 }
             }
             if interrupted {
                 report.interrupted = true;
                 return report;
             }
-            let Sweeping { sweeps, rows, live, .. } = it;
             if free {
                 sweeps.store(rows, blocks);
             }
@@ -169,32 +160,6 @@ impl<R: Real> Pgs<R> {
             }
         }
         report
-    }
-}
-
-/// What a sweep over an island changes, without momentum.
-struct Sweeping<'a, R: Real> {
-    sweeps: &'a mut Sweeps<R>,
-    rows: &'a mut Rows<R>,
-    blocks: &'a [usize],
-    live: R::Mask,
-    sweep: u32,
-}
-
-impl<R: Real> Turns<R> for Sweeping<'_, R> {
-    fn live(&self) -> R::Mask {
-        self.live
-    }
-    fn numbers(&mut self, of: &mut dyn FnMut(&mut R)) {
-        self.rows.u.iter_mut().for_each(&mut *of);
-        for block in self.blocks {
-            let own = self.rows.blocks[*block].rows.range();
-            self.rows.rows[own].iter_mut().for_each(|row| of(&mut row.impulse));
-        }
-        self.sweeps.impulses_mut(self.blocks).for_each(of);
-    }
-    fn masks(&mut self, of: &mut dyn FnMut(&mut R::Mask)) {
-        of(&mut self.live);
     }
 }
 

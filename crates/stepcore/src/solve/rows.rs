@@ -313,18 +313,6 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// The blocks and rows of others, without what the stages keep beside them.
-    pub(crate) fn like(other: &Self) -> Self {
-        Self {
-            rows: other.rows.clone(),
-            blocks: other.blocks.clone(),
-            y: other.y.clone(),
-            heap: other.heap,
-            island_dofs: other.island_dofs.clone(),
-            ..Self::bare(0)
-        }
-    }
-
     pub fn clear(&mut self) {
         self.rows.clear();
         self.blocks.clear();

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 from stepcore.engine.plan.cost import StepCost
 from stepcore.engine.plan.entries import entries
-from stepcore.engine.plan.result import Code, Plan, PlanEntry
+from stepcore.engine.plan.result import Plan, PlanEntry
 
 if TYPE_CHECKING:
-    from stepcore._core import Settings
     from stepcore.engine.model import Model
     from stepcore.engine.sim import Sim
 
@@ -37,15 +36,9 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
         stages=cost.stages,
         micros=cost.micros,
         at=cost.at,
-        code=_code(model, cost.settings),
         read_bytes=source.read_bytes if source else 0,
         asset_bytes=source.asset_bytes if source else 0,
     )
-
-
-def _code(model: Model, settings: Settings) -> Code | None:
-    made = model.core.compiled(settings)
-    return made and Code(*made[:3], tuple(made[3]))
 
 
 def makes_rows(model: Model) -> bool:

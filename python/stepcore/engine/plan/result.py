@@ -16,8 +16,6 @@ from stepcore.report.units import seconds
 NAMES = 4
 # The number of costliest entries in the answer, and of entries in a table without --all.
 COSTLY, PRINTED = 3, 9
-# Code of at most this many operations is always printed.
-LINES = 6
 LEGEND = (
     "flops: floating-point operations of the entry's own stage, or those saved by removing the "
     "entry. They do not add up, because some work serves several entries."
@@ -53,23 +51,6 @@ class PlanEntry:
     micros: float | None = None
 
 
-@dataclass(frozen=True)
-class Code:
-    """The machine code of a step.
-
-    operations: the number of operations that were written down, before those that no state needs
-        are left out.
-    bytes: its size.
-    lanes: how many worlds it steps side by side on this processor.
-    lines: the operations, one per line, if there are few; else empty.
-    """
-
-    operations: int
-    bytes: int
-    lanes: int
-    lines: tuple[str, ...] = ()
-
-
 @dataclass(eq=False, repr=False)
 class Plan(Result):
     """The work that a step does and omits; the result of `stepcore.plan`.
@@ -78,8 +59,6 @@ class Plan(Result):
     flops: operations of a complete step at the state `at`.
     stages: operations by stage.
     micros: time of a complete step [µs]; None if it was not measured.
-    code: the machine code of a step, which batches execute instead of the stages; None if a step
-        of this model has none.
 
     >>> from stepcore import lesson, plan
     >>> plan(lesson.drop())
@@ -98,7 +77,6 @@ class Plan(Result):
     # Size of the mesh and height-field files that are read, and of all such files [bytes].
     read_bytes: int = 0
     asset_bytes: int = 0
-    code: Code | None = None
 
     @property
     def title(self) -> str:
@@ -145,10 +123,6 @@ class Plan(Result):
             sentences.append(
                 f"Of {whole:.3g} MB of meshes and height fields it needs {read:.3g} MB."
             )
-        if self.code:
-            sentences.append(
-                f"A batch executes it as machine code of {self.code.operations} operations."
-            )
         return sentences
 
     @property
@@ -168,10 +142,6 @@ class Plan(Result):
         less = LESS * any((entry.flops or 0) < 0 for entry in used)
         does.legend = f"{does.legend} {LEGEND}{less}".strip()
         tables = [does, _table(left_out, "Left out of a step", len(self.left_out))]
-        lines = self.code.lines if self.code else ()
-        if lines and (full or len(lines) <= LINES):
-            rows = [{"operation": line} for line in lines]
-            tables.append(Table(rows, heading="What a step executes"))
         if full:
             elements = [
                 {"used": "yes" if entry.used else "no", "what": entry.name, "element": name}
@@ -188,7 +158,6 @@ class Plan(Result):
             "flops": self.flops,
             "stages": self.stages,
             "micros": self.micros,
-            "code": self.code and vars(self.code),
         }
 
     def __repr__(self) -> str:

@@ -131,14 +131,6 @@ impl<R: Real> Sweeps<R> {
         }
     }
 
-    /// The impulses of packed blocks, where these keep them.
-    pub fn impulses_mut<'a>(&'a mut self, list: &'a [usize]) -> impl Iterator<Item = &'a mut R> {
-        let packed = |at: &usize| matches!(self.how[*at], How::Packed(_));
-        let some = list.iter().any(packed);
-        let all = self.packed.iter_mut().filter(move |_| some);
-        all.flat_map(|packed| &mut packed.point.impulse)
-    }
-
     /// Rows of packed blocks get their impulses, and u what stands side by side.
     pub fn store(&self, rows: &mut Rows<R>, list: &[usize]) {
         if self.joined {

@@ -259,23 +259,6 @@ impl<R: Real> Ledger<R> {
         outcome
     }
 
-    /// The world was stepped by who does not look, with the inputs as they are.
-    pub fn went_on(&mut self, state: &State<R>) {
-        if let Some(expected) = &mut self.expected {
-            *expected = (state.steps, state.start);
-        }
-    }
-
-    /// Steps until a milestone is due; none where a new account is to be opened.
-    pub fn until_due(&self, state: &State<R>) -> u64 {
-        let newest = self.newest_first().next();
-        let newest = newest.filter(|_| self.expected == Some((state.steps, state.start)));
-        newest.map_or(0, |newest| {
-            let stride = self.care.stride(newest.state.steps - self.opened);
-            (newest.state.steps + stride).saturating_sub(state.steps)
-        })
-    }
-
     /// Balances the accounts if a milestone is due.
     pub fn look(
         &mut self,
