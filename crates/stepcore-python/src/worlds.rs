@@ -108,7 +108,12 @@ impl How {
     }
 
     /// Makes these worlds, or some of them, in lanes or one by one.
-    pub fn make(&self, models: Vec<Arc<Model>>, model_of: &[usize], kinds: Vec<usize>) -> Box<Make> {
+    pub fn make(
+        &self,
+        models: Vec<Arc<Model>>,
+        model_of: &[usize],
+        kinds: Vec<usize>,
+    ) -> Box<Make> {
         let (how, own) = (self.clone(), model_of.to_vec());
         Box::new(move |lanes, some: Option<&[usize]>| match some {
             None => how.made(lanes, models.clone(), &own, kinds.clone()),

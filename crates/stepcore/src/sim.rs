@@ -190,11 +190,11 @@ impl<R: Real> Sim<R> {
                 "solref or penalty: under the others contacts that adhere are not built yet";
             return Err(Error::value("law", settings.law.name(), limit));
         }
-        if R::LANES > 1 && model.dynamic_pairs.is_some() {
+        if !R::ALONE && model.dynamic_pairs.is_some() {
             let limit = "1: the pairs of a heap are found one world at a time";
             return Err(Error::value("lanes", R::LANES, limit));
         }
-        if R::LANES > 1 && settings.sleep {
+        if !R::ALONE && settings.sleep {
             let limit = "1 with sleep: each world sleeps by itself";
             return Err(Error::value("lanes", R::LANES, limit));
         }
@@ -208,7 +208,10 @@ impl<R: Real> Sim<R> {
         let mut sim = Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
-            extrapolation: within.then(|| Box::new(Extrapolation::new(&placed, &model))),
+            extrapolation: match within {
+                true if R::ALONE => Some(Box::new(Extrapolation::new(&placed, &model))),
+                _ => None,
+            },
             placed,
             detected: Detected::new(&model, settings.max_contacts),
             rows: Rows::new(&model),
@@ -227,7 +230,9 @@ impl<R: Real> Sim<R> {
             model,
             settings,
         };
-        sim.sleep_from_start()?;
+        if R::ALONE {
+            sim.sleep_from_start()?;
+        }
         Ok(sim)
     }
 
@@ -346,7 +351,7 @@ impl<R: Real> Sim<R> {
 /// What steps within an accuracy need. They are made of steps of first order, of any length, under
 /// a law that does not look at it.
 fn extrapolates<R: Real>(settings: &mut Settings) -> Result<()> {
-    if R::LANES > 1 {
+    if !R::ALONE {
         let limit = "1 with an accuracy: each world has steps of its own";
         return Err(Error::value("lanes", R::LANES, limit));
     }

@@ -63,7 +63,7 @@ impl<R: Real> State<R> {
 
     /// One lane's next step starts without impulses.
     pub(crate) fn forget_impulses(&mut self, lane: usize) {
-        if R::LANES == 1 {
+        if R::ALONE {
             return self.warm.clear();
         }
         let impulses = self.warm.iter_mut().flat_map(|warm| &mut warm.impulse);

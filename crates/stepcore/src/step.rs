@@ -21,13 +21,13 @@ impl<R: Real> Sim<R> {
     }
 
     /// The same while `observer` watches.
-    pub fn step_watched<O: Observer<R>>(&mut self, n: u64, observer: &mut O) -> Result<()> {
+    pub fn step_watched(&mut self, n: u64, observer: &mut dyn Observer<R>) -> Result<()> {
         self.wake_where_off();
         for _ in 0..n {
             R::enter(Stage::Commit);
             match self.settings.accuracy.0 {
-                Some(asked) => self.integrate_within(asked)?,
-                None => self.integrate(observer)?,
+                Some(asked) if R::ALONE => self.integrate_within(asked)?,
+                _ => self.integrate(observer)?,
             }
             self.check_next()?;
             observer.committing(self);
@@ -51,7 +51,7 @@ impl<R: Real> Sim<R> {
         }
         // What is restored may hold impulses that these settings do not keep.
         std::mem::swap(&mut state.warm, &mut next.warm);
-        if self.plan.sleeps {
+        if R::ALONE && self.plan.sleeps {
             std::mem::swap(&mut state.sleep, &mut next.sleep);
         }
     }
@@ -89,7 +89,7 @@ impl<R: Real> Sim<R> {
         if std::mem::take(&mut self.stands) {
             return Ok(());
         }
-        if !self.plan.sleeps {
+        if !(R::ALONE && self.plan.sleeps) {
             self.place_and_make_rows(at)?;
             return self.solve_placed(at);
         }
@@ -103,14 +103,14 @@ impl<R: Real> Sim<R> {
     }
 
     pub(crate) fn place_and_make_rows(&mut self, at: At) -> Result<()> {
-        if self.plan.sleeps {
+        if R::ALONE && self.plan.sleeps {
             self.rest_asleep(at);
         }
         let (qpos, qvel) = at.of(&self.state, &self.next);
         let act = at.activations(&self.state, &self.next, self.clock);
         let held = self.placed.held;
         self.placed.place(&self.model, qpos, qvel, act, &self.inputs, self.clock.dt);
-        if self.plan.sleeps {
+        if R::ALONE && self.plan.sleeps {
             self.hold_asleep();
         }
         let before = searched();

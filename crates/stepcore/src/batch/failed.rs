@@ -116,7 +116,7 @@ mod tests {
         let model = Model::compile(&scene).unwrap();
         let model = Model::same(&model);
         let (mut state, mut inputs) = (State::<Lanes>::new(&model), Inputs::new(&model));
-        let by_lane = |scale: f64| Lanes(core::array::from_fn(|lane| scale * lane as f64));
+        let by_lane = |scale: f64| Lanes(crate::real::array::from_fn(|lane| scale * lane as f64));
         state.qvel[0] = by_lane(2.0);
         let impulse = [by_lane(3.0); WARM_ROWS];
         state.warm.push(Warm { slot: 0, feature: by_lane(1.0), impulse });

@@ -25,7 +25,7 @@ use crate::sim::{At, Sim};
 use crate::solve::Part;
 
 impl<R: Real> Sim<R> {
-    pub(super) fn rows_at_the_end<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
+    pub(super) fn rows_at_the_end(&mut self, observer: &mut dyn Observer<R>) -> Result<()> {
         let model = self.model.clone();
         let Clock { dt, rate, .. } = self.clock;
         let (qpos, qvel) = At::Start.of(&self.state, &self.next);
@@ -121,7 +121,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// The second solve: what the last velocity still lacks.
-    fn second<O: Observer<R>>(&mut self, answers: bool, observer: &mut O) -> Result<()> {
+    fn second(&mut self, answers: bool, observer: &mut dyn Observer<R>) -> Result<()> {
         let nv = self.model.nv;
         // v₁ − v̄, which the first solve did not change.
         for k in 0..nv {

@@ -71,7 +71,7 @@ impl<R: Real> Settling<R> {
             change: zeros(model.nv),
             way: zeros(model.nv),
             act: zeros(model.na),
-            tensions: std::array::from_fn(|_| zeros(model.actuators.len())),
+            tensions: core::array::from_fn(|_| zeros(model.actuators.len())),
         }
     }
 
@@ -120,7 +120,7 @@ impl<R: Real> Extrapolation<R> {
         Self {
             period: State::new(model),
             from: State::new(model),
-            table: std::array::from_fn(|_| change()),
+            table: core::array::from_fn(|_| change()),
             jump: vec![R::zero(); model.nv],
             moved: vec![Motion::zero(); model.bodies.len()],
             levers: model.bodies.iter().map(gyration::<R>).collect(),

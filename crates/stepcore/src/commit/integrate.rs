@@ -13,7 +13,7 @@ use crate::sim::{At, Sim};
 
 impl<R: Real> Sim<R> {
     /// One step of the integrator, into `next`.
-    pub(crate) fn integrate<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
+    pub(crate) fn integrate(&mut self, observer: &mut dyn Observer<R>) -> Result<()> {
         match self.plan.scheme.stages {
             Stages::Start => {
                 self.place_detect_solve(At::State)?;
@@ -48,7 +48,8 @@ impl<R: Real> Sim<R> {
                 let history = &mut next.ctrl_history;
                 activation::remember(model, &state.ctrl_history, &inputs.ctrl, history);
             }
-            Commit::Sleep => self.settle(),
+            Commit::Sleep if R::ALONE => self.settle(),
+            Commit::Sleep => {}
         }
     }
 

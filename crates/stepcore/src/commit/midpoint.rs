@@ -29,10 +29,10 @@ const PATIENCE: usize = 16;
 
 impl<R: Real> Sim<R> {
     /// One step from `next.start` into `next`.
-    pub(super) fn midpoint<O: Observer<R>>(
+    pub(super) fn midpoint(
         &mut self,
         inside: Inside,
-        observer: &mut O,
+        observer: &mut dyn Observer<R>,
     ) -> Result<()> {
         let model = self.model.clone();
         let (dt, half) = (self.clock.dt, R::of(0.5));

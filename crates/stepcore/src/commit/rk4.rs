@@ -19,13 +19,13 @@ const B: [f64; 4] = [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0];
 
 impl<R: Real> Sim<R> {
     /// Four stages from `next.start` into `next`.
-    pub(super) fn rk4<O: Observer<R>>(&mut self, inside: Inside, observer: &mut O) -> Result<()> {
+    pub(super) fn rk4(&mut self, inside: Inside, observer: &mut dyn Observer<R>) -> Result<()> {
         let outcome = self.stages(inside, observer);
         self.next.stage = 0;
         outcome
     }
 
-    fn stages<O: Observer<R>>(&mut self, inside: Inside, observer: &mut O) -> Result<()> {
+    fn stages(&mut self, inside: Inside, observer: &mut dyn Observer<R>) -> Result<()> {
         let model = self.model.clone();
         let dt = self.clock.dt;
         let zero = R::zero();

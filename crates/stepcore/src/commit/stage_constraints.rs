@@ -9,10 +9,10 @@ use crate::solve::{Choice, Part};
 
 impl<R: Real> Sim<R> {
     /// One step: `stages`, and the rows that do not act within them.
-    pub(super) fn after_stages<O: Observer<R>>(
+    pub(super) fn after_stages(
         &mut self,
-        stages: impl FnOnce(&mut Self, Inside, &mut O) -> Result<()>,
-        observer: &mut O,
+        stages: impl FnOnce(&mut Self, Inside, &mut dyn Observer<R>) -> Result<()>,
+        observer: &mut dyn Observer<R>,
     ) -> Result<()> {
         let inside = self.plan.inside;
         self.next.start.copy_from_slice(&self.state.qvel);
@@ -29,7 +29,7 @@ impl<R: Real> Sim<R> {
 
     /// Makes the velocities at the start keep the equalities, and take back a share β of what
     /// these gape. The stages leave both as they are.
-    fn start<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
+    fn start(&mut self, observer: &mut dyn Observer<R>) -> Result<()> {
         let model = self.model.clone();
         let (qpos, qvel) = At::State.of(&self.state, &self.next);
         let act = self.state.activations(self.clock);

@@ -75,7 +75,7 @@ fn above<R: Real>(between: &V3<R>, plane: &Pose<R>) -> R {
 
 /// Lanes in which the pair's spheres are apart by as much.
 #[inline(always)]
-pub(super) fn outside<R: Real, P>(
+fn outside<R: Real, P>(
     model: &Model<R::Value>,
     poses: &[Pose<R>],
     pair: &Pair<P>,

@@ -270,8 +270,8 @@ impl Fixed {
     fn split(boxes: &mut [Bounds], around: &mut [Bounds]) {
         let Some(&first) = boxes.first() else { return };
         let whole = boxes.iter().fold(Bounds { fixed: false, ..first }, |whole, own| Bounds {
-            low: std::array::from_fn(|k| whole.low[k].min(own.low[k])),
-            high: std::array::from_fn(|k| whole.high[k].max(own.high[k])),
+            low: crate::real::array::from_fn(|k| whole.low[k].min(own.low[k])),
+            high: crate::real::array::from_fn(|k| whole.high[k].max(own.high[k])),
             ..whole
         });
         let middle = boxes.len() / 2;

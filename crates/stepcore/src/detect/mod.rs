@@ -30,22 +30,13 @@ use crate::real::{Constant, Mask, Real, Value};
 use crate::room::can_be_had;
 use crate::shapes::{self, Hint, Hints, ShapeTest, Touch};
 use crate::spatial::{Pose, V3};
-use apart::{near, outside};
+use apart::near;
 use core::cell::Cell;
 use kept::Kept;
 pub(crate) use kept::Lists;
 use near::Found;
 use std::sync::{Arc, Mutex};
 use swept::Swept;
-
-/// Who tests some pairs.
-pub(crate) trait Elsewhere<R: Real>: Send + Sync {
-    fn takes(&self, pair: usize) -> bool;
-    /// A pair of these geoms, and where it may touch.
-    fn note(&mut self, pair: usize, near: R::Mask, geoms: [usize; 2], poses: &[Pose<R>]);
-    /// All are noted.
-    fn meet(&mut self);
-}
 
 /// One contact between the two geoms of a pair.
 #[derive(Clone, Debug)]
@@ -89,15 +80,13 @@ pub struct Detected<R: Real> {
     /// By part of the near pairs, where threads share the work.
     found: Vec<Mutex<Found<R>>>,
     pub(crate) pool: Option<Arc<Pool>>,
-    /// Who tests some of the pairs.
-    pub(crate) elsewhere: Option<Box<dyn Elsewhere<R>>>,
     /// Every pair is tested exactly, however far apart.
     #[cfg(test)]
     pub(crate) exhaustive: bool,
 }
 
 room!(Detected<R>: contacts, grown, swept, lists, asleep, fitting, hints, kept, found,
-    pool; elsewhere, #[cfg(test)] exhaustive);
+    pool; #[cfg(test)] exhaustive);
 
 impl<R: Real> Detected<R> {
     pub fn new(model: &Model<R::Value>, max_contacts: usize) -> Self {
@@ -114,7 +103,6 @@ impl<R: Real> Detected<R> {
             pool: None,
             asleep: vec![],
             fitting: FEW,
-            elsewhere: None,
             #[cfg(test)]
             exhaustive: false,
         }
@@ -136,10 +124,9 @@ impl<R: Real> Detected<R> {
         if let Some(dt) = ahead {
             self.swept.sweep(model, placed, dt);
         }
-        if let Some(heap) = &model.dynamic_pairs {
-            self.detect_near(model, heap, placed, ahead.is_some())?;
-        } else {
-            self.detect_fixed(model, placed, qpos, ahead.is_some());
+        match &model.dynamic_pairs {
+            Some(heap) if R::ALONE => self.detect_near(model, heap, placed, ahead.is_some())?,
+            _ => self.detect_fixed(model, placed, qpos, ahead.is_some()),
         }
         self.check_room()
     }
@@ -189,9 +176,6 @@ impl<R: Real> Detected<R> {
                 self.meet_fixed(model, &placed.geom, pair, ahead);
             }
         }
-        if let Some(elsewhere) = &mut self.elsewhere {
-            elsewhere.meet();
-        }
     }
 
     /// The contacts of a pair that its spheres do not keep apart.
@@ -203,12 +187,6 @@ impl<R: Real> Detected<R> {
         ahead: bool,
     ) {
         let more = ahead.then(|| self.swept.of(model, pair));
-        if let Some(elsewhere) = &mut self.elsewhere {
-            if elsewhere.takes(pair.index) {
-                let near = outside(model, poses, pair, more).not();
-                return elsewhere.note(pair.index, near, [pair.geom1, pair.geom2], poses);
-            }
-        }
         let near = near(model, poses, pair, more);
         #[cfg(test)]
         let near = if self.exhaustive { R::Mask::of(true) } else { near };

@@ -113,13 +113,13 @@ fn bounds<R: Real>(model: &Model<R::Value>, placed: &Placed<R>, index: usize, mo
     let centre = [pose.pos.x, pose.pos.y, pose.pos.z].map(|x| x.lane(0));
     let far = centre.iter().fold(reach, |far, x| far.max(x.abs()));
     let more = more + ROUNDING * reach + UNITS * R::epsilon() * far;
-    let size: [f64; 3] = std::array::from_fn(|i| {
+    let size: [f64; 3] = crate::real::array::from_fn(|i| {
         let along = |j: usize| pose.rot[(i, j)].lane(0).abs() * geom.half[j].lane(0);
         (along(0) + along(1) + along(2)).min(reach) + more
     });
     Bounds {
-        low: std::array::from_fn(|k| centre[k] - size[k]),
-        high: std::array::from_fn(|k| centre[k] + size[k]),
+        low: crate::real::array::from_fn(|k| centre[k] - size[k]),
+        high: crate::real::array::from_fn(|k| centre[k] + size[k]),
         geom: index as u32,
         fixed: false,
     }

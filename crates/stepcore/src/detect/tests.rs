@@ -35,7 +35,7 @@ pub fn scattered(random: &mut Random, count: usize, room: f64) -> Scene {
     };
     geom(&mut scene, 0, GeomType::Plane, [0.0; 3]);
     for i in 0..count {
-        let pos = std::array::from_fn(|_| random.between(0.0, room));
+        let pos = crate::real::array::from_fn(|_| random.between(0.0, room));
         let body = scene.bodies.len();
         scene.bodies.push(Body { parent: 0, pos, ..Body::default() });
         let name = format!("joint{}", scene.joints.len());

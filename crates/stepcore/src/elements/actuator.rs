@@ -20,6 +20,7 @@ use super::Kind;
 use crate::model::transmission::Pulls;
 use crate::model::Model;
 use crate::plan::acting::{Acts, ActuatorAt, Drive, Why};
+use crate::real::array::map;
 use crate::real::{value, Constant, Mask, Real, Value};
 use crate::scene::{self, Target};
 use crate::state::Inputs;
@@ -422,8 +423,8 @@ impl Forces for Actuator {
         let mut beside = [R::zero(); 2];
         let at = (now.qpos, now.qvel);
         if let Some(work) = work(model, index, at, now.act, now.inputs, pulls) {
-            by = work.slopes.map(|slope| -slope);
-            beside = work.slopes_beside.map(|slope| -slope);
+            by = map(work.slopes, |slope| -slope);
+            beside = map(work.slopes_beside, |slope| -slope);
         } else if own.gain_varies {
             let at = Along::of(model, index, now.qpos, now.qvel, pulls);
             let ctrl = now.act.ctrl(model, index, now.inputs);
@@ -436,15 +437,15 @@ impl Forces for Actuator {
         }
         if let Some(free) = free(now, index) {
             let held = |slope: R| R::select(free, slope, R::zero());
-            by = by.map(held);
+            by = map(by, held);
             // A joint bounds cogging and friction too, a tendon does not.
             if !matches!(actuator.target, Target::Tendon(_)) {
-                beside = beside.map(held);
+                beside = map(beside, held);
             }
         }
         let by = [by[0] + beside[0], by[1] + beside[1]];
         along.pairs(model, now.qpos, pulls, |i, j, product: R| {
-            add(i, j, by.map(|slope| -(product * slope)));
+            add(i, j, map(by, |slope| -(product * slope)));
         });
     }
 

@@ -67,7 +67,7 @@ impl<R: Real> Rows<R> {
             [a] => self.push_relative(now, bodies, pair.dofs, &points, (&[a], 1)),
             [a, b] => self.push_relative(now, bodies, pair.dofs, &points, (&[a, b], 2)),
             // Four numbers fill a register; lanes have registers of their own.
-            [a, b, c] if R::LANES == 1 => {
+            [a, b, c] if R::ALONE => {
                 let four = [a, b, c, V3::zeros()];
                 self.push_relative(now, bodies, pair.dofs, &points, (&four, 3));
             }

@@ -82,13 +82,13 @@ macro_rules! forces {
         }
 
         /// Calls `each(dofs)` for every element that can have slopes, with the dofs of these.
-        pub(crate) fn sloped<N: Constant>(model: &Model<N>, mut each: impl FnMut(&[usize])) {
+        pub(crate) fn sloped<N: Constant>(model: &Model<N>, each: &mut dyn FnMut(&[usize])) {
             let mut dofs = Vec::new();
             $(for Acts { at, .. } in &model.acting.$list {
                 dofs.clear();
                 $kind::sloped(model, at, &mut |dof| dofs.push(dof));
                 // A joint's dofs are each by themselves.
-                dofs.chunks(if $kind::IN_JOINTS { 1 } else { dofs.len().max(1) }).for_each(&mut each);
+                dofs.chunks(if $kind::IN_JOINTS { 1 } else { dofs.len().max(1) }).for_each(&mut *each);
             })+
         }
 
@@ -107,10 +107,11 @@ macro_rules! forces {
         }
 
         /// Calls `add(element, i, j, damping)` for the same.
+        #[inline(never)]
         pub(crate) fn damping_by_element<R: Real>(
             now: &Moment<R>,
             late: Late,
-            mut add: impl FnMut(Element, usize, usize, R),
+            add: &mut dyn FnMut(Element, usize, usize, R),
         ) {
             $(if late == Late::All || $kind::IN_JOINTS {
                 for Acts { index, at } in &now.model.acting.$list {
@@ -133,11 +134,11 @@ macro_rules! forces {
         }
 
         /// Calls `add(element, energy)` for every part of what the elements of a group store.
-        #[inline(always)]
+        #[inline(never)]
         pub(crate) fn stored<R: Real>(
             now: &Moment<R>,
             group: Group,
-            mut add: impl FnMut(Element, R),
+            add: &mut dyn FnMut(Element, R),
         ) {
             $(if $kind::GROUP == group {
                 for Acts { index, at } in &now.model.acting.$list {
@@ -159,7 +160,8 @@ macro_rules! forces {
         }
 
         /// Calls `each(element, dof, force)` for every push of every element, the weight's too.
-        pub(crate) fn each<R: Real>(now: &Moment<R>, mut each: impl FnMut(Element, usize, R)) {
+        #[inline(never)]
+        pub(crate) fn each<R: Real>(now: &Moment<R>, each: &mut dyn FnMut(Element, usize, R)) {
             $(for Acts { index, at } in &now.model.acting.$list {
                 let element = $kind::element(*index);
                 $kind::force(now, at, &mut |dof, force| each(element, dof, force));

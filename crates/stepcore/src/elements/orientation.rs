@@ -8,6 +8,7 @@
 
 use super::activation::Activations;
 use crate::model::Model;
+use crate::real::array::{from_fn, map};
 use crate::real::{Mask, Real, Value};
 use crate::scene::Target;
 use crate::spatial::{Quat, V3};
@@ -38,9 +39,9 @@ pub(super) fn turn<R: Real>(
         if own.quat { Quat { w: ctrl[3], v: vector }.normalized() } else { Quat::exp(&vector) };
     let here = Quat::of(&qpos[joint.qpos..]).normalized();
     let way = here.conjugate().mul(&target).log();
-    let [_, kp, kv] = actuator.bias.each_ref().map(|x| Value::calc([x], |[x]| 0.0 - x));
-    let torque = [way.x, way.y, way.z].map(|x| kp * x);
-    let torque: [R; 3] = core::array::from_fn(|k| torque[k] - kv * qvel[joint.dof + k]);
+    let [_, kp, kv] = from_fn(|k| Value::calc([&actuator.bias[k]], |[x]| 0.0 - x));
+    let torque = map([way.x, way.y, way.z], |x| kp * x);
+    let torque: [R; 3] = crate::real::array::from_fn(|k| torque[k] - kv * qvel[joint.dof + k]);
     let Some([_, most]) = &actuator.forcerange else {
         return Some(Turn { force: torque[own.axis], free: R::Mask::of(true) });
     };

@@ -29,7 +29,7 @@ impl<R: Real> Rows<R> {
     ) -> &'a [Contact<R>] {
         while let Some((own, rest)) = contacts.split_first_chunk::<N>() {
             // Lanes have vectors of their own.
-            if R::LANES > 1 || !self.pyramids(now, own) {
+            if !R::ALONE || !self.pyramids(now, own) {
                 own.iter().for_each(|contact| self.soft_contact(now, contact));
             }
             contacts = rest;

@@ -5,6 +5,7 @@ use super::{damper, spring, Kind};
 use crate::model::transmission::Transmission;
 use crate::model::Model;
 use crate::plan::acting::{TendonAt, Why};
+use crate::real::array::map;
 use crate::real::value::{self, none};
 use crate::real::{Constant, Mask, Real};
 use crate::scene::NONE;
@@ -35,7 +36,7 @@ fn spread<R: Real>(
 ) {
     let tendon = Transmission::Tendon(index, None);
     tendon.pairs(now.model, now.qpos, now.frames.pulls, |i, j, product: R| {
-        add(i, j, slopes.map(|slope| product * slope));
+        add(i, j, map(slopes, |slope| product * slope));
     });
 }
 

@@ -22,10 +22,16 @@ use crate::room::Room;
 use crate::scene::{Actuator, Softness};
 use crate::solve::law::impedance_form;
 
-/// A part of several models as one; None where more than numbers differs.
-trait Together<V> {
-    type Out;
-    fn together(of: &[&Self]) -> Option<Self::Out>;
+/// A part of a model, whose numbers may differ from world to world.
+trait Part {
+    /// The same of numbers of another kind.
+    type In<V: Constant>;
+    /// It differs from another in numbers alone, of which none is zero or infinite in one only.
+    fn like(&self, other: &Self) -> bool;
+    /// Its numbers, always in one order.
+    fn list(&self, numbers: &mut Vec<f64>);
+    /// The same with the numbers of all worlds, in that order.
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> Self::In<V>;
 }
 
 /// What a step may ask of a number without looking at it in every lane.
@@ -33,118 +39,171 @@ fn class(x: f64) -> (bool, bool) {
     (x == 0.0, x.is_infinite())
 }
 
-impl<V: Constant> Together<V> for f64 {
-    type Out = V;
-    fn together(of: &[&f64]) -> Option<V> {
-        let alike = |x: &&f64| class(**x) == class(*of[0]);
-        let same = of.iter().all(|x| x.to_bits() == of[0].to_bits());
-        if same {
-            return Some(V::by_lane(&[*of[0]]));
+/// The numbers of several models, and what is made of all of them.
+struct Numbers {
+    /// By model.
+    lists: Vec<Vec<f64>>,
+    /// How many were taken of each.
+    taken: usize,
+    /// By pair: its place among the different sets of materials that pairs have in the models; and these.
+    places: Vec<usize>,
+    sets: Vec<Vec<usize>>,
+    spheres: Vec<Spheres>,
+    body_pairs: Vec<BodyPair>,
+    guards: Vec<Guard>,
+}
+
+impl Numbers {
+    /// The next one of each model.
+    fn next<V: Constant>(&mut self) -> V {
+        let column: Vec<f64> = self.lists.iter().map(|list| list[self.taken]).collect();
+        self.taken += 1;
+        let same = column.iter().all(|x| x.to_bits() == column[0].to_bits());
+        V::by_lane(if same { &column[..1] } else { &column })
+    }
+}
+
+impl Part for f64 {
+    type In<V: Constant> = V;
+    fn like(&self, other: &Self) -> bool {
+        class(*self) == class(*other)
+    }
+    fn list(&self, numbers: &mut Vec<f64>) {
+        numbers.push(*self);
+    }
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> V {
+        numbers.next()
+    }
+}
+
+/// A list of parts, of whatever kind, whose `like` and `list` are those of a slice.
+macro_rules! list_of_parts {
+    () => {
+        fn like(&self, other: &Self) -> bool {
+            self.len() == other.len() && self.iter().zip(other.iter()).all(|(a, b)| a.like(b))
         }
-        of.iter().all(alike).then(|| V::by_lane(&of.iter().map(|x| **x).collect::<Vec<_>>()))
-    }
-}
-
-/// The same of what stands at one place in each of them.
-fn each<'a, V, T: 'a, P: Together<V> + 'a>(
-    of: &[&'a T],
-    part: impl Fn(&'a T) -> &'a P,
-) -> Option<P::Out> {
-    P::together(&of.iter().map(|whole| part(whole)).collect::<Vec<_>>())
-}
-
-impl<V, T: Together<V>> Together<V> for Vec<T> {
-    type Out = Vec<T::Out>;
-    fn together(of: &[&Self]) -> Option<Self::Out> {
-        if of.iter().any(|list| list.len() != of[0].len()) {
-            return None;
+        fn list(&self, numbers: &mut Vec<f64>) {
+            self.iter().for_each(|part| part.list(numbers));
         }
-        (0..of[0].len()).map(|k| each(of, |list| &list[k])).collect()
-    }
+    };
 }
 
-impl<V, T: Together<V>, const N: usize> Together<V> for [T; N] {
-    type Out = [T::Out; N];
-    fn together(of: &[&Self]) -> Option<Self::Out> {
-        let all: Option<Vec<T::Out>> = (0..N).map(|k| each(of, |list| &list[k])).collect();
-        all?.try_into().ok()
-    }
-}
-
-impl<V, T: Together<V>> Together<V> for Option<T> {
-    type Out = Option<T::Out>;
-    fn together(of: &[&Self]) -> Option<Self::Out> {
-        if of.iter().any(|some| some.is_some() != of[0].is_some()) {
-            return None;
+impl<T: Part> Part for Vec<T> {
+    type In<V: Constant> = Vec<T::In<V>>;
+    list_of_parts!();
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> Vec<T::In<V>> {
+        let mut all = Vec::with_capacity(self.len());
+        for part in self {
+            all.push(part.with(numbers));
         }
-        let some: Vec<&T> = of.iter().filter_map(|some| some.as_ref()).collect();
-        if some.is_empty() {
-            return Some(None);
+        all
+    }
+}
+
+impl<T: Part, const N: usize> Part for [T; N] {
+    type In<V: Constant> = [T::In<V>; N];
+    list_of_parts!();
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> [T::In<V>; N] {
+        self.each_ref().map(|part| part.with(numbers))
+    }
+}
+
+impl<T: Part> Part for Option<T> {
+    type In<V: Constant> = Option<T::In<V>>;
+    fn like(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Some(own), Some(other)) => own.like(other),
+            (own, other) => own.is_none() && other.is_none(),
         }
-        T::together(&some).map(Some)
+    }
+    fn list(&self, numbers: &mut Vec<f64>) {
+        self.iter().for_each(|part| part.list(numbers));
+    }
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> Option<T::In<V>> {
+        self.as_ref().map(|part| part.with(numbers))
     }
 }
 
-impl<V, T: Together<V>> Together<V> for Box<T> {
-    type Out = Box<T::Out>;
-    fn together(of: &[&Self]) -> Option<Self::Out> {
-        each(of, |own| &**own).map(Box::new)
+impl<T: Part> Part for Box<T> {
+    type In<V: Constant> = Box<T::In<V>>;
+    fn like(&self, other: &Self) -> bool {
+        (**self).like(other)
+    }
+    fn list(&self, numbers: &mut Vec<f64>) {
+        (**self).list(numbers);
+    }
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> Box<T::In<V>> {
+        Box::new((**self).with(numbers))
     }
 }
 
-impl<V, T: Together<V>> Together<V> for (usize, T) {
-    type Out = (usize, T::Out);
-    fn together(of: &[&Self]) -> Option<Self::Out> {
-        let same = of.iter().all(|own| own.0 == of[0].0);
-        same.then(|| each(of, |own| &own.1).map(|out| (of[0].0, out)))?
+impl<T: Part> Part for (usize, T) {
+    type In<V: Constant> = (usize, T::In<V>);
+    fn like(&self, other: &Self) -> bool {
+        self.0 == other.0 && self.1.like(&other.1)
+    }
+    fn list(&self, numbers: &mut Vec<f64>) {
+        self.1.list(numbers);
+    }
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> (usize, T::In<V>) {
+        (self.0, self.1.with(numbers))
     }
 }
 
-impl<V: Constant> Together<V> for Vector3<f64> {
-    type Out = Vector3<V>;
-    fn together(of: &[&Self]) -> Option<Self::Out> {
-        let all: Option<Vec<V>> = (0..3).map(|k| each(of, |own| &own[k])).collect();
-        Some(Vector3::from_vec(all?))
+impl Part for Vector3<f64> {
+    type In<V: Constant> = Vector3<V>;
+    list_of_parts!();
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> Vector3<V> {
+        Vector3::from_fn(|_, _| numbers.next())
     }
 }
 
-impl<V: Constant> Together<V> for Matrix3<f64> {
-    type Out = Matrix3<V>;
-    fn together(of: &[&Self]) -> Option<Self::Out> {
-        let all: Option<Vec<V>> = (0..9).map(|k| each(of, |own| &own[k])).collect();
-        Some(Matrix3::from_vec(all?))
+impl Part for Matrix3<f64> {
+    type In<V: Constant> = Matrix3<V>;
+    list_of_parts!();
+    /// Column after column, as they are stored and listed.
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> Matrix3<V> {
+        Matrix3::from_fn(|_, _| numbers.next())
     }
 }
 
-impl<V, A: Together<V>> Together<V> for Acts<A> {
-    type Out = Acts<A::Out>;
-    fn together(of: &[&Self]) -> Option<Self::Out> {
-        let same = of.iter().all(|own| own.index == of[0].index);
-        same.then(|| each(of, |own| &own.at).map(|at| Acts { index: of[0].index, at }))?
+impl<A: Part> Part for Acts<A> {
+    type In<V: Constant> = Acts<A::In<V>>;
+    fn like(&self, other: &Self) -> bool {
+        self.index == other.index && self.at.like(&other.at)
+    }
+    fn list(&self, numbers: &mut Vec<f64>) {
+        self.at.list(numbers);
+    }
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> Acts<A::In<V>> {
+        Acts { index: self.index, at: self.at.with(numbers) }
     }
 }
 
 /// A struct: its fields that hold numbers; those that are the same in all; what else has to be, as
-/// steps ask it of one of them; and fields that a function of that name makes of all.
+/// steps ask it of one of them; and fields that are made of all.
 macro_rules! parts {
-    ($type:ident: $($number:ident),*; $($same:ident),* $(; $ask:expr)* $(=> $($made:ident),*)?) => {
-        impl<V: Constant> Together<V> for $type {
-            type Out = $type<V>;
-            fn together(of: &[&Self]) -> Option<Self::Out> {
-                let first = of[0];
-                for other in &of[1..] {
-                    let same = true $(&& other.$same == first.$same)*;
-                    $(let ask: fn(&$type) -> _ = $ask;
-                    let same = same && ask(other) == ask(first);)*
-                    if !same {
-                        return None;
-                    }
+    ($type:ident: $($number:ident),*; $($same:ident),* $(; $ask:expr)*
+        $(=> $($made:ident: $make:expr),*)?) => {
+        impl Part for $type {
+            type In<V: Constant> = $type<V>;
+            fn like(&self, other: &Self) -> bool {
+                true $(&& self.$same == other.$same)*
+                    $(&& self.$number.like(&other.$number))*
+                    $(&& {
+                        let ask: fn(&$type) -> _ = $ask;
+                        ask(self) == ask(other)
+                    })*
+            }
+            fn list(&self, numbers: &mut Vec<f64>) {
+                $(self.$number.list(numbers);)*
+            }
+            fn with<V: Constant>(&self, numbers: &mut Numbers) -> $type<V> {
+                $type {
+                    $($number: self.$number.with(numbers),)*
+                    $($same: self.$same.clone(),)*
+                    $($($made: $make(self, numbers),)*)?
                 }
-                Some($type {
-                    $($number: each(of, |own| &own.$number)?,)*
-                    $($same: first.$same.clone(),)*
-                    $($($made: $made(of)?,)*)?
-                })
             }
         }
     };
@@ -165,7 +224,8 @@ parts!(FlatJoint: anchor; turns, axis);
 parts!(Geom: size, pos, reach, half, in_plane;
     name, body, kind, quat, axis, contype, conaffinity, hull, field, surface, group, hidden,
     collides, by_axis, belt);
-parts!(Pair: invweight, mass; geom1, geom2, test, index, slot, dofs, still, apart => material);
+parts!(Pair: invweight, mass; geom1, geom2, test, index, slot, dofs, still, apart
+    => material: |pair: &Pair, _: &mut Numbers| pair.material);
 parts!(Material: friction, margin, gap, soft, solreffriction, adhesion; condim;
     |own| own.friction.map(|mu| mu > 0.0); |own| own.adhesion > 0.0);
 parts!(Tendon: range, margin, springlength, stiffness, damping, armature, frictionloss,
@@ -187,21 +247,25 @@ parts!(Acting: damper, spring, tendon_spring, tendon_damper, compensation, drive
 parts!(Actuator: gear, gain, bias, dynprm, ctrlrange, actrange, forcerange, damping, armature;
     name, target, muscle_gain, muscle_bias, dampratio, controller, orientation, input, feeds,
     dynamics, actearly, lengthrange, delay, nsample, interp, enabled; |own| own.dynprm[2] < 1e-15);
-parts!(Model: gears, clamps, gravity, bodies, joints, dofs, trees, geoms, tendons, equalities, actuators, qpos_spring, limited, rubbing, acting, drives;
+parts!(Model: pairs, gears, clamps, gravity, bodies, joints, dofs, trees, geoms, tendons, equalities, actuators, qpos_spring, limited, rubbing, acting, drives;
     name, nq, nv, na, activations, nhistory, histories, along, circles, feeders, linkages, adheres,
     sticks, magnetic, features, mocaps, carried, sites, compensates, fluid, sensors, dynamic_pairs,
     explicit, excludes, keys, qpos0, dof_lists, row_dofs, couples, slots, makers, places;
     |model| model.trees.iter().map(|tree| model.free_ball(tree)).collect::<Vec<_>>()
-    => pairs, materials, spheres, body_pairs, guards);
+    => materials: |model: &Model, all: &mut Numbers| {
+        let first: Vec<usize> = all.sets.iter().map(|set| set[0]).collect();
+        first.into_iter().map(|at| model.materials[at].with(all)).collect()
+    }, spheres: |_: &Model, all: &mut Numbers| std::mem::take(&mut all.spheres),
+    body_pairs: |_: &Model, all: &mut Numbers| std::mem::take(&mut all.body_pairs),
+    guards: |_: &Model, all: &mut Numbers| std::mem::take(&mut all.guards));
 
-/// Which materials two pairs share may differ from world to world: a pair's own place, by its index in
-/// the first of them, until `pairs` finds it.
-fn material(of: &[&Pair]) -> Option<usize> {
-    Some(of[0].material)
-}
-
-/// By pair: its place among the different sets of materials that pairs have in the models; and these.
+/// By pair: its place among the different sets of materials that pairs have in the models; and these. Which
+/// materials two pairs share may differ from world to world.
 fn sets(of: &[&Model]) -> (Vec<usize>, Vec<Vec<usize>>) {
+    if let [one] = of {
+        let own = one.pairs.iter().map(|pair| pair.material).collect();
+        return (own, (0..one.materials.len()).map(|at| vec![at]).collect());
+    }
     let mut known: Vec<Vec<usize>> = vec![];
     let own = |pair: usize| of.iter().map(|model| model.pairs[pair].material).collect();
     let places = (0..of[0].pairs.len()).map(|pair| {
@@ -214,27 +278,38 @@ fn sets(of: &[&Model]) -> (Vec<usize>, Vec<Vec<usize>>) {
     (places.collect(), known)
 }
 
-fn pairs<V: Constant>(of: &[&Model]) -> Option<Vec<Pair<V>>> {
-    let mut pairs = each(of, |model| &model.pairs)?;
-    if of.len() > 1 {
-        let places = sets(of).0;
-        pairs
-            .iter_mut()
-            .zip(places)
-            .for_each(|(pair, place): (&mut Pair<V>, _)| pair.material = place);
+/// The numbers of models that differ in numbers alone; else None.
+fn numbers(of: &[&Model]) -> Option<Numbers> {
+    let first = of[0];
+    if !of[1..].iter().all(|other| first.like(other)) {
+        return None;
     }
-    Some(pairs)
+    let (places, sets) = sets(of);
+    let mut lists = vec![];
+    for (nth, model) in of.iter().enumerate() {
+        let mut list = vec![];
+        model.list(&mut list);
+        for set in &sets {
+            let own = &model.materials[set[nth]];
+            if !first.materials[set[0]].like(own) {
+                return None;
+            }
+            own.list(&mut list);
+        }
+        lists.push(list);
+    }
+    let (spheres, body_pairs, guards) = (spheres(of)?, body_pairs(of)?, guards(of)?);
+    Some(Numbers { lists, taken: 0, places, sets, spheres, body_pairs, guards })
 }
 
-fn materials<V: Constant>(of: &[&Model]) -> Option<Vec<Material<V>>> {
-    if of.len() == 1 {
-        return each(of, |model| &model.materials);
+/// Several models as one; None where more than numbers differs.
+fn together<V: Constant>(of: &[&Model]) -> Option<Model<V>> {
+    let mut numbers = numbers(of)?;
+    let mut model: Model<V> = of[0].with(&mut numbers);
+    for (pair, place) in model.pairs.iter_mut().zip(numbers.places) {
+        pair.material = place;
     }
-    let own = |set: &Vec<usize>| {
-        let own = of.iter().zip(set).map(|(model, at)| &model.materials[*at]);
-        Material::together(&own.collect::<Vec<_>>())
-    };
-    sets(of).1.iter().map(own).collect()
+    Some(model)
 }
 
 /// What is apart by the largest distance is apart in all of them.
@@ -280,38 +355,31 @@ fn guards(of: &[&Model]) -> Option<Vec<Guard>> {
     list.iter().all(|list| list.len() == first.len()).then(all)?
 }
 
-impl<V: Constant> Together<V> for Tie {
-    type Out = Tie<V>;
-    fn together(of: &[&Self]) -> Option<Tie<V>> {
-        let ends = || {
-            let own = |tie: &&'_ Self| match tie {
-                Tie::Connect(ends) | Tie::Weld { ends, .. } => Some(ends.clone()),
-                Tie::Lengths(_) => None,
-            };
-            let all: Option<Vec<Ends>> = of.iter().map(own).collect();
-            Ends::together(&all?.iter().collect::<Vec<_>>())
-        };
-        match of[0] {
-            Tie::Connect(_) => {
-                let same = of.iter().all(|tie| matches!(tie, Tie::Connect(_)));
-                same.then(ends)?.map(Tie::Connect)
+impl Part for Tie {
+    type In<V: Constant> = Tie<V>;
+    fn like(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Connect(own), Self::Connect(other)) => own.like(other),
+            (Self::Weld { ends, torquescale }, Self::Weld { ends: other, torquescale: scale }) => {
+                torquescale == scale && ends.like(other)
             }
-            Tie::Weld { torquescale, .. } => {
-                let own = |tie: &&Self| match tie {
-                    Tie::Weld { torquescale: own, .. } => own == torquescale,
-                    _ => false,
-                };
-                let torquescale = *torquescale;
-                of.iter().all(own).then(ends)?.map(|ends| Tie::Weld { ends, torquescale })
+            (Self::Lengths(own), Self::Lengths(other)) => own.like(other),
+            _ => false,
+        }
+    }
+    fn list(&self, numbers: &mut Vec<f64>) {
+        match self {
+            Self::Connect(ends) | Self::Weld { ends, .. } => ends.list(numbers),
+            Self::Lengths(own) => own.list(numbers),
+        }
+    }
+    fn with<V: Constant>(&self, numbers: &mut Numbers) -> Tie<V> {
+        match self {
+            Self::Connect(ends) => Tie::Connect(ends.with(numbers)),
+            Self::Weld { ends, torquescale } => {
+                Tie::Weld { ends: ends.with(numbers), torquescale: *torquescale }
             }
-            Tie::Lengths(_) => {
-                let own = |tie: &&Self| match tie {
-                    Tie::Lengths(own) => Some(own.clone()),
-                    _ => None,
-                };
-                let all: Option<Vec<Coupling>> = of.iter().map(own).collect();
-                Coupling::together(&all?.iter().collect::<Vec<_>>()).map(Tie::Lengths)
-            }
+            Self::Lengths(own) => Tie::Lengths(own.with(numbers)),
         }
     }
 }
@@ -388,14 +456,13 @@ impl<R: Real> SideBySide<R> {
 
 /// Two models are the same but for numbers.
 pub(crate) fn differ_in_numbers(one: &Arc<Model>, other: &Arc<Model>) -> bool {
-    let all = || <Model as Together<f64>>::together(&[one, other]);
-    Arc::ptr_eq(one, other) || one.dynamic_pairs.is_none() && all().is_some()
+    Arc::ptr_eq(one, other) || one.dynamic_pairs.is_none() && numbers(&[one, other]).is_some()
 }
 
 impl<V: Constant> Model<V> {
     /// One model as numbers of this kind have it.
     pub fn same(model: &Model) -> Self {
-        match Model::together(&[model]) {
+        match together(&[model]) {
             Some(model) => model,
             None => unreachable!("a model is like itself"),
         }
@@ -414,7 +481,7 @@ impl<V: Constant> Model<V> {
         if models[0].dynamic_pairs.is_some() {
             return None;
         }
-        Model::together(&models.iter().map(|model| &**model).collect::<Vec<_>>()).map(Arc::new)
+        together(&models.iter().map(|model| &**model).collect::<Vec<_>>()).map(Arc::new)
     }
 }
 

@@ -44,7 +44,7 @@ impl Lists {
 /// Closes every list of dofs that rows use.
 pub(super) fn close(model: &mut Model) {
     let mut touched: Vec<BTreeSet<usize>> = (0..model.nv).map(|_| BTreeSet::new()).collect();
-    sloped(model, |dofs| {
+    sloped(model, &mut |dofs| {
         for (nth, i) in dofs.iter().enumerate() {
             for j in dofs[..nth].iter().filter(|j| model.entry(*i, **j).is_none()) {
                 touched[*i.max(j)].insert(*i.min(j));
@@ -93,7 +93,7 @@ pub(super) fn close(model: &mut Model) {
 impl<N: Constant> Model<N> {
     /// Joins the trees that the metric of `discrete` couples.
     pub(super) fn join_coupled(&self, union: &mut Union) {
-        sloped(self, |dofs| {
+        sloped(self, &mut |dofs| {
             for two in dofs.windows(2) {
                 union.join(self.dofs[two[0]].tree, self.dofs[two[1]].tree);
             }
@@ -103,7 +103,7 @@ impl<N: Constant> Model<N> {
     /// By tree: the metric of `discrete` couples it to another one.
     pub(crate) fn coupled(&self) -> Vec<bool> {
         let mut coupled = vec![false; self.trees.len()];
-        sloped(self, |dofs| {
+        sloped(self, &mut |dofs| {
             let trees = dofs.iter().map(|dof| self.dofs[*dof].tree);
             if trees.clone().any(|tree| tree != self.dofs[dofs[0]].tree) {
                 trees.for_each(|tree| coupled[tree] = true);
@@ -115,7 +115,7 @@ impl<N: Constant> Model<N> {
     /// By tree: some element can have slopes on it.
     pub fn sloped(&self) -> Vec<bool> {
         let mut found = vec![false; self.trees.len()];
-        sloped(self, |dofs| dofs.iter().for_each(|dof| found[self.dofs[*dof].tree] = true));
+        sloped(self, &mut |dofs| dofs.iter().for_each(|dof| found[self.dofs[*dof].tree] = true));
         found
     }
 }

@@ -61,7 +61,7 @@ impl Material {
             let g = if x.priority > y.priority { x } else { y };
             return of(g.condim, g.friction, g.soft.clone(), g.adhesion);
         }
-        let larger = std::array::from_fn(|i| f64::max(x.friction[i], y.friction[i]));
+        let larger = crate::real::array::from_fn(|i| f64::max(x.friction[i], y.friction[i]));
         of(x.condim.max(y.condim), larger, mixed_softness(x, y), x.adhesion + y.adhesion)
     }
 
@@ -97,7 +97,7 @@ fn mixed_softness(x: &Geom, y: &Geom) -> Softness {
     let (p, q) = (&x.soft, &y.soft);
     // Stiffness and damping given directly are negative: the stiffer one counts.
     let direct = p.solref[0] <= 0.0 || q.solref[0] <= 0.0;
-    let solref = std::array::from_fn(|i| {
+    let solref = crate::real::array::from_fn(|i| {
         let (p, q) = (p.solref[i], q.solref[i]);
         if direct {
             p.min(q)
@@ -105,7 +105,7 @@ fn mixed_softness(x: &Geom, y: &Geom) -> Softness {
             blend(p, q)
         }
     });
-    Softness { solref, solimp: std::array::from_fn(|i| blend(p.solimp[i], q.solimp[i])) }
+    Softness { solref, solimp: crate::real::array::from_fn(|i| blend(p.solimp[i], q.solimp[i])) }
 }
 
 /// Sliding, torsional and rolling friction by direction.

@@ -215,7 +215,7 @@ fn place(geom: &mut Geom, solid: &Solid, aabb: bool) {
     let turned = rotation(solid.quat);
     if geom.kind == GeomType::Mesh {
         // As MuJoCo has it: the largest coordinates, which are not half of the extents.
-        geom.size = std::array::from_fn(|k| solid.low[k].abs().max(solid.high[k].abs()));
+        geom.size = crate::real::array::from_fn(|k| solid.low[k].abs().max(solid.high[k].abs()));
     } else {
         let half = if aabb {
             centre += turned * (solid.low + solid.high) * 0.5;
@@ -267,7 +267,8 @@ mod tests {
     use super::*;
 
     fn cube(half: f64) -> Mesh {
-        let corner = |i: usize| std::array::from_fn(|k| if i >> k & 1 == 1 { half } else { -half });
+        let corner =
+            |i: usize| crate::real::array::from_fn(|k| if i >> k & 1 == 1 { half } else { -half });
         Mesh { vertices: Arc::new((0..8).map(corner).collect()), ..Mesh::default() }
     }
 

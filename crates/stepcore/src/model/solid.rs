@@ -143,7 +143,9 @@ mod tests {
     fn block() -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
         let half = [0.3, 0.1, 0.2];
         let vertex = |i: usize| {
-            std::array::from_fn(|k| if i >> k & 1 == 1 { half[k] } else { -half[k] } + k as f64)
+            crate::real::array::from_fn(
+                |k| if i >> k & 1 == 1 { half[k] } else { -half[k] } + k as f64,
+            )
         };
         let vertices: Vec<[f64; 3]> = (0..8).map(vertex).collect();
         let hull = crate::shapes::hull::Hull::of(&vertices).unwrap();

@@ -111,7 +111,7 @@ impl<R: Real> BiasSlopes<R> {
 fn map<R: Real>(placed: &Placed<R>, body: usize) -> [Force<R>; 6] {
     let (inertia, v) = (&placed.inertia[body], &placed.velocity[body]);
     let momentum = inertia.mul(v);
-    core::array::from_fn(|n| {
+    crate::real::array::from_fn(|n| {
         let mut axis = V3::zeros();
         axis[n % 3] = R::one();
         let unit = match n < 3 {
@@ -138,6 +138,6 @@ fn times<R: Real>(map: &[Force<R>; 6], s: &Motion<R>) -> Force<R> {
 
 /// Bᵀ s.
 fn transposed<R: Real>(map: &[Force<R>; 6], s: &Motion<R>) -> Force<R> {
-    let [a, b, c, d, e, f] = core::array::from_fn(|n| s.dot(&map[n]));
+    let [a, b, c, d, e, f] = crate::real::array::from_fn(|n| s.dot(&map[n]));
     Force { ang: V3::new(a, b, c), lin: V3::new(d, e, f) }
 }

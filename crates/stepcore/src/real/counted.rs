@@ -39,7 +39,7 @@ fn note(operations: u64) {
 impl Counted {
     /// What this thread has counted since it was last asked, in the order of `Stage::ALL`.
     pub fn take() -> [u64; Stage::ALL.len()] {
-        TALLY.with(|tally| core::array::from_fn(|stage| tally.counts[stage].take()))
+        TALLY.with(|tally| crate::real::array::from_fn(|stage| tally.counts[stage].take()))
     }
 }
 

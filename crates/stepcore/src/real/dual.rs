@@ -8,7 +8,7 @@
 
 use core::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::{elementary, Constant, Real, Value};
+use super::{array, elementary, Constant, Real, Value};
 
 /// Directions that travel together.
 pub const WAYS: usize = 8;
@@ -22,7 +22,7 @@ pub struct Dual {
 impl Dual {
     #[inline(always)]
     fn with(value: f64, slope: impl Fn(usize) -> f64) -> Self {
-        Self { value, slopes: core::array::from_fn(slope) }
+        Self { value, slopes: crate::real::array::from_fn(slope) }
     }
     /// A function's value, and its derivative times this number's own.
     #[inline(always)]
@@ -142,7 +142,7 @@ impl Real for Dual {
         newton: impl FnOnce([Self; N]) -> [Self; N],
     ) -> [Self; N] {
         let step = newton(x.map(|x| Self::of(x.value)));
-        core::array::from_fn(|i| Self { value: x[i].value, slopes: step[i].slopes })
+        crate::real::array::from_fn(|i| Self { value: x[i].value, slopes: step[i].slopes })
     }
     #[inline(always)]
     fn steepness(self) -> f64 {
@@ -234,14 +234,14 @@ fn slope(samples: &[f64; 1 + AROUND * WAYS], way: usize) -> f64 {
 }
 
 fn dual(samples: &[f64; 1 + AROUND * WAYS]) -> Dual {
-    Dual { value: samples[0], slopes: core::array::from_fn(|way| slope(samples, way)) }
+    Dual { value: samples[0], slopes: crate::real::array::from_fn(|way| slope(samples, way)) }
 }
 
 impl Constant for Sampled {
     fn by_lane(numbers: &[f64]) -> Self {
         match numbers {
             [one] => Self::One(*one),
-            many => Self::Many(Box::new(core::array::from_fn(|k| many[k]))),
+            many => Self::Many(Box::new(crate::real::array::from_fn(|k| many[k]))),
         }
     }
     #[inline(always)]
@@ -263,10 +263,10 @@ impl Value<Dual> for Sampled {
     }
     #[inline(always)]
     fn calc<const N: usize>(of: [&Self; N], f: impl Fn([f64; N]) -> f64) -> Dual {
-        let at = |k: usize| f(of.map(|number| number.lane(k)));
+        let at = |k: usize| f(array::map(of, |number| number.lane(k)));
         if of.iter().all(|number| matches!(number, Self::One(_))) {
             return Dual { value: at(0), slopes: [0.0; WAYS] };
         }
-        dual(&core::array::from_fn(at))
+        dual(&crate::real::array::from_fn(at))
     }
 }

@@ -11,7 +11,7 @@ use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAss
 use num_traits::{One, Zero};
 use wide::{f32x8, f64x4, CmpLe, CmpLt};
 
-use super::{elementary, Constant, Mask, Real, Value};
+use super::{array, elementary, Constant, Mask, Real, Value};
 
 /// How many worlds of `f64` stand side by side: of fewer, a register would ask as often what there is
 /// to do; of more, it would make the rows of more worlds that touch in other places.
@@ -204,7 +204,7 @@ impl<B: Word<W>, const W: usize> Mask for LaneMask<B, W> {
     }
     #[inline(always)]
     fn from_lanes(value: impl Fn(usize) -> bool) -> Self {
-        Self(core::array::from_fn(|i| word(value(i))))
+        Self(crate::real::array::from_fn(|i| word(value(i))))
     }
 }
 
@@ -287,8 +287,8 @@ impl<T: Number<W>, const W: usize> Constant for ByWorld<Lanes<T, W>, W> {
         if numbers.iter().all(|x| x.to_bits() == first.to_bits()) {
             return Self::Same(first);
         }
-        let given = core::array::from_fn(|lane| numbers[lane.min(last)]);
-        Self::Each(Box::new(Each { rounded: Lanes(given.map(T::of)), given }))
+        let given = crate::real::array::from_fn(|lane| numbers[lane.min(last)]);
+        Self::Each(Box::new(Each { rounded: Lanes(array::map(given, T::of)), given }))
     }
     #[inline(always)]
     fn lane(&self, lane: usize) -> f64 {
@@ -310,9 +310,9 @@ impl<T: Number<W>, const W: usize> Value<Lanes<T, W>> for ByWorld<Lanes<T, W>, W
     #[inline(always)]
     fn calc<const N: usize>(of: [&Self; N], f: impl Fn([f64; N]) -> f64) -> Lanes<T, W> {
         if of.iter().all(|x| matches!(x, Self::Same(_))) {
-            return Lanes::of(f(of.map(|x| x.lane(0))));
+            return Lanes::of(f(array::map(of, |x| x.lane(0))));
         }
-        Lanes(core::array::from_fn(|lane| T::of(f(of.map(|x| x.lane(lane))))))
+        Lanes(crate::real::array::from_fn(|lane| T::of(f(array::map(of, |x| x.lane(lane))))))
     }
 }
 
@@ -382,7 +382,10 @@ mod tests {
         for turn in 0..W {
             let number = |i: usize| T::of(ends[(i * 3 + turn) % ends.len()]);
             let other = |i: usize| T::of(ends[(i + 2 * turn) % ends.len()]);
-            let (x, y) = (Lanes(core::array::from_fn(number)), Lanes(core::array::from_fn(other)));
+            let (x, y) = (
+                Lanes(crate::real::array::from_fn(number)),
+                Lanes(crate::real::array::from_fn(other)),
+            );
             let chosen = Lanes::select(x.lt(y).or(y.le(x).not()), x, y);
             for i in 0..W {
                 let (a, b) = (number(i), other(i));

@@ -71,6 +71,7 @@ macro_rules! scalar {
     };
 }
 
+pub mod array;
 mod count;
 mod counted;
 mod dual;
@@ -132,6 +133,8 @@ pub trait Real:
     type Value: Value<Self>;
     /// How many worlds one value holds.
     const LANES: usize;
+    /// One. What follows `if R::ALONE` is not compiled for lanes: heaps, sleep, steps within an accuracy.
+    const ALONE: bool = Self::LANES == 1;
 
     /// Unit roundoff of one lane, as an `f64`.
     fn epsilon() -> f64;
@@ -258,7 +261,7 @@ impl<R: Real> Value<R> for f64 {
     }
     #[inline(always)]
     fn calc<const N: usize>(of: [&Self; N], f: impl Fn([f64; N]) -> f64) -> R {
-        R::of(f(of.map(|x| *x)))
+        R::of(f(array::map(of, |x| *x)))
     }
 }
 

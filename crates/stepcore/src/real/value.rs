@@ -5,7 +5,7 @@ use nalgebra::Matrix3;
 
 /// Several of them.
 pub(crate) fn get<R: Real, V: Value<R>, const N: usize>(values: &[V; N]) -> [R; N] {
-    core::array::from_fn(|k| values[k].get())
+    crate::real::array::from_fn(|k| values[k].get())
 }
 
 /// A matrix of them.

@@ -22,7 +22,7 @@ pub fn by_lane<R: Real, T: OneWorld<N>, const N: usize>(
     one: &Shape<R>,
     two: &Shape<R>,
 ) -> Touches<R, N> {
-    if R::LANES == 1 && R::epsilon() <= f64::EPSILON {
+    if R::ALONE && R::epsilon() <= f64::EPSILON {
         return test(0).touches(one, two);
     }
     let mut out = [empty::<R>(); N];

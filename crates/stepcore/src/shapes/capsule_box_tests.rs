@@ -200,7 +200,7 @@ fn a_sphere_leaves_a_cylinder_by_side_lid_or_rim() {
     for _ in 0..200 {
         let (cylinder, size) = (random.pose(0.1), random.size());
         let poses: Vec<_> = (0..<Lanes>::LANES).map(|_| random.pose(0.5)).collect();
-        let gather = |f: &dyn Fn(usize) -> f64| -> Lanes { Lanes(core::array::from_fn(f)) };
+        let gather = |f: &dyn Fn(usize) -> f64| -> Lanes { Lanes(crate::real::array::from_fn(f)) };
         let wide = Pose {
             pos: Vector3::from_fn(|r, _| gather(&|i| poses[i].pos[r])),
             rot: Matrix3::from_fn(|r, c| gather(&|i| poses[i].rot[(r, c)])),

@@ -24,8 +24,8 @@ impl Grid {
         let bound = |axis: usize, pick: fn(f64, f64) -> f64| {
             points.iter().map(|p| p[axis]).reduce(pick).unwrap_or(0.0)
         };
-        let low: [f64; 3] = std::array::from_fn(|k| bound(k, f64::min));
-        let high: [f64; 3] = std::array::from_fn(|k| bound(k, f64::max));
+        let low: [f64; 3] = crate::real::array::from_fn(|k| bound(k, f64::min));
+        let high: [f64; 3] = crate::real::array::from_fn(|k| bound(k, f64::max));
         let half = (0..3).map(|k| 0.5 * high[k] - 0.5 * low[k]).fold(0.0, f64::max);
         if !half.is_normal() {
             return None;
@@ -33,12 +33,12 @@ impl Grid {
         // The power of two above `half`, from its exponent; it must not be subnormal or infinite.
         let exponent = (half.to_bits() >> 52) as i32 - 1022;
         let steps = 2.0_f64.powi(BITS - exponent);
-        let centre = std::array::from_fn(|k| 0.5 * low[k] + 0.5 * high[k]);
+        let centre = crate::real::array::from_fn(|k| 0.5 * low[k] + 0.5 * high[k]);
         (steps.is_normal() && half < 1e300).then_some(Self { centre, steps, half })
     }
 
     pub fn point(&self, p: &[f64; 3]) -> Point {
-        std::array::from_fn(|k| ((p[k] - self.centre[k]) * self.steps).round() as i64)
+        crate::real::array::from_fn(|k| ((p[k] - self.centre[k]) * self.steps).round() as i64)
     }
 }
 

@@ -194,7 +194,7 @@ impl HeightField {
     fn leads_out(&self, prism: &Prism, way: &V3<f64>, centre: &V3<f64>, tolerance: f64) -> bool {
         let most = prism.corners.iter().map(|c| c.dot(way)).fold(f64::NEG_INFINITY, f64::max);
         let far: [bool; 6] =
-            core::array::from_fn(|k| prism.corners[k].dot(way) >= most - tolerance);
+            crate::real::array::from_fn(|k| prism.corners[k].dot(way) >= most - tolerance);
         if far[3] || far[4] || far[5] {
             // The bottom, or a wall.
             let under = centre.z < -self.base;

@@ -83,7 +83,7 @@ impl Hull {
     pub fn block(half: [f64; 3]) -> Result<Self> {
         let sign =
             |i: usize, axis: usize| if i >> axis & 1 == 1 { half[axis] } else { -half[axis] };
-        let corner = |i: usize| std::array::from_fn(|axis| sign(i, axis));
+        let corner = |i: usize| crate::real::array::from_fn(|axis| sign(i, axis));
         Self::of(&(0..8).map(corner).collect::<Vec<_>>())
     }
 

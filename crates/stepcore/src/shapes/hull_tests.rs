@@ -14,7 +14,7 @@ impl Random {
         (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / (1_u64 << 53) as f64
     }
     fn point(&mut self) -> [f64; 3] {
-        std::array::from_fn(|_| 2.0 * self.next() - 1.0)
+        crate::real::array::from_fn(|_| 2.0 * self.next() - 1.0)
     }
 }
 

@@ -93,13 +93,14 @@ fn lanes_are_scalars_bit_for_bit() {
     for pair in PAIRS {
         for round in 0..200 {
             let scenes: Vec<_> = (0..WIDTH).map(|i| random.scene(i * (round % 3))).collect();
-            let gather = |f: &dyn Fn(usize) -> f64| -> Lanes { Lanes(core::array::from_fn(f)) };
+            let gather =
+                |f: &dyn Fn(usize) -> f64| -> Lanes { Lanes(crate::real::array::from_fn(f)) };
             let pose = |of: &dyn Fn(usize) -> Pose<f64>| Pose {
                 pos: Vector3::from_fn(|r, _| gather(&|i| of(i).pos[r])),
                 rot: Matrix3::from_fn(|r, c| gather(&|i| of(i).rot[(r, c)])),
             };
-            let sa = core::array::from_fn(|k| gather(&|i| scenes[i].1[k]));
-            let sb = core::array::from_fn(|k| gather(&|i| scenes[i].3[k]));
+            let sa = crate::real::array::from_fn(|k| gather(&|i| scenes[i].1[k]));
+            let sb = crate::real::array::from_fn(|k| gather(&|i| scenes[i].3[k]));
             let (a, b) = (pose(&|i| scenes[i].0), pose(&|i| scenes[i].2));
             let wide = touch(pair, &a, sa, &b, sb);
             for (i, (a, sa, b, sb)) in scenes.iter().enumerate() {

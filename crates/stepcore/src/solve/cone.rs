@@ -18,8 +18,8 @@
 //! iteration stops when its numbers stand still; their derivatives follow later, or never.
 
 use super::rows::{CONE, NARROW};
+use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
-use core::array::from_fn;
 
 /// Rounds of rotations; five to eight are usual.
 const ROUNDS: usize = 16;

@@ -184,7 +184,7 @@ impl<R: Real, const N: usize> Side<R, N> {
     fn jacobians(&self, now: &Situation<R>) -> [[R; EDGES]; SIX] {
         let [n, a, b] = &self.along;
         let [x, y, z] = self.arm.map(|arm| arm[0]);
-        let d: [[R; EDGES]; 3] = core::array::from_fn(|k| [n[k], a[k], b[k], R::zero()]);
+        let d: [[R; EDGES]; 3] = crate::real::array::from_fn(|k| [n[k], a[k], b[k], R::zero()]);
         let mut torque = [[R::zero(); EDGES]; 3];
         for i in 0..EDGES {
             torque[0][i] = y * d[2][i] - z * d[1][i];
@@ -215,7 +215,7 @@ impl<R: Real, const N: usize> Pyramids<R, N> {
         lines: &mut [[[R; N]; SIX]; EDGES],
     ) {
         // Lanes have vectors of their own.
-        if N == 1 && R::LANES == 1 {
+        if R::ALONE && N == 1 {
             return self.add_one(now, side, mu, lines);
         }
         let metric = &now.placed.metric;

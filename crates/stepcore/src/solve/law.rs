@@ -7,6 +7,7 @@
 
 use super::rows::Row;
 use super::situation::Situation;
+use crate::real::array::from_fn;
 use crate::real::{elementary, Constant, Mask, Real, Value};
 use crate::scene::Softness;
 use crate::settings::{Law, Settings};
@@ -169,7 +170,7 @@ pub enum ImpedanceForm {
 }
 
 pub fn impedance_form<N: Constant>(solimp: &[N; 5]) -> ImpedanceForm {
-    let [d0, dw, width, _, power] = solimp.each_ref().map(|x| x.lane(0));
+    let [d0, dw, width, _, power] = from_fn(|k| solimp[k].lane(0));
     match power.max(1.0) {
         _ if impedance(d0) == impedance(dw) || width <= 0.0 => ImpedanceForm::Flat,
         1.0 => ImpedanceForm::Linear,

@@ -78,7 +78,7 @@ impl<R: Real> Newton<R> {
             workers: Vec::new(),
             queue: Vec::new(),
             few: Few::new(),
-            by_lane: (R::LANES > 1).then(|| Box::new(ByLane::new())),
+            by_lane: if R::ALONE { None } else { Some(Box::new(ByLane::new())) },
         }
     }
 
@@ -95,15 +95,17 @@ impl<R: Real> Newton<R> {
     ) -> Result<Report<R>> {
         check(rows)?;
         let Unconstrained { dof_lists, inv_d, guess } = free;
-        if let Some(by_lane) = self.by_lane.as_mut().filter(|_| rows.heap) {
-            return by_lane.solve(free, rows, limits);
+        if !R::ALONE && rows.heap {
+            if let Some(by_lane) = &mut self.by_lane {
+                return by_lane.solve(free, rows, limits);
+            }
         }
         let mut report: Report<R> = Report::new();
         self.islands.sort(&rows.blocks);
         if self.patterns.len() < self.islands.count() {
             self.patterns.resize_with(self.islands.count(), Mutex::default);
         }
-        let shared = R::LANES == 1 && rows.rows.len() >= ROWS_WORTH_SHARING;
+        let shared = R::ALONE && rows.rows.len() >= ROWS_WORTH_SHARING;
         let pool = rows.pool.clone().filter(|_| shared && self.islands.count() > 1);
         let Self { islands, patterns, own, workers, queue, few: some, by_lane } = self;
         let task = Task { free, limits, islands };
@@ -141,17 +143,21 @@ impl<R: Real> Newton<R> {
                 queue.push(island);
                 continue;
             }
-            if let Some(by_lane) = by_lane.as_mut().filter(|_| by_lane::few(live)) {
-                let left = Primal { free, limits, live };
-                by_lane.solve_island(left, (island, &own.present), rows, &mut report);
-                continue;
+            if !R::ALONE && by_lane::few(live) {
+                if let Some(by_lane) = by_lane {
+                    let left = Primal { free, limits, live };
+                    by_lane.solve_island(left, (island, &own.present), rows, &mut report);
+                    continue;
+                }
             }
             let pattern = inside(&mut patterns[island]);
             own.solve(task, pattern, rows, live, &mut report);
             own.write(pattern, rows, live);
         }
-        if let Some(pool) = pool {
-            share(&pool, task, (queue, patterns), workers, rows, &mut report);
+        if R::ALONE {
+            if let Some(pool) = pool {
+                share(&pool, task, (queue, patterns), workers, rows, &mut report);
+            }
         }
         Ok(report)
     }

@@ -32,7 +32,7 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         }
         let arm = at - now.placed.origin[body.tree];
         let torques = along.map(|d| arm.cross(&d));
-        let numbers = |of: &[V3<R>; N]| core::array::from_fn(|k| of.map(|v| v[k]));
+        let numbers = |of: &[V3<R>; N]| crate::real::array::from_fn(|k| of.map(|v| v[k]));
         let chain = body.chain.of(&now.model.dof_lists);
         Some(Self { chain, ang: numbers(&torques), lin: numbers(&along) })
     }
@@ -78,7 +78,7 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         if now.model.joints[joint].kind == JointType::Free {
             return self.of_free_joint(now, first);
         }
-        core::array::from_fn(|k| self.of_dof(now, first + k))
+        crate::real::array::from_fn(|k| self.of_dof(now, first + k))
     }
 }
 
@@ -373,7 +373,7 @@ mod tests {
         assert!(is_free(&sim.model, &list) && !is_free(&sim.model, &list[1..]));
         let mut each: Vec<f64> = given.iter().flatten().copied().collect();
         metric.lift_each::<3>(&list, &mut each);
-        let mut six: [[f64; 3]; 6] = core::array::from_fn(|k| given[6 + k]);
+        let mut six: [[f64; 3]; 6] = crate::real::array::from_fn(|k| given[6 + k]);
         metric.lift_six(6, &mut six);
         for i in 0..3 {
             let mut one: Vec<f64> = given.iter().map(|x| x[i]).collect();

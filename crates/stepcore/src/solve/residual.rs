@@ -60,7 +60,7 @@ impl<R: Real> Rows<R> {
             Set::Convex | Set::Interval => R::zero(),
         };
         let inv = s.recip_or_zero();
-        let moved: [R; N] = core::array::from_fn(|i| impulse[i] - w[i] * inv);
+        let moved: [R; N] = crate::real::array::from_fn(|i| impulse[i] - w[i] * inv);
         let nearest = match block.set {
             Set::CoulombBox => project_box(block.mu, moved),
             _ => project_round(block.mu, moved),

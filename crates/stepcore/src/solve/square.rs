@@ -6,8 +6,8 @@
 //! Numerical Optimization, 16.5). The cost falls with every step, so no face comes twice.
 
 use super::cone::Matrix;
+use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
-use core::array::from_fn;
 
 /// Steps after which what is left is rounding: five ways seldom need ten.
 const STEPS: usize = 40;

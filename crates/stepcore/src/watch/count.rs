@@ -1,6 +1,6 @@
 //! What the next steps cost, in operations and in bytes.
 
-use super::watched::explained;
+use super::watched::{explained, Explain};
 use crate::arrays::Plain;
 use crate::error::Result;
 use crate::real::{Counted, Real, Stage};
@@ -11,22 +11,22 @@ pub struct Counter {
     sim: Sim<Counted>,
     /// Operations so far, in the order of `Stage::ALL`.
     pub counts: [u64; Stage::ALL.len()],
+    explain: Explain,
 }
 
 impl Counter {
     /// From the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
-        Self::of(&from.plain())
+        Self::of(&from.plain(), explained::<R::One>)
     }
 
-    fn of(from: &Plain) -> Result<Self> {
-        Ok(Self { sim: from.sim()?, counts: [0; Stage::ALL.len()] })
+    fn of(from: &Plain, explain: Explain) -> Result<Self> {
+        Ok(Self { sim: from.sim()?, counts: [0; Stage::ALL.len()], explain })
     }
 
     /// Takes `n` steps on this thread, and counts them.
-    #[inline] // A failure is explained in plain numbers, whose step is compiled where this is called.
     pub fn advance(&mut self, n: u64) -> Result<()> {
-        self.count(n).map_err(|error| explained(&self.sim, error))
+        self.count(n).map_err(|error| (self.explain)(&self.sim.plain(), error))
     }
 
     fn count(&mut self, n: u64) -> Result<()> {

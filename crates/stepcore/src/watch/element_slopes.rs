@@ -9,7 +9,7 @@
 use std::collections::BTreeMap;
 
 use super::linearize::{differentiated, Direction};
-use super::watched::explained;
+use super::watched::{explained, Explain};
 use crate::elements::forces::each;
 use crate::elements::{spin, Element, Kind};
 use crate::error::{Error, Result};
@@ -23,6 +23,7 @@ pub struct ElementSlopes {
     start: State<Dual>,
     done: usize,
     elements: BTreeMap<Element, Acts>,
+    explain: Explain,
 }
 
 /// What one element does.
@@ -41,7 +42,8 @@ impl ElementSlopes {
     /// At the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
         let sim = differentiated(&from.plain())?;
-        Ok(Self { start: sim.state.clone(), sim, done: 0, elements: BTreeMap::new() })
+        let (start, explain) = (sim.state.clone(), explained::<R::One> as Explain);
+        Ok(Self { start, sim, done: 0, elements: BTreeMap::new(), explain })
     }
 
     /// Evaluations that it takes in all.
@@ -50,10 +52,9 @@ impl ElementSlopes {
     }
 
     /// Makes the next `n` of them.
-    #[inline] // A failure is explained in plain numbers, whose step is compiled where this is called.
     pub fn advance(&mut self, n: u64) -> Result<()> {
         for _ in 0..n {
-            self.evaluate().map_err(|error| explained(&self.sim, error))?;
+            self.evaluate().map_err(|error| (self.explain)(&self.sim.plain(), error))?;
         }
         Ok(())
     }

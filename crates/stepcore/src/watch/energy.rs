@@ -23,8 +23,8 @@ impl<R: Real> Sim<R> {
         let kinetic = self.kinetic();
         let now = self.moment(At::State);
         let mut potential = R::zero();
-        stored(&now, Group::Passive, |_, energy| potential += energy);
-        stored(&now, Group::Weight, |_, energy| potential += energy);
+        stored(&now, Group::Passive, &mut |_, energy| potential += energy);
+        stored(&now, Group::Weight, &mut |_, energy| potential += energy);
         Energy { kinetic, potential }
     }
 

@@ -9,7 +9,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::watched::explained;
+use super::watched::{explained, Explain};
 use super::zeros;
 use crate::arrays::{Array, Given, Givens, Plain};
 use crate::elements::{Element, Kind};
@@ -117,9 +117,10 @@ pub struct Linearizer {
     /// Elements at which the derivatives of the nth linearisation are those of one side: a row of theirs
     /// is exactly where it becomes active.
     pub degenerate: Vec<(usize, Element)>,
+    explain: Explain,
 }
 
-room!(Linearizer: sim, start, ctrl, of, models, degenerate; own, asked, nth, done, still);
+room!(Linearizer: sim, start, ctrl, of, models, degenerate; own, asked, nth, done, still, explain);
 
 /// Derivatives start and end here; every one is found by its place.
 #[derive(Clone, Copy)]
@@ -136,10 +137,10 @@ impl Linearizer {
     /// computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
         from.settings.check_fixed("linearize")?;
-        Self::like(&from.plain())
+        Self::like(&from.plain(), explained::<R::One>)
     }
 
-    fn like(from: &Plain) -> Result<Self> {
+    fn like(from: &Plain, explain: Explain) -> Result<Self> {
         let sim = differentiated(from)?;
         let model = sim.models().first().clone();
         Ok(Self {
@@ -154,6 +155,7 @@ impl Linearizer {
             done: 0,
             still: false,
             degenerate: Vec::new(),
+            explain,
         })
     }
 
@@ -239,7 +241,6 @@ impl Linearizer {
     }
 
     /// Takes the next `n` of them, or all that are left. `to`: the matrices of those it was asked for.
-    #[inline] // A failure is explained in plain numbers, whose step is compiled where this is called.
     pub fn advance(&mut self, n: u64, asked: Option<&Asked>, to: &mut [f64]) -> Result<()> {
         for _ in 0..n.min(self.steps()) {
             self.advance_once(asked, to).map_err(|error| match asked {
@@ -255,7 +256,7 @@ impl Linearizer {
             self.take(&asked.worlds[asked.world(self.nth)])?;
             self.go_to(&asked.states.of(self.nth));
         }
-        self.step().map_err(|error| explained(&self.sim, error))?;
+        self.step().map_err(|error| (self.explain)(&self.sim.plain(), error))?;
         let size = self.rows() * self.width();
         self.read_all(&mut to[(self.nth - self.asked.start) * size..][..size])
     }
@@ -330,8 +331,9 @@ impl Linearizer {
                 None => state.qpos[place].slopes[slot],
                 // 2 q̄ · dq / |q|².
                 Some(axis) => {
-                    let q: [f64; 4] = core::array::from_fn(|k| state.qpos[place + k].value);
-                    let d: [f64; 4] = core::array::from_fn(|k| state.qpos[place + k].slopes[slot]);
+                    let q: [f64; 4] = crate::real::array::from_fn(|k| state.qpos[place + k].value);
+                    let d: [f64; 4] =
+                        crate::real::array::from_fn(|k| state.qpos[place + k].slopes[slot]);
                     let [i, j] = [(axis + 1) % 3 + 1, (axis + 2) % 3 + 1];
                     let k = axis + 1;
                     let turn = q[0] * d[k] - q[k] * d[0] - q[i] * d[j] + q[j] * d[i];
@@ -413,7 +415,7 @@ impl Direction {
                     return;
                 };
                 // q · (0, e/2).
-                let [w, x, y, z] = core::array::from_fn(|k| 0.5 * qpos[k].value);
+                let [w, x, y, z] = crate::real::array::from_fn(|k| 0.5 * qpos[k].value);
                 let slopes = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]][axis];
                 for (entry, slope) in qpos.iter_mut().zip(slopes) {
                     entry.slopes[slot] = slope;

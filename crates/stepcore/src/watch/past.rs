@@ -35,7 +35,7 @@ room!(Ring<R>: states, at, len);
 impl<R: Real> Ring<R> {
     fn new(model: &Model<R::Value>) -> Self {
         let mut counts = Array::counts(model).into_iter();
-        let empty = std::array::from_fn(|_| vec![R::zero(); counts.next().unwrap_or(0)]);
+        let empty = core::array::from_fn(|_| vec![R::zero(); counts.next().unwrap_or(0)]);
         Self { states: vec![empty; MEMORY], at: 0, len: 0 }
     }
 

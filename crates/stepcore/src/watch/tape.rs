@@ -129,7 +129,7 @@ impl<R: Real> Sim<R> {
             return list;
         }
         let Some(late) = scheme.late(self.model.features.eulerdamp) else { return list };
-        damping_by_element(&now, late, |element, i, j, damping| {
+        damping_by_element(&now, late, &mut |element, i, j, damping| {
             if self.model.entry(i, j).is_some() {
                 list.push((element, [i, j], [0.0, damping.lane(lane)]));
             }
@@ -164,7 +164,7 @@ impl<R: Real> Sim<R> {
         };
         let now = self.moment(At::State);
         for group in [Group::Passive, Group::Driven, Group::Weight] {
-            stored(&now, group, |element, energy| add(element, energy.lane(lane)));
+            stored(&now, group, &mut |element, energy| add(element, energy.lane(lane)));
         }
         if self.settings.law == Law::Penalty {
             let detected = self.detected_aside();
@@ -185,7 +185,7 @@ impl<R: Real> Observer<R> for Tape {
             *sum -= share * bias.lane(lane);
         }
         let now = sim.moment(at);
-        each(&now, |element, dof, force| self.add(element, dof, share * force.lane(lane)));
+        each(&now, &mut |element, dof, force| self.add(element, dof, share * force.lane(lane)));
         let servos = sim.model.bounded_servos();
         let saturated = servos.filter(|index| saturated(&now, *index).lane(lane));
         self.saturated.extend(saturated.map(|index| Element::whole(Kind::Actuator, index)));

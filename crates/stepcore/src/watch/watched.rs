@@ -6,7 +6,7 @@ use super::ledger::{Care, Ledger};
 use super::past::Past;
 use super::post_mortem::{look_into, Run};
 use super::tape::{taped, StepGains, Tape};
-use crate::arrays::{ArraySet, Given};
+use crate::arrays::{ArraySet, Given, Plain};
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::Real;
@@ -252,8 +252,12 @@ fn suspect<R: Real>(
     look_into(ledger, sim, past, others.worlds, lane, gained).or_else(|error| ledger.heard(error))
 }
 
-/// Why the next step of an accompanying copy failed: the same step in plain numbers says.
-pub(super) fn explained<R: Real>(sim: &Sim<R>, error: Error) -> Error {
-    let plain = sim.plain().sim::<f64>().and_then(|plain| Watched::around(plain).step(1));
+/// Why the next step of a world failed, which an accompanying copy found.
+pub(super) type Explain = fn(&Plain, Error) -> Error;
+
+/// The same step in numbers `R` says. Whoever makes a copy knows these, so that their step is compiled
+/// with theirs, and not once more with the copy's.
+pub(super) fn explained<R: Real>(copy: &Plain, error: Error) -> Error {
+    let plain = copy.sim::<R>().and_then(|plain| Watched::around(plain).step(1));
     plain.err().unwrap_or(error)
 }

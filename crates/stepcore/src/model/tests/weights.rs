@@ -19,7 +19,8 @@ fn a_shell_is_the_growth_of_its_solid() {
     ];
     for (kind, grows) in cases {
         let size = [0.7, 0.4, 0.9];
-        let grown = |e: f64| geom(kind, std::array::from_fn(|i| size[i] + e * f64::from(grows[i])));
+        let grown =
+            |e: f64| geom(kind, crate::real::array::from_fn(|i| size[i] + e * f64::from(grows[i])));
         let shell = Geom { shell_inertia: true, ..geom(kind, size) };
         let (more, less) = (grown(e), grown(-e));
         let area = (measure(&more) - measure(&less)) / (2.0 * e);

@@ -103,7 +103,8 @@ fn lanes_are_scalars() {
     let mut numbers = vec![0.0, -0.0, 1.0, 1e9, -1e300, f64::INFINITY, f64::NAN, 1e-320];
     numbers.extend((0..200).map(|i| 0.37 * f64::from(i) - 20.0));
     for k in 0..numbers.len() {
-        let pick = |step: usize| core::array::from_fn(|i| numbers[(k + step * i) % numbers.len()]);
+        let pick =
+            |step: usize| crate::real::array::from_fn(|i| numbers[(k + step * i) % numbers.len()]);
         let (x, y): ([f64; 8], [f64; 8]) = (pick(1), pick(17));
         let ((sin, cos), angle, power) = (sin_cos_each(&x), atan2_each(&y, &x), pow_each(&x, &y));
         for i in 0..8 {

@@ -86,7 +86,7 @@ fn rounds(e: &[f64; CONE], len: usize) -> impl Iterator<Item = [f64; CONE]> {
         if len == 3 {
             return quarter;
         }
-        core::array::from_fn(|i| f64::from(u8::from(i == way)) - u[way] * u[i] * per_size)
+        crate::real::array::from_fn(|i| f64::from(u8::from(i == way)) - u[way] * u[i] * per_size)
     })
 }
 

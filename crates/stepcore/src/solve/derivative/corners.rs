@@ -121,7 +121,7 @@ fn of_cone(
 }
 
 fn unit(i: usize) -> [f64; CONE] {
-    core::array::from_fn(|k| if k == i { 1.0 } else { 0.0 })
+    crate::real::array::from_fn(|k| if k == i { 1.0 } else { 0.0 })
 }
 
 impl Corner {

@@ -63,7 +63,7 @@ impl<R: Real> Gathered<R> {
     /// How many of them each lane has, if it is worth while to move them.
     fn worth_moving(&self) -> Option<[usize; WIDEST]> {
         let all = self.rows.len();
-        if R::LANES == 1 || all * all < WORTH {
+        if R::ALONE || all * all < WORTH {
             return None;
         }
         let mut counts = [0; WIDEST];

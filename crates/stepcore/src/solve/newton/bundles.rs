@@ -184,9 +184,11 @@ impl<'a, R: Real> Problem<'a, R> {
     pub fn dots(&self, x: &[R], out: &mut [R]) {
         for (b, bundle) in self.bundles.list.iter().enumerate() {
             let (mut y, mut out) = (self.y(bundle), &mut out[bundle.rows.range()]);
-            if let Some(free) = self.pattern.free(b) {
-                free.dot_each(y, x, out);
-                continue;
+            if R::ALONE {
+                if let Some(free) = self.pattern.free(b) {
+                    free.dot_each(y, x, out);
+                    continue;
+                }
             }
             let list = self.pattern.list(b);
             while out.len() >= WIDE {
@@ -209,10 +211,12 @@ impl<'a, R: Real> Problem<'a, R> {
             let own = bundle.rows.range();
             let (mut y, mut x, mut mask) =
                 (self.y(bundle), &x[own.clone()], &self.bundles.mask[own]);
-            if let Some(free) = self.pattern.free(b) {
-                // A heap is one world.
-                free.add_each(y, x, sign, out);
-                continue;
+            if R::ALONE {
+                if let Some(free) = self.pattern.free(b) {
+                    // A heap is one world.
+                    free.add_each(y, x, sign, out);
+                    continue;
+                }
             }
             let list = self.pattern.list(b);
             let head = self.pattern.head(b);
@@ -248,7 +252,7 @@ fn sums<R: Real, const N: usize>(
 ) -> usize {
     let len = list.len();
     let y = &y[..N * len];
-    let x: [R; N] = core::array::from_fn(|i| sign * x[i]);
+    let x: [R; N] = crate::real::array::from_fn(|i| sign * x[i]);
     let Some(head) = head else {
         for (at, k) in list.iter().enumerate() {
             let mut sum = out[*k];
@@ -262,7 +266,8 @@ fn sums<R: Real, const N: usize>(
     for part in [0..head, head..len] {
         let Some(first) = list.get(part.start) else { continue };
         let out = &mut out[*first..][..part.len()];
-        let rows: [&[R]; N] = core::array::from_fn(|i| &y[i * len + part.start..][..out.len()]);
+        let rows: [&[R]; N] =
+            crate::real::array::from_fn(|i| &y[i * len + part.start..][..out.len()]);
         for (at, out) in out.iter_mut().enumerate() {
             let mut sum = *out;
             for i in 0..N {

@@ -28,7 +28,7 @@ room!(ByLane<R>: newton, rows, inv_d, guess, blocks);
 
 /// So few lanes that each is solved by itself.
 pub(super) fn few<M: Mask>(live: M) -> bool {
-    M::LANES > 1 && (0..M::LANES).filter(|lane| live.lane(*lane)).count() < AS_LONG
+    (0..M::LANES).filter(|lane| live.lane(*lane)).count() < AS_LONG
 }
 
 impl<R: Real> ByLane<R> {

@@ -219,7 +219,7 @@ impl<R: Real> Columns<R> {
                 }
                 if let (FREE, Some(run)) = (entries.len(), member.run) {
                     let y = &y[row + run..][..FREE];
-                    let own: [R; FREE] = core::array::from_fn(|a| *curve * y[a]);
+                    let own: [R; FREE] = crate::real::array::from_fn(|a| *curve * y[a]);
                     self.own.extend_from_slice(&own);
                 } else {
                     self.own.extend(entries.iter().map(|e| *curve * y[row + e]));

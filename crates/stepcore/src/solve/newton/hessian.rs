@@ -281,7 +281,7 @@ impl<R: Real> Added<R> {
     #[inline(always)]
     fn add_rows<const WHOLE: bool>(&mut self, at: usize, y: &[R]) {
         for (c, part) in self.line.chunks_exact_mut(WIDE).take(at / WIDE + 1).enumerate() {
-            let mut sum: [R; WIDE] = core::array::from_fn(|i| part[i]);
+            let mut sum: [R; WIDE] = crate::real::array::from_fn(|i| part[i]);
             for ((row, mask), bent) in self.rows.iter().zip(self.bent.chunks_exact(self.stride)) {
                 let (left, bent) = (y[row + at], &bent[c * WIDE..][..WIDE]);
                 for i in 0..WIDE {

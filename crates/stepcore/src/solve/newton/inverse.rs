@@ -38,5 +38,5 @@ impl<R: Real> Rows<R> {
 }
 
 fn padded<R: Real, const N: usize>(w: &[R]) -> [R; N] {
-    core::array::from_fn(|i| w.get(i).copied().unwrap_or(R::zero()))
+    crate::real::array::from_fn(|i| w.get(i).copied().unwrap_or(R::zero()))
 }

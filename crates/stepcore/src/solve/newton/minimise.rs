@@ -128,7 +128,7 @@ impl<R: Real> System<R> {
     /// step = −H⁻¹ g.
     fn direction(&mut self, problem: Problem<R>) {
         let Problem { pattern, bundles, rows, .. } = problem;
-        if pattern.heap {
+        if R::ALONE && pattern.heap {
             let curved = Curved { bundles, y: &rows.y, curve: &self.curve };
             self.columns.factor(&pattern.nodes, &self.d, curved);
         } else {
@@ -142,7 +142,7 @@ impl<R: Real> System<R> {
 
     /// step ← H⁻¹ step.
     pub(super) fn solve(&mut self, pattern: &Pattern) {
-        if pattern.heap {
+        if R::ALONE && pattern.heap {
             self.columns.solve(&pattern.nodes, &mut self.step);
         } else {
             self.hessian.solve(pattern, &mut self.step);

@@ -43,7 +43,8 @@ impl<R: Real> Cone<R> {
     pub fn law<const N: usize>(&self, w: [R; N]) -> ([R; N], [[R; N]; N]) {
         let (zero, one) = (R::zero(), R::one());
         let m = self.slope;
-        let a: [R; N] = core::array::from_fn(|i| if i == 0 { -w[0] } else { -self.k * w[i] });
+        let a: [R; N] =
+            crate::real::array::from_fn(|i| if i == 0 { -w[0] } else { -self.k * w[i] });
         let length = across(&a);
         let q = project_round(m, a);
         let inside = length.le(m * a[0]);

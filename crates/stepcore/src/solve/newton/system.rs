@@ -135,7 +135,7 @@ impl<R: Real> System<R> {
         for list in [&mut self.gradient, &mut self.step] {
             fill(list, dofs.len());
         }
-        if problem.pattern.heap {
+        if R::ALONE && problem.pattern.heap {
             self.columns.start(&problem.pattern.nodes);
         } else {
             self.hessian.start(problem.pattern, &self.d, problem.bundles.curves);
@@ -259,5 +259,5 @@ fn penalties<R: Real>(bundles: &Bundles<R>, w: &[R]) -> R {
 /// A cone's numbers, 0 for the rows that it does not have.
 pub(super) fn padded<R: Real, const N: usize>(x: &[R]) -> [R; N] {
     assert!(x.len() <= N);
-    core::array::from_fn(|i| x.get(i).copied().unwrap_or_else(R::zero))
+    crate::real::array::from_fn(|i| x.get(i).copied().unwrap_or_else(R::zero))
 }

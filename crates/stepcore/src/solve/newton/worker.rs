@@ -73,7 +73,7 @@ impl<R: Real> Worker<R> {
 
     /// Leaves out what no lane of `live` has: the others are solved already.
     pub fn keep_where(&mut self, live: R::Mask, rows: &Rows<R>) {
-        if R::LANES > 1 {
+        if !R::ALONE {
             self.present.retain(|b| rows.blocks[*b].mask.and(live).any());
         }
     }

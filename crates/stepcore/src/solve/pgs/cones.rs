@@ -3,8 +3,8 @@
 use super::super::cone::{times, InBall, InCone, Matrix};
 use super::super::rows::{Set, CONE, NARROW};
 use super::super::square::Square;
+use crate::real::array::from_fn;
 use crate::real::Real;
-use core::array::from_fn;
 
 /// What ties the impulses of a block, and for a cone its place among those of its kind.
 #[derive(Clone, Copy)]

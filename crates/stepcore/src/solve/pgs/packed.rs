@@ -11,8 +11,8 @@ use super::super::free::{six, Free, SIX};
 use super::super::rows::{Block, Row, Rows, Set, NARROW};
 use super::cones::{Narrow, Tie};
 use super::point::{along, gain, gain_in_cone, Point, EDGES};
+use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
-use core::array::from_fn;
 
 /// Edges are a pyramid's when what is left of their differences is so many roundings.
 const ROUNDINGS: f64 = 8.0;

@@ -3,8 +3,8 @@
 
 use super::super::free::SIX;
 use super::super::rows::NARROW;
+use crate::real::array::from_fn;
 use crate::real::Real;
-use core::array::from_fn;
 use core::ops::{Add, Mul, Neg, Sub};
 
 /// Rows of a pyramid.

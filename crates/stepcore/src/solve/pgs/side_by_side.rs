@@ -110,7 +110,7 @@ impl<R: Real> SideBySide<R> {
     /// Sweeps of the island at hand will be measured, and `on`: have momentum.
     pub fn measure(&mut self, inv_d: &[R], on: bool) {
         let by_body = self.dofs.iter().map(|dof| match inv_d.get(*dof as usize..) {
-            Some(own) => Six(core::array::from_fn(|k| R::one() / own[k])),
+            Some(own) => Six(crate::real::array::from_fn(|k| R::one() / own[k])),
             None => Six::zero(),
         });
         self.step = on.then(|| self.onward.begin(&self.bodies, by_body));

@@ -6,8 +6,8 @@ use super::cones::{Cones, Narrow, Tie, Wide};
 use super::packed::{Packed, Target};
 use super::point::{gain, gain_in_cone, Swept};
 use super::side_by_side::{SideBySide, SEEN};
+use crate::real::array::from_fn;
 use crate::real::{Mask, Real};
-use core::array::from_fn;
 
 /// How a block is solved, and its place among those solved like it.
 #[derive(Clone, Copy)]
@@ -99,6 +99,9 @@ impl<R: Real> Sweeps<R> {
     /// world by itself stand side by side, where bodies enough are apart and that is `allowed`.
     pub fn join(&mut self, inv_d: &[R], rows: &Rows<R>, list: &[usize], allowed: bool) {
         self.joined = false;
+        if !R::ALONE {
+            return;
+        }
         let pyramid = |at: &usize| match self.how[*at] {
             How::Packed(place) => {
                 let packed = &self.packed[place as usize];
@@ -106,7 +109,7 @@ impl<R: Real> Sweeps<R> {
             }
             _ => None,
         };
-        let single = allowed && R::LANES == 1 && list.len() > SEEN;
+        let single = allowed && list.len() > SEEN;
         if !single || !list.iter().all(|at| pyramid(at).is_some()) {
             return;
         }
@@ -119,21 +122,21 @@ impl<R: Real> Sweeps<R> {
 
     /// What contacts side by side gain will be asked; `on`: they are swept with momentum.
     pub fn measure(&mut self, inv_d: &[R], on: bool) {
-        if self.joined {
+        if R::ALONE && self.joined {
             self.side_by_side.measure(inv_d, on);
         }
     }
 
     /// The next sweep begins where momentum leads, if what stands side by side has any.
     pub fn go_on(&mut self) {
-        if self.joined {
+        if R::ALONE && self.joined {
             self.side_by_side.go_on();
         }
     }
 
     /// Rows of packed blocks get their impulses, and u what stands side by side.
     pub fn store(&self, rows: &mut Rows<R>, list: &[usize]) {
-        if self.joined {
+        if R::ALONE && self.joined {
             return self.side_by_side.store(rows);
         }
         for at in list {
@@ -193,7 +196,7 @@ impl<R: Real> Sweeps<R> {
         list: &[usize],
         live: R::Mask,
     ) -> Swept<R> {
-        if self.joined {
+        if R::ALONE && self.joined {
             return self.side_by_side.sweep();
         }
         let Rows { rows, blocks, y, u, .. } = rows;

@@ -9,24 +9,25 @@ use crate::solve::square::Square;
 fn brute(q: &[[f64; 3]; 3], b: [f64; 3], project: impl Fn([f64; 3]) -> [f64; 3]) -> [f64; 3] {
     let step = 1.0 / (q[0][0] + q[1][1] + q[2][2]);
     let gradient = |x: [f64; 3]| -> [f64; 3] {
-        core::array::from_fn(|i| b[i] + (0..3).map(|j| q[i][j] * x[j]).sum::<f64>())
+        crate::real::array::from_fn(|i| b[i] + (0..3).map(|j| q[i][j] * x[j]).sum::<f64>())
     };
     let (mut x, mut p, mut k) = ([0.0; 3], [0.0; 3], 0.0);
     for _ in 0..40_000 {
         let g = gradient(p);
-        let new = project(core::array::from_fn(|i| p[i] - step * g[i]));
+        let new = project(crate::real::array::from_fn(|i| p[i] - step * g[i]));
         let uphill: f64 = (0..3).map(|i| (p[i] - new[i]) * (new[i] - x[i])).sum();
         k = if uphill > 0.0 { 0.0 } else { k + 1.0 };
-        p = core::array::from_fn(|i| new[i] + k / (k + 3.0) * (new[i] - x[i]));
+        p = crate::real::array::from_fn(|i| new[i] + k / (k + 3.0) * (new[i] - x[i]));
         x = new;
     }
     x
 }
 
 fn random_spd(random: &mut Random, floor: f64) -> [[f64; 3]; 3] {
-    let r: [[f64; 3]; 3] = core::array::from_fn(|_| core::array::from_fn(|_| random.next()));
-    core::array::from_fn(|i| {
-        core::array::from_fn(|j| {
+    let r: [[f64; 3]; 3] =
+        crate::real::array::from_fn(|_| crate::real::array::from_fn(|_| random.next()));
+    crate::real::array::from_fn(|i| {
+        crate::real::array::from_fn(|j| {
             (0..3).map(|k| r[i][k] * r[j][k]).sum::<f64>() + if i == j { floor } else { 0.0 }
         })
     })
@@ -46,8 +47,8 @@ fn a_convex_block_is_the_minimum() {
         }
         // The same to rounding: the natural map.
         let w: [f64; 3] =
-            core::array::from_fn(|i| b[i] + (0..3).map(|j| q[i][j] * got[j]).sum::<f64>());
-        let back: [f64; 3] = project_round(mu, core::array::from_fn(|i| got[i] - w[i]));
+            crate::real::array::from_fn(|i| b[i] + (0..3).map(|j| q[i][j] * got[j]).sum::<f64>());
+        let back: [f64; 3] = project_round(mu, crate::real::array::from_fn(|i| got[i] - w[i]));
         for i in 0..3 {
             close(got[i], back[i], 1e-13 * (1.0 + got[0]));
         }
@@ -70,7 +71,7 @@ fn a_convex_block_at_the_seams() {
         ] {
             let x = convex.least(&b, true);
             let w = [b[0] + x[0], b[1] + 1e-3 * x[1], b[2] + 1e-3 * x[2]];
-            let back: [f64; 3] = project_round(mu, core::array::from_fn(|i| x[i] - w[i]));
+            let back: [f64; 3] = project_round(mu, crate::real::array::from_fn(|i| x[i] - w[i]));
             for i in 0..3 {
                 close(x[i], back[i], 1e-12 * (1.0 + mu));
             }
@@ -151,7 +152,7 @@ fn moved(pairs: &[(f64, f64)], h: f64) -> Vec<f64> {
 fn slope<const N: usize>(f: impl Fn(&[f64]) -> [f64; N], at: &[(f64, f64)]) -> [f64; N] {
     let h = 1e-6;
     let (up, down) = (f(&moved(at, h)), f(&moved(at, -h)));
-    core::array::from_fn(|i| (up[i] - down[i]) / (2.0 * h))
+    crate::real::array::from_fn(|i| (up[i] - down[i]) / (2.0 * h))
 }
 
 /// A positive definite lower triangle: isotropic in every third case.
@@ -176,11 +177,11 @@ fn a_cones_solution_has_its_slopes() {
         let at: Vec<_> = q.iter().chain(&b).map(|x| (*x, random.next())).collect();
         let mu = 0.7;
         let solve = |x: &[f64]| {
-            let q = core::array::from_fn(|i| x[i]);
+            let q = crate::real::array::from_fn(|i| x[i]);
             InCone::new(full(q), mu).least(&[x[6], x[7], x[8]], true)
         };
-        let q = core::array::from_fn(|i| dual(at[i]));
-        let b = core::array::from_fn(|i| dual(at[6 + i]));
+        let q = crate::real::array::from_fn(|i| dual(at[i]));
+        let b = crate::real::array::from_fn(|i| dual(at[6 + i]));
         let mu = Dual::of(mu);
         let impulse = InCone::new(full(q), mu).least(&b, true);
         let length = impulse[1].value.hypot(impulse[2].value);

@@ -17,10 +17,10 @@ type Matrix = [[f64; CONE]; CONE];
 
 /// Positive definite on the first `len`, the others of grades as different as coefficients are.
 fn random_spd(random: &mut Random, len: usize, floor: f64, grade: f64) -> Matrix {
-    let r: Matrix = core::array::from_fn(|_| core::array::from_fn(|_| random.next()));
-    let size: Vector = core::array::from_fn(|i| if i < 3 { 1.0 } else { grade });
-    core::array::from_fn(|i| {
-        core::array::from_fn(|j| {
+    let r: Matrix = crate::real::array::from_fn(|_| crate::real::array::from_fn(|_| random.next()));
+    let size: Vector = crate::real::array::from_fn(|i| if i < 3 { 1.0 } else { grade });
+    crate::real::array::from_fn(|i| {
+        crate::real::array::from_fn(|j| {
             if i >= len || j >= len {
                 return if i == j { 1.0 } else { 0.0 };
             }
@@ -31,20 +31,20 @@ fn random_spd(random: &mut Random, len: usize, floor: f64, grade: f64) -> Matrix
 }
 
 fn slope(q: &Matrix, b: &Vector, x: &Vector) -> Vector {
-    core::array::from_fn(|i| b[i] + (0..CONE).map(|j| q[i][j] * x[j]).sum::<f64>())
+    crate::real::array::from_fn(|i| b[i] + (0..CONE).map(|j| q[i][j] * x[j]).sum::<f64>())
 }
 
 /// The ways alone, and back.
 fn tail<R: Real>(q: [[R; CONE]; CONE]) -> [[R; WAYS]; WAYS] {
-    core::array::from_fn(|i| part(q[i + 1]))
+    crate::real::array::from_fn(|i| part(q[i + 1]))
 }
 
 fn part<R: Real>(x: [R; CONE]) -> [R; WAYS] {
-    core::array::from_fn(|i| x[i + 1])
+    crate::real::array::from_fn(|i| x[i + 1])
 }
 
 fn joined<R: Real>(x: [R; WAYS]) -> [R; CONE] {
-    core::array::from_fn(|i| if i == 0 { R::zero() } else { x[i - 1] })
+    crate::real::array::from_fn(|i| if i == 0 { R::zero() } else { x[i - 1] })
 }
 
 /// A wide cone's solution meets its conditions: x in the cone, w in its dual, and x·w = 0.
@@ -56,7 +56,7 @@ fn a_convex_block_is_the_minimum() {
         let len = 4 + case % 3;
         let grade = [1.0, 0.01, 1e-4][case % 4 % 3];
         let q = random_spd(&mut random, len, [1.0, 1e-2, 1e-6][case % 5 % 3], grade);
-        let b: Vector = core::array::from_fn(|i| {
+        let b: Vector = crate::real::array::from_fn(|i| {
             let size = if i < 3 { 1.0 } else { grade };
             if i < len {
                 random.next() * size
@@ -99,7 +99,8 @@ fn coulomb_ways_are_the_minimum() {
                 q[i][i] = 0.0;
             }
         }
-        let mut g: Vector = core::array::from_fn(|i| if i < len { random.next() } else { 0.0 });
+        let mut g: Vector =
+            crate::real::array::from_fn(|i| if i < len { random.next() } else { 0.0 });
         (3..CONE).for_each(|i| g[i] *= grade);
         g[0] = 0.0;
         let bound = [0.05, 0.4, 3.0, 100.0][case % 7 % 4];
@@ -115,7 +116,8 @@ fn coulomb_ways_are_the_minimum() {
             let left = if inside { w[i] } else { w[i] - towards * x[i] / bound };
             assert!(left.abs() <= 1e-9 * size, "{case}: {i} {left:e} {inside}");
         }
-        let start: Vector = core::array::from_fn(|i| if i < len { random.next() } else { 0.0 });
+        let start: Vector =
+            crate::real::array::from_fn(|i| if i < len { random.next() } else { 0.0 });
         let x = joined(Square::new(ways).least(&slopes, bound, &part(start), true));
         let w = slope(&q, &g, &x);
         for i in 1..len {
@@ -254,8 +256,8 @@ fn blocks_have_their_slopes() {
         for _ in 0..300 {
             let q = random_spd(&mut random, CONE, 0.3, 0.1);
             let dq = random_spd(&mut random, CONE, 0.0, 0.1);
-            let mut b: Vector = core::array::from_fn(|i| random.next() * [1.0, 0.1][i / 3]);
-            let mut db: Vector = core::array::from_fn(|i| random.next() * [1.0, 0.1][i / 3]);
+            let mut b: Vector = crate::real::array::from_fn(|i| random.next() * [1.0, 0.1][i / 3]);
+            let mut db: Vector = crate::real::array::from_fn(|i| random.next() * [1.0, 0.1][i / 3]);
             let (bound, mu) = (0.8 + 0.5 * random.next(), 0.7);
             if kind > 0 {
                 (b[0], db[0]) = (0.0, 0.0);
@@ -268,8 +270,10 @@ fn blocks_have_their_slopes() {
             };
             let (q, dq) = (strip(q), strip(dq));
             let at = |h: f64| {
-                let q = core::array::from_fn(|i| core::array::from_fn(|j| q[i][j] + h * dq[i][j]));
-                let b = core::array::from_fn(|i| b[i] + h * db[i]);
+                let q = crate::real::array::from_fn(|i| {
+                    crate::real::array::from_fn(|j| q[i][j] + h * dq[i][j])
+                });
+                let b = crate::real::array::from_fn(|i| b[i] + h * db[i]);
                 solve(kind, q, b, bound + 0.3 * h, mu)
             };
             let join = |x: f64, slope: f64| {
@@ -279,8 +283,10 @@ fn blocks_have_their_slopes() {
             };
             let got = solve(
                 kind,
-                core::array::from_fn(|i| core::array::from_fn(|j| join(q[i][j], dq[i][j]))),
-                core::array::from_fn(|i| join(b[i], db[i])),
+                crate::real::array::from_fn(|i| {
+                    crate::real::array::from_fn(|j| join(q[i][j], dq[i][j]))
+                }),
+                crate::real::array::from_fn(|i| join(b[i], db[i])),
                 join(bound, 0.3),
                 mu,
             );

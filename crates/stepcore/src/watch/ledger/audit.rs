@@ -40,7 +40,7 @@ impl<R: Real> Sim<R> {
         let now = self.moment(At::State);
         let mut moving = kinetic;
         for group in [Group::Passive, Group::Driven] {
-            stored(&now, group, |element, energy| {
+            stored(&now, group, &mut |element, energy| {
                 if !work.drives(element) {
                     moving += energy;
                 }
@@ -52,7 +52,7 @@ impl<R: Real> Sim<R> {
             }
         }
         let (mut gravity, mut size) = (zero, zero);
-        stored(&now, Group::Weight, |element, energy| {
+        stored(&now, Group::Weight, &mut |element, energy| {
             if model.moves(element) {
                 gravity += energy;
                 size += energy.abs();
