@@ -18,9 +18,10 @@ import stepcore as sc
 ROOT = Path(__file__).parents[1]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 MODEL = "gymnasium:half_cheetah"
-# What a reader did before, once the page played: halted the run at this share of it.
+# What a reader did before, once the page played: unchecked boxes, halted the run at a share of it.
 HALTED = """<script>
 setTimeout(() => {
+  for (const name of HIDDEN) document.getElementById(name).checked = false;
   const slider = document.getElementById("slider");
   slider.value = SHARE;
   slider.dispatchEvent(new Event("input"));
@@ -45,8 +46,11 @@ def error(page: Path) -> None:
     shipped.save_html(page, over=[converged], labels=["as shipped", "converged"])
 
 
-# What is on each photograph, and at which share of the time.
-TAKEN = {"view.png": (one_run, 0.268), "error.png": (error, 1.0)}
+# What is on each photograph, at which share of the time, and what is hidden.
+TAKEN = {
+    "view.png": (one_run, 0.268, []),
+    "error.png": (error, 1.0, ["contacts", "forces"]),
+}
 
 
 def photographs() -> dict[str, bytes]:
@@ -55,12 +59,14 @@ def photographs() -> dict[str, bytes]:
     return {name: photograph(chromium, *of) for name, of in TAKEN.items()} if chromium else {}
 
 
-def photograph(chromium: str, write: Callable[[Path], None], share: float) -> bytes:
+def photograph(
+    chromium: str, write: Callable[[Path], None], share: float, hidden: list[str]
+) -> bytes:
     """The page that is written, as a PNG."""
     with tempfile.TemporaryDirectory() as folder:
         page, picture = Path(folder, "run.html"), Path(folder, "run.png")
         write(page)
-        halted = HALTED.replace("SHARE", f"{share}")
+        halted = HALTED.replace("SHARE", f"{share}").replace("HIDDEN", f"{hidden}")
         page.write_text(page.read_text(encoding="utf-8") + halted, encoding="utf-8")
         command = (
             *(chromium, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage"),
