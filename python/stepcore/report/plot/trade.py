@@ -195,7 +195,7 @@ def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
         ]
         below = trade.frontier.searched(row) <= ABOVE * min(front, default=math.inf)
         # What a text covers, such as the line of the target, is pale around its letters.
-        halo = [withStroke(linewidth=3, foreground="white")]
+        halo = [withStroke(linewidth=1.5, foreground="white")]
         style: dict[str, Any] = {"textcoords": "offset points", "path_effects": halo}
         style |= {"ha": "right" if left and below else "left", "va": "top" if below else "bottom"}
         place = (-9 if left and below else 9, -9 if below else 9)
