@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
+README = Path(__file__).parents[1] / "README.md"
 PACKAGES = (
     "stepcore",
     "numpy",
@@ -102,6 +103,19 @@ class Report:
         text = json.dumps(self.data, indent=1, default=float)
         (RESULTS / f"{stem}.json").write_text(text + "\n")
         print(f"kept as {RESULTS.name}/{stem}.json and .txt")
+
+
+def put(page: Path, mark: str, text: str) -> None:
+    """The text between the marks of a page."""
+    start, end = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
+    before, rest = page.read_text(encoding="utf-8").split(start)
+    page.write_text(f"{before}{start}{text}{end}{rest.split(end)[1]}", encoding="utf-8")
+
+
+def markdown(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """A table in Markdown."""
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
 def _short(value: object) -> str:

@@ -62,30 +62,36 @@ class Times:
     def touches(self) -> bool:
         return max(self.ours.contacts, self.theirs.contacts) >= 0.5
 
-    def cells(self) -> list[str]:
-        """A line of the table."""
-        loads = [(getattr(self.ours, n), getattr(self.theirs, n)) for n in vars(self.ours)]
-        loops = (self.c_loop, self.python_loop)
-        us = [(np.median(found.ours), np.median(found.theirs)) for found in loops]
-        ratios = [f"**{found.ratio:.2f}**" for found in loops]
+    @property
+    def difference(self) -> str:
+        """How far the accelerations are apart, in words."""
         apart = [f"{max(self.apart):.0e}"] if self.apart else []
         if self.others:
             apart.append(
                 f"other contacts at {len(self.others)} of {STARTS}: {max(self.others):.0e}"
             )
-        return [
+        return "; ".join(apart)
+
+    def cells(self) -> tuple[str, ...]:
+        """A line of the table."""
+        loads = [(getattr(self.ours, n), getattr(self.theirs, n)) for n in vars(self.ours)]
+        loops = (self.c_loop, self.python_loop)
+        us = [(np.median(found.ours), np.median(found.theirs)) for found in loops]
+        ratios = [f"**{found.ratio:.2f}**" for found in loops]
+        return (
             *(self.name, str(self.nv)),
             *(f"{one:.1f}, {two:.1f}" for one, two in loads),
             *(ratios[0], f"{us[0][0]:.3g}, {us[0][1]:.3g}"),
             *(ratios[1], f"{us[1][0]:.3g}, {us[1][1]:.3g}"),
-            "; ".join(apart),
-        ]
+            self.difference,
+        )
 
 
+APART = "accelerations apart"
 HEAD = (
     *("robot", "dofs", "contacts", "rows", "iterations"),
     *(part for loop in LOOPS for part in (loop, "µs a step")),
-    "accelerations apart",
+    APART,
 )
 
 
@@ -164,13 +170,12 @@ def report(rows: list[Times], skipped: dict[str, str], options) -> str:
         loads = {"ours": vars(row.ours), "theirs": vars(row.theirs)}
         for loop, found in zip(LOOPS, (row.c_loop, row.python_loop), strict=True):
             kept.add(case=row.name, solver=loop, nv=row.nv, **loads, duel=found.record())
-    lines = [HEAD, ("---",) * len(HEAD), *(row.cells() for row in rows)]
-    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    kept.say(f"{table}\n\n{summary(rows)}\n")
+    table = record.markdown(HEAD, [row.cells() for row in rows])
+    kept.say(f"{table}\n{summary(rows)}\n")
     for name, why in skipped.items():
         kept.say(f"not measured: {name}: {why}")
     kept.close()
-    return f"{summary(rows)}\n\n{table}\n"
+    return f"{summary(rows)}\n\n{table}"
 
 
 def summary(rows: list[Times]) -> str:
@@ -194,10 +199,10 @@ def summary(rows: list[Times]) -> str:
 def slowest(rows: list[Times], count: int = 6) -> str:
     """The table of README: those that touch something, the slowest first, and the median."""
     rows = sorted((row for row in rows if row.touches), key=lambda row: row.c_loop.ratio)
-    lines = [("", "contacts", *LOOPS), ("---",) * 4]
+    lines = []
     for row in rows[:count]:
         ratios = (f"{row.c_loop.ratio:.2f}", f"{row.python_loop.ratio:.2f}")
-        lines.append((row.name, f"{row.theirs.contacts:.0f}", *ratios))
+        lines.append((row.name, f"{row.theirs.contacts:.0f}", *ratios, row.difference))
     medians = np.median([(row.c_loop.ratio, row.python_loop.ratio) for row in rows], axis=0)
-    lines.append((f"median of {len(rows)}", "", *(f"{median:.2f}" for median in medians)))
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    lines.append((f"median of {len(rows)}", "", *(f"{median:.2f}" for median in medians), ""))
+    return record.markdown(("", "contacts", *LOOPS, APART), lines)

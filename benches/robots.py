@@ -208,7 +208,7 @@ def compare(robots: list[robot_files.Robot], states: int, write: bool) -> None:
         rows.append(examine(robot, states))
         print(" | ".join((robot.collection, *cells(rows[-1]))), flush=True)
     if write:
-        put(DOCS, "robots", table(rows))
+        record.put(DOCS, "robots", table(rows))
         data = {"machine": record.machine(), "versions": record.versions()}
         data["rows"] = [asdict(row) for row in rows]
         text = json.dumps(data, indent=1, default=float)
@@ -232,15 +232,8 @@ def time(robots: list[robot_files.Robot], pairs: int, write: bool) -> None:
     options = argparse.Namespace(pairs=pairs, sample=SAMPLE, save=write)
     text = robot_times.report(rows, skipped, options)
     if write:
-        put(DOCS, "times", text)
-        put(ROOT / "README.md", "slowest robots", robot_times.slowest(rows))
-
-
-def put(page: Path, mark: str, text: str) -> None:
-    """The text between the marks of a page."""
-    start, end = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
-    before, rest = page.read_text(encoding="utf-8").split(start)
-    page.write_text(f"{before}{start}{text}{end}{rest.split(end)[1]}", encoding="utf-8")
+        record.put(DOCS, "times", text)
+        record.put(record.README, "slowest robots", robot_times.slowest(rows))
 
 
 if __name__ == "__main__":

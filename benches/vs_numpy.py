@@ -5,13 +5,15 @@ Scene), and the scene by hand on small arrays with generic rows. Many worlds: th
 by hand over 4096 worlds, which is numpy at its best, against `Batch` with as many.
 
 First both sides take the same steps from the same start; the line gives how far apart their
-positions end up at most, and holds no ratio if that is more than 1e-9.
+positions end up at most, and holds no ratio if that is more than 1e-9. A run that is kept writes
+the table of README, the worst row first.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy_side
@@ -23,6 +25,7 @@ from stepcore import lesson
 from stepcore.lesson.loop import Loop
 
 SAME = 1e-9
+HEAD = ("scene", "numpy", "numpy takes", "stepcore takes", "times as fast")
 AIM = 100.0  # times plain numpy
 WORLDS = 4096
 CHECKED, STEPS = 300, 400  # one world: steps that are compared, and that are timed
@@ -88,6 +91,22 @@ def main() -> None:
             one_world(case, options, report)
             many_worlds(case, options, report)
     report.close()
+    if options.save:
+        record.put(record.README, "numpy", table(report.records))
+
+
+def table(records: list[dict[str, Any]]) -> str:
+    """The table of README: numpy at its best and as one writes it, on one thread, worst first."""
+    rows = []
+    for entry in records:
+        plain = entry["opponent"].startswith("plain")
+        if "ratio" in entry and (plain or ", 1 thread " in entry["opponent"]):
+            many = entry["opponent"].split(" by hand")[0] + ", vectorised by hand"
+            times = (_time(entry[side]["median"]) for side in ("theirs_us", "ours_us"))
+            cells = (entry["case"], "one world" if plain else many, *times)
+            digits = 1 if entry["ratio"] < 10 else 0
+            rows.append((entry["ratio"], (*cells, f"{entry['ratio']:.{digits}f}")))
+    return record.markdown(HEAD, [row for _, row in sorted(rows)])
 
 
 def one_world(case: Case, options, report: record.Report) -> None:

@@ -27,7 +27,7 @@ TIMED = {"stepcore trade gymnasium:half_cheetah --error 10mm --mujoco"}
 # The time limit of measurements [s]: a slow machine shows the same answers as a fast one.
 PATIENCE = 600
 # The pictures of docs/ that commands draw, in about a minute. half_cheetah.png is drawn from
-# measured times, as it stands in the README; view.png is a photograph: see `photograph.py`.
+# measured times. Those of robots are photographs: see `photograph.py`.
 DRAWN = {
     "arm.png": "stepcore diagnose docs/arm.xml",
     "half_cheetah.png": "stepcore trade gymnasium:half_cheetah --error 10mm --mujoco",

@@ -36,9 +36,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the pages that have their text elsewhere, and draws the pictures anew."""
     for path, text in _pages().items():
         files.append(File.generated(config, path, content=text))
-    drawn_now = commands.pictures(ROOT)
-    if seen := photograph.view(ROOT):
-        drawn_now["view.png"] = seen
+    drawn_now = commands.pictures(ROOT) | photograph.photographs()
     for path, drawn in drawn_now.items():
         if kept := files.get_file_from_path(path):
             files.remove(kept)

@@ -1,21 +1,29 @@
-"""The photograph of a page that replays a run, taken by Chromium."""
+"""Photographs of pages that replay runs, taken by Chromium.
+
+`python docs_build/photograph.py` takes them anew for docs/.
+"""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 from commands import printed
 
+import stepcore as sc
+
+ROOT = Path(__file__).parents[1]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-RUN = "stepcore run gymnasium:half_cheetah --duration 2 --motion sines"
-# What a reader did before, once the page played: halted the run at this share of it.
+MODEL = "gymnasium:half_cheetah"
+# What a reader did before, once the page played: unchecked boxes, halted the run at a share of it.
 HALTED = """<script>
 setTimeout(() => {
+  for (const name of HIDDEN) document.getElementById(name).checked = false;
   const slider = document.getElementById("slider");
-  slider.value = 0.268;
+  slider.value = SHARE;
   slider.dispatchEvent(new Event("input"));
 }, 2000);
 </script>"""
@@ -26,15 +34,40 @@ def browser() -> str | None:
     return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
-def view(root: Path) -> bytes | None:
-    """The run as a PNG; None where there is no Chromium."""
+def one_run(page: Path) -> None:
+    """A run of a command."""
+    printed(f"stepcore run {MODEL} --duration 2 --motion sines --save {page}", ROOT)
+
+
+def error(page: Path) -> None:
+    """The worst start of the README's trade as shipped, over its converged motion."""
+    trade = sc.trade(MODEL, error="10mm", by="flops", further=0, progress=False)
+    converged, shipped = trade.seen(trade.shipped)
+    shipped.save_html(page, over=[converged], labels=["as shipped", "converged"])
+
+
+# What is on each photograph, at which share of the time, and what is hidden.
+TAKEN = {
+    "view.png": (one_run, 0.268, []),
+    "error.png": (error, 1.0, ["contacts", "forces"]),
+}
+
+
+def photographs() -> dict[str, bytes]:
+    """The photographs by their names; none where there is no Chromium."""
     chromium = browser()
-    if chromium is None:
-        return None
+    return {name: photograph(chromium, *of) for name, of in TAKEN.items()} if chromium else {}
+
+
+def photograph(
+    chromium: str, write: Callable[[Path], None], share: float, hidden: list[str]
+) -> bytes:
+    """The page that is written, as a PNG."""
     with tempfile.TemporaryDirectory() as folder:
-        page, picture = Path(folder, "run.html"), Path(folder, "view.png")
-        printed(f"{RUN} --save {page}", root)
-        page.write_text(page.read_text(encoding="utf-8") + HALTED, encoding="utf-8")
+        page, picture = Path(folder, "run.html"), Path(folder, "run.png")
+        write(page)
+        halted = HALTED.replace("SHARE", f"{share}").replace("HIDDEN", f"{hidden}")
+        page.write_text(page.read_text(encoding="utf-8") + halted, encoding="utf-8")
         command = (
             *(chromium, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage"),
             *("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars"),
@@ -43,3 +76,8 @@ def view(root: Path) -> bytes | None:
         )
         subprocess.run(command, check=True, capture_output=True, timeout=300)
         return picture.read_bytes()
+
+
+if __name__ == "__main__":
+    for name, taken in photographs().items():
+        (ROOT / "docs" / name).write_bytes(taken)

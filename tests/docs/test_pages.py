@@ -4,15 +4,20 @@ The Python blocks of a page run in their order as one script. What `print(...)  
 that text, "..." standing for anything. A block that begins with "# name.py" is that file.
 """
 
+import json
 import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+import benchmarks
 import commands as commands_on_pages
 import pytest
+import record
+import vs_numpy
 
+import stepcore as sc
 from stepcore.cli import COMMANDS, parser
 
 ROOT = Path(__file__).parents[2]
@@ -106,6 +111,26 @@ def test_a_page_shows_what_its_command_prints(page, command, shown):
 def lengths(text):
     """Every length in a text, whose lines may be broken before its unit."""
     return re.findall(r"[\d.]+\s[mµn]?m\b", text.replace("\n", " "))
+
+
+def test_the_log_beside_its_option_drives_the_robot(tmp_path):
+    """A row holds until the next; what has no column keeps the control of the start, here 0."""
+    (log,) = blocks(ROOT / "README.md", "csv")
+    (tmp_path / "log.csv").write_text(log, encoding="utf-8")
+    path = str(tmp_path / "log.csv")
+    run = sc.run("gymnasium:half_cheetah", ctrl=path, horizon=0.04, record="ctrl").trajectory
+    names = run.axes("ctrl")[0].entries
+    played = {name: run["ctrl"][1:, k].tolist() for k, name in enumerate(names)}
+    still = dict.fromkeys(names, [0.0] * 4)
+    assert played == still | {"bthigh": [0.4, 0.4, 0.5, 0.5], "fthigh": [-0.2, -0.2, -0.1, -0.1]}
+
+
+def test_the_numpy_table_is_of_the_last_kept_run():
+    """Where it no longer is: python benches/vs_numpy.py."""
+    kept = benchmarks.last_results(ROOT / "benches" / "results")["vs_numpy"]
+    records = json.loads(kept.with_suffix(".json").read_text(encoding="utf-8"))["records"]
+    shown = record.README.read_text(encoding="utf-8").split("<!-- numpy -->\n")[1]
+    assert shown.split("<!-- end of numpy -->")[0] == vs_numpy.table(records)
 
 
 def test_the_files_that_the_pages_name_are_there():

@@ -4,6 +4,7 @@ import warnings
 
 import menagerie
 import pytest
+import record
 import robot_files
 import robot_times
 import robots
@@ -57,8 +58,8 @@ def test_a_robot_is_as_near_mujoco_as_its_row_says(robot):
             assert value <= SLACK * limit + ROUNDING
 
 
-def ratios(page, mark, columns) -> list[tuple[str, ...]]:
-    """The names and two columns of ratios of a table between marks."""
+def columns_of(page, mark, columns) -> list[tuple[str, ...]]:
+    """The names and some columns of a table between marks."""
     text = page.read_text(encoding="utf-8").split(f"<!-- {mark} -->")[1]
     lines = text.split(f"<!-- end of {mark} -->")[0].splitlines()
     rows = [line.strip("| ").split(" | ") for line in lines if "/" in line and line[0] == "|"]
@@ -66,11 +67,13 @@ def ratios(page, mark, columns) -> list[tuple[str, ...]]:
 
 
 def test_the_slowest_robot_leads_both_tables():
-    every = ratios(robots.DOCS, "times", (5, 7))
+    every = columns_of(robots.DOCS, "times", (5, 7, 9))
     assert [float(row[1]) for row in every] == sorted(float(row[1]) for row in every)
-    readme = ratios(robots.ROOT / "README.md", "slowest robots", (2, 3))
+    readme = columns_of(record.README, "slowest robots", (2, 3, 4))
     touching = [row for row in every if row in readme]
     assert readme and readme == touching and readme[0] == every[0]
+    others = sum("other contacts" in row[3] for row in every)
+    assert f"{others} of the {len(every)} robots" in record.README.read_text(encoding="utf-8")
 
 
 def test_a_robot_is_timed_from_the_same_states_of_the_same_physics():

@@ -196,7 +196,7 @@ def test_the_sentences_name_the_shipped_settings():
         "As shipped (semi-implicit, pgs 1 sweep, dt 10 ms) the RMS position error over 400 ms is "
     )
     assert shipped.startswith(what)
-    assert half.startswith("Half that error or less costs ")
+    assert half.startswith("Half that error or less comes at ")
 
 
 def test_newton_has_no_sweeps_and_single_rows_need_one():

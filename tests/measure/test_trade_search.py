@@ -5,6 +5,7 @@ Costs are counted operations: what is found is the same on every machine.
 
 import dataclasses
 import json
+import re
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
@@ -96,7 +97,7 @@ def test_it_keeps_to_the_error_and_says_what_less_would_cost(ball):
     (next_better,) = [said for said in rest if "alf " in said[:90]]
     there = ball.error(row) > searched(row)
     begins = f"In the {ball.starts} starts of the search its error is "
-    assert next_better.startswith(begins if there else "Half that error or less costs ")
+    assert next_better.startswith(begins if there else "Half that error or less comes at ")
 
 
 def test_the_next_better_is_better_than_what_was_found():
@@ -298,11 +299,24 @@ def nearly(ball, error, held):
     return dataclasses.replace(ball, frontier=ball.frontier.updated(cheap))
 
 
+def beside_shipped(trade, row):
+    ratio = trade.frontier.price(row) / trade.frontier.price(trade.shipped)
+    return f"{ratio:.2f}× the cost of the shipped settings"
+
+
+def test_every_multiple_of_an_answer_is_of_the_shipped_cost(ball):
+    """Law: what costs more than what is recommended has the larger multiple."""
+    result = nearly(ball, 5e-5, 7)
+    rows = result.recommended, result.passed_over, result.next_better()
+    said = re.findall(r"[\d.]+×[^:.]*", " ".join(result.sentences))
+    assert said == [beside_shipped(result, row) for row in rows]
+
+
 def test_a_cheaper_setting_within_the_target_is_explained(ball):
     """At 95 µm it is within the 100 µm asked for, but not within the 90 µm that are kept to."""
     result = nearly(ball, 9.5e-5, 8)
     (said,) = [said for said in result.sentences if "but a recommendation keeps to" in said]
-    assert said.startswith("Cheaper settings (0.50×: ")
+    assert said.startswith(f"Cheaper settings ({beside_shipped(result, result.passed_over)}: ")
     assert ") stayed within 100 µm too, with 95 µm; " in said
     assert said.endswith("keeps to 90 µm, because starts that were not run may be worse.")
     assert result.misses(result.passed_over) == (0, 12) and result.kept == pytest.approx(9e-5)
@@ -313,7 +327,7 @@ def test_a_cheaper_setting_within_the_target_is_explained(ball):
 def test_a_setting_that_misses_on_one_start_is_named_with_its_price(ball):
     result = nearly(ball, 5e-5, 7)
     (said,) = [said for said in result.sentences if "with other starts the answer" in said]
-    assert said.startswith("Cheaper settings (0.50×: ")
+    assert said.startswith(f"Cheaper settings ({beside_shipped(result, result.passed_over)}: ")
     assert ") exceeded 100 µm on 1 of 12 starts, by up to " in said
     # Two of twelve are too many to speak of it.
     assert nearly(ball, 5e-5, 6).passed_over is None

@@ -342,5 +342,6 @@ def compared_with_mujoco(points: Sequence[Point], shipped: TradeRow) -> Iterator
         alike = (point.dt, point.integrator, point.solver) == (s.dt, s.integrator, s.solver)
         if alike and point.errors is not None:
             times = point.cost / shipped.cost
-            slower = "" if math.isnan(times) else f", and it takes {times:.2f} times as long"
-            yield f"As shipped MuJoCo's error is {metres(point.error)}{slower}."
+            slower = f", and it takes {times:.2f} times as long as stepcore"
+            known = "" if math.isnan(times) else slower
+            yield f"As shipped MuJoCo's error is {metres(point.error)}{known}."

@@ -175,8 +175,18 @@ class Words:
             return f"{price}, as shipped"
         if math.isnan(self.frontier.price(self.frontier.shipped)):
             return price
-        ratio = self._ratio(row, self.frontier.shipped)
-        return f"{price}, {ratio}× the cost of the shipped settings"
+        return f"{price}, {self._multiple(row)}"
+
+    def _multiple(self, row: TradeRow) -> str:
+        """Describe the cost of settings as a multiple of the cost of the shipped settings.
+
+        Every multiple of an answer is of that cost. Where the shipped settings fail and so have
+        none, it is the cost itself.
+        """
+        shipped = self.frontier.price(self.frontier.shipped)
+        if math.isnan(shipped):
+            return self._priced(row)
+        return f"{self.frontier.price(row) / shipped:.2f}× the cost of the shipped settings"
 
     def _confirmed(self, row: TradeRow) -> str:
         """Describe the result on further starts."""
@@ -200,23 +210,23 @@ class Words:
         other = self.passed_over
         if other is None:
             return
-        times, named = f"{self._ratio(other, row)}×", self._named(other)
-        which = f"the shipped settings ({named})" if other.shipped else named
+        cost = "as shipped" if other.shipped else self._multiple(other)
+        which = f"{cost}: {self._named(other)}"
         (missed, count), wrong = other.misses(error), self.frontier.error(other)
         if missed:
             yield (
-                f"Cheaper settings ({times}: {which}) exceeded {metres(error)} on {missed} of "
-                f"{count} starts, by up to {metres(wrong - error)}; with other starts the answer "
-                "may change."
+                f"Cheaper settings ({which}) exceeded {metres(error)} on {missed} of {count} "
+                f"starts, by up to {metres(wrong - error)}; with other starts the answer may "
+                "change."
             )
         elif wrong <= MARGIN * error:
             yield (
-                f"Cheaper settings also pass ({times}: {which}); the recommended ones have a "
-                "rounder time step."
+                f"Cheaper settings also pass ({which}); the recommended ones have a rounder time "
+                "step."
             )
         else:
             yield (
-                f"Cheaper settings ({times}: {which}) stayed within {metres(error)} too, with "
+                f"Cheaper settings ({which}) stayed within {metres(error)} too, with "
                 f"{metres(wrong)}; but a recommendation keeps to {metres(MARGIN * error)}, because "
                 "starts that were not run may be worse."
             )
@@ -231,12 +241,12 @@ class Words:
             return f"Half that error cannot be verified: the reference is good to {known}."
         if better is None:
             return f"No setting tried halves that error{f' in the {starts}' * there}."
-        costs = f"costs {self._ratio(better, row)}×"
+        comes = f"comes at {self._multiple(better)}"
         named = f"{self._named(better)}, with an error of {metres(searched(better))}"
         if not there:
-            return f"Half that error or less {costs}: {named}."
+            return f"Half that error or less {comes}: {named}."
         return (
-            f"In the {starts} its error is {metres(searched(row))}; half of that or less {costs}: "
+            f"In the {starts} its error is {metres(searched(row))}; half of that or less {comes}: "
             f"{named} there."
         )
 
@@ -277,7 +287,7 @@ class Words:
             offers.append(("The same error", same))
         for what, other in offers:
             yield (
-                f"{what} or less costs {self._ratio(other, row)}×: {self._named(other)}, with an "
+                f"{what} or less comes at {self._multiple(other)}: {self._named(other)}, with an "
                 f"error of {metres(self.frontier.searched(other))}."
             )
 
@@ -295,16 +305,13 @@ class Words:
             which = "recommended" if self.recommended else "shipped"
             costs = "; ".join(
                 f"{computing(point.cost)} in {point.row.settings.precision} (a single world: "
-                f"{point.row.cost / point.cost:.2g}×{'' if point.lanes else '; not in lanes'})"
+                f"{computing(point.row.cost)}{'' if point.lanes else '; not in lanes'})"
                 for point in points
             )
             yield (
                 f"In a batch of {points[0].worlds} worlds on one thread, the {which} settings cost "
                 f"for each world and simulated second {costs}."
             )
-
-    def _ratio(self, row: TradeRow, other: TradeRow) -> str:
-        return f"{self.frontier.price(row) / self.frontier.price(other):.2f}"
 
     def _named(self, row: TradeRow) -> str:
         """Describe settings, with every field that differs from the shipped settings."""

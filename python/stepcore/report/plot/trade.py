@@ -169,6 +169,8 @@ def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
 
     A grey ring, explained by the legend, marks a cheaper setting that almost meets the target.
     """
+    from matplotlib.patheffects import withStroke
+
     shipped = label(trade.shipped.settings, sweeps=False).replace(", dt", ",\ndt")
     marked = [(trade.shipped, f"as shipped\n{shipped}")]
     chosen, other = trade.recommended or trade.nearest, trade.passed_over
@@ -192,7 +194,9 @@ def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
             if r.best and trade.price(r) <= trade.price(row)
         ]
         below = trade.frontier.searched(row) <= ABOVE * min(front, default=math.inf)
-        style: dict[str, Any] = {"textcoords": "offset points"}
+        # What a text covers, such as the line of the target, is pale around its letters.
+        halo = [withStroke(linewidth=1.5, foreground="white")]
+        style: dict[str, Any] = {"textcoords": "offset points", "path_effects": halo}
         style |= {"ha": "right" if left and below else "left", "va": "top" if below else "bottom"}
         place = (-9 if left and below else 9, -9 if below else 9)
         axes.annotate(text, at, place, fontsize=TEXT, zorder=6, **style)
