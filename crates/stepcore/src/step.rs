@@ -85,14 +85,20 @@ impl<R: Real> Sim<R> {
         self.placed.held = self.plan.scheme.stages == Stages::Start;
     }
 
+    #[inline(always)]
     pub(crate) fn place_detect_solve(&mut self, at: At) -> Result<()> {
         if std::mem::take(&mut self.stands) {
             return Ok(());
         }
-        if !(R::ALONE && self.plan.sleeps) {
-            self.place_and_make_rows(at)?;
-            return self.solve_placed(at);
+        if R::ALONE && self.plan.sleeps {
+            return self.solve_with_sleepers(at);
         }
+        self.place_and_make_rows(at)?;
+        self.solve_placed(at)
+    }
+
+    #[inline(never)]
+    fn solve_with_sleepers(&mut self, at: At) -> Result<()> {
         self.begin_sleep();
         loop {
             self.place_and_make_rows(at)?;

@@ -13,6 +13,7 @@ use crate::sim::{At, Sim};
 
 impl<R: Real> Sim<R> {
     /// One step of the integrator, into `next`.
+    #[inline(always)]
     pub(crate) fn integrate(&mut self, observer: &mut dyn Observer<R>) -> Result<()> {
         match self.plan.scheme.stages {
             Stages::Start => {
