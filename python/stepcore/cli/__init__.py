@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib
+import math
 import os
 import sys
 import warnings
@@ -16,8 +17,9 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
 from stepcore.cli.terminal import INTERRUPTED, print_what_can_be_printed, reason, say
-from stepcore.deadline import OutOfTime
+from stepcore.deadline import SECONDS, OutOfTime
 from stepcore.escapes import printable
+from stepcore.report.terminal import describe, last_line
 
 COMMANDS = {
     "lesson": "check the engine on four small scenes whose results are known",
@@ -70,6 +72,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message}\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
+        last_line.end(keep=False)
         super()._print_message(printable(message), file)
 
     def refuse(self, unknown: Sequence[str]) -> NoReturn:
@@ -115,12 +118,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             raise
         return _failed(error)
+    finally:
+        last_line.end(keep=False)
 
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed arguments; report an unknown argument with the nearest option."""
     asked = _asked(argv)
     argv = [ALIASES.get(word, word) if word == asked else word for word in argv]
+    _describe(argv)
     top = parser(argv)
     if not argv:
         top.print_help()
@@ -136,6 +142,17 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
+def _describe(argv: Sequence[str]) -> None:
+    """Say on a terminal what a command does, before its module is imported."""
+    name = _asked(argv)
+    if name not in COMMANDS or not {"-h", "--help", "--version"}.isdisjoint(argv):
+        return
+    file = next((f" {word}" for word in argv[argv.index(name) + 1 :][:1] if word[:1] != "-"), "")
+    limit, given = SECONDS.get(name, math.inf), any(word.startswith("--sec") for word in argv)
+    most = f", at most {limit:g} s" if limit < math.inf and not given else ""
+    describe(f"stepcore {name}{file}{most}: {COMMANDS[name].partition(':')[0]}")
+
+
 def _asked(argv: Sequence[str]) -> str | None:
     """Return the command: the first argument that is no option."""
     return next((arg for arg in argv if not arg.startswith("-")), None)
@@ -143,7 +160,7 @@ def _asked(argv: Sequence[str]) -> str | None:
 
 def _run(args: argparse.Namespace) -> int:
     from stepcore import files
-    from stepcore.cli.interrupts import ends_early_on_ctrl_c, tells_first_answers
+    from stepcore.cli.interrupts import ends_early_on_ctrl_c, tells_so_far
     from stepcore.cli.output import check_output, deliver
     from stepcore.report.result import Result
 
@@ -151,7 +168,7 @@ def _run(args: argparse.Namespace) -> int:
         warnings.showwarning = _warned
         check_output(args)
         try:
-            with ends_early_on_ctrl_c(), tells_first_answers(not getattr(args, "json", None)):
+            with ends_early_on_ctrl_c(), tells_so_far(bool(getattr(args, "json", None))):
                 result = args.call(args, args.command)
         finally:
             files.outputs.clear()
@@ -163,6 +180,7 @@ def _run(args: argparse.Namespace) -> int:
 
 def _failed(error: Exception) -> int:
     """Print the error in one line and return its exit status."""
+    last_line.end(keep=False)
     say(reason(error))
     if isinstance(error, OutOfTime) and error.interrupted:
         return INTERRUPTED

@@ -1,4 +1,4 @@
-"""What a measurement says before its end: first answers, and what is known at Ctrl-C.
+"""What a measurement says before its end: what is known so far, and at Ctrl-C.
 
 The first Ctrl-C ends a measurement with what is known, the second at once.
 """
@@ -14,6 +14,12 @@ from typing import Any
 
 from stepcore import deadline
 from stepcore.cli.terminal import say
+from stepcore.deadline import Listener
+from stepcore.report.terminal import watched
+
+# When a measurement that still runs says what it knows so far, and how often again [s]: on a
+# terminal, and in a log.
+OFTEN, SELDOM = (1.0, 1.0), (10.0, 20.0)
 
 
 def stop(number: int, frame: FrameType | None) -> None:
@@ -26,10 +32,12 @@ def stop(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def tells_first_answers(wanted: bool) -> Iterator[None]:
-    """Print the first answers of long measurements to the error stream, if they are wanted."""
-    if wanted:
-        deadline.listener = say
+def tells_so_far(json: bool) -> Iterator[None]:
+    """Print to the error stream what long measurements know so far; with JSON on terminals only."""
+    if watched():
+        deadline.listener = Listener(say, *OFTEN)
+    elif not json:
+        deadline.listener = Listener(say, *SELDOM)
     try:
         yield
     finally:

@@ -116,7 +116,7 @@ def ablate(
     few = SCREENED if dear and starts > SCREENED else starts
     whole, alone, cut = _alone(baseline, removals, few, tolerance, workers)
     removals = list(alone)
-    time.tell(_so_far(whole, alone, tolerance))
+    time.so_far(_so_far(whole, alone, tolerance))
     selection.known = alone
     complete = False
     with (
@@ -203,9 +203,9 @@ def _alone(
 
 
 def _so_far(whole: VariantOutcome, alone: dict[Removal, VariantOutcome], tolerance: float) -> str:
-    """Return the first answer: what features save that are removed alone."""
+    """Return what features save that are removed alone, in words."""
     within = {one: outcome for one, outcome in alone.items() if outcome.worst <= tolerance}
-    said = f"first answer: {len(within)} of {units.counted(len(alone), 'feature')} add at most "
+    said = f"{len(within)} of {units.counted(len(alone), 'feature')} add at most "
     said += f"{metres(tolerance)} when removed alone"
     if within:
         best = max(within, key=lambda one: within[one].saved(whole))
