@@ -26,7 +26,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import monotonic
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from stepcore import checks
 
@@ -48,23 +48,11 @@ ROUND = (15, 30, 60, 120, 300, 600, 1800, 3600, 7200, 36000, 86400)
 
 F = TypeVar("F", bound=Callable[..., Any])
 clock = monotonic
+# Is called with what long measurements know so far; the command line sets it. And when one that
+# still runs tells the first, and how often again [s].
+listener: Callable[[str], object] | None = None
+pace = (10.0, 20.0)
 _thread = threading.local()
-
-
-class Listener(NamedTuple):
-    """Who is told what long measurements know so far.
-
-    tell: called with the words. first: the time after which a measurement that still runs tells
-    it, and again: the time until it tells more [s].
-    """
-
-    tell: Callable[[str], object]
-    first: float
-    again: float
-
-
-# The command line sets it.
-listener: Listener | None = None
 
 
 class OutOfTime(RuntimeError):
@@ -138,10 +126,10 @@ class Deadline:
         if self.outer is not None:
             self.outer.announce()
         elif self._news and listener is not None:
-            now = clock()
-            if now >= max(self.begun + listener.first, self._told + listener.again):
+            (first, again), now = pace, clock()
+            if now >= max(self.begun + first, self._told + again):
                 words, self._news, self._told = self._news, "", now
-                listener.tell(f"so far: {words}")
+                listener(f"so far: {words}")
 
     @contextmanager
     def opened(self) -> Iterator[Deadline]:

@@ -19,7 +19,7 @@ from typing import Any, NoReturn, TextIO
 from stepcore.cli.terminal import INTERRUPTED, print_what_can_be_printed, reason, say
 from stepcore.deadline import SECONDS, OutOfTime
 from stepcore.escapes import printable
-from stepcore.report.terminal import describe, last_line
+from stepcore.report.terminal import watched
 
 COMMANDS = {
     "lesson": "check the engine on four small scenes whose results are known",
@@ -38,6 +38,9 @@ COMMANDS = {
     "ablate": "measure the cost and the effect of each modelled feature",
     "info": "print versions and the machine",
 }
+# Commands that take no second.
+QUICK = ("info", "lesson", "plan")
+HELP = {"-h", "--help", "--version"}
 # Former names of commands.
 ALIASES = {"map": "stability-map"}
 DESCRIPTION = "Rigid-body physics that measures what speed costs in accuracy."
@@ -72,7 +75,6 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message}\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        last_line.end(keep=False)
         super()._print_message(printable(message), file)
 
     def refuse(self, unknown: Sequence[str]) -> NoReturn:
@@ -118,15 +120,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             raise
         return _failed(error)
-    finally:
-        last_line.end(keep=False)
 
 
 def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed arguments; report an unknown argument with the nearest option."""
     asked = _asked(argv)
     argv = [ALIASES.get(word, word) if word == asked else word for word in argv]
-    _describe(argv)
+    if watched():
+        _say_what_it_does(argv)
     top = parser(argv)
     if not argv:
         top.print_help()
@@ -142,15 +143,15 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
-def _describe(argv: Sequence[str]) -> None:
-    """Say on a terminal what a command does, before its module is imported."""
+def _say_what_it_does(argv: Sequence[str]) -> None:
+    """Say what a command does and how long it may take, before its module is imported."""
     name = _asked(argv)
-    if name not in COMMANDS or not {"-h", "--help", "--version"}.isdisjoint(argv):
+    if name not in COMMANDS or name in QUICK or not HELP.isdisjoint(argv):
         return
     file = next((f" {word}" for word in argv[argv.index(name) + 1 :][:1] if word[:1] != "-"), "")
     limit, given = SECONDS.get(name, math.inf), any(word.startswith("--sec") for word in argv)
     most = f", at most {limit:g} s" if limit < math.inf and not given else ""
-    describe(f"stepcore {name}{file}{most}: {COMMANDS[name].partition(':')[0]}")
+    say(f"{name}{file}{most}: {COMMANDS[name].partition(':')[0]}")
 
 
 def _asked(argv: Sequence[str]) -> str | None:
@@ -180,7 +181,6 @@ def _run(args: argparse.Namespace) -> int:
 
 def _failed(error: Exception) -> int:
     """Print the error in one line and return its exit status."""
-    last_line.end(keep=False)
     say(reason(error))
     if isinstance(error, OutOfTime) and error.interrupted:
         return INTERRUPTED

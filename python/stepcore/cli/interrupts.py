@@ -14,12 +14,10 @@ from typing import Any
 
 from stepcore import deadline
 from stepcore.cli.terminal import say
-from stepcore.deadline import Listener
 from stepcore.report.terminal import watched
 
-# When a measurement that still runs says what it knows so far, and how often again [s]: on a
-# terminal, and in a log.
-OFTEN, SELDOM = (1.0, 1.0), (10.0, 20.0)
+# On a terminal, when a measurement that still runs says what it knows, and how often again [s].
+OFTEN = (1.0, 1.0)
 
 
 def stop(number: int, frame: FrameType | None) -> None:
@@ -34,14 +32,15 @@ def stop(number: int, frame: FrameType | None) -> None:
 @contextmanager
 def tells_so_far(json: bool) -> Iterator[None]:
     """Print to the error stream what long measurements know so far; with JSON on terminals only."""
+    seldom = deadline.pace
     if watched():
-        deadline.listener = Listener(say, *OFTEN)
+        deadline.listener, deadline.pace = say, OFTEN
     elif not json:
-        deadline.listener = Listener(say, *SELDOM)
+        deadline.listener = say
     try:
         yield
     finally:
-        deadline.listener = None
+        deadline.listener, deadline.pace = None, seldom
 
 
 @contextmanager

@@ -55,8 +55,9 @@ def say(text: str, end: str = "\n") -> None:
 
 
 def put(text: str, end: str = "\n", stream: TextIO | None = None) -> None:
-    """Print a text above what goes on; control characters in names are escaped."""
-    with last_line.free(keep=stream is not None):
+    """Print a text above a bar; control characters in names are escaped."""
+    with last_line.lock:
+        last_line.draw("")
         print(printable(text), end=end, file=stream or sys.stdout, flush=stream is not None)
 
 

@@ -25,7 +25,7 @@ from types import TracebackType
 
 from stepcore import checks
 from stepcore.deadline import OutOfTime
-from stepcore.report.terminal import last_line, room, watched
+from stepcore.report.terminal import last_line, watched
 from stepcore.report.units import seconds
 
 # The argument `progress` of users: None (a bar in a terminal or a notebook), False (nothing), or a
@@ -65,8 +65,8 @@ class Progress:
             self._draw()
 
     def show_life(self) -> None:
-        """Show that the work goes on, if a line in a log or the first bar of a command is due."""
-        if self._shows and (last_line if watched() else _lines).due:
+        """Write the next line where nobody watches, if it is due."""
+        if self._shows and _lines.due and not watched():
             with self._lock:
                 self._draw()
 
@@ -77,13 +77,12 @@ class Progress:
             if _lines.due:
                 _lines.write(f"{self.label}: {self.done} of {self.total}{self._left()}")
             return
-        total, columns = self.total, room()
+        total, room = self.total, last_line.room
         full = self.done * BAR // total
         bar = f"[{'#' * full}{'.' * (BAR - full)}]"
         line = f"{self.label:<24} {bar} {self.done}/{total}{self._left()}"
-        if len(line) >= columns:
-            # A wrapped line cannot be overwritten.
-            line = f"{self.label} {self.done}/{total}{self._left()}"[: columns - 1]
+        if len(line) > room:
+            line = f"{self.label} {self.done}/{total}{self._left()}"[:room]
         last_line.draw(line)
 
     def _left(self) -> str:
@@ -114,7 +113,7 @@ class Progress:
             # The message of a command that ends early contains this note.
             error.add_note(f"{self.done} of {self.total} {self.label}")
         if self._shows:
-            last_line.erase()
+            last_line.draw("")
 
 
 class _Lines:
@@ -149,6 +148,6 @@ _lines = _Lines()
 
 
 def show_life() -> None:
-    """Show that long work goes on; see `Progress.show_life`."""
+    """Show that long work goes on, if a line is due; see `Progress.show_life`."""
     if _open:
         _open[-1].show_life()

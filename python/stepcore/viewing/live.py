@@ -15,7 +15,6 @@ from time import monotonic
 from typing import Any
 
 from stepcore import checks
-from stepcore.report.terminal import last_line
 from stepcore.viewing.frames import Replayed, distance
 from stepcore.viewing.guard import Guard, is_loopback
 from stepcore.viewing.needs import need
@@ -164,7 +163,6 @@ def opened(view: View, wait: bool | None) -> View:
     waits = wait or (wait is None and not prompt)
     outer = "" if view.outer_url in ("", view.url) else f"from another machine {view.outer_url}"
     more = "; ".join(filter(None, (outer, "Ctrl-C ends it" if waits else "")))
-    last_line.end(keep=False)
     print(f"stepcore view: {view.url}{more and f' ({more})'}", flush=True)
     if waits:
         view.wait()

@@ -33,7 +33,6 @@ from stepcore.measure.ablation.variants import (
     usage_of,
 )
 from stepcore.report import units
-from stepcore.report.progress import Progress
 from stepcore.report.units import metres, seconds
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
@@ -232,7 +231,7 @@ def _baseline(experiment: Experiment, reference: Reference | None = None) -> Bas
     """Run the whole model at its own settings; raise ValueError if a run fails."""
     model, schedule = experiment.model, experiment.schedule
     starts = len(schedule.starts)
-    runs = experiment.run(model.settings, bar=Progress("", starts, False))
+    runs = experiment.run(model.settings)
     if runs[-1].failure:
         raise ValueError(f"the whole model fails from start {len(runs) - 1}: {runs[-1].failure}")
     explodes = runaway(model, schedule, runs)

@@ -172,8 +172,7 @@ def _histories(
     runner: Runner, some: Candidates, states: int, workers: Workers
 ) -> list[ResidualHistory]:
     """Measure sweeps at states of the shipped motion, under each time step."""
-    quiet = dataclasses.replace(workers, progress=False)
-    by_start = quiet.each(partial(row_states, runner, some.shipped), runner.starts, "")
+    by_start = workers.each(partial(row_states, runner, some.shipped), runner.starts, None)
     chosen = _chosen([state for states_of in by_start for state in states_of], states)
     jobs = [
         partial(residual_history, runner.model, s, MOST if s == some.shipped else FEWER, state)

@@ -162,6 +162,10 @@ def trade(
         tried += within(experiment, counts, kind, kept)
         left_out = partial(words.not_run, cache, tried)
         with time.stage(left_out, SEARCHED):
+            cache.run([shipped])
+            if not cache.failure(shipped):
+                wrong = experiment.errors(cache.full[shipped], cache.reference).high
+                time.so_far(f"as shipped {words.error(wrong, cache.reference.high)}")
             cache.run([shipped, *tried])
     else:
         searching = SettingsSearch(cache, counts, kind)

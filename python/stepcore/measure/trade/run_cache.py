@@ -162,7 +162,7 @@ def screen_starts(runner: Runner, workers: Workers, job: Job) -> Ran:
     settings, first, last = job
     if first == 0:
         return priced(runner, settings, range(last), workers)
-    return screened(runner, settings, range(first, last), workers, "", until_fails=True), UNKNOWN
+    return screened(runner, settings, range(first, last), workers, None, until_fails=True), UNKNOWN
 
 
 def all_starts(runner: Runner, settings: Settings) -> Ran:
