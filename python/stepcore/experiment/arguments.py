@@ -138,11 +138,6 @@ class Workers:
         check_executor(owner, executor)
         return cls(checks.threads(threads), executor, progress)
 
-    @property
-    def arguments(self) -> dict[str, Any]:
-        """Keyword arguments that pass these workers to a nested measurement."""
-        return {"threads": self.threads, "executor": self.executor, "progress": self.progress}
-
     def bar(self, bar: Bar, total: int) -> AbstractContextManager[Progress]:
         """Return a progress bar, to be used in a `with` statement."""
         if isinstance(bar, str):

@@ -165,7 +165,7 @@ def trade(
             cache.run([shipped])
             if not cache.failure(shipped):
                 wrong = experiment.errors(cache.full[shipped], cache.reference).high
-                time.so_far(f"as shipped {words.error(wrong, cache.reference.high)}")
+                time.so_far(f"error as shipped {words.error(wrong, cache.reference.high)}")
             cache.run([shipped, *tried])
     else:
         searching = SettingsSearch(cache, counts, kind)

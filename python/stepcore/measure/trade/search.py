@@ -172,23 +172,23 @@ class SettingsSearch:
 
         wanted: the requested error [m]; None for that of the shipped settings.
         """
-        cache, sure = self.cache, self.cache.reference.high
-        shipped = cache.score(self.shipped, self.few)
-        limit = wanted or shipped.error
+        cache, few, sure = self.cache, self.few, self.cache.reference.high
+        shipped = cache.score(self.shipped, few)
+        said = f"error as shipped {words.error(shipped.error, sure)} in {few} of {self.all} starts"
         known = []
         for k, (settings, runs) in enumerate(cache.screened.items()):
-            starts = self.all if len(runs) >= self.all else self.few
+            starts = self.all if len(runs) >= self.all else few
             score = cache.score(settings, starts)
-            if score.error < math.inf:
-                order = max(score.error, limit), -starts, score.price, k
-                known.append((order, settings, score, starts))
-        said = f"as shipped {words.error(shipped.error, sure)} in {self.few} of {self.all} starts"
-        if len(known) < 2:
-            return said
-        _, best, score, starts = min(known, key=lambda entry: entry[0])
-        said += f"; best {label(best)}: {words.error(score.error, sure)} at "
-        said += f"{times(score.price / shipped.price)} the work in {starts} of {self.all}"
-        return f"{said}, not confirmed"
+            # The error and the starts decide before the price.
+            order = max(score.error, wanted or shipped.error), -starts, score.price, k
+            known.append((order, settings, score, starts))
+        _, best, score, starts = min(known)
+        if best == self.shipped:
+            return f"{said}; nothing better yet" if len(known) > 1 else said
+        said += f"; best {label(best)}: {words.error(score.error, sure)}"
+        if shipped.price < math.inf:
+            said += f" at {times(score.price / shipped.price)} the shipped work"
+        return f"{said} in {starts} of {self.all}, not confirmed"
 
     def best(self, whole: bool) -> list[Settings]:
         """Return the settings to run from all starts, and those that failed.

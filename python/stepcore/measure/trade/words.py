@@ -42,7 +42,8 @@ MODELS = {"pyramid": "the friction pyramid", "softness": "the softness of contac
 
 def error(value: float, sure: float) -> str:
     """Return an error with that of the reference [m], in words."""
-    return f"{metres(value)} ± {metres(sure)}" if value < math.inf else "fails"
+    bound = metres(sure).removeprefix("< ")
+    return f"{metres(value)} ± {bound}" if value < math.inf else "a failed run"
 
 
 def so_far(frontier: Frontier, row: TradeRow, further: int) -> str:
@@ -50,9 +51,9 @@ def so_far(frontier: Frontier, row: TradeRow, further: int) -> str:
     known, shipped = frontier.known, frontier.shipped
     share = times(frontier.price(row) / frontier.price(shipped))
     return (
-        f"as shipped {error(frontier.searched(shipped), known)}; best {label(row.settings)}: "
-        f"{error(frontier.searched(row), known)} at {share} the cost; {counted(further, 'start')} "
-        "more are to confirm it"
+        f"error as shipped {error(frontier.searched(shipped), known)}; best {label(row.settings)}: "
+        f"{error(frontier.searched(row), known)} at {share} the shipped cost; "
+        f"{counted(further, 'start')} more are to confirm it"
     )
 
 
