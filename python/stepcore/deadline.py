@@ -81,7 +81,7 @@ class Deadline:
         self._end: float = self.begun + self.seconds
         self._stop: threading.Event = threading.Event() if outer is None else outer._stop
         self._closing = False
-        self._news = ""
+        self._news = self._said = ""
         self._told = -math.inf
 
     @property
@@ -118,7 +118,7 @@ class Deadline:
         if self.outer is not None:
             self.outer.so_far(words)
         elif listener is not None:
-            self._news = words
+            self._news = "" if words == self._said else words
             self.announce()
 
     def announce(self) -> None:
@@ -128,8 +128,8 @@ class Deadline:
         elif self._news and listener is not None:
             (first, again), now = pace, clock()
             if now >= max(self.begun + first, self._told + again):
-                words, self._news, self._told = self._news, "", now
-                listener(f"so far: {words}")
+                self._said, self._news, self._told = self._news, "", now
+                listener(f"so far: {self._said}")
 
     @contextmanager
     def opened(self) -> Iterator[Deadline]:

@@ -17,7 +17,7 @@ from stepcore.cli.terminal import say
 from stepcore.report.terminal import watched
 
 # On a terminal, when a measurement that still runs says what it knows, and how often again [s].
-OFTEN = (1.0, 1.0)
+OFTEN = (1.0, 0.5)
 
 
 def stop(number: int, frame: FrameType | None) -> None:
