@@ -74,7 +74,7 @@ log = {
 
 # %%
 RANGES = dict.fromkeys(TRUE, (0.01, 5)) | {"delay": (0, 0.05)}
-found = sc.identify(arm, log, RANGES)
+found = sc.identify(arm, log, RANGES, progress=False)
 print(found)
 print(f"shoulder: {found.values['joint/shoulder/frictionloss']:.3f} N·m")
 
@@ -86,7 +86,7 @@ print(f"shoulder: {found.values['joint/shoulder/frictionloss']:.3f} N·m")
 # needs to change:
 
 # %%
-found = sc.identify(arm.with_settings(dt=0.00025), log, RANGES)
+found = sc.identify(arm.with_settings(dt=0.00025), log, RANGES, progress=False)
 for path, value in {**TRUE, "delay": DELAY}.items():
     low, high = found.intervals[path]
     print(f"{path}: {low:.4g} to {high:.4g}, true {value}: {low <= value <= high}")

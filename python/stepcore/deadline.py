@@ -46,13 +46,12 @@ CLOSING = 3.0
 # Times that a message proposes for a longer measurement [s].
 ROUND = (15, 30, 60, 120, 300, 600, 1800, 3600, 7200, 36000, 86400)
 
-# When a measurement that still runs says what it knows so far, and how often again [s].
-FIRST, AGAIN = 10.0, 20.0
-
 F = TypeVar("F", bound=Callable[..., Any])
 clock = monotonic
-# Is called with first answers of long measurements; the command line prints them.
+# Is called with what long measurements know so far; the command line sets it. And when one that
+# still runs tells the first, and how often again [s].
 listener: Callable[[str], object] | None = None
+pace = (10.0, 20.0)
 _thread = threading.local()
 
 
@@ -82,7 +81,7 @@ class Deadline:
         self._end: float = self.begun + self.seconds
         self._stop: threading.Event = threading.Event() if outer is None else outer._stop
         self._closing = False
-        self._news: tuple[str, float] | None = None
+        self._news = self._said = ""
         self._told = -math.inf
 
     @property
@@ -111,26 +110,26 @@ class Deadline:
         """End the measurement with what is known, and all measurements around it."""
         self._stop.set()
 
-    def tell(self, words: str, after: float = FIRST) -> None:
-        """Give a first answer, which is told if the measurement still runs some time later.
+    def so_far(self, words: str) -> None:
+        """Give what is known so far, which the `listener` is told if the work still runs then.
 
         words: replace those of an earlier call that have not been told.
-        after: the time since the beginning from which they are told [s].
         """
         if self.outer is not None:
-            self.outer.tell(words, after)
+            self.outer.so_far(words)
         elif listener is not None:
-            self._news = words, self.begun + after
+            self._news = "" if words == self._said else words
+            self.announce()
 
     def announce(self) -> None:
-        """Tell the first answer, if it is due."""
+        """Tell what is known so far, if it is due."""
         if self.outer is not None:
             self.outer.announce()
-        elif self._news is not None and listener is not None:
-            (words, due), now = self._news, clock()
-            if now >= max(due, self._told + AGAIN):
-                self._news, self._told = None, now
-                listener(words)
+        elif self._news and listener is not None:
+            (first, again), now = pace, clock()
+            if now >= max(self.begun + first, self._told + again):
+                self._said, self._news, self._told = self._news, "", now
+                listener(f"so far: {self._said}")
 
     @contextmanager
     def opened(self) -> Iterator[Deadline]:

@@ -39,11 +39,11 @@ def call(capsys, *args):
 
 
 def test_it_prints_findings_the_diagnosis_and_commands(capsys, scene, monkeypatch):
-    monkeypatch.setattr("stepcore.measure.check.SOON", 0.0)  # However quick the machine is.
+    monkeypatch.setattr("stepcore.deadline.pace", (0.0, 0.0))  # However quick the machine is.
     file = scene(2.0)
     status, out, err = call(capsys, file, "--horizon", 0.2)
     # What the file alone shows is said before anything runs.
-    assert status == 0 and err.startswith("stepcore: 1 finding in the file alone:")
+    assert status == 0 and err.startswith("stepcore: so far: 1 finding in the file alone:")
     out = " ".join(out.split())
     found = "1 finding: - error: Keyframe `home` has joint `knee` at 2 rad"
     assert out.startswith(f"arm: check {found}")

@@ -18,7 +18,7 @@ from stepcore.cli import main
 from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, without
 from stepcore.measure.ablation.selection import confirmed, greedy
 from stepcore.measure.ablation.variants import VariantOutcome, time_saved
-from stepcore.report.table import WIDTH
+from stepcore.report.terminal import WIDTH
 
 # A block that slides on the floor, a pendulum that neither meets it nor its own limit, and a
 # ball far away that meets nothing.

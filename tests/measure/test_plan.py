@@ -9,7 +9,7 @@ import pytest
 import stepcore as sc
 from stepcore.cli import main
 from stepcore.engine.features import RemovableFeatures
-from stepcore.report.table import WIDTH
+from stepcore.report.terminal import WIDTH
 
 # Everything that can be left out is in it once.
 SCENE = """<mujoco><option timestep="0.002" integrator="implicitfast"/>

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib
+import math
 import os
 import sys
 import warnings
@@ -16,8 +17,9 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
 from stepcore.cli.terminal import INTERRUPTED, print_what_can_be_printed, reason, say
-from stepcore.deadline import OutOfTime
+from stepcore.deadline import SECONDS, OutOfTime
 from stepcore.escapes import printable
+from stepcore.report.terminal import watched
 
 COMMANDS = {
     "lesson": "check the engine on four small scenes whose results are known",
@@ -36,6 +38,9 @@ COMMANDS = {
     "ablate": "measure the cost and the effect of each modelled feature",
     "info": "print versions and the machine",
 }
+# Commands that take no second.
+QUICK = ("info", "lesson", "plan")
+HELP = {"-h", "--help", "--version"}
 # Former names of commands.
 ALIASES = {"map": "stability-map"}
 DESCRIPTION = "Rigid-body physics that measures what speed costs in accuracy."
@@ -121,6 +126,8 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     """Return the parsed arguments; report an unknown argument with the nearest option."""
     asked = _asked(argv)
     argv = [ALIASES.get(word, word) if word == asked else word for word in argv]
+    if watched():
+        _say_what_it_does(argv)
     top = parser(argv)
     if not argv:
         top.print_help()
@@ -136,6 +143,17 @@ def _parsed(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
+def _say_what_it_does(argv: Sequence[str]) -> None:
+    """Say what a command does and how long it may take, before its module is imported."""
+    name = _asked(argv)
+    if name not in COMMANDS or name in QUICK or not HELP.isdisjoint(argv):
+        return
+    file = next((f" {word}" for word in argv[argv.index(name) + 1 :][:1] if word[:1] != "-"), "")
+    limit, given = SECONDS.get(name, math.inf), any(word.startswith("--sec") for word in argv)
+    most = f", at most {limit:g} s" if limit < math.inf and not given else ""
+    say(f"{name}{file}{most}: {COMMANDS[name].partition(':')[0]}")
+
+
 def _asked(argv: Sequence[str]) -> str | None:
     """Return the command: the first argument that is no option."""
     return next((arg for arg in argv if not arg.startswith("-")), None)
@@ -143,7 +161,7 @@ def _asked(argv: Sequence[str]) -> str | None:
 
 def _run(args: argparse.Namespace) -> int:
     from stepcore import files
-    from stepcore.cli.interrupts import ends_early_on_ctrl_c, tells_first_answers
+    from stepcore.cli.interrupts import ends_early_on_ctrl_c, tells_so_far
     from stepcore.cli.output import check_output, deliver
     from stepcore.report.result import Result
 
@@ -151,7 +169,7 @@ def _run(args: argparse.Namespace) -> int:
         warnings.showwarning = _warned
         check_output(args)
         try:
-            with ends_early_on_ctrl_c(), tells_first_answers(not getattr(args, "json", None)):
+            with ends_early_on_ctrl_c(), tells_so_far(bool(getattr(args, "json", None))):
                 result = args.call(args, args.command)
         finally:
             files.outputs.clear()

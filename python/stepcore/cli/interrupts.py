@@ -1,4 +1,4 @@
-"""What a measurement says before its end: first answers, and what is known at Ctrl-C.
+"""What a measurement says before its end: what is known so far, and at Ctrl-C.
 
 The first Ctrl-C ends a measurement with what is known, the second at once.
 """
@@ -14,6 +14,10 @@ from typing import Any
 
 from stepcore import deadline
 from stepcore.cli.terminal import say
+from stepcore.report.terminal import watched
+
+# On a terminal, when a measurement that still runs says what it knows, and how often again [s].
+OFTEN = (1.0, 0.5)
 
 
 def stop(number: int, frame: FrameType | None) -> None:
@@ -26,14 +30,17 @@ def stop(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def tells_first_answers(wanted: bool) -> Iterator[None]:
-    """Print the first answers of long measurements to the error stream, if they are wanted."""
-    if wanted:
+def tells_so_far(json: bool) -> Iterator[None]:
+    """Print to the error stream what long measurements know so far; with JSON on terminals only."""
+    seldom = deadline.pace
+    if watched():
+        deadline.listener, deadline.pace = say, OFTEN
+    elif not json:
         deadline.listener = say
     try:
         yield
     finally:
-        deadline.listener = None
+        deadline.listener, deadline.pace = None, seldom
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import TextIO
 
 from stepcore.checks import one_line
 from stepcore.escapes import printable
+from stepcore.report.terminal import last_line
 
 # The exit status that shells report for a program interrupted by Ctrl-C.
 INTERRUPTED = 130
@@ -54,8 +55,10 @@ def say(text: str, end: str = "\n") -> None:
 
 
 def put(text: str, end: str = "\n", stream: TextIO | None = None) -> None:
-    """Print a text; control characters in names are escaped."""
-    print(printable(text), end=end, file=stream or sys.stdout, flush=stream is not None)
+    """Print a text above a bar; control characters in names are escaped."""
+    with last_line.lock:
+        last_line.draw("")
+        print(printable(text), end=end, file=stream or sys.stdout, flush=stream is not None)
 
 
 def reason(error: BaseException) -> str:

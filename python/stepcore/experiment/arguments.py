@@ -6,6 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
@@ -23,6 +24,8 @@ from stepcore.signatures import F, annotation, keyword
 
 T = TypeVar("T")
 R = TypeVar("R")
+# An open progress bar, the label of a new one, or None for none.
+Bar = Progress | str | None
 # The models that a measurement accepts; files are loaded, and scenes compiled.
 Source = Model | Scene | str | os.PathLike[str]
 # The smallest speed-up at which further runs are batched.
@@ -135,61 +138,51 @@ class Workers:
         check_executor(owner, executor)
         return cls(checks.threads(threads), executor, progress)
 
-    @property
-    def arguments(self) -> dict[str, Any]:
-        """Keyword arguments that pass these workers to a nested measurement."""
-        return {"threads": self.threads, "executor": self.executor, "progress": self.progress}
-
-    def bar(self, label: str, total: int) -> Progress:
+    def bar(self, bar: Bar, total: int) -> AbstractContextManager[Progress]:
         """Return a progress bar, to be used in a `with` statement."""
-        return Progress(label, total, self.progress)
+        if isinstance(bar, str):
+            return Progress(bar, total, self.progress)
+        return nullcontext(bar or Progress("", total, False))
 
     def each(
         self,
         job: Callable[[T], R],
         points: Sequence[T],
-        bar: Progress | str,
+        bar: Bar,
         done: list[R | None] | None = None,
         took: Callable[[range, list[R]], object] | None = None,
     ) -> list[R]:
         """Call a job at every point, and return the results in the order of the points.
 
-        bar: an open progress bar, or the label of a new one.
         done: filled with the results so far; took: called with them as they come. See
             `stepcore.executors.each`.
 
         Raises OutOfTime if the measurement's time is over before the last result.
         """
-        if isinstance(bar, str):
-            with self.bar(bar, len(points)) as drawn:
-                return self.each(job, points, drawn, done, took)
         how: dict[str, Any] = {"threads": self.threads, "executor": self.executor}
-        return each(job, points, bar=bar, done=done, took=took, **how)
+        with self.bar(bar, len(points)) as drawn:
+            return each(job, points, bar=drawn, done=done, took=took, **how)
 
     def until(
         self,
         ends: Callable[[R], object],
         job: Callable[[T], R],
         points: Sequence[T],
-        bar: Progress | str,
+        bar: Bar,
     ) -> list[R]:
         """Call a job at the points, and return the results up to the first that satisfies `ends`.
 
         That result is included. Later jobs are not started, or their results are dropped, so the
         number of threads does not affect the list that is returned.
-
-        bar: an open progress bar, or the label of a new one.
         """
-        if isinstance(bar, str):
-            with self.bar(bar, len(points)) as drawn:
-                return self.until(ends, job, points, drawn)
         together = len(points) if self.executor is not None else self.threads
         done: list[R] = []
-        for first in range(0, len(points), max(1, together)):
-            for result in self.each(job, points[first : first + together], bar):
-                done.append(result)
-                if ends(result):
-                    return done
+        with self.bar(bar, len(points)) as drawn:
+            for first in range(0, len(points), max(1, together)):
+                for result in self.each(job, points[first : first + together], drawn):
+                    done.append(result)
+                    if ends(result):
+                        return done
         return done
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.executors import checkpoint
-from stepcore.experiment.arguments import BatchSpeedup, Timed, Workers
+from stepcore.experiment.arguments import Bar, BatchSpeedup, Timed, Workers
 from stepcore.experiment.point_to_point import PointToPoint
 from stepcore.experiment.recorder import Positions
 from stepcore.experiment.run import Run
@@ -182,18 +182,17 @@ def screened(
     settings: Settings,
     starts: Sequence[int],
     workers: Workers,
-    bar: Progress | str,
+    bar: Bar,
     until_fails: bool = False,
     made: list[Run] | None = None,
 ) -> list[Run]:
     """Make the runs of `Runner.screen` from several starts, in batches where these are faster.
 
-    bar: an open progress bar, or the label of a new one.
     until_fails: whether the result ends with the first failed run; later runs may be skipped.
     made: is filled with the runs, for a caller that catches OutOfTime: then with the first ones.
     """
     made = [] if made is None else made
-    if isinstance(bar, str):
+    if not isinstance(bar, Progress):
         with workers.bar(bar, len(starts)) as drawn:
             return screened(runner, settings, starts, workers, drawn, until_fails, made)
     if not (can(runner) and helps(len(starts) - 1, workers.threads, workers.speedup)):

@@ -77,7 +77,7 @@ class TimedRun:
         return sum(times)
 
 
-def costs(runs: Sequence[TimedRun], bar: Progress) -> list[float]:
+def costs(runs: Sequence[TimedRun], bar: Progress | None = None) -> list[float]:
     """Measure the computing time of each run [µs per simulated second], on one thread.
 
     The time is the median over several rounds. A round makes every run once, so that other load on
@@ -180,8 +180,7 @@ def priced(
     counter = Counter(runner)
     runs = [runner.run(settings, starts[0], [*positions(runner), counter])]
     if not runs[0].failure and len(starts) > 1:
-        hidden = Progress("", len(starts) - 1, False)
-        runs += screened(runner, settings, starts[1:], workers, hidden, until_fails=True)
+        runs += screened(runner, settings, starts[1:], workers, None, until_fails=True)
     return runs, counter.work
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.experiment.arguments import Workers
+from stepcore.experiment.arguments import Bar, Workers
 from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.cost import TimedRun, costs, heaviness
 from stepcore.experiment.errors import Errors, errors
@@ -85,7 +85,7 @@ class Experiment:
         settings: Settings,
         starts: Sequence[int] | None = None,
         probes: Probes = recorded,
-        bar: Progress | str | None = None,
+        bar: Bar = None,
     ) -> list[Run]:
         """Run from several starts until one run fails, and return the runs.
 
@@ -93,10 +93,8 @@ class Experiment:
         probes: makes the probes of each run. `recorded` records everything, `positions` records
             positions alone. Runs with `positions` are batched where batches are faster; the
             results are bit-identical.
-        bar: a progress bar, the label of a new one, or None for no bar.
         """
         starts = self.runner.starts if starts is None else starts
-        bar = Progress("", len(starts), False) if bar is None else bar
         if probes is positions:
             return screened(self.runner, settings, starts, self.workers, bar, until_fails=True)
         job = partial(self.runner.observed, settings, probes)
@@ -161,4 +159,4 @@ class Experiment:
         The unit is µs per simulated second.
         """
         timed = [TimedRun(self.runner, setting) for setting in settings]
-        return costs(timed, bar or Progress("", len(timed), False))
+        return costs(timed, bar)

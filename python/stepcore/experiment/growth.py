@@ -91,7 +91,7 @@ def growth(
     Perturbed runs that fail are ignored.
 
     partly: whether the growth of the first starts alone is returned if the time is over. The first
-        start is then measured before the others, for a first answer.
+        start is then measured before the others, so that this much is known early.
     """
     samples, schedule = runner.schedule.times, sampled(runner.schedule, runner.model.settings.dt)
     runner = Runner(runner.model, schedule)
@@ -126,16 +126,16 @@ def growth(
         finally:
             runs.update(zip(some, made, strict=False))
         if partly:
-            workers.deadline.tell(_first_answer(grown(), schedule.horizon))
+            workers.deadline.so_far(_so_far(grown(), schedule.horizon))
     return grown()
 
 
-def _first_answer(grown: Growth, horizon: float) -> str:
+def _so_far(grown: Growth, horizon: float) -> str:
     """Return the predictable time from the starts so far, in words."""
     time = grown.overall
     how = f"for {seconds(time)}" if np.isfinite(time) else f"over all of {seconds(horizon)}"
     starts = counted(len(grown.ends), "start")
-    return f"first answer, from {starts}: the motion can be predicted {how}; others are run now"
+    return f"from {starts}, the motion can be predicted {how}; others are run now"
 
 
 def sampled(schedule: Schedule, dt: float) -> Schedule:

@@ -24,7 +24,6 @@ from stepcore.experiment.errors import STICKS, Errors, errors
 from stepcore.experiment.reference import Gap, Level, Reference, ReferenceRuns
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
-from stepcore.report.progress import Progress
 from stepcore.scene.scene import Scene
 from stepcore.scene.softness import Ref, clamping, solrefs
 
@@ -210,8 +209,7 @@ class ErrorSplit:
 
     def _run(self, runner: Runner, settings: Settings) -> list[Run]:
         """Run from every start until one run fails, and record positions alone."""
-        hidden = Progress("", self.runs.starts, False)
-        return screened(runner, settings, runner.starts, self.runs.workers, hidden, True)
+        return screened(runner, settings, runner.starts, self.runs.workers, None, True)
 
     def _apart(self, runs: Sequence[Run], truth: Sequence[Run], cone: str = "pyramidal") -> Errors:
         return errors(runs, truth, self.reference.scored, self.size, STICKS[cone])

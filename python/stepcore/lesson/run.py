@@ -70,29 +70,18 @@ def maker(engine: str) -> Make:
     return make
 
 
-def run(
-    engine: str = "rust",
-    sections: Sequence[int] | None = None,
-    progress: Callable[[Row], None] | None = None,
-) -> list[Row]:
+def run(engine: str = "rust", sections: Sequence[int] | None = None) -> list[Row]:
     """Compute the figures of the lesson.
 
     engine: "rust" or "numpy". The numpy loop supports only bodies on slides, so section 5, the
         grasp, needs "rust".
     sections: the numbers of the sections; by default all that the engine supports.
-    progress: a function that is called with each figure.
     """
     make = maker(engine)
     if sections is None:
         sections = (1, 2, 3, 4, 5) if engine == "rust" else (1, 2, 3, 4)
     tables = {1: integrators, 2: penalty, 3: constraint, 4: two_contacts, 5: grasp}
-    rows = []
-    for section in sections:
-        for row in tables[section](make):
-            rows.append(row)
-            if progress is not None:
-                progress(row)
-    return rows
+    return [row for section in sections for row in tables[section](make)]
 
 
 def integrators(make: Make) -> Iterator[Row]:

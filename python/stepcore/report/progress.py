@@ -22,11 +22,10 @@ from collections.abc import Callable
 from time import monotonic
 from time import monotonic as clock
 from types import TracebackType
-from typing import TextIO
 
 from stepcore import checks
 from stepcore.deadline import OutOfTime
-from stepcore.report.table import window
+from stepcore.report.terminal import last_line, watched
 from stepcore.report.units import seconds
 
 # The argument `progress` of users: None (a bar in a terminal or a notebook), False (nothing), or a
@@ -53,8 +52,6 @@ class Progress:
         self._lock = threading.Lock()
         self._call = choice if callable(choice) else None
         self._shows = self._call is None and choice is not False
-        self._stream: TextIO | None = None
-        self._drawn, self._room = "", 0
         self._begun = monotonic()
 
     def advance(self, count: int = 1) -> None:
@@ -69,31 +66,24 @@ class Progress:
 
     def show_life(self) -> None:
         """Write the next line where nobody watches, if it is due."""
-        if self._shows and self._stream is None and _lines.due:
+        if self._shows and _lines.due and not watched():
             with self._lock:
                 self._draw()
 
     def _draw(self) -> None:
         if not self._shows or (self.after and monotonic() - self._begun < self.after):
             return
-        if self._stream is None:
-            if not _watched():
-                if _lines.due:
-                    _lines.write(f"{self.label}: {self.done} of {self.total}{self._left()}")
-                return
-            self._stream = sys.stderr
-            self._room = window()
-        total = self.total
+        if not watched():
+            if _lines.due:
+                _lines.write(f"{self.label}: {self.done} of {self.total}{self._left()}")
+            return
+        total, room = self.total, last_line.room
         full = self.done * BAR // total
         bar = f"[{'#' * full}{'.' * (BAR - full)}]"
         line = f"{self.label:<24} {bar} {self.done}/{total}{self._left()}"
-        if len(line) >= self._room:
-            # A wrapped line cannot be overwritten.
-            line = f"{self.label} {self.done}/{total}{self._left()}"[: self._room - 1]
-        if line != self._drawn:
-            self._stream.write("\r" + line.ljust(len(self._drawn)))
-            self._stream.flush()
-            self._drawn = line
+        if len(line) > room:
+            line = f"{self.label} {self.done}/{total}{self._left()}"[:room]
+        last_line.draw(line)
 
     def _left(self) -> str:
         """Return the remaining time at the present pace, in words."""
@@ -122,9 +112,8 @@ class Progress:
         if isinstance(error, (KeyboardInterrupt, OutOfTime)):
             # The message of a command that ends early contains this note.
             error.add_note(f"{self.done} of {self.total} {self.label}")
-        if self._stream is not None:
-            self._stream.write("\r" + " " * len(self._drawn) + "\r")
-            self._stream.flush()
+        if self._shows:
+            last_line.draw("")
 
 
 class _Lines:
@@ -162,11 +151,3 @@ def show_life() -> None:
     """Show that long work goes on, if a line is due; see `Progress.show_life`."""
     if _open:
         _open[-1].show_life()
-
-
-def _watched() -> bool:
-    """Return whether the error stream is that of a terminal or a notebook."""
-    stream = sys.stderr
-    return stream is not None and (
-        stream.isatty() or type(stream).__module__.startswith("ipykernel")
-    )

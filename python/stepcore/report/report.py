@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 from stepcore import checks, escapes
 from stepcore.report import page as pages
-from stepcore.report.table import Table, window
+from stepcore.report.table import Table
+from stepcore.report.terminal import window
 from stepcore.report.units import NAMES, counted
 
 # The minimum width of a line, and the maximum width of prose.

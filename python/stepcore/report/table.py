@@ -11,9 +11,8 @@ from typing import Any, overload
 
 from stepcore import escapes
 from stepcore._core import Settings
+from stepcore.report.terminal import window
 
-# The width without a terminal, sufficient for every column of a trade.
-WIDTH = 160
 # The minimum width to which a text cell is cut.
 NARROW = 12
 
@@ -179,13 +178,6 @@ def jsonable(value: Any) -> Any:
     if value is None or isinstance(value, (bool, int, str)):
         return value
     return getattr(value, "__qualname__", None) or str(value)
-
-
-def window() -> int:
-    """Return the number of characters in a line of the terminal."""
-    import shutil
-
-    return shutil.get_terminal_size((WIDTH, 40)).columns
 
 
 def _cell(value: Any, spec: str) -> str:

@@ -64,7 +64,7 @@ impl Forces for Damper {
     fn slopes<R: Real>(
         now: &Moment<R>,
         at: &DamperAt<R::Value>,
-        add: &mut impl FnMut(usize, usize, [R; 2]),
+        add: &mut dyn FnMut(usize, usize, [R; 2]),
     ) {
         for k in at.first..at.first + at.count {
             add(k, k, [R::zero(), slope(&at.law, now.qvel[k])]);

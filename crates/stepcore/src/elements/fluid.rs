@@ -81,7 +81,7 @@ impl Forces for Fluid {
         }
     }
 
-    fn slopes<R: Real>(now: &Moment<R>, &body: &usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
+    fn slopes<R: Real>(now: &Moment<R>, &body: &usize, add: &mut dyn FnMut(usize, usize, [R; 2])) {
         let model = now.model;
         for part in model.fluid.of_body[body].of(&model.fluid.parts) {
             let moving = Moving::of(now, body, part);

@@ -103,7 +103,7 @@ pub(crate) trait Forces {
     fn slopes<R: Real>(
         _: &Moment<R>,
         _at: &Self::At<R::Value>,
-        _add: &mut impl FnMut(usize, usize, [R; 2]),
+        _add: &mut dyn FnMut(usize, usize, [R; 2]),
     ) {
     }
 
@@ -135,7 +135,7 @@ pub(crate) trait Forces {
     fn holding<R: Real>(
         now: &Moment<R>,
         at: &Self::At<R::Value>,
-        add: &mut impl FnMut(usize, usize, [R; 2]),
+        add: &mut dyn FnMut(usize, usize, [R; 2]),
     ) {
         let zero = R::zero();
         if Self::IN_JOINTS {

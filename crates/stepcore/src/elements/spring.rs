@@ -89,7 +89,7 @@ impl Forces for Spring {
     fn slopes<R: Real>(
         now: &Moment<R>,
         at: &SpringAt<R::Value>,
-        add: &mut impl FnMut(usize, usize, [R; 2]),
+        add: &mut dyn FnMut(usize, usize, [R; 2]),
     ) {
         if linear(&at.law) {
             // Wherever the joint is.

@@ -32,7 +32,7 @@ fn spread<R: Real>(
     now: &Moment<R>,
     index: usize,
     slopes: [R; 2],
-    add: &mut impl FnMut(usize, usize, [R; 2]),
+    add: &mut dyn FnMut(usize, usize, [R; 2]),
 ) {
     let tendon = Transmission::Tendon(index, None);
     tendon.pairs(now.model, now.qpos, now.frames.pulls, |i, j, product: R| {
@@ -81,11 +81,11 @@ impl Forces for TendonSpring {
     }
 
     /// Slack, it has none.
-    #[inline(always)]
+    #[inline(never)]
     fn slopes<R: Real>(
         now: &Moment<R>,
         at: &TendonAt<R::Value>,
-        add: &mut impl FnMut(usize, usize, [R; 2]),
+        add: &mut dyn FnMut(usize, usize, [R; 2]),
     ) {
         let (zero, by) = (R::zero(), stretch(now, at.tendon));
         let [lo, hi] = value::get::<R, _, 2>(&now.model.tendons[at.tendon].springlength);
@@ -123,11 +123,11 @@ impl Forces for TendonDamper {
         along(now, at.tendon, |dof, arm| add(dof, arm * pull));
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn slopes<R: Real>(
         now: &Moment<R>,
         at: &TendonAt<R::Value>,
-        add: &mut impl FnMut(usize, usize, [R; 2]),
+        add: &mut dyn FnMut(usize, usize, [R; 2]),
     ) {
         let slope = damper::slope(&at.law, rate(now, at.tendon));
         spread(now, at.tendon, [R::zero(), slope], add);

@@ -33,7 +33,6 @@ from stepcore.measure.ablation.variants import (
     usage_of,
 )
 from stepcore.report import units
-from stepcore.report.progress import Progress
 from stepcore.report.units import metres, seconds
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
@@ -116,7 +115,7 @@ def ablate(
     few = SCREENED if dear and starts > SCREENED else starts
     whole, alone, cut = _alone(baseline, removals, few, tolerance, workers)
     removals = list(alone)
-    time.tell(_so_far(whole, alone, tolerance))
+    time.so_far(_so_far(whole, alone, tolerance))
     selection.known = alone
     complete = False
     with (
@@ -203,9 +202,9 @@ def _alone(
 
 
 def _so_far(whole: VariantOutcome, alone: dict[Removal, VariantOutcome], tolerance: float) -> str:
-    """Return the first answer: what features save that are removed alone."""
+    """Return what features save that are removed alone, in words."""
     within = {one: outcome for one, outcome in alone.items() if outcome.worst <= tolerance}
-    said = f"first answer: {len(within)} of {units.counted(len(alone), 'feature')} add at most "
+    said = f"{len(within)} of {units.counted(len(alone), 'feature')} add at most "
     said += f"{metres(tolerance)} when removed alone"
     if within:
         best = max(within, key=lambda one: within[one].saved(whole))
@@ -232,7 +231,7 @@ def _baseline(experiment: Experiment, reference: Reference | None = None) -> Bas
     """Run the whole model at its own settings; raise ValueError if a run fails."""
     model, schedule = experiment.model, experiment.schedule
     starts = len(schedule.starts)
-    runs = experiment.run(model.settings, bar=Progress("", starts, False))
+    runs = experiment.run(model.settings)
     if runs[-1].failure:
         raise ValueError(f"the whole model fails from start {len(runs) - 1}: {runs[-1].failure}")
     explodes = runaway(model, schedule, runs)

@@ -21,7 +21,6 @@ from stepcore.experiment.intervals import Difference, difference
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
-from stepcore.report.progress import Progress
 
 # Largest number of readings of contacts and limits in a start.
 READINGS = 500
@@ -147,8 +146,7 @@ class UsageProbe(Probe):
 
 def usage_of(runner: Runner, workers: Workers) -> MotionUsage:
     """Return which pairs of bodies touch and which joints reach a limit in any start."""
-    quiet = Progress("", len(runner.starts), False)
-    parts = workers.each(partial(_usage_from, runner), runner.starts, quiet)
+    parts = workers.each(partial(_usage_from, runner), runner.starts, None)
     touched = frozenset(pair for part in parts for pair in part.touched)
     return MotionUsage(touched, frozenset(joint for part in parts for joint in part.limited))
 
@@ -175,9 +173,9 @@ def timed_runs(baseline: Baseline, variants: Sequence[Sequence[Removal]]) -> lis
 
     kinds = {frozenset(removals): timed(removals) for removals in variants}
     made = [kinds[frozenset(removals)] for removals in variants]
-    costs(list(kinds.values()), Progress("", len(kinds), False))
+    costs(list(kinds.values()))
     if made[-1] is not made[0]:
-        costs([made[0], made[-1]], Progress("", 2, False))
+        costs([made[0], made[-1]])
     return made
 
 

@@ -44,8 +44,6 @@ __all__ = ["Check", "check"]
 # The share of the time (`seconds`) at which the run as shipped ends.
 MONITORED = 0.5
 AS_SHIPPED = "the run as shipped"
-# What the scene alone says is told if the check still runs after this time [s].
-SOON = 0.8
 # Default number of control periods of the run.
 PERIODS = 100
 # Largest number of steps if no horizon is given: some seconds of computing.
@@ -227,7 +225,7 @@ def check(
     start, held = home(compiled, motion.key)
     # What the scene alone says comes first: it takes no run.
     read = list(_read(compiled, start, held, _key(compiled, motion.key)))
-    setup.workers.deadline.tell(_first(read), SOON)
+    setup.workers.deadline.so_far(_first(read))
     horizon = motion.horizon or max(dt, min(HORIZON, LONGEST * dt))
     far = horizon_of(compiled, _held(compiled, motion), horizon)
     schedule = _schedule(compiled, motion, far.length)
@@ -262,7 +260,7 @@ def _first(read: list[Finding]) -> str:
     """Return the findings of the scene alone that stand whatever runs of their cures show."""
     findings = [one for one in ordered(read) if one.remedy is None or not one.remedy.needed]
     if not findings:
-        return "the file alone shows no problem; its motion is run now"
+        return "the file alone shows no problem"
     said = (f"\n- {finding.severity}: {finding.problem}" for finding in findings)
     return f"{counted(len(findings), 'finding')} in the file alone:{''.join(said)}"
 

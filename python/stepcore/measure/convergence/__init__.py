@@ -38,6 +38,7 @@ from stepcore.measure.convergence.sweeps import (
     residual_history,
 )
 from stepcore.measure.monitors import Finding, monitored
+from stepcore.report.units import metres
 
 __all__ = [
     "CandidateRun",
@@ -113,6 +114,9 @@ def converge(
     made = _runs(runner, some.all[:2], workers)
     if len(made) < len({shipped, some.solved}):
         raise OutOfTime("the shipped settings have not been run with converged forces")
+    first = [run_of(experiment, s, made[s], reference).error for s in (shipped, some.solved)]
+    said = f"as shipped the error is {metres(first[0])}, with converged forces {metres(first[1])}"
+    workers.deadline.so_far(f"{said}, ± {metres(reference.high)}; other settings are run now")
     made |= _runs(runner, some.all[2:], workers, RUN)
     some = some.only(made)
     runs = {s: run_of(experiment, s, those, reference) for s, those in made.items()}
@@ -168,8 +172,7 @@ def _histories(
     runner: Runner, some: Candidates, states: int, workers: Workers
 ) -> list[ResidualHistory]:
     """Measure sweeps at states of the shipped motion, under each time step."""
-    quiet = dataclasses.replace(workers, progress=False)
-    by_start = quiet.each(partial(row_states, runner, some.shipped), runner.starts, "")
+    by_start = workers.each(partial(row_states, runner, some.shipped), runner.starts, None)
     chosen = _chosen([state for states_of in by_start for state in states_of], states)
     jobs = [
         partial(residual_history, runner.model, s, MOST if s == some.shipped else FEWER, state)

@@ -27,6 +27,7 @@ from stepcore.measure.diagnosis.motion_runs import MotionRuns
 from stepcore.measure.diagnosis.saturation import Observation, holds_when_kicked, kicked, look
 from stepcore.measure.diagnosis.shares import Shares
 from stepcore.measure.diagnosis.visited_states import Visit
+from stepcore.report.units import seconds
 
 # A slower oscillation, over the fastest, counts as rounding.
 SLOWEST = 1e-6
@@ -124,6 +125,9 @@ def examine(
         # The answer needs this limit, which may therefore take all the time.
         linear[:1] = [limit_of(integrators[0])]
     known = [limit for limit in linear if limit is not None]
+    if time is not None:
+        stable = f"the linearised step is stable under {own} up to dt {seconds(known[0].dt)}"
+        time.so_far(f"{stable}; the motion is run at this step now")
     check = None
     if not any(state.feedback is not None and state.feedback.order for state in here.states):
         with stage("runs of the motion at other steps", RUN):

@@ -30,6 +30,7 @@ from stepcore.measure.identification.predictions import Arrays, Predictions
 from stepcore.measure.identification.result import FINER, Curve, Identification
 from stepcore.measure.identification.sensors import check_smooth
 from stepcore.measure.monitors.finding import Finding
+from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import counted, seconds
 
 __all__ = ["Identification", "identify"]
@@ -51,6 +52,7 @@ def identify(
     parameters: Mapping[str, tuple[float, float]],
     *,
     most: int = 50,
+    progress: Choice = None,
 ) -> Identification:
     """Find values of a model from logs of its motion, with exact derivatives.
 
@@ -68,6 +70,7 @@ def identify(
         "delay/sensordata" and "delay/NAME" of a sensor are how much later the log has what was
         measured than it was [s]; they begin at 0. Rows as early as the high end are left out.
     most: the largest number of iterations.
+    progress: False for no progress bar, or a function of (label, done, total).
 
     Each log is predicted from its first row, which is estimated too, under its controls, each held
     until the next; a step has their mean. Predictions are taken between steps where the log's times
@@ -87,6 +90,7 @@ def identify(
     >>> round(found.values["joint/spring/stiffness"], 6)
     90.0
     """
+    checks.progress("identify", progress)
     given = find_model(model).with_settings(precision="f64")
     if any(actuator.delay > 0 for actuator in given.scene.actuators):
         limit = 'without delays of actuators: make these 0, and "delay" a parameter'
@@ -99,7 +103,8 @@ def identify(
     findings = [*unit_findings(compiled, read), *gap_findings(read)]
     start = np.concatenate([guess, np.zeros(fit.free)])
     most = checks.count("most", most)
-    x, jacobian, settled = _fitted(fit, bounds, start, most)
+    with Progress("iterations at most", most, progress) as bar:
+        x, jacobian, settled = _fitted(fit, bounds, start, most, bar)
     sure = certainty(jacobian, fit.residual(x), fit.kinds(), labels)
     result = _result(fit, bounds, start, x, sure, findings)
     if not settled:
@@ -172,7 +177,11 @@ def _begun(model: Model, path: str, low: float, high: float) -> tuple[Model, Col
 
 
 def _fitted(
-    fit: Predictions, bounds: Mapping[str, tuple[float, float]], start: np.ndarray, most: int
+    fit: Predictions,
+    bounds: Mapping[str, tuple[float, float]],
+    start: np.ndarray,
+    most: int,
+    bar: Progress,
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return the values x that fit best, the Jacobian there, and whether the search had ended."""
     try:
@@ -195,10 +204,14 @@ def _fitted(
             # The run of the first is known.
             return begin if np.array_equal(y, first) else origin + y * units
 
+        def slopes(y: np.ndarray) -> np.ndarray:
+            bar.advance()
+            return part.jacobian(at(y)) * units
+
         result = least_squares(
             lambda y: _residual(part, at(y)),
             first,
-            jac=lambda y: part.jacobian(at(y)) * units,
+            jac=slopes,
             bounds=(least, most_of),
             x_scale="jac",
             max_nfev=most,

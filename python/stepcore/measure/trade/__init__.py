@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -161,6 +162,10 @@ def trade(
         tried += within(experiment, counts, kind, kept)
         left_out = partial(words.not_run, cache, tried)
         with time.stage(left_out, SEARCHED):
+            cache.run([shipped])
+            if not cache.failure(shipped):
+                wrong = experiment.errors(cache.full[shipped], cache.reference).high
+                time.so_far(f"error as shipped {words.error(wrong, cache.reference.high)}")
             cache.run([shipped, *tried])
     else:
         searching = SettingsSearch(cache, counts, kind)
@@ -202,7 +207,9 @@ def trade(
     asked = target
     if target is not None and reference.high > target:
         asked = frontier.least() if frontier.least() <= USEFUL * moved(reference.runs) else target
-    if further and _recommends(frontier, asked, limit):
+    best = _best(frontier, asked, limit)
+    if further and best is not None:
+        time.so_far(words.so_far(frontier, best, further))
         unseen = dataclasses.replace(motion, seed=motion.seed + APART)
         with time.stage(f"all tests on {further} further starts", TESTED):
             new = scheduled(unseen, model, period, starts=further + 1).part(1)
@@ -311,13 +318,11 @@ def _with_statistics(
     return frontier
 
 
-def _recommends(frontier: Frontier, target: float | None, budget: float | None) -> bool:
-    """Return whether some row meets the request."""
-    try:
+def _best(frontier: Frontier, target: float | None, budget: float | None) -> TradeRow | None:
+    """Return the row that meets the request; None without a request, or if none does."""
+    with contextlib.suppress(ValueError):
         if target is not None:
-            frontier.cheapest(target)
-        elif budget is not None:
-            frontier.most_accurate(budget)
-    except ValueError:
-        return False
-    return target is not None or budget is not None
+            return frontier.cheapest(target)
+        if budget is not None:
+            return frontier.most_accurate(budget)
+    return None

@@ -60,6 +60,7 @@ class RunCache:
         self.full: dict[Settings, list[Run]] = {}
         self.work: dict[Settings, Work] = {}
         self.tried: set[Settings] = set()
+        self._scores: dict[tuple[Settings, int, Reference], PricedError] = {}
         self.count = 0
 
     def screen(self, settings: Sequence[Settings], starts: int, label: str) -> None:
@@ -126,10 +127,14 @@ class RunCache:
     def score(self, settings: Settings, starts: int) -> PricedError:
         """Return the price and the error of a setting, from the positions of the first starts."""
         runs = self.screened[settings][:starts]
-        if self.why_failed(runs):
-            return PricedError(math.inf, math.inf)
-        error = self.experiment.errors(runs, self.reference).high
-        return PricedError(self.work[settings].flops, error)
+        key = settings, len(runs), self.reference
+        if key not in self._scores:
+            price, error = math.inf, math.inf
+            if not self.why_failed(runs):
+                price = self.work[settings].flops
+                error = self.experiment.errors(runs, self.reference).high
+            self._scores[key] = PricedError(price, error)
+        return self._scores[key]
 
     def failure(self, settings: Settings) -> str | None:
         """Return why a setting failed that was run from all starts, or None."""
@@ -162,7 +167,7 @@ def screen_starts(runner: Runner, workers: Workers, job: Job) -> Ran:
     settings, first, last = job
     if first == 0:
         return priced(runner, settings, range(last), workers)
-    return screened(runner, settings, range(first, last), workers, "", until_fails=True), UNKNOWN
+    return screened(runner, settings, range(first, last), workers, None, until_fails=True), UNKNOWN
 
 
 def all_starts(runner: Runner, settings: Settings) -> Ran:

@@ -16,11 +16,12 @@ from dataclasses import dataclass, field
 from stepcore._core import Settings
 from stepcore.engine.linear_maps import STAGED
 from stepcore.experiment.reference import FINER
+from stepcore.measure.trade import words
 from stepcore.measure.trade.methods import Kind, Steps, families, moves
 from stepcore.measure.trade.rows import MARGIN
 from stepcore.measure.trade.run_cache import PricedError, RunCache
 from stepcore.report.settings import label
-from stepcore.report.units import metres, times
+from stepcore.report.units import times
 
 # Number of starts that methods are first judged from.
 FEW = 2
@@ -141,8 +142,11 @@ class SettingsSearch:
         budget: whether a budget was requested.
         """
         cache, chosen = self.cache, self.chosen
+        tell = cache.experiment.workers.deadline.so_far
+        cache.screen([self.shipped], self.few, "search: as shipped")
+        tell(self.so_far(wanted))
         self.overview()
-        self.cache.experiment.workers.deadline.tell(self.so_far(wanted))
+        tell(self.so_far(wanted))
         self.aims = targets = self.targets(wanted, budget)
         for k, (error, climb) in enumerate(targets):
             halvings = REFINED
@@ -161,23 +165,30 @@ class SettingsSearch:
                 halvings -= 1
                 some = self.meeting(error, climb)
             chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
+            tell(self.so_far(wanted))
 
     def so_far(self, wanted: float | None) -> str:
-        """Return the first answer, from few starts.
+        """Return the error as shipped, and the cheapest settings that meet an error, in words.
 
-        wanted: the requested error [m], or None.
+        wanted: the requested error [m]; None for that of the shipped settings.
         """
-        cache, few = self.cache, self.few
-        shipped = cache.score(self.shipped, few).error
-        said = f"first answer, from {few} of {self.all} starts: "
-        said += f"the shipped settings have an error of {metres(shipped)}"
-        scores = [(cache.score(s, few), k, s) for k, s in enumerate(cache.screened)]
-        good = [score for score in scores if score[0].error <= (wanted or shipped)]
-        if good:
-            score, _, settings = min(good, key=lambda entry: (entry[0].price, entry[1]))
-            share = score.price / cache.score(self.shipped, few).price
-            said += f"; {label(settings)} has {metres(score.error)} at {times(share)} the work"
-        return f"{said}; the search goes on"
+        cache, few, sure = self.cache, self.few, self.cache.reference.high
+        shipped = cache.score(self.shipped, few)
+        said = f"error as shipped {words.error(shipped.error, sure)} in {few} of {self.all} starts"
+        known = []
+        for k, (settings, runs) in enumerate(cache.screened.items()):
+            starts = self.all if len(runs) >= self.all else few
+            score = cache.score(settings, starts)
+            # The error and the starts decide before the price.
+            order = max(score.error, wanted or shipped.error), -starts, score.price, k
+            known.append((order, settings, score, starts))
+        _, best, score, starts = min(known)
+        if best == self.shipped:
+            return f"{said}; nothing better yet" if len(known) > 1 else said
+        said += f"; best {label(best)}: {words.error(score.error, sure)}"
+        if shipped.price < math.inf:
+            said += f" at {times(score.price / shipped.price)} the shipped work"
+        return f"{said} in {starts} of {self.all}, not confirmed"
 
     def best(self, whole: bool) -> list[Settings]:
         """Return the settings to run from all starts, and those that failed.

@@ -40,6 +40,23 @@ DIFFER = 30.0
 MODELS = {"pyramid": "the friction pyramid", "softness": "the softness of contacts and limits"}
 
 
+def error(value: float, sure: float) -> str:
+    """Return an error with that of the reference [m], in words."""
+    bound = metres(sure).removeprefix("< ")
+    return f"{metres(value)} ± {bound}" if value < math.inf else "a failed run"
+
+
+def so_far(frontier: Frontier, row: TradeRow, further: int) -> str:
+    """Return a recommendation that further starts are to confirm, beside the shipped settings."""
+    known, shipped = frontier.known, frontier.shipped
+    share = times(frontier.price(row) / frontier.price(shipped))
+    return (
+        f"error as shipped {error(frontier.searched(shipped), known)}; best {label(row.settings)}: "
+        f"{error(frontier.searched(row), known)} at {share} the shipped cost; "
+        f"{counted(further, 'start')} more are to confirm it"
+    )
+
+
 @dataclass(frozen=True)
 class Words:
     """The sentences of a trade's answer; the fields are those of `Trade`.
