@@ -1,8 +1,9 @@
 """Select the compiled module with the widest vector instructions of this processor.
 
-A wheel for x86-64 contains two modules: one in the package for every processor, and one in a
-subfolder for processors with AVX2. Both give bit-identical results. The environment variable
-`STEPCORE_VECTORS` overrides the selection.
+A release's wheel for x86-64 contains two modules: one in the package for every processor, and one
+in a subfolder for processors with AVX2. A build from source contains the one for its processor.
+Both give bit-identical results. The environment variable `STEPCORE_VECTORS` overrides the
+selection.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from importlib.machinery import EXTENSION_SUFFIXES
 
 VARIABLE = "STEPCORE_VECTORS"
 BASELINE = "baseline"
@@ -20,26 +22,38 @@ def choose(path: list[str]) -> None:
 
     path: the package's `__path__`.
 
-    Raises ImportError if STEPCORE_VECTORS names none of `levels()`.
+    Raises ImportError if STEPCORE_VECTORS names none of `levels()`, or if there are none.
     """
-    name = os.environ.get(VARIABLE) or next(iter(levels()))
-    if name not in levels():
-        known = "', '".join(levels())
+    known_levels = levels()
+    if not known_levels:
+        raise ImportError(
+            "this installation of stepcore was built for processors with AVX2, and this processor "
+            "has none: build it on this machine with 'pip install .', or install a release's "
+            "wheel, which runs on every processor"
+        )
+    name = os.environ.get(VARIABLE) or next(iter(known_levels))
+    if name not in known_levels:
+        known = "', '".join(known_levels)
         limit = f"one of '{known}', which this installation has and this processor can run"
         raise ImportError(f"{VARIABLE} = '{name}': must be {limit}")
     if name != BASELINE:
-        path.insert(0, levels()[name])
+        path.insert(0, known_levels[name])
 
 
 def levels() -> dict[str, str]:
     """Return name and folder of each installed module that this processor can run, widest first."""
     package = os.path.dirname(__file__)
     wider = {name: os.path.join(package, f"_{name}") for name in _RUNS}
-    there = {name: own for name, own in wider.items() if os.path.isdir(own) and _RUNS[name]()}
-    return there | {BASELINE: package}
+    wider = {name: own for name, own in wider.items() if os.path.isdir(own)}
+    there = {name: own for name, own in wider.items() if _RUNS[name]()}
+    modules = (os.path.join(package, f"_core{suffix}") for suffix in EXTENSION_SUFFIXES)
+    # Without any module the import itself says what is missing.
+    if not wider or any(map(os.path.exists, modules)):
+        there[BASELINE] = package
+    return there
 
 
-def _has_avx2() -> bool:
+def has_avx2() -> bool:
     """Return whether the processor has AVX2 and the operating system allows its use."""
     if sys.platform == "linux":
         return "avx2" in _flags()
@@ -67,4 +81,4 @@ def _flags() -> list[str]:
 
 
 # The modules apart from the baseline, widest first, with a test of the processor.
-_RUNS: dict[str, Callable[[], bool]] = {"avx2": _has_avx2}
+_RUNS: dict[str, Callable[[], bool]] = {"avx2": has_avx2}

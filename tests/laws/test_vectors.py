@@ -50,7 +50,7 @@ def run(level, code):
 
 def test_every_level_gives_the_same_bits():
     if len(LEVELS) == 1:
-        pytest.skip("this build has the baseline alone")
+        pytest.skip("this build has one level alone")
     printed = {}
     for level in LEVELS:
         done = run(level, RUN)
@@ -80,7 +80,22 @@ def test_the_widest_is_chosen():
 
 def test_what_a_processor_has_is_what_numpy_finds():
     module = pytest.importorskip("numpy._core._multiarray_umath")
-    assert vectors._has_avx2() == module.__cpu_features__.get("AVX2", False)
+    assert vectors.has_avx2() == module.__cpu_features__.get("AVX2", False)
+
+
+def test_a_module_for_other_processors_is_refused_unread(tmp_path, monkeypatch):
+    """As where a folder of packages was copied from a newer machine."""
+    (tmp_path / "_avx2").mkdir()
+    (tmp_path / "_avx2" / "_core.abi3.so").write_bytes(b"instructions that nobody may run")
+    monkeypatch.setattr(vectors, "__file__", str(tmp_path / "vectors.py"))
+    monkeypatch.delenv(vectors.VARIABLE, raising=False)
+    monkeypatch.setitem(vectors._RUNS, "avx2", lambda: False)
+    with pytest.raises(ImportError, match="built for processors with AVX2"):
+        vectors.choose([str(tmp_path)])
+    monkeypatch.setitem(vectors._RUNS, "avx2", lambda: True)
+    path = [str(tmp_path)]
+    vectors.choose(path)
+    assert path[0] == str(tmp_path / "_avx2")
 
 
 def test_a_level_that_is_not_there_is_refused():
