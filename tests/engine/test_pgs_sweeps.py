@@ -6,6 +6,7 @@ under every integrator that both have, and fifty steps.
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import make
 
 from stepcore import lesson
@@ -131,9 +132,7 @@ def same(one, two, tolerance=1e-12):
     assert np.abs(one - two).max(initial=0.0) <= tolerance * scale
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("scene", SCENES, ids=named)
+@every_pair(scene=SCENES, law=LAWS, cone=CONES)
 def test_sweep_by_sweep(scene, law, cone):
     """Impulses, accelerations and residual after 1, 2, 3, … cold sweeps."""
     for sweeps in (1, 2, 3, 4, 5, 10, 20, 50):

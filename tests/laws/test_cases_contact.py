@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, RUST_ONLY, make
 
 from stepcore import lesson
@@ -120,9 +121,7 @@ def test_c4_rest_depth_twin(engine):
     assert q == pytest.approx(s * m * g * 0.5 * math.cos(q) * dt**2 / beta, rel=1e-9)
 
 
-@pytest.mark.parametrize("impedance", [0.3, 0.9, 0.99])
-@pytest.mark.parametrize("ref", [-100.0, -10.0, 0.1, 0.01])
-@pytest.mark.parametrize("engine", ["rust"])
+@every_pair(engine=["rust"], ref=[-100.0, -10.0, 0.1, 0.01], impedance=[0.3, 0.9, 0.99])
 def test_c4_rest_depth_of_solref(engine, ref, impedance):
     """MuJoCo's law: depth = g·(1 - d)·(tc·dr)², or g·(1 - d)/stiffness; to 1e-10 m."""
     scene = Scene()

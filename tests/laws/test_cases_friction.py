@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, RUST_ONLY, make
 
 from stepcore.scene.scene import Scene
@@ -87,9 +88,7 @@ def slide(engine, angle, v0=5.0, mu=0.5, dt=0.01, **settings):
     return np.array(sim.qpos) - rest, lift
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, cone=CONES, law=LAWS)
 def test_f2_stopping_distance(engine, cone, law):
     """d = v0²/(2·mu·g) less v0·dt/2, and within 1 um of its resting height in every step."""
     softness = 0.0 if law == "rigid" else 0.5

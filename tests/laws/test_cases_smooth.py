@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, RUST_ONLY, make
 
 from stepcore import lesson
@@ -21,9 +22,7 @@ def flying_box(gravity=(0, 0, -9.8)):
     return scene
 
 
-@pytest.mark.parametrize("dt", [1e-3, 1e-2])
-@pytest.mark.parametrize("integrator", ORDER)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=ORDER, dt=[1e-3, 1e-2])
 def test_i1_free_flight(engine, integrator, dt):
     """p = p0 + v0 t + g t²/2; v-first is g·dt·t/2 low, explicit as much high, the others exact."""
     time = 10.0 if engine == "rust" else 1.0
@@ -84,9 +83,7 @@ def damped(k, c, t):
     return ((b * cmath.exp(a * t) - a * cmath.exp(b * t)) / (b - a)).real
 
 
-@pytest.mark.parametrize("ratio", [0.1, 1.0, 2.0])
-@pytest.mark.parametrize("integrator", ORDER)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=ORDER, ratio=[0.1, 1.0, 2.0])
 def test_i3_order_on_a_damped_oscillator(engine, integrator, ratio):
     """Under-, critically and overdamped: the error at 0.5 s falls with the integrator's order."""
     errors = []

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, make
 
 import stepcore as sc
@@ -48,9 +49,7 @@ def test_a_capsule_is_cleared_as_well():
         assert sim.qvel[:3].tolist() == [speed, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("speed", [100.0, 1000.0, 1e6])
+@every_pair(speed=[100.0, 1000.0, 1e6], law=LAWS, engine=ENGINES)
 def test_a_glancing_blow_leaves_the_speed_along_the_surface(engine, law, speed):
     """Without restitution v·b/(2r) is left, b the offset: the part along the tangent plane."""
     for offset in (0.05, 0.1, 0.18, 0.199):

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import transforms
 import zoo
+from covering import every_pair
 
 import stepcore as sc
 from stepcore.loading import find_asset
@@ -212,9 +213,11 @@ def test_restart(name, way, precision):
         assert again.state() == sim.state(), "the snapshots differ"
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("way", [{}, {"acceleration": "momentum"}, {"law": "rigid"}])
-@pytest.mark.parametrize("name", ["connect", "plane_capsule", "all_together", "half_cheetah"])
+@every_pair(
+    name=["connect", "plane_capsule", "all_together", "half_cheetah"],
+    way=[{}, {"acceleration": "momentum"}, {"law": "rigid"}],
+    precision=PRECISIONS,
+)
 def test_tolerance_zero_runs_every_sweep(name, way, precision):
     """M9: n sweeps with tolerance 0 are n sweeps, though the rows were solved long before."""
     for sweeps in (0, 1, 7, 400):

@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from covering import every_pair
 from oracle import Sim as Reference
 from oracle import solve as reference
 
@@ -57,10 +58,12 @@ def rise(sim, steps):
     return most, start
 
 
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-@pytest.mark.parametrize("law", ["rigid", "lesson", "relaxed"])
-@pytest.mark.parametrize("shape", ["box", "sphere"])
-@pytest.mark.parametrize("ratio", [1e2, 1e4, 1e5, 1e6])
+@every_pair(
+    ratio=[1e2, 1e4, 1e5, 1e6],
+    shape=["box", "sphere"],
+    law=["rigid", "lesson", "relaxed"],
+    cone=["pyramidal", "elliptic"],
+)
 def test_one_on_another_rests(ratio, shape, law, cone):
     """0.3 s: nobody moves by a micrometre, and the floor bears both."""
     light, heavy = 1e-3, 1e-3 * ratio

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, make
 
 import stepcore as sc
@@ -42,9 +43,7 @@ def test_a_tower_of_elastic_balls_gains_nothing(integrator):
         assert sum(sim.energy) <= start * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("integrator", AFTER)
-@pytest.mark.parametrize("e", [0.5, 0.8])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, e=[0.5, 0.8], integrator=AFTER)
 def test_apexes(engine, integrator, e):
     """apex_n = h·e^(2n), and rest: the energy of each flight is exact, the time to O(dt)."""
     dt = 2e-3 if engine == "rust" else 1e-2

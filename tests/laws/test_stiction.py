@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import transforms
+from covering import every_pair
 
 import stepcore as sc
 
@@ -49,9 +50,7 @@ FREE_SPIN = 7
 SOLVERS = {"newton": {}, "pgs": {"solver": "pgs", "sweeps": 2000, "tolerance": 1e-13}}
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize("dt", [0.001, 0.002, 0.005, 0.01])
+@every_pair(dt=[0.001, 0.002, 0.005, 0.01], cone=["elliptic", "pyramidal"], solver=SOLVERS)
 def test_a_pinched_ball_hangs(dt, cone, solver):
     """MuJoCo's friction lets it creep at 50 µm/s or more; held it moves below 1 nm/s for 9 s."""
     text, ctrl = pinch(dt, cone)

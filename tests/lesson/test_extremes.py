@@ -10,6 +10,7 @@ import math
 import extremes
 import numpy as np
 import pytest
+from covering import every_pair
 from extreme_cases import cells
 
 import stepcore as sc
@@ -127,9 +128,9 @@ def test_an_impact_gives_no_energy(speed, law):
 # --- sliding, duplicates, degenerate shapes -------------------------------------------------------
 
 
-@pytest.mark.parametrize("law", ["rigid", "lesson", "relaxed"])
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize("speed", [0.5, 5.0, 100.0])
+@every_pair(
+    speed=[0.5, 5.0, 100.0], cone=["elliptic", "pyramidal"], law=["rigid", "lesson", "relaxed"]
+)
 def test_a_slide_keeps_its_height(law, cone, speed):
     """Coulomb's laws do not lift what slides: within 1 µm of the rest in every step."""
     scene = sc.Scene()
@@ -165,9 +166,11 @@ def test_duplicate_contacts_change_nothing(cone, speed, after, spin):
         assert sim.qvel[4] == pytest.approx(spin, abs=1e-12), f"{count} contacts"
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@pytest.mark.parametrize("settings", [RIGID, RIGID | {"law": "lesson"}, SOLVED])
-@pytest.mark.parametrize("kind", ["sphere", "capsule"])
+@every_pair(
+    kind=["sphere", "capsule"],
+    settings=[RIGID, RIGID | {"law": "lesson"}, SOLVED],
+    precision=["f64", "f32"],
+)
 def test_coincident_centres_part(kind, settings, precision):
     """Two bodies in one place have no direction between them: they part along a fixed one."""
     scene = sc.Scene(gravity=(0, 0, 0))

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import oracle
 import pytest
+from covering import every_pair
 from engines import ENGINES, make
 
 from stepcore import lesson
@@ -197,9 +198,7 @@ def lesson_stack(q, v, dt, beta, s, sweeps, regularised):
     return [q[0] + dt * v[0], q[1] + dt * v[1]], v
 
 
-@pytest.mark.parametrize("sweeps", [1, 2, 5])
-@pytest.mark.parametrize("law", ["relaxed", "lesson"])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, law=["relaxed", "lesson"], sweeps=[1, 2, 5])
 def test_stack_recursion(engine, law, sweeps):
     """Step by step the lesson's two rows, to 1e-12, under both readings of its softness."""
     sim = make(engine, lesson.stack(sweeps, law), "start")

@@ -12,6 +12,7 @@ import oracle
 import peers
 import pytest
 import zoo
+from covering import every_pair
 
 import stepcore as sc
 
@@ -49,9 +50,7 @@ def wrenches(theirs, data):
     return found
 
 
-@pytest.mark.parametrize("impratio", [1.0, 10.0])
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-@pytest.mark.parametrize("name", [*SCENES, "pairs"])
+@every_pair(name=[*SCENES, "pairs"], cone=["pyramidal", "elliptic"], impratio=[1.0, 10.0])
 def test_forces_and_torques_are_mujocos(name, cone, impratio):
     """1e-9 beside the largest, by Newton and by sweeps to rounding."""
     options = {"cone": cone, "impratio": impratio}
@@ -77,9 +76,11 @@ def test_forces_and_torques_are_mujocos(name, cone, impratio):
     assert torques > 3 or name == "condim_mixed"
 
 
-@pytest.mark.parametrize("law", ["lesson", "relaxed", "rigid", "penalty"])
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-@pytest.mark.parametrize("name", ["condim_4", "condim_6", "condim_all", "pairs"])
+@every_pair(
+    name=["condim_4", "condim_6", "condim_all", "pairs"],
+    cone=["pyramidal", "elliptic"],
+    law=["lesson", "relaxed", "rigid", "penalty"],
+)
 def test_the_reference_takes_the_same_steps(name, law, cone):
     """From random states 1e-10 after one step, with the same sweeps; residuals too."""
     text = text_of(name).replace('type="capsule" size=".06 .12"', 'size=".1"')

@@ -11,6 +11,7 @@ import mujoco
 import peers
 import pytest
 import zoo
+from covering import every_pair
 
 import stepcore as sc
 
@@ -69,9 +70,7 @@ def test_forward(name, cone, impratio):
     worst.check(limits(name, peers.PLACED | peers.SOLVED), f"{name} {cone} {impratio}")
 
 
-@pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("integrator", peers.INTEGRATORS)
-@pytest.mark.parametrize("cone", peers.CONES)
+@every_pair(cone=peers.CONES, integrator=peers.INTEGRATORS, name=SCENES)
 def test_step(name, integrator, cone):
     sim, theirs, data, states = both(name, integrator=integrator, cone=cone)
     worst = peers.Worst()

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import peers
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 
@@ -104,9 +105,7 @@ def test_who_moves_the_surface_is_named():
         scene.geoms[0].surfacevel = (1, 2, 3, 4, 5, np.inf)
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-@pytest.mark.parametrize("speed", [1, 5, 10, 30])
+@every_pair(speed=[1, 5, 10, 30], cone=["pyramidal", "elliptic"], law=LAWS)
 def test_the_work_of_a_belt_is_no_gained_energy(law, cone, speed):
     """What it puts in is the box's energy and as much heat, or more: no ledger finds a gain."""
     text = BELT.format(f'surfacevel="{speed} 0 0 0 0 {speed / 2}"', 0.3)
@@ -116,9 +115,11 @@ def test_the_work_of_a_belt_is_no_gained_energy(law, cone, speed):
     assert sim.energy.kinetic > 0.3 * speed
 
 
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-@pytest.mark.parametrize("surfacevel", ["0 .5 0 0 0 0", "1 0 0 0 0 0"])
-@pytest.mark.parametrize("axes", ["001", "100 001"])
+@every_pair(
+    axes=["001", "100 001"],
+    surfacevel=["0 .5 0 0 0 0", "1 0 0 0 0 0"],
+    cone=["pyramidal", "elliptic"],
+)
 def test_a_belt_asks_for_friction_where_nothing_moves(cone, surfacevel, axes):
     """Along tangents that no joint has its rows have a target, and so a share of the force."""
     joints = "".join(f'<joint type="slide" axis="{" ".join(axis)}"/>' for axis in axes.split())
