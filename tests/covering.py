@@ -27,7 +27,7 @@ def first(count, /, **factor):
     """Parametrizes with the first draws of one long factor (seeds); the later ones are long."""
     ((name, values),) = factor.items()
     return pytest.mark.parametrize(
-        name, [_case([value], i < count, None) for i, value in enumerate(values)]
+        name, [_param([value], i < count) for i, value in enumerate(values)]
     )
 
 
@@ -53,31 +53,32 @@ def covering(cases, strength):
 
 
 def _parametrize(where, factors, strength):
-    named = [_named(name, values) for name, values in factors.items()]
-    places = [
-        case
-        for case in itertools.product(*(range(len(values)) for values in named))
-        if where is None or where(*(values[i][1] for values, i in zip(named, case, strict=True)))
-    ]
-    everyday = set(covering(places, strength))
     cases = []
-    for i, case in enumerate(places):
-        names, values = zip(*(named[k][place] for k, place in enumerate(case)), strict=True)
-        cases.append(_case(values, i in everyday, "-".join(names)))
-    return pytest.mark.parametrize(list(factors), cases)
+    for case in itertools.product(*(_values(*factor) for factor in factors.items())):
+        places, names, values = zip(*case, strict=True)
+        values = tuple(itertools.chain(*values))
+        if where is None or where(*values):
+            cases.append((places, values, "-".join(names)))
+    everyday = set(covering([places for places, _, _ in cases], strength))
+    return pytest.mark.parametrize(
+        ",".join(factors),
+        [_param(values, i in everyday, name) for i, (_, values, name) in enumerate(cases)],
+    )
 
 
-def _named(factor, values):
-    """Each value with what it is called in the name of a case, as pytest calls values."""
-    short = [
-        str(value) if isinstance(value, (str, float, int)) else getattr(value, "__name__", "")
-        for value in values
-    ]
-    return [
-        (word if 0 < len(word) < 40 else f"{factor}{i}", value)
-        for i, (word, value) in enumerate(zip(short, values, strict=True))
-    ]
+def _values(factor, values):
+    """The place of each value, what it is called in the name of a case, and itself as arguments.
+
+    A factor "a, b" has tuples for values, as in pytest's own parametrize.
+    """
+    for i, value in enumerate(values):
+        arguments = value if "," in factor else (value,)
+        word = "-".join(
+            str(one) if isinstance(one, (str, float, int)) else getattr(one, "__name__", "")
+            for one in arguments
+        )
+        yield i, word if 0 < len(word) < 40 else f"{factor}{i}", arguments
 
 
-def _case(values, everyday, name):
+def _param(values, everyday, name=None):
     return pytest.param(*values, marks=() if everyday else pytest.mark.long, id=name)

@@ -37,6 +37,9 @@ def test_the_rest_of_a_product_is_long():
     assert {law for law, _ in chosen} == set(LAW) and {cone for _, cone in chosen} == set(CONE)
     assert everyday(first(3, seed=range(40))) == ([(0,), (1,), (2,)], 40)
 
+    chosen, _ = everyday(every_pair(**{"law, cone": [("rigid", "elliptic")]}, engine=ENGINE))
+    assert chosen == [("rigid", "elliptic", engine) for engine in ENGINE]
+
 
 def test_what_cannot_be_together_is_no_case():
     def where(law, cone):
