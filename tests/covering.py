@@ -34,21 +34,16 @@ def first(count, /, **factor):
 def covering(cases, strength):
     """The places of few cases that hold all combinations of `strength` values that any case holds.
 
-    Greedy: each next case brings the most combinations that are not there yet.
+    Greedy: first the cases that bring the most combinations which are not there yet.
     """
-    left = [set(itertools.combinations(enumerate(case), strength)) for case in cases]
+    held = [set(itertools.combinations(enumerate(case), strength)) for case in cases]
     chosen, covered = [], set()
-    gains = [len(combinations) for combinations in left]
-    while max(gains, default=0):
-        best = max(range(len(cases)), key=gains.__getitem__)
-        # A gain only sinks: the largest is looked at again before it is believed.
-        left[best] -= covered
-        if len(left[best]) < gains[best]:
-            gains[best] = len(left[best])
-            continue
-        chosen.append(best)
-        covered |= left[best]
-        gains[best] = 0
+    for gain in range(max(map(len, held), default=0), 0, -1):
+        for i, combinations in enumerate(held):
+            # A gain only sinks: none is above this one any more.
+            if len(combinations - covered) == gain:
+                chosen.append(i)
+                covered |= combinations
     return chosen
 
 
