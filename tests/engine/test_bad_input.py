@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small import ball, pendulum
@@ -91,9 +92,7 @@ ARRAYS = [
 ]
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@pytest.mark.parametrize(("name", "index", "text"), ARRAYS)
-@pytest.mark.parametrize("value", NOT_FINITE)
+@every_pair(**{"name, index, text": ARRAYS}, value=NOT_FINITE, precision=["f64", "f32"])
 def test_a_sim_steps_nothing_while_an_entry_is_not_finite(
     model, name, index, text, value, precision
 ):

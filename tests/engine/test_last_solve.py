@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from covering import every_pair
 from zoo import ZOO
 
 import stepcore as sc
@@ -89,10 +90,12 @@ def started(name, n, integrator, lanes):
     return world
 
 
-@pytest.mark.parametrize("integrator", ["euler", "discrete", "rk4"])
-@pytest.mark.parametrize("n, lanes", [(None, None), (3, False), (9, True)])
-@pytest.mark.parametrize("name", list(ZOO)[2::5])
-@pytest.mark.parametrize("solve", ["step", "forward"])
+@every_pair(
+    **{"n, lanes": [(None, None), (3, False), (9, True)]},
+    solve=["step", "forward"],
+    name=list(ZOO)[2::5],
+    integrator=["euler", "discrete", "rk4"],
+)
 def test_it_is_read_after_restore_and_of_copies(name, n, lanes, integrator, solve):
     """Once qacc was 0 in a copy, and that of a later motion after `restore`."""
     world = started(name, n, integrator, lanes)

@@ -62,11 +62,11 @@ def test_apexes(engine, integrator, e):
         assert apex == pytest.approx(e ** (2 * n), abs=3 * n * dt * math.sqrt(2 * G) * e**n)
 
 
-@pytest.mark.parametrize("integrator", AFTER)
-@pytest.mark.parametrize(
-    ("law", "softness"), [("rigid", 0.0), ("lesson", 0.0), ("lesson", 0.3), ("relaxed", 0.3)]
+@every_pair(
+    engine=ENGINES,
+    **{"law, softness": [("rigid", 0.0), ("lesson", 0.0), ("lesson", 0.3), ("relaxed", 0.3)]},
+    integrator=AFTER,
 )
-@pytest.mark.parametrize("engine", ENGINES)
 def test_what_rests_is_at_rest(engine, law, softness, integrator):
     """qvel is 0 (it read −g·dt/2), the force is the weight, the depth is the law's."""
     sim = make(

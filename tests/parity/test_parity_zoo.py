@@ -5,7 +5,6 @@ Law: the same as for the models (`test_parity_models`). The scenes are in `zoo`.
 
 import copy
 import functools
-import itertools
 
 import mujoco
 import peers
@@ -14,9 +13,6 @@ import zoo
 from covering import every_pair
 
 import stepcore as sc
-
-FRICTIONS = tuple(itertools.product(("pyramidal", "elliptic"), (1.0, 10.0)))
-
 
 SCENES = zoo.ZOO | zoo.INEXACT
 
@@ -60,8 +56,7 @@ def test_states_reach_rows(name):
         assert 4 * min(seen["slips"], seen["sticks"]) >= len(states), "saturated and not"
 
 
-@pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize(("cone", "impratio"), FRICTIONS)
+@every_pair(cone=peers.CONES, impratio=(1.0, 10.0), name=SCENES)
 def test_forward(name, cone, impratio):
     sim, theirs, data, states = both(name, cone=cone, impratio=impratio)
     worst = peers.Worst()
