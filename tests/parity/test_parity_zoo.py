@@ -4,36 +4,15 @@ Law: the same as for the models (`test_parity_models`). The scenes are in `zoo`.
 """
 
 import copy
-import functools
 
 import mujoco
 import peers
 import pytest
 import zoo
 from covering import every_pair
+from fallen import SCENES, both, states_of, strict
 
 import stepcore as sc
-
-SCENES = zoo.ZOO | zoo.INEXACT
-
-
-def strict(name, **options):
-    return peers.strict(mujoco.MjModel.from_xml_string(SCENES[name].text), **options)
-
-
-@functools.cache
-def states_of(name):
-    """Forty states of a scene, eight of a heap."""
-    entry = SCENES[name]
-    count = 8 if name in zoo.HEAPS else 40
-    return peers.fall_states(strict(name), count, 7, entry.spread, entry.speed)
-
-
-def both(name, **options):
-    """The scene in both engines, MuJoCo's scratch data, and the states to visit."""
-    theirs = strict(name, **options)
-    sim = sc.Sim(sc.loads(SCENES[name].text).compile(), **peers.EXACT, **options)
-    return sim, theirs, mujoco.MjData(theirs), states_of(name)
 
 
 def limits(name, usual):
@@ -69,7 +48,7 @@ def test_forward(name, cone, impratio):
 def test_step(name, integrator, cone):
     sim, theirs, data, states = both(name, integrator=integrator, cone=cone)
     worst = peers.Worst()
-    for index, state in enumerate(states[:24]):
+    for index, state in enumerate(states):
         peers.note_step(worst, index, sim, theirs, data, state)
     worst.check(limits(name, peers.STEPPED), f"{name} {integrator} {cone}")
 
