@@ -24,10 +24,10 @@ def every_value(where=None, /, **factors):
 
 
 def first(count, /, **factor):
-    """Parametrizes with the first draws of one long factor (seeds); the later ones are long."""
+    """Parametrizes with one factor (seeds), whose first values are tried by default."""
     ((name, values),) = factor.items()
     return pytest.mark.parametrize(
-        name, [_param([value], i < count) for i, value in enumerate(values)]
+        name, [_param(one, i < count, word) for i, word, one in _values(name, values)]
     )
 
 
@@ -75,5 +75,5 @@ def _values(factor, values):
         yield i, word if 0 < len(word) < 40 else f"{factor}{i}", arguments
 
 
-def _param(values, everyday, name=None):
+def _param(values, everyday, name):
     return pytest.param(*values, marks=() if everyday else pytest.mark.long, id=name)

@@ -25,7 +25,7 @@ def test_every_pair_occurs_in_few_cases(sizes):
 def everyday(decorator):
     """The values of the default run, and how many cases there are in all."""
     cases = decorator.args[1]
-    return [case.values for case in cases if not case.marks], len(cases)
+    return [tuple(case.values) for case in cases if not case.marks], len(cases)
 
 
 def test_the_rest_of_a_product_is_long():
