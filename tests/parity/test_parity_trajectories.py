@@ -11,6 +11,7 @@ import numpy as np
 import peers
 import pytest
 import zoo
+from covering import every_value
 
 import stepcore as sc
 
@@ -73,9 +74,10 @@ def test_models(name):
     assert passed >= 4, figures
 
 
-@pytest.mark.parametrize("integrator", peers.INTEGRATORS)
-@pytest.mark.parametrize(
-    "name", ("all_together", "connect", "friction_loss", "several_joints", "free_limb")
+# One step of every scene under every integrator is in test_parity_zoo.py.
+@every_value(
+    name=("all_together", "connect", "friction_loss", "several_joints", "free_limb"),
+    integrator=peers.INTEGRATORS,
 )
 def test_zoo(name, integrator):
     theirs = peers.strict(mujoco.MjModel.from_xml_string(zoo.ZOO[name].text), integrator=integrator)
