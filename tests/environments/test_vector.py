@@ -6,6 +6,7 @@ import pickle
 import gymnasium
 import numpy as np
 import pytest
+from covering import every_value
 from gymnasium.vector import AutoresetMode
 
 import stepcore.gymnasium
@@ -38,8 +39,7 @@ def same(ours, theirs, what):
         assert np.array_equal(ours, theirs), what
 
 
-@pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("name", TASKS)
+@every_value(name=TASKS, mode=AutoresetMode)
 def test_it_is_gymnasiums_vector_environment_of_single_ones(name, mode):
     ours = vector(name, autoreset_mode=mode, max_episode_steps=20)
     theirs = vector(

@@ -99,7 +99,7 @@ def test_a_servo_is_kicked_beyond_its_force_range():
     """The same arm at rest: a kick of 1.5 F/kv is tried, and the answer says so. Law: it chatters
     from dt = 2I/kv on at the earliest, and where its first step lands beyond -F/kv for sure."""
     scene = wrist()
-    d = diagnosed(scene, kind="hold")
+    d = diagnosed(scene, kind="hold", horizon=0.2)
     kick = 1.5 * FORCE / KV
     real = stiff.bisected(lambda dt: comes_to_rest(scene, dt, kick), 5e-6, 3e-5, fine=0.01)
     assert d.limit() == pytest.approx(real, rel=0.05)
