@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from covering import every_pair
+from covering import every_pair, every_value
 from engines import ENGINES, RUST_ONLY, make
 
 from stepcore.scene.scene import Scene
@@ -34,8 +34,7 @@ def downhill(sim, slope):
     return float(along @ np.array(sim.qpos)), float(along @ np.array(sim.qvel))
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_value(engine=ENGINES, cone=CONES)
 def test_f1_sticks_at_the_threshold(engine, cone):
     """26.565°, mu 0.5 (tan is 0.499998): less than 1 mm in 25 s; at mu 0.49 it slides 27.3888 m.
 
@@ -101,8 +100,7 @@ def test_f2_stopping_distance(engine, cone, law):
     assert lift < 1e-6
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_value(engine=ENGINES, cone=CONES)
 def test_f2_direction(engine, cone):
     """Kicked at 0 to 90°: the round cone stops at one distance in the direction of the kick.
 
@@ -128,8 +126,7 @@ def test_f2_direction(engine, cone):
         assert min(distances) / max(distances) == pytest.approx(math.sqrt(0.5), rel=0.01)
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_value(engine=ENGINES, cone=CONES)
 def test_f3_slide_then_roll(engine, cone):
     """A solid ball: t = 2v0/(7·mu·g), v = 5/7·v0, x = 12·v0²/(49·mu·g); then no loss."""
     v0, mu = 5.0, 0.2
@@ -181,8 +178,7 @@ def twist(impulse):
     return float(1.5 * (np.cos(at) @ impulse[:, 1] + np.sin(at) @ impulse[:, 2]))
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_value(engine=ENGINES, cone=CONES)
 def test_f6_pizza_saver(engine, cone):
     """A twist of 20 N·m sticks, one of 40 slides: mu·m·g·R = 30 N·m is what friction holds."""
     dt, sweeps = 0.01, 500

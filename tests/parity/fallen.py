@@ -37,11 +37,16 @@ def states_of(name, count=24):
 
 @functools.cache
 def fallen(name, count):
-    # On their way MuJoCo need not be at its most accurate.
-    model = copy.copy(shipped(name))
     if name in peers.GYM:
-        return peers.fall_states(model, count, peers.GYM.index(name))
-    return peers.fall_states(model, count, 7, SCENES[name].spread, SCENES[name].speed)
+        return falls(shipped(name), count, peers.GYM.index(name))
+    return falls(shipped(name), count, 7, SCENES[name].spread, SCENES[name].speed)
+
+
+def falls(theirs, *arguments):
+    """`peers.fall_states`; on the way to a state MuJoCo need not be at its most accurate."""
+    model = copy.copy(theirs)
+    model.opt.tolerance, model.opt.ls_tolerance, model.opt.ccd_tolerance = 1e-8, 1e-2, 1e-6
+    return peers.fall_states(model, *arguments)
 
 
 def both(name, count=24, **options):

@@ -13,6 +13,7 @@ import peers
 import pytest
 import zoo
 from covering import every_pair
+from fallen import falls
 
 import stepcore as sc
 
@@ -37,7 +38,7 @@ def text_of(name):
 
 def states_of(name, theirs, count):
     spread, speed = (0.02, 1.5) if name == "pairs" else (zoo.ZOO[name].spread, zoo.ZOO[name].speed)
-    return peers.fall_states(theirs, count, 17, spread, speed)
+    return falls(theirs, count, 17, spread, speed)
 
 
 def wrenches(theirs, data):
