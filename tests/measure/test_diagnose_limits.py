@@ -1,6 +1,7 @@
 """`diagnose` names limits that a run confirms: the same one for every wanted dt, at steps between
 those at which a motion holds by luck, and by elements that move the limit."""
 
+import functools
 import math
 import re
 from types import SimpleNamespace
@@ -42,10 +43,14 @@ PENDULUM = """<mujoco><option timestep="0.002" integrator="implicitfast" gravity
 <keyframe><key qpos="3" ctrl="0"/></keyframe></mujoco>"""
 
 
+@functools.cache
+def pendulum(dt):
+    return diagnosed(sc.loads(PENDULUM), dt=dt, kind="hold")
+
+
 def test_every_wanted_dt_names_the_same_limit():
     """Law: the limit belongs to the motion, so it does not depend on the step that is asked for."""
-    scene = sc.loads(PENDULUM)
-    every = [diagnosed(scene, dt=dt, kind="hold") for dt in (0.0011, 0.02)]
+    every = [pendulum(dt) for dt in (0.0011, 0.02)]
     limits = [d.limit() for d in every]
     assert math.isfinite(limits[0]) and limits == [limits[0]] * len(limits)
     assert {d.stiffest() for d in every} == {"servo `servo`"}
@@ -53,7 +58,7 @@ def test_every_wanted_dt_names_the_same_limit():
 
 def test_a_saturated_servo_is_said_to_be_so():
     """The frequency of the servo on its own has nothing to do with the limit of its chatter."""
-    d = diagnosed(sc.loads(PENDULUM), dt=0.02, kind="hold")
+    d = pendulum(0.02)
     assert d.limits["implicitfast"].outcome == "chatters"
     assert (
         f"servo `servo`, while saturated, limits dt to {1e3 * d.limit():.3g} ms" in d.sentences[0]
