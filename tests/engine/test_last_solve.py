@@ -22,8 +22,9 @@ def moving(name, **settings):
     return model, sim, rng
 
 
-@pytest.mark.parametrize("integrator", ["euler", "implicitfast", "implicit", "discrete", "rk4"])
-@pytest.mark.parametrize("name", list(ZOO)[::5])
+@every_pair(
+    name=list(ZOO)[::5], integrator=["euler", "implicitfast", "implicit", "discrete", "rk4"]
+)
 def test_reading_changes_nothing_and_is_of_the_step(name, integrator):
     """A batch solves again for what it reads, and has the same bits."""
     model, sim, rng = moving(name, integrator=integrator)

@@ -74,8 +74,7 @@ def same(batch, sims, worlds=None):
         assert np.array_equal(batch.qvel[world], sim.qvel), world
 
 
-@pytest.mark.parametrize("path", VARIED)
-@pytest.mark.parametrize("solver", ["pgs", "newton"])
+@every_pair(solver=["pgs", "newton"], path=VARIED)
 def test_a_world_is_a_sim_of_its_own_model(path, solver):
     batch = started(sc.Batch(model(solver=solver), 5, threads=2))
     columns = {path: VARIED[path](np.array([0.0, 0.9, 0.3, 0.9, 0.6]))}

@@ -6,7 +6,7 @@ import pickle
 import gymnasium
 import numpy as np
 import pytest
-from covering import every_value
+from covering import every_pair, every_value
 from gymnasium.vector import AutoresetMode
 
 import stepcore.gymnasium
@@ -81,8 +81,7 @@ def test_bits_do_not_depend_on_how_worlds_are_stepped(how):
 SETTINGS = ({}, {"precision": "f32"}, {"integrator": "implicitfast", "dt": 0.005})
 
 
-@pytest.mark.parametrize("settings", SETTINGS)
-@pytest.mark.parametrize("name", ["Ant", "Humanoid", "Reacher"])
+@every_pair(name=["Ant", "Humanoid", "Reacher"], settings=SETTINGS)
 def test_a_world_does_not_depend_on_its_neighbours(name, settings):
     """World 3 of 5 seeded with 10 is the single environment seeded with 13."""
     many = vector(name, 5, settings=settings)
@@ -111,8 +110,7 @@ def test_a_masked_reset_leaves_the_others():
     assert np.array_equal(after[mask], fresh[mask])
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-@pytest.mark.parametrize("name", ["HalfCheetah", "Ant"])
+@every_pair(name=["HalfCheetah", "Ant"], mode=["NextStep", "SameStep"])
 def test_a_world_that_fails_ends_alone(name, mode):
     ours, clean = (vector(name, autoreset_mode=mode) for _ in range(2))
     ours.reset(seed=0), clean.reset(seed=0)

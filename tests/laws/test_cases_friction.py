@@ -53,8 +53,7 @@ def test_f1_sticks_at_the_threshold(engine, cone):
     assert speed == pytest.approx(a * 25, rel=1e-9)
 
 
-@pytest.mark.parametrize("mu", [0.1, 0.3, 0.5, 0.7, 1.0])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, mu=[0.1, 0.3, 0.5, 0.7, 1.0])
 def test_f1_grid(engine, mu):
     """Sticks where mu > tan, else a = g·(sin - mu·cos), over mu and the slope."""
     for degrees in (3, 10, 20, 30, 40):

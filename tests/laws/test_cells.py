@@ -208,8 +208,7 @@ UNDAMPED = [
 ]
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", UNDAMPED)
+@every_pair(name=UNDAMPED, law=LAWS)
 def test_integrators_of_one_stage_agree_where_nothing_is_damped(law, name):
     model = model_of(name)
     qpos, qvel, ctrl = start(model, 4)

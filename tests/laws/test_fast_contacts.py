@@ -28,8 +28,7 @@ def shot(engine, speed, offset, kind="sphere", radius=0.1, start=-1.3, dt=2e-3, 
     return sim
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", LAWS)
+@every_pair(law=LAWS, engine=ENGINES)
 def test_what_is_cleared_is_left_alone(engine, law):
     """1 mm to 10 cm beside a sphere and a box, 1 to 1e6 m/s: the speed stays, bit for bit."""
     cases = itertools.product((1.0, 30.0, 100.0, 1e4, 1e6), (0.001, 0.04, 0.1), ("sphere", "box"))
@@ -74,8 +73,7 @@ def test_a_glancing_bounce(engine):
         assert np.linalg.norm(sim.qvel[:3]) == pytest.approx(1000.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", LAWS)
+@every_pair(law=LAWS, engine=ENGINES)
 def test_a_ball_at_a_million_metres_a_second_comes_to_the_sphere(engine, law):
     """Head on from 1.1 m away, where a step is 2 km long: it stops at the surface."""
     sim = shot(engine, 1e6, 0.0, law=law)

@@ -225,8 +225,10 @@ def test_tolerance_zero_runs_every_sweep(name, way, precision):
         assert seen > 0, "no row was ever alive"
 
 
-@pytest.mark.parametrize("name", ["connect", "self_collision", "half_cheetah"])
-@pytest.mark.parametrize("extra", [{}, {"cone": "elliptic"}, {"acceleration": "momentum"}])
+@every_pair(
+    extra=[{}, {"cone": "elliptic"}, {"acceleration": "momentum"}],
+    name=["connect", "self_collision", "half_cheetah"],
+)
 def test_an_early_stop_is_that_many_sweeps(name, extra):
     """M9: where a tolerance stops a solve after k sweeps, k sweeps without one do the same."""
     settings = PGS | extra

@@ -77,8 +77,10 @@ def test_one_on_another_rests(ratio, shape, law, cone):
     assert normals == pytest.approx(G * (light + 2 * heavy), rel=1e-6)
 
 
-@pytest.mark.parametrize("masses", [(1e-3, 1e3, 1e-3), (1e3, 1e-3, 1e3), (1e-3, 1e2, 1e-3, 1e2)])
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@every_pair(
+    cone=["pyramidal", "elliptic"],
+    masses=[(1e-3, 1e3, 1e-3), (1e3, 1e-3, 1e3), (1e-3, 1e2, 1e-3, 1e2)],
+)
 def test_stacks_of_alternating_masses(masses, cone):
     """Three and four, spheres not among them: at rest to a micrometre."""
     sim = sc.Sim(stack(masses, "box", cone), law="rigid", **AUTO)
@@ -88,8 +90,9 @@ def test_stacks_of_alternating_masses(masses, cone):
     assert np.abs(sim.qpos - start).max() < 1e-6
 
 
-@pytest.mark.parametrize("masses", [(1e-3, 1e3), (1e-3, 1.0, 1e3), (1e3, 1e-3, 1e3)])
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@every_pair(
+    cone=["pyramidal", "elliptic"], masses=[(1e-3, 1e3), (1e-3, 1.0, 1e3), (1e3, 1e-3, 1e3)]
+)
 def test_the_references_rows_are_met(masses, cone):
     """Plates on feet: numpy's own rows at the same state, with the engine's impulses in them."""
     scene = feet(masses)

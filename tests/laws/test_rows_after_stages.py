@@ -16,8 +16,7 @@ AFTER = ("midpoint", "rk4")
 SETTINGS = {"solver": "pgs", "sweeps": 500, "tolerance": 1e-12}
 
 
-@pytest.mark.parametrize("integrator", [*AFTER, "semi-implicit"])
-@pytest.mark.parametrize("dt", [2e-3, 1e-2])
+@every_pair(dt=[2e-3, 1e-2], integrator=[*AFTER, "semi-implicit"])
 def test_bounces_keep_their_energy(integrator, dt):
     """e = 1, 2,000 s of bounces: midpoint and rk4 keep E to 1e-9, v-first to its g·dt·v/2."""
     scene = lesson.tower([1.0])
@@ -105,8 +104,7 @@ def block(friction, angle):
     return scene
 
 
-@pytest.mark.parametrize("integrator", AFTER)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=AFTER)
 def test_sliding_is_exact(engine, integrator):
     """a = g (sin α − μ cos α): both v and the parabola to 1e-9; below the angle it stays."""
     angle, mu = 0.5, 0.3
@@ -124,8 +122,7 @@ def test_sliding_is_exact(engine, integrator):
     assert abs(float(sim.qvel[0])) < 1e-9 and abs(float(sim.qpos[0])) < 1e-4
 
 
-@pytest.mark.parametrize("integrator", AFTER)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=AFTER)
 def test_friction_loss_is_exact(engine, integrator):
     """A slide with dry friction 2 N, 1 kg, from 3 m/s: stops after 1.5 s and 2.25 m."""
     scene = Scene(gravity=(0, 0, 0))

@@ -47,8 +47,7 @@ def test_a_spin_decays(engine, law, cone, condim):
         assert np.abs(sim.qvel).max() < 1e-12
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", COULOMB)
+@every_pair(law=COULOMB, engine=ENGINES)
 def test_a_spin_without_torsion_goes_on(engine, law):
     """condim 3 does not know it, however large its coefficients."""
     sim = make(engine, ball(3, ".8 1 1"), law=law, **SOLVED)
@@ -57,8 +56,7 @@ def test_a_spin_without_torsion_goes_on(engine, law):
     assert sim.qvel[5] == pytest.approx(5.0, abs=1e-13)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", COULOMB)
+@every_pair(law=COULOMB, engine=ENGINES)
 def test_rolling_stops(engine, law):
     """a = 5/7 μ_r g/r under the box, which leaves the rolling itself alone."""
     mu = 0.002
@@ -94,8 +92,7 @@ def test_rolling_in_an_ellipsoid_creeps():
     assert sim.qvel[0] - R * sim.qvel[4] == pytest.approx(c * sim.qvel[4], rel=1e-2)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", COULOMB)
+@every_pair(law=COULOMB, engine=ENGINES)
 def test_a_slide_becomes_rolling(engine, law):
     """v̇ = −μ g and I ω̇ = (μ r − μ_r) m g until v = r ω."""
     mu, roll, v = 0.2, 0.004, 1.0

@@ -7,7 +7,7 @@ import warnings
 
 import pytest
 import stiff
-from covering import every_value, first
+from covering import every_pair, every_value, first
 
 import stepcore as sc
 from stepcore.engine.linear_maps import INTEGRATORS
@@ -94,8 +94,7 @@ HUGE = (
 )
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "RK4", "implicitfast"])
-@pytest.mark.parametrize("attributes", HUGE)
+@every_pair(attributes=HUGE, integrator=["Euler", "RK4", "implicitfast"])
 def test_a_warning_never_fails_a_load(integrator, attributes):
     text = f"""<mujoco><option integrator="{integrator}"><flag refsafe="disable"/></option>
     <worldbody><body><joint name="k" type="slide" {attributes}/><geom size=".1" mass="1"/></body>

@@ -212,8 +212,7 @@ HEAVY = """<mujoco><compiler {0}/><worldbody><body name="a"><joint axis="1 0 0"/
       <geom size=".1" group="2"/></body></body></worldbody></mujoco>"""
 
 
-@pytest.mark.parametrize("what", RULES)
-@pytest.mark.parametrize("turned", (False, True))
+@every_pair(turned=(False, True), what=RULES)
 def test_bodies_follow_the_rules_of_their_own_model(
     what: str, turned: bool, tmp_path: Path
 ) -> None:

@@ -23,8 +23,7 @@ OWN = ("", 'forcerange="-1.5 1.5"', 'forcerange="-2.5 1"')
 CTRL = ((-7, 0, 0), (1, 0.5, 1), (3, 0, 1), (-4, 0, 1), (5, 5, 3), (-2, 9, -1), (1.5, 1.5, 0.5))
 
 
-@pytest.mark.parametrize("integrator", ["implicitfast", "implicit", "euler"])
-@pytest.mark.parametrize("on", ["joint", "tendon"])
+@every_pair(on=["joint", "tendon"], integrator=["implicitfast", "implicit", "euler"])
 def test_slopes_end_where_a_sum_is_bounded(on, integrator):
     seen = set()
     for one in OWN:

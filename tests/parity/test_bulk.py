@@ -19,7 +19,7 @@ import peers
 import pytest
 import verdict
 import violent
-from covering import first
+from covering import every_pair, first
 from random_drives import DrivesMaker
 from random_model import Maker
 from random_solids import Solids
@@ -176,7 +176,6 @@ def test_scenes_are_mujocos(kind, part, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("part", range(10))
-@pytest.mark.parametrize("kind", KINDS)
+@every_pair(kind=KINDS, part=range(10))
 def test_many_scenes_are_mujocos(kind, part, tmp_path):
     check(kind, range(10_000 + 500 * part, 10_500 + 500 * part), tmp_path)

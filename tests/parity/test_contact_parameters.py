@@ -113,8 +113,7 @@ def test_parameters_and_forces_are_mujocos(seed, cone):
     assert_forces_are(sim, data)
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("seed", range(10))
+@every_pair(seed=range(10), cone=CONES)
 def test_the_override_is_mujocos(seed, cone):
     """o_margin, o_solref, o_solimp and o_friction in place of all others, while the flag is on."""
     rng = np.random.default_rng(seed)

@@ -53,8 +53,7 @@ def test_step(name, integrator, cone):
     worst.check(limits(name, peers.STEPPED), f"{name} {integrator} {cone}")
 
 
-@pytest.mark.parametrize("dt", (0.0005, 0.02))
-@pytest.mark.parametrize("name", ("all_together", "solmix_priority", "connect", "free_offset"))
+@every_pair(name=("all_together", "solmix_priority", "connect", "free_offset"), dt=(0.0005, 0.02))
 def test_other_dt(name, dt):
     """Softness is tied to dt (a time constant below 2 dt is raised to it), and so is damping."""
     for integrator in peers.INTEGRATORS:
@@ -66,8 +65,7 @@ def test_other_dt(name, dt):
         worst.check(peers.STEPPED, f"{name} {integrator} dt {dt}")
 
 
-@pytest.mark.parametrize("integrator", peers.INTEGRATORS)
-@pytest.mark.parametrize("spin", (1e-7, 1.0, 40.0, 200.0))
+@every_pair(spin=(1e-7, 1.0, 40.0, 200.0), integrator=peers.INTEGRATORS)
 def test_fast_spin(integrator, spin):
     """Free and ball joints at any turn per step: rk4's correction is exact, not a series."""
     sim, theirs, data, states = both("ball_joints", integrator=integrator)

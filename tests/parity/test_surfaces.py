@@ -21,8 +21,7 @@ def run(text: str, time: float, **settings) -> sc.Sim:
     return sim
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@every_pair(cone=["pyramidal", "elliptic"], law=LAWS)
 def test_a_box_is_taken_to_the_speed_of_its_belt_by_friction(law, cone):
     """μ g t until then, then the belt's own speed, along the belt: to 2 %."""
     text = BELT.format('surfacevel="1 0 3 0 0 0"', 0)
@@ -52,8 +51,7 @@ def test_a_box_sticks_to_a_belt_as_it_would_to_a_body_that_moves():
     assert np.linalg.norm(sim.qvel[:2]) == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("numbers", ["1", ".5 1", ".5 1 2", "0 0 0 3", ".5 1 0 0 3"])
-@pytest.mark.parametrize("of_class", [False, True])
+@every_pair(of_class=[False, True], numbers=["1", ".5 1", ".5 1 2", "0 0 0 3", ".5 1 0 0 3"])
 def test_of_fewer_numbers_the_rest_is_that_of_the_class(numbers, of_class):
     """Or zero."""
     own = '<default><geom surfacevel="9 8 7 6 5 4"/></default>' if of_class else ""
@@ -80,8 +78,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@every_pair(cone=["pyramidal", "elliptic"], shape=SHAPES)
 def test_the_frame_of_a_surface_is_that_of_its_geom_as_in_mujoco(shape, cone):
     """Acceleration and a step, to 1e-6: the contacts of convex shapes are found to that."""
     text = f"""<mujoco><compiler angle="degree"/><option cone="{cone}"/><asset>{MESH}</asset>

@@ -46,8 +46,7 @@ def opposite(one: tuple[float, float, float], two: tuple[float, float, float]) -
     return abs(cross) < 1e-6 and one[0] * two[0] + one[1] * two[1] < 0
 
 
-@pytest.mark.parametrize("uses", ["none", "inside", "on", "outside"])
-@pytest.mark.parametrize("kind", ["sphere", "cylinder"])
+@every_pair(kind=["sphere", "cylinder"], uses=["none", "inside", "on", "outside"])
 def test_lengths_are_mujocos(kind: str, uses: str) -> None:
     chance, same = Random(f"{kind} {uses}"), 0
     for _ in range(120):
