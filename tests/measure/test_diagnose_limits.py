@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from stiff import diagnosed
 
 import stepcore as sc
 from stepcore.engine.element import Element, ElementSlopes
@@ -19,10 +20,6 @@ from stepcore.measure.diagnosis.motion_check import Outcome
 
 # Steps beyond a limit are run on purpose.
 pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
-
-
-def diagnosed(scene, **options):
-    return sc.diagnose(scene, **({"threads": 1, "progress": False} | options))
 
 
 def run(scene, dt, seconds=1.0, integrator=None):
