@@ -23,16 +23,16 @@ print("\\n".join(isolation.defects(case, range(first, first + count), cases.PROM
 PATHS = (str(HERE), str(HERE.parent), str(HERE.parent / "parity"))
 # With how many cases by default.
 KINDS = {
-    "cases.exploding_scene": 30,
-    "cases.changed_attribute": 30,
-    "cases.damaged_file": 30,
-    "cases.bad_argument": 30,
-    "cases.flipped_bit": 30,
-    "random_scenes.random_scene": 30,
-    "random_scenes.random_batch": 30,
-    "forged.forged_snapshot": 30,
+    "cases.exploding_scene": 15,
+    "cases.changed_attribute": 15,
+    "cases.damaged_file": 15,
+    "cases.bad_argument": 15,
+    "cases.flipped_bit": 15,
+    "random_scenes.random_scene": 15,
+    "random_scenes.random_batch": 15,
+    "forged.forged_snapshot": 15,
     "forged.forged_replay": 15,
-    "hostile.hostile_file": 30,
+    "hostile.hostile_file": 15,
     "misuse.misuse": 10,
     "interrupts.interrupted": 15,
 }
@@ -68,7 +68,7 @@ def test_a_crash_and_a_hang_are_told():
 
 
 BREAKS = """
-isolation.SECONDS, isolation.BY_THE_CLOCK = 1, 5.0
+isolation.SECONDS, isolation.BY_THE_CLOCK = 1, 3.0
 def crash(seed): os.kill(os.getpid(), 11)
 def hang(seed): time.sleep(60)
 def busy(seed):
@@ -79,7 +79,7 @@ cases.crash, cases.hang, cases.busy, cases.lost, cases.big = crash, hang, busy, 
 """
 CAUGHT = {
     "crash": "SIGSEGV",
-    "hang": "no answer within 5 s",
+    "hang": "no answer within 3 s",
     "busy": "no answer within",
     "lost": "KeyError: 'x'",
     "big": "MemoryError",
