@@ -7,6 +7,9 @@ import sys
 
 import pytest
 
+# Before numpy is imported: each core has a worker, and the threads of BLAS spin while they wait.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from stepcore import deadline
 from stepcore.report import progress
 

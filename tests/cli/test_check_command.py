@@ -5,6 +5,7 @@ import json
 import shlex
 
 import pytest
+from covering import first
 
 import stepcore as sc
 from stepcore.cli import main, parser
@@ -98,14 +99,13 @@ def test_every_command_takes_the_same_file_and_motion(capsys, scene, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
-@pytest.mark.parametrize(
-    "options",
-    [
+@first(
+    2,
+    options=[
         ["--ctrl", "my log.csv", "--interpolation", "linear", "--key", "home"],
         ["--ctrl", "servo=0.3", "--without", "sensor", "--horizon", "50ms"],
         ["--control", "own.py:still", "--control-dt", "4ms"],
     ],
-    ids=["log", "constant", "function"],
 )
 def test_every_command_that_is_printed_runs(capsys, scene, tmp_path, monkeypatch, options):
     """In the folder of the user's files, each as it stands, with the user's own motion."""

@@ -90,7 +90,11 @@ def test_a_command_of_a_page_is_one_we_take(page, command):
 
 
 SHOWN = [
-    (page.name, command, shown)
+    # A whole trade beside MuJoCo takes longer than the other commands together.
+    pytest.param(
+        *(page.name, command, shown),
+        marks=pytest.mark.long if command in commands_on_pages.TIMED else (),
+    )
     for page in PAGES
     for command, shown in commands_on_pages.shown_in(page.read_text(encoding="utf-8"))
 ]

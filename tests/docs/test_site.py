@@ -59,8 +59,8 @@ def test_every_page_is_in_the_navigation():
 def test_the_benchmarks_page_has_every_kept_result():
     page = benchmarks.page(ROOT / "benches")
     for bench, path in benchmarks.last_results(ROOT / "benches" / "results").items():
-        last = path.read_text(encoding="utf-8").rstrip("\n").split("\n")[-1]
-        assert last in page, bench
+        lines = path.read_text(encoding="utf-8").rstrip("\n").split("\n")
+        assert "\n".join(f"    {line}" for line in lines) in page, bench
 
 
 def test_links_lead_to_pages_and_else_to_the_repository():

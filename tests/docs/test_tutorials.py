@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from covering import first
 
 ROOT = Path(__file__).parents[2]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.py"))
@@ -43,7 +44,11 @@ def run(path, folder):
     return done.stdout
 
 
-@pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
+# These compute for some seconds each; the build of the site runs them too.
+LONG = ("find_friction", "own_steps", "twice_the_step")
+
+
+@first(len(TUTORIALS) - len(LONG), path=sorted(TUTORIALS, key=lambda path: path.stem in LONG))
 def test_a_tutorial_runs_and_computes_the_numbers_of_its_text(path, tmp_path):
     text = "".join(body for kind, body in cells(path) if kind == "markdown")
     code = "".join(body for kind, body in cells(path) if kind == "")

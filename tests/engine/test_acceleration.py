@@ -11,6 +11,7 @@ import numpy as np
 import peers
 import pytest
 import zoo
+from covering import every_pair
 
 import stepcore as sc
 
@@ -115,9 +116,7 @@ def test_one_measure(name):
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("islands", (True, False), ids=("islands", "one problem"))
-@pytest.mark.parametrize("sweeps", SWEEPS)
-@pytest.mark.parametrize("name", LEAST)
+@every_pair(name=LEAST, sweeps=SWEEPS, islands=[True, False])
 def test_not_worse_than_mujoco(name, sweeps, islands):
     """The median and the worst state, and nineteen states of twenty one by one."""
     ours, theirs = residuals(name, sweeps, islands)

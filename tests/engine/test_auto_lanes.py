@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 
@@ -23,9 +24,7 @@ def pair(n, **fields):
     return batches
 
 
-@pytest.mark.parametrize("solver", ["pgs", "newton"])
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@pytest.mark.parametrize("portion", [1, 7, 200])
+@every_pair(portion=[1, 7, 200], precision=["f64", "f32"], solver=["pgs", "newton"])
 def test_no_bit_depends_on_the_way(solver, precision, portion):
     auto, alone = pair(13, solver=solver, precision=precision)
     for _ in range(0, 200, portion):

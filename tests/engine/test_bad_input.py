@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small import ball, pendulum
@@ -43,8 +44,7 @@ NUMBERS = [
 ]
 
 
-@pytest.mark.parametrize("field", NUMBERS)
-@pytest.mark.parametrize("value", [*NOT_FINITE, -1.0, "1", None, True, [0.1], 1j, 10**400])
+@every_pair(value=[*NOT_FINITE, -1.0, "1", None, True, [0.1], 1j, 10**400], field=NUMBERS)
 def test_settings_refuse_what_is_no_number_within_the_limits(field, value):
     refuses(f"^{field} = .*: must be", sc.Settings, **{field: value})
 
@@ -91,9 +91,7 @@ ARRAYS = [
 ]
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@pytest.mark.parametrize(("name", "index", "text"), ARRAYS)
-@pytest.mark.parametrize("value", NOT_FINITE)
+@every_pair(**{"name, index, text": ARRAYS}, value=NOT_FINITE, precision=["f64", "f32"])
 def test_a_sim_steps_nothing_while_an_entry_is_not_finite(
     model, name, index, text, value, precision
 ):
@@ -132,9 +130,9 @@ def test_a_quaternion_needs_a_length(quat):
         assert sim.xquat[1] == pytest.approx([0, 0, 1, 0], abs=rounding)
 
 
-@pytest.mark.parametrize("name", ["qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"])
-@pytest.mark.parametrize(
-    "value", [np.zeros(99), np.zeros((9, 9)), "1", ["a"], None, [[1], [2, 3]], 1j, [None], True, {}]
+@every_pair(
+    value=[np.zeros(99), np.zeros((9, 9)), "1", ["a"], None, [[1], [2, 3]], 1j, [None], True, {}],
+    name=["qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"],
 )
 def test_assignment_refuses_other_shapes_and_types(model, name, value):
     sim = sc.Sim(model)

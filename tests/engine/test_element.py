@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from zoo import ZOO
+from zoo import HEAPS, ZOO
 
 import stepcore as sc
 from stepcore.engine.element import INERTIAL, Element, Elements
@@ -64,7 +64,7 @@ def differences(sim):
 def test_slopes_are_the_derivatives_of_the_forces(name):
     """Law: K = −∂f/∂q and D = −∂f/∂v of every element, to 1e-6 of the largest entry of all."""
     compared = 0
-    for seed in range(4):
+    for seed in range(1 if name in HEAPS else 4):
         sim = placed(ZOO[name], seed)
         slopes = {(e.kind, e.index): s for e, s in sim.element_slopes().items() if e.kind != "spin"}
         expected = differences(sim)

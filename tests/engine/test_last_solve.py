@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from covering import every_pair
 from zoo import ZOO
 
 import stepcore as sc
@@ -21,8 +22,9 @@ def moving(name, **settings):
     return model, sim, rng
 
 
-@pytest.mark.parametrize("integrator", ["euler", "implicitfast", "implicit", "discrete", "rk4"])
-@pytest.mark.parametrize("name", list(ZOO)[::5])
+@every_pair(
+    name=list(ZOO)[::5], integrator=["euler", "implicitfast", "implicit", "discrete", "rk4"]
+)
 def test_reading_changes_nothing_and_is_of_the_step(name, integrator):
     """A batch solves again for what it reads, and has the same bits."""
     model, sim, rng = moving(name, integrator=integrator)
@@ -89,10 +91,12 @@ def started(name, n, integrator, lanes):
     return world
 
 
-@pytest.mark.parametrize("integrator", ["euler", "discrete", "rk4"])
-@pytest.mark.parametrize("n, lanes", [(None, None), (3, False), (9, True)])
-@pytest.mark.parametrize("name", list(ZOO)[2::5])
-@pytest.mark.parametrize("solve", ["step", "forward"])
+@every_pair(
+    **{"n, lanes": [(None, None), (3, False), (9, True)]},
+    solve=["step", "forward"],
+    name=list(ZOO)[2::5],
+    integrator=["euler", "discrete", "rk4"],
+)
 def test_it_is_read_after_restore_and_of_copies(name, n, lanes, integrator, solve):
     """Once qacc was 0 in a copy, and that of a later motion after `restore`."""
     world = started(name, n, integrator, lanes)

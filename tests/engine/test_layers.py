@@ -5,9 +5,8 @@ never executed: they may name a type of a layer above, and are held to a list of
 """
 
 import ast
+import functools
 from pathlib import Path
-
-import pytest
 
 import stepcore
 
@@ -85,8 +84,14 @@ def imports(file):
             yield module.removeprefix("stepcore").removeprefix("."), types
 
 
-EDGES = {name: set(imports(file)) for name, file in FILES.items()}
-RUN = {name: {to for to, types in edges if not types} for name, edges in EDGES.items()}
+@functools.cache
+def edges():
+    return {name: set(imports(file)) for name, file in FILES.items()}
+
+
+def running():
+    """The imports that are not for types alone."""
+    return {name: {to for to, types in found if not types} for name, found in edges().items()}
 
 
 def circles(graph):
@@ -125,39 +130,45 @@ def layer(name):
 
 
 def test_the_imports_are_found():
-    assert ("scene.scene", True) in EDGES["engine.model"]
-    assert "mjcf.writer" in RUN["scene.scene"]
-    assert "lesson.run" in RUN["lesson"]
+    assert ("scene.scene", True) in edges()["engine.model"]
+    assert "mjcf.writer" in running()["scene.scene"]
+    assert "lesson.run" in running()["lesson"]
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == [("b", "c")]
 
 
 def test_no_circle_of_files():
     """Lazy imports count."""
-    assert set(circles(RUN)) == set()
+    assert set(circles(running())) == set()
 
 
 def test_circles_of_types_stay_in_the_engine():
     """Imports under TYPE_CHECKING count, in all files but the stub of the engine."""
-    every = {name: {to for to, _ in edges} for name, edges in EDGES.items() if name != "_core"}
-    assert ("scene.scene", True) in EDGES["engine.model"]
+    every = {name: {to for to, _ in found} for name, found in edges().items() if name != "_core"}
+    assert ("scene.scene", True) in edges()["engine.model"]
     tied = {name for group in circles(every) for name in group}
     assert {name for name in tied if not name.startswith(TIED)} == set()
 
 
 def test_imports_go_down():
-    upward = {(name, to) for name, edges in RUN.items() for to in edges if layer(to) > layer(name)}
+    upward = {
+        (name, to) for name, found in running().items() for to in found if layer(to) > layer(name)
+    }
     assert upward == set()
 
 
 def test_nothing_imports_the_root():
     """It gathers names for users; a file that imported it would import everything."""
-    assert {name for name, edges in RUN.items() if "" in edges} == set()
+    assert {name for name, found in running().items() if "" in found} == set()
 
 
-@pytest.mark.parametrize("name", sorted(FILES))
-def test_types_of_layers_above_are_only_named_where_they_are_handed_in(name):
-    above = [to for to, types in EDGES[name] if types and layer(to) > layer(name)]
-    assert not above or name.startswith(HANDED), above
+def test_types_of_layers_above_are_only_named_where_they_are_handed_in():
+    above = {
+        (name, to)
+        for name, found in edges().items()
+        for to, types in found
+        if types and layer(to) > layer(name)
+    }
+    assert {(name, to) for name, to in above if not name.startswith(HANDED)} == set()
 
 
 def test_every_file_has_a_layer():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 from stepcore.engine.parameter_columns import split_entry
@@ -198,9 +199,7 @@ def test_what_changes_more_than_numbers_is_refused_by_name():
         sim.linearize(["geom/crate/condim"])
 
 
-@pytest.mark.parametrize("cone", ("pyramidal", "elliptic"))
-@pytest.mark.parametrize("speed", (0.0, 1.0))
-@pytest.mark.parametrize("condim", (3, 4, 6))
+@every_pair(condim=(3, 4, 6), speed=(0.0, 1.0), cone=("pyramidal", "elliptic"))
 def test_friction_that_holds_and_that_slides(cone, speed, condim):
     """On the surface of a cone the impulse moves with μ, and so does what keeps the law."""
     text = f"""<mujoco><option timestep="0.002" cone="{cone}" integrator="Euler"/>

@@ -9,6 +9,7 @@ import pickle
 
 import numpy as np
 import pytest
+from covering import every_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -73,8 +74,7 @@ def same(batch, sims, worlds=None):
         assert np.array_equal(batch.qvel[world], sim.qvel), world
 
 
-@pytest.mark.parametrize("path", VARIED)
-@pytest.mark.parametrize("solver", ["pgs", "newton"])
+@every_pair(solver=["pgs", "newton"], path=VARIED)
 def test_a_world_is_a_sim_of_its_own_model(path, solver):
     batch = started(sc.Batch(model(solver=solver), 5, threads=2))
     columns = {path: VARIED[path](np.array([0.0, 0.9, 0.3, 0.9, 0.6]))}
@@ -111,24 +111,24 @@ HEAPED_VALUES = {
 }
 
 
-@pytest.mark.parametrize("integrator", ["euler", "implicitfast", "rk4"])
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@pytest.mark.parametrize(
-    ("text", "varied"), [(ARM, VARIED), (HEAPED, HEAPED_VALUES)], ids=["arm", "boxes and meshes"]
+@every_pair(
+    **{"text, varied": [(ARM, VARIED), (HEAPED, HEAPED_VALUES)]},
+    fields=[{"solver": "newton"}, {"solver": "pgs", "sweeps": 8}, {"cone": "elliptic"}],
+    integrator=["euler", "implicitfast", "rk4"],
+    precision=["f64", "f32"],
 )
-def test_worlds_of_distinct_values_share_lanes(text, varied, integrator, precision):
-    for fields in ({"solver": "newton"}, {"solver": "pgs", "sweeps": 8}, {"cone": "elliptic"}):
-        base = sc.loads(text).compile()
-        base = base.with_settings(integrator=integrator, precision=precision, **fields)
-        batch = started(sc.Batch(base, len(SPREAD), lanes=True))
-        columns = {path: values(SPREAD) for path, values in varied.items()}
-        batch.param.update(columns)
-        assert batch.in_lanes == sc.Batch(base, 2, lanes=True).in_lanes
-        sims = [alone(batch, world, rows(columns, world)) for world in range(len(SPREAD))]
-        batch.step(40)
-        for sim in sims:
-            sim.step(40)
-        same(batch, sims)
+def test_worlds_of_distinct_values_share_lanes(text, varied, fields, integrator, precision):
+    base = sc.loads(text).compile()
+    base = base.with_settings(integrator=integrator, precision=precision, **fields)
+    batch = started(sc.Batch(base, len(SPREAD), lanes=True))
+    columns = {path: values(SPREAD) for path, values in varied.items()}
+    batch.param.update(columns)
+    assert batch.in_lanes == sc.Batch(base, 2, lanes=True).in_lanes
+    sims = [alone(batch, world, rows(columns, world)) for world in range(len(SPREAD))]
+    batch.step(40)
+    for sim in sims:
+        sim.step(40)
+    same(batch, sims)
 
 
 def test_only_worlds_of_new_values_are_compiled_and_made_anew(monkeypatch):

@@ -6,6 +6,7 @@ under every integrator that both have, and fifty steps.
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import make
 
 from stepcore import lesson
@@ -131,9 +132,7 @@ def same(one, two, tolerance=1e-12):
     assert np.abs(one - two).max(initial=0.0) <= tolerance * scale
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("scene", SCENES, ids=named)
+@every_pair(scene=SCENES, law=LAWS, cone=CONES)
 def test_sweep_by_sweep(scene, law, cone):
     """Impulses, accelerations and residual after 1, 2, 3, … cold sweeps."""
     for sweeps in (1, 2, 3, 4, 5, 10, 20, 50):
@@ -148,8 +147,7 @@ def test_sweep_by_sweep(scene, law, cone):
         assert rust.residual == pytest.approx(numpy.residual, rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.7])
-@pytest.mark.parametrize("scene", SCENES, ids=named)
+@every_pair(scene=SCENES, restitution=[0.0, 0.7])
 def test_bouncing(scene, restitution):
     """Law rigid with and without restitution, and with slop."""
     settings = {"law": "rigid", "restitution": restitution, "slop": 1e-4, "sweeps": 7}
@@ -159,8 +157,7 @@ def test_bouncing(scene, restitution):
     same(rust.rows["impulse"], numpy.rows["impulse"])
 
 
-@pytest.mark.parametrize("integrator", ["explicit", "semi-implicit", "midpoint", "rk4"])
-@pytest.mark.parametrize("scene", SCENES, ids=named)
+@every_pair(scene=SCENES, integrator=["explicit", "semi-implicit", "midpoint", "rk4"])
 def test_one_step(scene, integrator):
     """qpos and qvel after one whole step."""
     settings = {"integrator": integrator, "law": "lesson", "softness": 0.1, "sweeps": 5}

@@ -8,6 +8,7 @@ import oracle
 import peers
 import pytest
 import zoo
+from covering import every_pair
 
 import stepcore as sc
 
@@ -108,10 +109,10 @@ FREE = [-np.inf, np.inf]
 
 
 @pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
-@pytest.mark.parametrize("gear", (1.0, -3.0))
-@pytest.mark.parametrize("ratio", (0.0, 0.1, 0.7, 1.0, 3.0))
-@pytest.mark.parametrize(
-    ("integrator", "sign"), (("implicitfast", 1), ("euler", -1), ("semi-implicit", -1))
+@every_pair(
+    **{"integrator, sign": (("implicitfast", 1), ("euler", -1), ("semi-implicit", -1))},
+    ratio=(0.0, 0.1, 0.7, 1.0, 3.0),
+    gear=(1.0, -3.0),
 )
 def test_the_largest_stable_step(integrator, sign, ratio, gear):
     """dt ω = 2√(ζ² + 1) + 2ζ with the servo's damping implicit, 2√(ζ² + 1) − 2ζ explicit.

@@ -12,17 +12,18 @@ import stepcore.gymnasium
 from stepcore.gymnasium.tasks import TASKS
 
 
-def check(env):
+def check(env, skip_render_check=False):
     with warnings.catch_warnings():
         # The spaces are those of gymnasium's own tasks, of which it says the same.
         warnings.filterwarnings("ignore", ".*recommend using a symmetric and normalized space")
         warnings.filterwarnings("ignore", ".*A Box observation space m.*infinit?y")
-        check_env(env)
+        check_env(env, skip_render_check=skip_render_check)
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_gymnasiums_checker_finds_nothing(name):
-    check(gymnasium.make(f"stepcore/{name}-v0").unwrapped)
+    # Of every task the same code draws.
+    check(gymnasium.make(f"stepcore/{name}-v0").unwrapped, skip_render_check=name != "Hopper")
 
 
 def test_gymnasiums_checker_finds_nothing_in_an_environment_of_ones_own():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 from stepcore.experiment.batched_runs import batched
@@ -34,9 +35,11 @@ def impulse(table, upto, linear):
     return float(np.mean(values) * upto)
 
 
-@pytest.mark.parametrize("linear", [False, True])
-@pytest.mark.parametrize("dt", [0.001, 0.002, 0.005, 0.008, 0.04])
-@pytest.mark.parametrize(("gap", "seed"), [(0.025, 0), (0.001, 0), (1 / 30, 0), (0.02, 1)])
+@every_pair(
+    **{"gap, seed": [(0.025, 0), (0.001, 0), (1 / 30, 0), (0.02, 1)]},
+    dt=[0.001, 0.002, 0.005, 0.008, 0.04],
+    linear=[False, True],
+)
 def test_a_motor_gets_the_impulse_of_the_log_at_every_step(gap, seed, dt, linear):
     """v = ∫u dt / m at the end of each step, to rounding: the step samples no force wrongly."""
     table = log(gap, seed=seed)

@@ -374,7 +374,7 @@ def test_robots_move_within_their_forces(name):
     model = sc.load(file).compile()
     schedule, words = planned(model, 4 * model.settings.dt)
     # Panda's light wrist saturates at the speed of a start.
-    assert "point to point" in words and ("never saturated" in words or name == "PANDA")
+    assert "point to point" in words and ("never saturated" in words) == (name != "PANDA")
     assert "falls" not in words and "only hold" not in words and not schedule.notes
     for k in range(3):
         # The first tenth of a second belongs to the start.

@@ -160,6 +160,8 @@ def test_what_is_held_creeps_as_its_softness_says():
 def test_errors_are_relative_to_the_size_of_the_scene():
     result = trade(lesson.spring(), horizon=0.4)
     e = result.shipped.errors
+    # Nothing has a length but the motion cos(10 t), seen every 40 ms.
+    assert result.size == pytest.approx(math.cos(0.4) - math.cos(3.2), rel=1e-9)
     assert e.relative == pytest.approx(e.position / result.size, rel=1e-12)
     assert e.relative_max == pytest.approx(e.position_max / result.size, rel=1e-12)
 

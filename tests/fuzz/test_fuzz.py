@@ -1,6 +1,6 @@
 """Seeded fuzzing: no crash, no hang, no panic, and no exception but those that are promised.
 
-A short part runs every day; the long part is `pytest -m long tests/fuzz`. Each case runs in a
+A short part runs by default; the long part is `pytest -m long tests/fuzz`. Each case runs in a
 process of its own; the fork is made in a fresh interpreter, which has no threads.
 """
 
@@ -21,20 +21,20 @@ cases.prepare()
 print("\\n".join(isolation.defects(case, range(first, first + count), cases.PROMISED)))
 """
 PATHS = (str(HERE), str(HERE.parent), str(HERE.parent / "parity"))
-# With how many cases a day.
+# With how many cases by default.
 KINDS = {
-    "cases.exploding_scene": 100,
-    "cases.changed_attribute": 100,
-    "cases.damaged_file": 100,
-    "cases.bad_argument": 100,
-    "cases.flipped_bit": 100,
-    "random_scenes.random_scene": 100,
-    "random_scenes.random_batch": 100,
-    "forged.forged_snapshot": 100,
-    "forged.forged_replay": 40,
-    "hostile.hostile_file": 100,
-    "misuse.misuse": 30,
-    "interrupts.interrupted": 40,
+    "cases.exploding_scene": 15,
+    "cases.changed_attribute": 15,
+    "cases.damaged_file": 15,
+    "cases.bad_argument": 15,
+    "cases.flipped_bit": 15,
+    "random_scenes.random_scene": 15,
+    "random_scenes.random_batch": 15,
+    "forged.forged_snapshot": 15,
+    "forged.forged_replay": 15,
+    "hostile.hostile_file": 15,
+    "misuse.misuse": 10,
+    "interrupts.interrupted": 15,
 }
 
 
@@ -55,7 +55,7 @@ def test_a_few_cases(kind):
 @pytest.mark.parametrize("part", range(10))
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_cases(kind, part):
-    assert defects(kind, 1000 + 1000 * part, 1000) == []
+    assert defects(kind, 1000 * part, 1000) == []
 
 
 def test_a_crash_and_a_hang_are_told():
@@ -68,7 +68,7 @@ def test_a_crash_and_a_hang_are_told():
 
 
 BREAKS = """
-isolation.SECONDS, isolation.BY_THE_CLOCK = 1, 5.0
+isolation.SECONDS, isolation.BY_THE_CLOCK = 1, 3.0
 def crash(seed): os.kill(os.getpid(), 11)
 def hang(seed): time.sleep(60)
 def busy(seed):
@@ -79,7 +79,7 @@ cases.crash, cases.hang, cases.busy, cases.lost, cases.big = crash, hang, busy, 
 """
 CAUGHT = {
     "crash": "SIGSEGV",
-    "hang": "no answer within 5 s",
+    "hang": "no answer within 3 s",
     "busy": "no answer within",
     "lost": "KeyError: 'x'",
     "big": "MemoryError",

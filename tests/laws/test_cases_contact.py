@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, RUST_ONLY, make
 
 from stepcore import lesson
@@ -41,8 +42,7 @@ def test_c1_zeno_bounce(engine, h, e, rest):
     assert abs(v[-1]) <= g * dt
 
 
-@pytest.mark.parametrize("e", [0.0, 0.3, 0.95])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, e=[0.0, 0.3, 0.95])
 def test_c1_rebound_fraction(engine, e):
     """One bounce returns e² of the height, within 5 %; e = 0 within 2 %."""
     sim = make(engine, ball_over_floor(), restitution=e, dt=1e-3)
@@ -120,9 +120,7 @@ def test_c4_rest_depth_twin(engine):
     assert q == pytest.approx(s * m * g * 0.5 * math.cos(q) * dt**2 / beta, rel=1e-9)
 
 
-@pytest.mark.parametrize("impedance", [0.3, 0.9, 0.99])
-@pytest.mark.parametrize("ref", [-100.0, -10.0, 0.1, 0.01])
-@pytest.mark.parametrize("engine", ["rust"])
+@every_pair(engine=["rust"], ref=[-100.0, -10.0, 0.1, 0.01], impedance=[0.3, 0.9, 0.99])
 def test_c4_rest_depth_of_solref(engine, ref, impedance):
     """MuJoCo's law: depth = g·(1 - d)·(tc·dr)², or g·(1 - d)/stiffness; to 1e-10 m."""
     scene = Scene()
@@ -140,8 +138,7 @@ def test_c4_rest_depth_of_solref(engine, ref, impedance):
     assert -sim.qpos[0] == pytest.approx(depth, abs=1e-10)
 
 
-@pytest.mark.parametrize("n", [2, 3, 5])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, n=[2, 3, 5])
 def test_c7_cradle_with_gaps(engine, n):
     """Gaps and e = 1: the impacts come one by one, only the last ball leaves, with all of v."""
     sim = make(engine, row_of_balls(n, gap=0.01), restitution=1.0, dt=1e-3)
@@ -150,8 +147,7 @@ def test_c7_cradle_with_gaps(engine, n):
     assert np.array(sim.qvel) == pytest.approx([0.0] * (n - 1) + [1.0], abs=1e-12)
 
 
-@pytest.mark.parametrize("n", [2, 3, 5])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, n=[2, 3, 5])
 def test_c7_cradle_touching(engine, n):
     """All contacts in one system: Newton's law at each gives (2 - n)/n, then 2/n for the others.
 
@@ -166,8 +162,7 @@ def test_c7_cradle_touching(engine, n):
     assert v @ v == pytest.approx(1.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("speed", [100.0, 1000.0])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, speed=[100.0, 1000.0])
 def test_thin_wall_stops_a_fast_ball(engine, speed):
     """A ball at 100 m/s (0.2 m a step) never passes a wall of 1 mm: rows on the guess."""
     scene = Scene(gravity=(0, 0, 0))

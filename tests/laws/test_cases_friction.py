@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair, every_value
 from engines import ENGINES, RUST_ONLY, make
 
 from stepcore.scene.scene import Scene
@@ -33,8 +34,7 @@ def downhill(sim, slope):
     return float(along @ np.array(sim.qpos)), float(along @ np.array(sim.qvel))
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_value(engine=ENGINES, cone=CONES)
 def test_f1_sticks_at_the_threshold(engine, cone):
     """26.565°, mu 0.5 (tan is 0.499998): less than 1 mm in 25 s; at mu 0.49 it slides 27.3888 m.
 
@@ -53,8 +53,7 @@ def test_f1_sticks_at_the_threshold(engine, cone):
     assert speed == pytest.approx(a * 25, rel=1e-9)
 
 
-@pytest.mark.parametrize("mu", [0.1, 0.3, 0.5, 0.7, 1.0])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, mu=[0.1, 0.3, 0.5, 0.7, 1.0])
 def test_f1_grid(engine, mu):
     """Sticks where mu > tan, else a = g·(sin - mu·cos), over mu and the slope."""
     for degrees in (3, 10, 20, 30, 40):
@@ -87,9 +86,7 @@ def slide(engine, angle, v0=5.0, mu=0.5, dt=0.01, **settings):
     return np.array(sim.qpos) - rest, lift
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, cone=CONES, law=LAWS)
 def test_f2_stopping_distance(engine, cone, law):
     """d = v0²/(2·mu·g) less v0·dt/2, and within 1 um of its resting height in every step."""
     softness = 0.0 if law == "rigid" else 0.5
@@ -102,8 +99,7 @@ def test_f2_stopping_distance(engine, cone, law):
     assert lift < 1e-6
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_value(engine=ENGINES, cone=CONES)
 def test_f2_direction(engine, cone):
     """Kicked at 0 to 90°: the round cone stops at one distance in the direction of the kick.
 
@@ -129,8 +125,7 @@ def test_f2_direction(engine, cone):
         assert min(distances) / max(distances) == pytest.approx(math.sqrt(0.5), rel=0.01)
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_value(engine=ENGINES, cone=CONES)
 def test_f3_slide_then_roll(engine, cone):
     """A solid ball: t = 2v0/(7·mu·g), v = 5/7·v0, x = 12·v0²/(49·mu·g); then no loss."""
     v0, mu = 5.0, 0.2
@@ -182,8 +177,7 @@ def twist(impulse):
     return float(1.5 * (np.cos(at) @ impulse[:, 1] + np.sin(at) @ impulse[:, 2]))
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_value(engine=ENGINES, cone=CONES)
 def test_f6_pizza_saver(engine, cone):
     """A twist of 20 N·m sticks, one of 40 slides: mu·m·g·R = 30 N·m is what friction holds."""
     dt, sweeps = 0.01, 500

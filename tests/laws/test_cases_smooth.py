@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, RUST_ONLY, make
 
 from stepcore import lesson
@@ -21,9 +22,7 @@ def flying_box(gravity=(0, 0, -9.8)):
     return scene
 
 
-@pytest.mark.parametrize("dt", [1e-3, 1e-2])
-@pytest.mark.parametrize("integrator", ORDER)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=ORDER, dt=[1e-3, 1e-2])
 def test_i1_free_flight(engine, integrator, dt):
     """p = p0 + v0 t + g t²/2; v-first is g·dt·t/2 low, explicit as much high, the others exact."""
     time = 10.0 if engine == "rust" else 1.0
@@ -36,8 +35,7 @@ def test_i1_free_flight(engine, integrator, dt):
     assert np.array(sim.qpos[:3]) == pytest.approx(exact + law, abs=1e-9)
 
 
-@pytest.mark.parametrize("dt", [0.1, 0.05, 0.01])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, dt=[0.1, 0.05, 0.01])
 def test_i2_oscillator_dispersion(engine, dt):
     """v-first oscillates with cos(w' dt) = 1 - (w dt)²/2: the phase over 1e4 cycles, 1e-9."""
     phi = math.acos(1 - (10 * dt) ** 2 / 2)
@@ -84,9 +82,7 @@ def damped(k, c, t):
     return ((b * cmath.exp(a * t) - a * cmath.exp(b * t)) / (b - a)).real
 
 
-@pytest.mark.parametrize("ratio", [0.1, 1.0, 2.0])
-@pytest.mark.parametrize("integrator", ORDER)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=ORDER, ratio=[0.1, 1.0, 2.0])
 def test_i3_order_on_a_damped_oscillator(engine, integrator, ratio):
     """Under-, critically and overdamped: the error at 0.5 s falls with the integrator's order."""
     errors = []
@@ -127,8 +123,7 @@ def top_at(t, w, transverse=0.6, axial=0.2):
     return spin, product(turned(momentum / transverse * t), turned(np.array([0, 0, s * t])))
 
 
-@pytest.mark.parametrize("integrator", ["semi-implicit", "midpoint", "rk4"])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=["semi-implicit", "midpoint", "rk4"])
 def test_i10_symmetric_top(engine, integrator):
     """Spin and orientation of a free axisymmetric body: order of convergence, |q| = 1."""
     w, time, errors = np.array([1.0, 0.5, 3.0]), 0.5, []
@@ -146,8 +141,7 @@ def test_i10_symmetric_top(engine, integrator):
     assert max(errors[1]) < {"semi-implicit": 3e-2, "midpoint": 1e-4, "rk4": 1e-8}[integrator]
 
 
-@pytest.mark.parametrize("integrator", ORDER)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=ORDER)
 def test_i10_spin_about_an_axis_is_exact(engine, integrator):
     """About its own axis the body turns by w·t, whatever dt."""
     sim = make(engine, spinning(), dt=0.01, integrator=integrator)

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, RUST_ONLY, make
 
 from stepcore import lesson
@@ -13,15 +14,13 @@ from stepcore.lesson.run import maker
 from stepcore.scene.scene import Scene
 
 
-@pytest.mark.parametrize("masses", [(1, 1), (1, 2, 3, 4, 5), (100, 10, 1, 0.1), (0.1, 1, 3)])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, masses=[(1, 1), (1, 2, 3, 4, 5), (100, 10, 1, 0.1), (0.1, 1, 3)])
 def test_c5_tower_statics(engine, masses):
     """Converged, contact i carries g·dt·(the mass above it), to 1e-9."""
     assert measure.error_after(maker(engine), masses, 3000) < 1e-9
 
 
-@pytest.mark.parametrize("ratio", [0.1, 1, 10, 1000])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, ratio=[0.1, 1, 10, 1000])
 def test_c6_two_ball_contraction(engine, ratio):
     """The error falls by m_top/(m_top + m_bottom) a sweep."""
     got = measure.contraction(maker(engine), (1.0, ratio), after=2, over=4)
@@ -45,8 +44,7 @@ def test_c6_tower_contraction(engine, masses, after, law):
     assert got == pytest.approx(law, rel=1e-5)
 
 
-@pytest.mark.parametrize("n", [50, 100])
-@pytest.mark.parametrize("engine", RUST_ONLY)
+@every_pair(engine=RUST_ONLY, n=[50, 100])
 def test_c6_tall_towers(engine, n):
     """50 balls: 13 996 sweeps for 1e-6; 100: 55 990."""
     sweeps = measure.sweeps_for(maker(engine), (1.0,) * n, 5000, 1e-6)
@@ -77,8 +75,7 @@ def one_contact(mu):
     return scene
 
 
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, cone=["elliptic", "pyramidal"])
 def test_s1_one_contact(engine, cone):
     """W = diag(12, 4, 3), v* = (-1, -1, -1): mu 1000 stops it all, mu 0 the normal alone."""
     for mu, expected, v in (
@@ -164,8 +161,7 @@ def compare_with_lcp(engine, seed, most):
     assert math.sqrt(error @ K @ error) <= 1e-8 * max(1.0, math.sqrt(exact @ K @ exact))
 
 
-@pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, seed=range(20))
 def test_s4_random_lcp(engine, seed):
     """Random stops on a chain of slides: PGS finds the exact solution (up to 5 rows)."""
     compare_with_lcp(engine, seed, 5)

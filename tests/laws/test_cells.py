@@ -8,6 +8,7 @@ import itertools
 
 import numpy as np
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 
@@ -67,7 +68,6 @@ SCENES = {
     "gravity compensation": cell().replace('name="shin"', 'name="shin" gravcomp=".7"'),
     "belt": cell(floor='surfacevel="0 0 0 .5 .2 0"'),
 }
-# Adhesion of geoms, which laws on the guess refuse.
 STICKS = {
     "adhesion of a geom": cell(ball='gap=".05" adhesion="30"'),
     "adhesion of a box": cell(shape="box", ball='gap=".05" adhesion="30"', foot='adhesion="5"'),
@@ -144,12 +144,9 @@ def by_wrenches(sim):
     return force
 
 
-def cells(integrators=INTEGRATORS):
-    return [
-        pytest.param(law, integrator, name, id=f"{law}-{integrator}-{name}")
-        for law, integrator in itertools.product(LAWS, integrators)
-        for name in [*SCENES, *(STICKS if law in ("solref", "penalty") else ())]
-    ]
+def taken(law, integrator, name):
+    """Laws on the guess refuse the adhesion of geoms."""
+    return name not in STICKS or law in ("solref", "penalty")
 
 
 # Rows that penalty makes as hard as can be, which Newton's method refuses.
@@ -161,7 +158,7 @@ def solvers(law, name):
     return ("newton", "pgs") if newton else ("pgs",)
 
 
-@pytest.mark.parametrize("law, integrator, name", cells())
+@every_pair(taken, law=LAWS, integrator=INTEGRATORS, name=[*SCENES, *STICKS])
 def test_a_cell(law, integrator, name):
     model, worlds = model_of(name), 11
     qpos, qvel, ctrl = start(model, worlds)
@@ -192,7 +189,7 @@ def test_a_cell(law, integrator, name):
         assert apart < most, f"{solver} {precision}: other velocities by {apart}"
 
 
-@pytest.mark.parametrize("law, integrator, name", cells(integrators=INTEGRATORS[:2]))
+@every_pair(taken, law=LAWS, integrator=INTEGRATORS[:2], name=[*SCENES, *STICKS])
 def test_what_is_reported_is_what_moved(law, integrator, name):
     model = model_of(name)
     qpos, qvel, ctrl = start(model, 4)
@@ -211,8 +208,7 @@ UNDAMPED = [
 ]
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", UNDAMPED)
+@every_pair(name=UNDAMPED, law=LAWS)
 def test_integrators_of_one_stage_agree_where_nothing_is_damped(law, name):
     model = model_of(name)
     qpos, qvel, ctrl = start(model, 4)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, make
 
 import stepcore as sc
@@ -15,8 +16,7 @@ def of_floor(sim):
     return float(np.array(sim.rows["impulse"])[0]) / sim.settings.dt
 
 
-@pytest.mark.parametrize("dt", [1e-3, 5e-3])
-@pytest.mark.parametrize("law", ["rigid", "lesson", "relaxed"])
+@every_pair(law=["rigid", "lesson", "relaxed"], dt=[1e-3, 5e-3])
 def test_a_tower_rests_on_all_of_its_contacts(law, dt):
     """Ten balls, softness 0: ten rows in each of 500 steps, and the floor bears their weight."""
     sim = sc.Sim(lesson.tower([1.0] * 10), law=law, softness=0.0, dt=dt, **CONVERGED)
@@ -28,8 +28,7 @@ def test_a_tower_rests_on_all_of_its_contacts(law, dt):
         assert np.abs(sim.qvel).max() < 1e-9
 
 
-@pytest.mark.parametrize("law", ["rigid", "lesson"])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, law=["rigid", "lesson"])
 def test_heavy_on_light_rests(engine, law):
     """10 kg on 1 kg, both engines: the floor bears both in each of 50 steps."""
     scene = lesson.tower([1.0, 10.0])
@@ -75,8 +74,7 @@ def test_a_ball_held_against_a_ceiling_by_another():
         assert sorted(forces) == pytest.approx([50 - 2 * 9.81, 50 - 9.81], rel=1e-6)
 
 
-@pytest.mark.parametrize("law", ["rigid", "lesson", "relaxed"])
-@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@every_pair(restitution=[0.0, 0.5], law=["rigid", "lesson", "relaxed"])
 def test_rows_of_what_is_only_near_change_nothing(law, restitution):
     """Two balls in free flight, 1 µm apart or overlapping by 1 µm while they part: as if alone."""
     scene = sc.Scene()

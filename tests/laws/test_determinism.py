@@ -10,6 +10,7 @@ import threading
 import numpy as np
 import pytest
 import test_laws
+from covering import every_pair
 
 import stepcore as sc
 
@@ -56,8 +57,7 @@ def bits(array):
     return np.ascontiguousarray(array).tobytes()
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("name", SCENES)
+@every_pair(name=SCENES, way=WAYS)
 def test_a_world_in_a_batch_is_a_world_alone(name, way):
     """Lanes, one thread, two threads, one by one, f32: all equal the worlds stepped alone."""
     for precision in ("f64", "f32"):
@@ -131,8 +131,7 @@ def test_rollout_is_stepping():
             assert bits(batch.qvel) == bits(whole.qvel[:, step])
 
 
-@pytest.mark.parametrize("options", [{}, {"lanes": False}, {"threads": 2}, {"precision": "f32"}])
-@pytest.mark.parametrize("way", WAYS)
+@every_pair(way=WAYS, options=[{}, {"lanes": False}, {"threads": 2}, {"precision": "f32"}])
 def test_a_snapshot_of_a_batch(way, options):
     """Restored into another batch, or pickled whole, a batch goes on with the same bits."""
     batch = batch_of("all_together", way, **options)
@@ -155,8 +154,7 @@ def test_a_snapshot_of_a_batch(way, options):
     assert bits([sim.qvel for sim in sims]) == bits(batch.qvel)
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@pytest.mark.parametrize("way", WAYS)
+@every_pair(way=WAYS, precision=["f64", "f32"])
 def test_a_snapshot_of_a_sim(way, precision):
     """Pickle, deepcopy and state() are complete; reading changes nothing."""
     sim = alone("all_together", way, 0, precision)

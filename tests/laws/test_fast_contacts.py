@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, make
 
 import stepcore as sc
@@ -27,8 +28,7 @@ def shot(engine, speed, offset, kind="sphere", radius=0.1, start=-1.3, dt=2e-3, 
     return sim
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", LAWS)
+@every_pair(law=LAWS, engine=ENGINES)
 def test_what_is_cleared_is_left_alone(engine, law):
     """1 mm to 10 cm beside a sphere and a box, 1 to 1e6 m/s: the speed stays, bit for bit."""
     cases = itertools.product((1.0, 30.0, 100.0, 1e4, 1e6), (0.001, 0.04, 0.1), ("sphere", "box"))
@@ -48,9 +48,7 @@ def test_a_capsule_is_cleared_as_well():
         assert sim.qvel[:3].tolist() == [speed, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("speed", [100.0, 1000.0, 1e6])
+@every_pair(speed=[100.0, 1000.0, 1e6], law=LAWS, engine=ENGINES)
 def test_a_glancing_blow_leaves_the_speed_along_the_surface(engine, law, speed):
     """Without restitution v·b/(2r) is left, b the offset: the part along the tangent plane."""
     for offset in (0.05, 0.1, 0.18, 0.199):
@@ -75,8 +73,7 @@ def test_a_glancing_bounce(engine):
         assert np.linalg.norm(sim.qvel[:3]) == pytest.approx(1000.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", LAWS)
+@every_pair(law=LAWS, engine=ENGINES)
 def test_a_ball_at_a_million_metres_a_second_comes_to_the_sphere(engine, law):
     """Head on from 1.1 m away, where a step is 2 km long: it stops at the surface."""
     sim = shot(engine, 1e6, 0.0, law=law)

@@ -6,6 +6,7 @@ carries a load without end, so its friction holds it, whatever solves the rows.
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, make
 
 import stepcore as sc
@@ -35,16 +36,15 @@ def driven(sim, steps=200):
     return abs(float(sim.qvel[0]))
 
 
-@pytest.mark.parametrize("tilt", [(1.0, 0.0, 0.0, 0.0), TILTED])
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize(
-    "solver",
-    [
+@every_pair(
+    solver=[
         {"solver": "newton"},
         {"solver": "pgs", "sweeps": 50},
         {"solver": "pgs", "sweeps": 50, "acceleration": "momentum"},
         {"solver": "pgs", "sweeps": "auto"},
     ],
+    cone=["elliptic", "pyramidal"],
+    tilt=[(1.0, 0.0, 0.0, 0.0), TILTED],
 )
 def test_every_solver_holds_the_wheel(solver, cone, tilt):
     """Free it would turn at 600 rad/s after 0.4 s; the rows are solved, and say so."""
@@ -54,9 +54,7 @@ def test_every_solver_holds_the_wheel(solver, cone, tilt):
         assert sim.residual < limit
 
 
-@pytest.mark.parametrize("law", ["lesson", "relaxed", "rigid"])
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, cone=["elliptic", "pyramidal"], law=["lesson", "relaxed", "rigid"])
 def test_the_laws_on_velocities_hold_it_too(engine, law, cone):
     sim = make(engine, wheel(cone, TILTED), law=law, cone=cone)
     assert driven(sim, 20) < 1e-8

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import transforms
 import zoo
+from covering import every_pair
 
 import stepcore as sc
 from stepcore.loading import find_asset
@@ -40,17 +41,6 @@ WAYS = {
 # The hand of `self_collision` lies inside its own arm: a law that undoes an overlap however small
 # the lever blows it up, rightly. Laws on velocities refuse what adheres.
 NOT_BY = dict.fromkeys(("self_collision", "sticky"), ("rigid", "lesson rk4"))
-
-
-def cases(*without):
-    """Every scene in every way but those that the law does not hold for."""
-    return [
-        pytest.param(name, way, precision, id=f"{name}-{way}-{precision}")
-        for name in SCENES
-        for way in WAYS
-        for precision in PRECISIONS
-        if way not in without and way not in NOT_BY.get(name, ())
-    ]
 
 
 @functools.cache
@@ -108,8 +98,7 @@ def stays(sim, move, other, steps):
         same(f"qvel after step {step}", move.qvel(sim.qvel), other.qvel)
 
 
-@pytest.mark.parametrize(("name", "way", "precision"), cases())
-def test_units(name, way, precision):
+def units(name, way, precision):
     """M1: other units of length, mass and time, powers of two: the same bits in those units."""
     scene = scene_of(name).with_settings(**WAYS[way])
     mixed = any(
@@ -124,19 +113,7 @@ def test_units(name, way, precision):
         stays(sim, move, other, steps_of(name) // 2)
 
 
-# Their contacts are several at a time, in the order of their corners: the mirror has another order.
-MANIFOLDS = ("plane_cylinder", "plane_box", "box_box", "explicit_pairs")
-
-
-@pytest.mark.parametrize(
-    ("name", "way", "precision"),
-    [
-        case
-        for case in cases(*WAYS.keys() - {"pgs", "rigid", "newton"})
-        if case.values[0] not in MANIFOLDS
-    ],
-)
-def test_mirror_without_friction(name, way, precision):
+def mirror(name, way, precision):
     """M3: nothing in the engine prefers left or right. Without tangents: bit for bit."""
     scene = copy.deepcopy(scene_of(name)).with_settings(**WAYS[way])
     for geom in scene.geoms:
@@ -144,6 +121,50 @@ def test_mirror_without_friction(name, way, precision):
     move = transforms.mirrored(scene)
     sim = set_up(scene, name, precision)
     stays(sim, move, set_up(move.scene, name, precision, move), steps_of(name) // 2)
+
+
+def two_copies(name, way, precision):
+    """M6: two copies that cannot meet, in one scene: each the same bits as alone."""
+    scene = copy.deepcopy(scene_of(name)).with_settings(**WAYS[way])
+    scene.mass_rules.settotalmass = -1.0  # of one copy, or of two?
+    move = transforms.doubled(scene)
+    sim = set_up(scene, name, precision)
+    stays(sim, move, set_up(move.scene, name, precision, move, 2), steps_of(name) // 2)
+
+
+def restart(name, way, precision):
+    """M8: a snapshot is complete: another Sim goes on with the same bits."""
+    model = scene_of(name).with_settings(**WAYS[way]).compile()
+    sim = set_up(model.scene, name, precision, **WAYS[way])
+    half = steps_of(name) // 2
+    sim.step(half)
+    snapshot = pickle.loads(pickle.dumps(sim.state()))
+    sim.step(half)
+    # Into a Sim that has been elsewhere, and into one that pickle made.
+    other = sc.Sim(model, precision=precision)
+    other.step(3)
+    other.restore(snapshot)
+    whole = pickle.loads(pickle.dumps(other))
+    for again in (other, whole):
+        again.step(half)
+        assert again.state() == sim.state(), "the snapshots differ"
+
+
+# Contacts that are several at a time have the order of their corners: the mirror has another order.
+MANIFOLDS = ("plane_cylinder", "plane_box", "box_box", "explicit_pairs")
+
+
+def holds(law, name, way, precision):
+    if law is mirror and (way not in ("pgs", "rigid", "newton") or name in MANIFOLDS):
+        return False
+    return way not in NOT_BY.get(name, ())
+
+
+@every_pair(
+    holds, law=[units, mirror, two_copies, restart], name=SCENES, way=WAYS, precision=PRECISIONS
+)
+def test_bit_for_bit(law, name, way, precision):
+    law(name, way, precision)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -183,38 +204,11 @@ def by_name(values, names, others):
     return [values[names.index(name)] for name in others]
 
 
-@pytest.mark.parametrize(("name", "way", "precision"), cases())
-def test_two_copies(name, way, precision):
-    """M6: two copies that cannot meet, in one scene: each the same bits as alone."""
-    scene = copy.deepcopy(scene_of(name)).with_settings(**WAYS[way])
-    scene.mass_rules.settotalmass = -1.0  # of one copy, or of two?
-    move = transforms.doubled(scene)
-    sim = set_up(scene, name, precision)
-    stays(sim, move, set_up(move.scene, name, precision, move, 2), steps_of(name) // 2)
-
-
-@pytest.mark.parametrize(("name", "way", "precision"), cases())
-def test_restart(name, way, precision):
-    """M8: a snapshot is complete: another Sim goes on with the same bits."""
-    model = scene_of(name).with_settings(**WAYS[way]).compile()
-    sim = set_up(model.scene, name, precision, **WAYS[way])
-    half = steps_of(name) // 2
-    sim.step(half)
-    snapshot = pickle.loads(pickle.dumps(sim.state()))
-    sim.step(half)
-    # Into a Sim that has been elsewhere, and into one that pickle made.
-    other = sc.Sim(model, precision=precision)
-    other.step(3)
-    other.restore(snapshot)
-    whole = pickle.loads(pickle.dumps(other))
-    for again in (other, whole):
-        again.step(half)
-        assert again.state() == sim.state(), "the snapshots differ"
-
-
-@pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("way", [{}, {"acceleration": "momentum"}, {"law": "rigid"}])
-@pytest.mark.parametrize("name", ["connect", "plane_capsule", "all_together", "half_cheetah"])
+@every_pair(
+    name=["connect", "plane_capsule", "all_together", "half_cheetah"],
+    way=[{}, {"acceleration": "momentum"}, {"law": "rigid"}],
+    precision=PRECISIONS,
+)
 def test_tolerance_zero_runs_every_sweep(name, way, precision):
     """M9: n sweeps with tolerance 0 are n sweeps, though the rows were solved long before."""
     for sweeps in (0, 1, 7, 400):
@@ -231,8 +225,10 @@ def test_tolerance_zero_runs_every_sweep(name, way, precision):
         assert seen > 0, "no row was ever alive"
 
 
-@pytest.mark.parametrize("name", ["connect", "self_collision", "half_cheetah"])
-@pytest.mark.parametrize("extra", [{}, {"cone": "elliptic"}, {"acceleration": "momentum"}])
+@every_pair(
+    extra=[{}, {"cone": "elliptic"}, {"acceleration": "momentum"}],
+    name=["connect", "self_collision", "half_cheetah"],
+)
 def test_an_early_stop_is_that_many_sweeps(name, extra):
     """M9: where a tolerance stops a solve after k sweeps, k sweeps without one do the same."""
     settings = PGS | extra

@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from covering import every_pair
 from oracle import Sim as Reference
 from oracle import solve as reference
 
@@ -57,10 +58,12 @@ def rise(sim, steps):
     return most, start
 
 
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-@pytest.mark.parametrize("law", ["rigid", "lesson", "relaxed"])
-@pytest.mark.parametrize("shape", ["box", "sphere"])
-@pytest.mark.parametrize("ratio", [1e2, 1e4, 1e5, 1e6])
+@every_pair(
+    ratio=[1e2, 1e4, 1e5, 1e6],
+    shape=["box", "sphere"],
+    law=["rigid", "lesson", "relaxed"],
+    cone=["pyramidal", "elliptic"],
+)
 def test_one_on_another_rests(ratio, shape, law, cone):
     """0.3 s: nobody moves by a micrometre, and the floor bears both."""
     light, heavy = 1e-3, 1e-3 * ratio
@@ -74,8 +77,10 @@ def test_one_on_another_rests(ratio, shape, law, cone):
     assert normals == pytest.approx(G * (light + 2 * heavy), rel=1e-6)
 
 
-@pytest.mark.parametrize("masses", [(1e-3, 1e3, 1e-3), (1e3, 1e-3, 1e3), (1e-3, 1e2, 1e-3, 1e2)])
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@every_pair(
+    cone=["pyramidal", "elliptic"],
+    masses=[(1e-3, 1e3, 1e-3), (1e3, 1e-3, 1e3), (1e-3, 1e2, 1e-3, 1e2)],
+)
 def test_stacks_of_alternating_masses(masses, cone):
     """Three and four, spheres not among them: at rest to a micrometre."""
     sim = sc.Sim(stack(masses, "box", cone), law="rigid", **AUTO)
@@ -85,8 +90,9 @@ def test_stacks_of_alternating_masses(masses, cone):
     assert np.abs(sim.qpos - start).max() < 1e-6
 
 
-@pytest.mark.parametrize("masses", [(1e-3, 1e3), (1e-3, 1.0, 1e3), (1e3, 1e-3, 1e3)])
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@every_pair(
+    cone=["pyramidal", "elliptic"], masses=[(1e-3, 1e3), (1e-3, 1.0, 1e3), (1e3, 1e-3, 1e3)]
+)
 def test_the_references_rows_are_met(masses, cone):
     """Plates on feet: numpy's own rows at the same state, with the engine's impulses in them."""
     scene = feet(masses)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, make
 
 import stepcore as sc
@@ -15,8 +16,7 @@ AFTER = ("midpoint", "rk4")
 SETTINGS = {"solver": "pgs", "sweeps": 500, "tolerance": 1e-12}
 
 
-@pytest.mark.parametrize("integrator", [*AFTER, "semi-implicit"])
-@pytest.mark.parametrize("dt", [2e-3, 1e-2])
+@every_pair(dt=[2e-3, 1e-2], integrator=[*AFTER, "semi-implicit"])
 def test_bounces_keep_their_energy(integrator, dt):
     """e = 1, 2,000 s of bounces: midpoint and rk4 keep E to 1e-9, v-first to its g·dt·v/2."""
     scene = lesson.tower([1.0])
@@ -42,9 +42,7 @@ def test_a_tower_of_elastic_balls_gains_nothing(integrator):
         assert sum(sim.energy) <= start * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("integrator", AFTER)
-@pytest.mark.parametrize("e", [0.5, 0.8])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, e=[0.5, 0.8], integrator=AFTER)
 def test_apexes(engine, integrator, e):
     """apex_n = h·e^(2n), and rest: the energy of each flight is exact, the time to O(dt)."""
     dt = 2e-3 if engine == "rust" else 1e-2
@@ -63,11 +61,11 @@ def test_apexes(engine, integrator, e):
         assert apex == pytest.approx(e ** (2 * n), abs=3 * n * dt * math.sqrt(2 * G) * e**n)
 
 
-@pytest.mark.parametrize("integrator", AFTER)
-@pytest.mark.parametrize(
-    ("law", "softness"), [("rigid", 0.0), ("lesson", 0.0), ("lesson", 0.3), ("relaxed", 0.3)]
+@every_pair(
+    engine=ENGINES,
+    **{"law, softness": [("rigid", 0.0), ("lesson", 0.0), ("lesson", 0.3), ("relaxed", 0.3)]},
+    integrator=AFTER,
 )
-@pytest.mark.parametrize("engine", ENGINES)
 def test_what_rests_is_at_rest(engine, law, softness, integrator):
     """qvel is 0 (it read −g·dt/2), the force is the weight, the depth is the law's."""
     sim = make(
@@ -106,8 +104,7 @@ def block(friction, angle):
     return scene
 
 
-@pytest.mark.parametrize("integrator", AFTER)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=AFTER)
 def test_sliding_is_exact(engine, integrator):
     """a = g (sin α − μ cos α): both v and the parabola to 1e-9; below the angle it stays."""
     angle, mu = 0.5, 0.3
@@ -125,8 +122,7 @@ def test_sliding_is_exact(engine, integrator):
     assert abs(float(sim.qvel[0])) < 1e-9 and abs(float(sim.qpos[0])) < 1e-4
 
 
-@pytest.mark.parametrize("integrator", AFTER)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=AFTER)
 def test_friction_loss_is_exact(engine, integrator):
     """A slide with dry friction 2 N, 1 kg, from 3 m/s: stops after 1.5 s and 2.25 m."""
     scene = Scene(gravity=(0, 0, 0))

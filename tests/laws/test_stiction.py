@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import transforms
+from covering import every_pair
 
 import stepcore as sc
 
@@ -49,9 +50,7 @@ FREE_SPIN = 7
 SOLVERS = {"newton": {}, "pgs": {"solver": "pgs", "sweeps": 2000, "tolerance": 1e-13}}
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize("dt", [0.001, 0.002, 0.005, 0.01])
+@every_pair(dt=[0.001, 0.002, 0.005, 0.01], cone=["elliptic", "pyramidal"], solver=SOLVERS)
 def test_a_pinched_ball_hangs(dt, cone, solver):
     """MuJoCo's friction lets it creep at 50 µm/s or more; held it moves below 1 nm/s for 9 s."""
     text, ctrl = pinch(dt, cone)
@@ -73,8 +72,7 @@ def test_a_pinched_ball_hangs(dt, cone, solver):
     assert np.abs(held).max() < 1e-8 and abs(sim.qvel[FREE_SPIN]) < 1e-6
 
 
-@pytest.mark.parametrize("condim", [3, 4, 6])
-@pytest.mark.parametrize("dt", [0.001, 0.002, 0.005, 0.01])
+@every_pair(dt=[0.001, 0.002, 0.005, 0.01], condim=[3, 4, 6])
 def test_a_pinched_ball_holds_what_pushes_and_spins_it(dt, condim):
     """Pushed for a tenth of a second, and spun about the pinch; afterwards it rests to 1 nm/s."""
     text, ctrl = pinch(dt, condim=condim)
@@ -126,11 +124,18 @@ def slider(cone="elliptic", impratio=1.0, condim=3, mu=0.5, dt=0.002, **options)
     return scene
 
 
-@pytest.mark.parametrize(
-    "integrator",
-    ["semi-implicit", "euler", "implicitfast", "implicit", "discrete", "rk4", "midpoint"],
+@every_pair(
+    impratio=[1.0, 7.0],
+    integrator=[
+        "semi-implicit",
+        "euler",
+        "implicitfast",
+        "implicit",
+        "discrete",
+        "rk4",
+        "midpoint",
+    ],
 )
-@pytest.mark.parametrize("impratio", [1.0, 7.0])
 def test_a_held_load_rests_on_its_spring(integrator, impratio):
     """s = R f/(K d), R = (1 − d)/d/(m impratio), K = 1/(d T ζ)²: to 1e-9 of itself; and back."""
     scene = slider(impratio=impratio, integrator=integrator, tolerance=1e-15)
@@ -200,8 +205,7 @@ def test_a_snapshot_holds_the_slip(warm_start):
     assert np.array_equal(np.array(other.qpos), after)
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@pytest.mark.parametrize("solver", SOLVERS)
+@every_pair(solver=SOLVERS, precision=["f64", "f32"])
 def test_lanes_are_scalars(precision, solver):
     """Eight worlds with other grips, side by side and alone, bit for bit."""
     text, ctrl = pinch()
@@ -278,8 +282,7 @@ def test_other_laws_take_no_notice():
     assert np.array_equal(*runs)
 
 
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize("units", [(3, 0, 0), (0, 4, 0), (0, 0, 5), (-2, 3, -4)])
+@every_pair(units=[(3, 0, 0), (0, 4, 0), (0, 0, 5), (-2, 3, -4)], cone=["elliptic", "pyramidal"])
 def test_units_scale_bit_for_bit(cone, units):
     """Metres, kilograms and seconds of other sizes, powers of two: the same run to the bit."""
     plain = slider(cone, condim=6, noslip_iterations=2)

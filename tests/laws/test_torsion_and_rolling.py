@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 import pytest
+from covering import every_pair
 from engines import ENGINES, make
 
 import stepcore as sc
@@ -31,10 +32,7 @@ def ball(condim, friction, gravity=G):
     )
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("law", COULOMB)
-@pytest.mark.parametrize("condim", [4, 6])
+@every_pair(condim=[4, 6], law=COULOMB, cone=CONES, engine=ENGINES)
 def test_a_spin_decays(engine, law, cone, condim):
     """ω̇ = −μ_t m g/I until it rests, and rests."""
     mu = 0.01
@@ -49,8 +47,7 @@ def test_a_spin_decays(engine, law, cone, condim):
         assert np.abs(sim.qvel).max() < 1e-12
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", COULOMB)
+@every_pair(law=COULOMB, engine=ENGINES)
 def test_a_spin_without_torsion_goes_on(engine, law):
     """condim 3 does not know it, however large its coefficients."""
     sim = make(engine, ball(3, ".8 1 1"), law=law, **SOLVED)
@@ -59,8 +56,7 @@ def test_a_spin_without_torsion_goes_on(engine, law):
     assert sim.qvel[5] == pytest.approx(5.0, abs=1e-13)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", COULOMB)
+@every_pair(law=COULOMB, engine=ENGINES)
 def test_rolling_stops(engine, law):
     """a = 5/7 μ_r g/r under the box, which leaves the rolling itself alone."""
     mu = 0.002
@@ -96,8 +92,7 @@ def test_rolling_in_an_ellipsoid_creeps():
     assert sim.qvel[0] - R * sim.qvel[4] == pytest.approx(c * sim.qvel[4], rel=1e-2)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("law", COULOMB)
+@every_pair(law=COULOMB, engine=ENGINES)
 def test_a_slide_becomes_rolling(engine, law):
     """v̇ = −μ g and I ω̇ = (μ r − μ_r) m g until v = r ω."""
     mu, roll, v = 0.2, 0.004, 1.0
@@ -175,9 +170,7 @@ def momenta(sim):
     return linear, angular
 
 
-@pytest.mark.parametrize("condim", [4, 6])
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("law", ("solref", *COULOMB))
+@every_pair(law=("solref", *COULOMB), cone=CONES, condim=[4, 6])
 def test_two_balls_keep_their_momenta(law, cone, condim):
     """What one gets by torsion and rolling the other gives."""
     solver = {"solver": "newton", "sweeps": 100, "tolerance": 0} if law == "solref" else SOLVED
@@ -194,9 +187,7 @@ def test_two_balls_keep_their_momenta(law, cone, condim):
     assert momenta(sim)[1] == pytest.approx(before[1], abs=2e-3 * np.abs(before[1]).max())
 
 
-@pytest.mark.parametrize("law", ("solref", *COULOMB, "penalty"))
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("condim", [3, 4, 6])
+@every_pair(condim=[3, 4, 6], cone=CONES, law=("solref", *COULOMB, "penalty"))
 def test_force_and_torque_stay_in_the_cone(law, cone, condim):
     """Σ (λ_j/μ_j)² ≤ λ_n² or |λ_j| ≤ μ_j λ_n (in a pyramid Σ |λ_j|/μ_j ≤ λ_n); nothing else."""
     mu = np.array([0.4, 0.4, 0.05, 0.02, 0.02])[: condim - 1]

@@ -10,6 +10,7 @@ import math
 import extremes
 import numpy as np
 import pytest
+from covering import every_pair
 from extreme_cases import cells
 
 import stepcore as sc
@@ -92,8 +93,7 @@ def wall(speed, half=0.0005, radius=0.05, dt=0.002, **settings):
     return sim, deepest
 
 
-@pytest.mark.parametrize("integrator", ["semi-implicit", "rk4", "midpoint"])
-@pytest.mark.parametrize("speed", [1.0, 100.0, 1e4])
+@every_pair(speed=[1.0, 100.0, 1e4], integrator=["semi-implicit", "rk4", "midpoint"])
 def test_a_thin_wall_stops_a_fast_ball(speed, integrator):
     """Rows on the guess, not on a margin: a 1 mm wall at dt 2 ms, where the ball moves 0.2 m."""
     sim, deepest = wall(speed, integrator=integrator)
@@ -108,8 +108,7 @@ def test_a_thin_wall_throws_back():
     assert sim.qvel[0] == pytest.approx(-50.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("law", ["rigid", "lesson", "relaxed", "solref"])
-@pytest.mark.parametrize("speed", [100.0, 1e4, 1e8])
+@every_pair(speed=[100.0, 1e4, 1e8], law=["rigid", "lesson", "relaxed", "solref"])
 def test_an_impact_gives_no_energy(speed, law):
     """The floor catches a ball at any speed, and never gives back more than it got."""
     settings = SOLVED if law == "solref" else RIGID | {"law": law}
@@ -127,9 +126,9 @@ def test_an_impact_gives_no_energy(speed, law):
 # --- sliding, duplicates, degenerate shapes -------------------------------------------------------
 
 
-@pytest.mark.parametrize("law", ["rigid", "lesson", "relaxed"])
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize("speed", [0.5, 5.0, 100.0])
+@every_pair(
+    speed=[0.5, 5.0, 100.0], cone=["elliptic", "pyramidal"], law=["rigid", "lesson", "relaxed"]
+)
 def test_a_slide_keeps_its_height(law, cone, speed):
     """Coulomb's laws do not lift what slides: within 1 µm of the rest in every step."""
     scene = sc.Scene()
@@ -165,9 +164,11 @@ def test_duplicate_contacts_change_nothing(cone, speed, after, spin):
         assert sim.qvel[4] == pytest.approx(spin, abs=1e-12), f"{count} contacts"
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@pytest.mark.parametrize("settings", [RIGID, RIGID | {"law": "lesson"}, SOLVED])
-@pytest.mark.parametrize("kind", ["sphere", "capsule"])
+@every_pair(
+    kind=["sphere", "capsule"],
+    settings=[RIGID, RIGID | {"law": "lesson"}, SOLVED],
+    precision=["f64", "f32"],
+)
 def test_coincident_centres_part(kind, settings, precision):
     """Two bodies in one place have no direction between them: they part along a fixed one."""
     scene = sc.Scene(gravity=(0, 0, 0))
@@ -182,8 +183,9 @@ def test_coincident_centres_part(kind, settings, precision):
     assert np.abs(sim.momentum.linear).max() < 1e-5
 
 
-@pytest.mark.parametrize("place", [(0, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0.5), (0.5, 0.5, 0)])
-@pytest.mark.parametrize("settings", [RIGID, SOLVED])
+@every_pair(
+    settings=[RIGID, SOLVED], place=[(0, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0.5), (0.5, 0.5, 0)]
+)
 def test_a_ball_inside_a_box_comes_out(place, settings):
     scene = sc.Scene(gravity=(0, 0, 0))
     scene.add_geom("world", "box", (0.5, 0.5, 0.5))
@@ -198,8 +200,7 @@ def test_a_ball_inside_a_box_comes_out(place, settings):
 # --- scale ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("far", [0.0, 1e4, 1e6, 1e8])
-@pytest.mark.parametrize("settings", [RIGID, SOLVED])
+@every_pair(settings=[RIGID, SOLVED], far=[0.0, 1e4, 1e6, 1e8])
 def test_far_from_the_origin(far, settings):
     """A sledge stops where it stops near the origin, to the rounding of its coordinates."""
 
@@ -230,8 +231,7 @@ def test_any_size(size):
         assert abs(sim.qpos[0] + depth) <= 8 * np.spacing(size) + 1e-12
 
 
-@pytest.mark.parametrize("dt", [1e-9, 1e-12, 1e-15])
-@pytest.mark.parametrize("law", ["rigid", "lesson"])
+@every_pair(law=["rigid", "lesson"], dt=[1e-9, 1e-12, 1e-15])
 def test_tiny_steps_rest(law, dt):
     """Where g dt² is below the numbers, a resting body may freeze; it must not sink."""
     sim = sc.Sim(scenes.tower([1.0]), **(RIGID | {"law": law, "dt": dt}))
@@ -240,8 +240,7 @@ def test_tiny_steps_rest(law, dt):
     assert sim.time == 5000 * dt
 
 
-@pytest.mark.parametrize("mass", [1e-300, 1e-150, 1e150, 1e300])
-@pytest.mark.parametrize("settings", [RIGID, SOLVED])
+@every_pair(settings=[RIGID, SOLVED], mass=[1e-300, 1e-150, 1e150, 1e300])
 def test_any_mass_that_the_numbers_hold(mass, settings):
     """It rests; where Newton's squares of it would leave the numbers, it is refused by name."""
     if settings is SOLVED and mass in (1e-300, 1e300):
@@ -272,8 +271,7 @@ def test_masses_without_an_inverse_are_refused():
 # --- overflow -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-@pytest.mark.parametrize("array", ["qfrc_applied", "xfrc_applied", "qvel"])
+@every_pair(array=["qfrc_applied", "xfrc_applied", "qvel"], precision=["f64", "f32"])
 def test_what_overflows_is_an_error_with_a_name(array, precision):
     """A huge but finite input: an error with step, time and element, and a state still finite."""
     huge = 1e30 if precision == "f32" else 1e300

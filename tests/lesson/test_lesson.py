@@ -8,6 +8,7 @@ import math
 import numpy as np
 import oracle
 import pytest
+from covering import every_pair
 from engines import ENGINES, make
 
 from stepcore import lesson
@@ -17,8 +18,7 @@ from stepcore.lesson.run import STACK, SWEEPS, Row, maker
 G, H = 9.81, 0.3
 
 
-@pytest.mark.parametrize("section", [1, 2, 3])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, section=[1, 2, 3])
 def test_tables_of_one_mass(engine, section):
     """Sections 1 to 3: every figure within its printed digits."""
     rows = lesson.run(engine, sections=(section,))
@@ -76,8 +76,7 @@ CLOSED = {
 }
 
 
-@pytest.mark.parametrize("integrator", CLOSED)
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, integrator=CLOSED)
 def test_spring_energy_is_the_closed_form(engine, integrator):
     """Amplification factors of the four rules, to 1e-11 relative."""
     got = measure.spring_energy(maker(engine), integrator)
@@ -95,8 +94,7 @@ def test_reference_numbers_are_the_closed_forms():
 # Section 2.
 
 
-@pytest.mark.parametrize("k", [1e3, 1e5, 1e6])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, k=[1e3, 1e5, 1e6])
 def test_penalty_recursion(engine, k):
     """Step by step the force k·overlap - c·v while y < 0, v-first."""
     scene = lesson.drop("penalty", penalty_stiffness=k, penalty_damping_ratio=0.1)
@@ -110,8 +108,7 @@ def test_penalty_recursion(engine, k):
 
 
 @pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
-@pytest.mark.parametrize("ratio", [0.0, 0.1, 0.5])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, ratio=[0.0, 0.1, 0.5])
 def test_stability_limit_with_damping(engine, ratio):
     """v-first with explicit damping: stable where z² + 4·ratio·z < 4, on both sides of it."""
     limit = 2 * (math.sqrt(1 + ratio**2) - ratio)
@@ -137,8 +134,7 @@ def lesson_ball(y, v, dt, beta, s, m=1.0):
     return y + v * dt, v
 
 
-@pytest.mark.parametrize("change", [{}, {"softness": 0.0}, {"beta": 1.0}, {"dt": 0.02}, {"m": 3.0}])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, change=[{}, {"softness": 0.0}, {"beta": 1.0}, {"dt": 0.02}, {"m": 3.0}])
 def test_constraint_recursion(engine, change):
     """Step by step the lesson's one row, to 1e-12."""
     scene = lesson.drop(**change)
@@ -197,9 +193,7 @@ def lesson_stack(q, v, dt, beta, s, sweeps, regularised):
     return [q[0] + dt * v[0], q[1] + dt * v[1]], v
 
 
-@pytest.mark.parametrize("sweeps", [1, 2, 5])
-@pytest.mark.parametrize("law", ["relaxed", "lesson"])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, law=["relaxed", "lesson"], sweeps=[1, 2, 5])
 def test_stack_recursion(engine, law, sweeps):
     """Step by step the lesson's two rows, to 1e-12, under both readings of its softness."""
     sim = make(engine, lesson.stack(sweeps, law), "start")
@@ -213,8 +207,7 @@ def test_stack_recursion(engine, law, sweeps):
         assert list(sim.qpos) + list(sim.qvel) == pytest.approx(q + v, abs=1e-12)
 
 
-@pytest.mark.parametrize("s", [0.25, 0.5, 2.0])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, s=[0.25, 0.5, 2.0])
 def test_one_sweep_law(engine, s):
     """depth of the lower contact = (1 + 2·s·m)·g·dt²/beta."""
     sim = make(engine, lesson.stack(1, "relaxed", softness=s), "start")
@@ -222,8 +215,7 @@ def test_one_sweep_law(engine, s):
     assert -sim.qpos[0] == pytest.approx((1 + 2 * s) * G * 0.002**2 / 0.2, rel=1e-6)
 
 
-@pytest.mark.parametrize("sweeps", [0, 1])
-@pytest.mark.parametrize("engine", ENGINES)
+@every_pair(engine=ENGINES, sweeps=[0, 1])
 def test_no_softness_one_sweep_band(engine, sweeps):
     """s = 0: one sweep rests near 196.2 um, now and then thrown off by rounding; 0 is free fall."""
     sim = make(engine, lesson.stack(sweeps, "lesson", softness=0.0), "start")

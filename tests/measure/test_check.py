@@ -3,6 +3,7 @@
 import math
 import re
 import warnings
+from unittest import mock
 
 import pytest
 
@@ -21,13 +22,19 @@ def checked(text, **options):
     return sc.check(scene, **options)
 
 
+def findings(text, **options):
+    """What the scene and its run show; the time step is not diagnosed."""
+    with mock.patch("stepcore.measure.check._diagnosis", return_value=(None, [])):
+        return checked(text, **options).findings
+
+
 def kinds(text, **options):
-    return [finding.kind for finding in checked(text, **options).findings]
+    return [finding.kind for finding in findings(text, **options)]
 
 
 def the(text, kind, **options):
     """The only finding of a scene, which has this kind."""
-    (finding,) = checked(text, **options).findings
+    (finding,) = findings(text, **options)
     assert finding.kind == kind, finding
     return finding
 
@@ -247,7 +254,7 @@ def lever(force, more=""):
 
 def test_a_servo_that_cannot_hold_its_load():
     """m g l = 4.905 N·m."""
-    one = next(f for f in checked(lever(4.8)).findings if f.kind == "servo too weak")
+    one = next(f for f in findings(lever(4.8)) if f.kind == "servo too weak")
     assert one.value == pytest.approx(G * 0.5, rel=1e-6) and one.severity == "error"
     assert "cannot hold the start: its load there is 4.91 N·m and its forcerange ends at 4.8" in (
         one.text
@@ -256,13 +263,13 @@ def test_a_servo_that_cannot_hold_its_load():
     # What stands on the floor beside it changes nothing of that.
     beside = """<geom type="plane" size="1 1 1" pos="0 0 -2"/><body pos="0 5 -1.9"><freejoint/>
     <geom size=".1"/></body></worldbody>"""
-    found = checked(lever(4.8).replace("</worldbody>", beside)).findings
+    found = findings(lever(4.8).replace("</worldbody>", beside))
     assert [f.value for f in found if f.kind == "servo too weak"] == [one.value]
     # Half the load at 60°: the keyframe can be held where the level arm cannot.
     up = f'<keyframe><key name="up" qpos="{math.pi / 3}" ctrl="{math.pi / 3}"/></keyframe>'
     assert kinds(lever(3.0, up), horizon=2.0) == []
     both = up.replace("</keyframe>", '<key name="level"/></keyframe>')
-    text = next(f for f in checked(lever(3.0, both)).findings).text
+    text = next(f for f in findings(lever(3.0, both))).text
     assert "cannot hold keyframe `level`" in text
 
 
@@ -271,16 +278,16 @@ def test_a_motor_that_cannot_hold_its_load(gear, found):
     """It may not be meant to: a remark."""
     motor = f'<motor joint="knee" gear="{gear}" ctrlrange="-1 1"/>'
     text = re.sub(r"<position.*?/>", motor, lever(1), flags=re.DOTALL)
-    findings = checked(text).findings
-    assert [one.kind for one in findings] == found
-    assert all(one.severity == "remark" for one in findings)
+    told = findings(text)
+    assert [one.kind for one in told] == found
+    assert all(one.severity == "remark" for one in told)
 
 
 @pytest.mark.parametrize(("kp", "kv", "said"), [(400, 0, "kp 400"), (0.1, 5, "kv 5")])
 def test_gains_beside_a_joint_without_armature(kp, kv, said):
     """ω dt = √(kp/I) dt, or kv dt/I; with the armature that is named both are as they may be."""
     text = arm(geom='size=".1" mass="1"', rest=servo(f'kv="{kv}"', kp), option='timestep=".01"')
-    one = next(f for f in checked(text).findings if f.kind == "armature")
+    one = next(f for f in findings(text) if f.kind == "armature")
     inertia = 0.4 * 0.1**2
     assert one.value == pytest.approx(inertia) and said in one.text
     armature = float(re.search(r'armature="(\S+)"', one.text)[1])
@@ -426,7 +433,7 @@ def test_a_fixed_tendon_s_length_has_no_unit():
 
 
 def test_a_tendon_s_spring_at_rest_beyond_its_limit():
-    found = checked(strung('range=".4 .6" stiffness="10" springlength=".2"')).findings[0]
+    found = findings(strung('range=".4 .6" stiffness="10" springlength=".2"'))[0]
     assert found.kind == "spring beyond a limit" and found.value == pytest.approx(0.2)
     right = kinds(strung('range=".4 .6" stiffness="10" springlength=".5"'))
     assert "spring beyond a limit" not in right

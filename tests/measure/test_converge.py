@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 from stepcore import lesson
@@ -58,8 +59,10 @@ def test_c6_measured_theory_and_closed_form(masses, law):
     assert decimals(found.contraction) == pytest.approx(decimals(found.theory.closed), rel=0.01)
 
 
-@pytest.mark.parametrize("law", ["lesson", "relaxed", "solref"])
-@pytest.mark.parametrize("masses", [(1.0, 3.0, 20.0), (1.0, 100.0), (5.0, 1.0, 1.0, 8.0)])
+@every_pair(
+    masses=[(1.0, 3.0, 20.0), (1.0, 100.0), (5.0, 1.0, 1.0, 8.0)],
+    law=["lesson", "relaxed", "solref"],
+)
 def test_soft_rows_have_their_own_matrix(law, masses):
     """Regularisers and under-relaxation count; the closed form of rigid rows is only a bound."""
     model, state = tower(masses, law=law, softness=0.3)
@@ -69,8 +72,7 @@ def test_soft_rows_have_their_own_matrix(law, masses):
         assert found.theory.radius < found.theory.closed
 
 
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
-@pytest.mark.parametrize("law", ["lesson", "solref"])
+@every_pair(law=["lesson", "solref"], cone=["elliptic", "pyramidal"])
 def test_cones_that_stick_are_blocks_of_it(law, cone):
     """The grasp, two sticking contacts and a limit: measured and from the matrix, within 4 %."""
     scene = lesson.grasp(law=law, cone=cone, softness=0.1, solver="pgs", sweeps=20)
@@ -122,8 +124,7 @@ def test_the_matrix_of_the_rows():
     assert rows["impulse"] @ A @ rows["impulse"] == pytest.approx(energy, rel=1e-9)
 
 
-@pytest.mark.parametrize("sweeps", [1, 3])
-@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
+@every_pair(cone=["elliptic", "pyramidal"], sweeps=[1, 3])
 def test_row_speeds_are_what_the_residual_is_made_of(cone, sweeps):
     sim = sc.Sim(lesson.grasp(), cone=cone, sweeps=sweeps, tolerance=0.0, warm_start=False)
     sim.reset(key="start")

@@ -7,6 +7,7 @@ import warnings
 
 import pytest
 import stiff
+from covering import every_pair, every_value, first
 
 import stepcore as sc
 from stepcore.engine.linear_maps import INTEGRATORS
@@ -39,7 +40,7 @@ def series(count, k, mass=1.0, **options):
 # --- gains that are not given -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["position", "intvelocity", "pid", "orientation"])
+@first(2, kind=["position", "orientation", "intvelocity", "pid"])
 def test_a_gain_that_is_not_given_is_advised_from_the_default_of_its_type(kind):
     """Law: kp = 1 and kv = 0 by default, so on 1e-6 kg or kg·m² it has ω = 1000/s and a limit of
     2 ms; only a smaller kp makes 5 ms stable."""
@@ -93,8 +94,7 @@ HUGE = (
 )
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "RK4", "implicitfast"])
-@pytest.mark.parametrize("attributes", HUGE)
+@every_pair(attributes=HUGE, integrator=["Euler", "RK4", "implicitfast"])
 def test_a_warning_never_fails_a_load(integrator, attributes):
     text = f"""<mujoco><option integrator="{integrator}"><flag refsafe="disable"/></option>
     <worldbody><body><joint name="k" type="slide" {attributes}/><geom size=".1" mass="1"/></body>
@@ -251,7 +251,7 @@ def test_a_higher_kv_cures_where_a_lower_one_does_not():
     assert kv.values[0].after[0] == pytest.approx(4e4 * 3e-3, rel=0.03)
 
 
-@pytest.mark.parametrize("integrator", ["implicitfast", "rk4", "semi-implicit"])
+@first(2, integrator=["implicitfast", "rk4", "semi-implicit"])
 def test_cures_of_a_stiff_servo(integrator):
     """kp 4e5 on 1 kg m² at 5 ms, under three integrators; verified cures, the least first."""
     whats = {"kp", "armature", "integrator"}
@@ -317,10 +317,9 @@ def test_a_cure_that_is_smaller_comes_first():
 # --- numbers that leave their range -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("integrator", ["euler", "rk4", "implicitfast"])
-@pytest.mark.parametrize(
-    "fields",
-    [
+@every_value(
+    integrator=["euler", "rk4", "implicitfast"],
+    fields=[
         {"stiffness": 1e12, "damping": 1e-154},
         {"stiffness": 1e20, "armature": 1e-20, "frictionloss": 1e12},
         {"damping": 1e80, "range": (-0.1, 0.5), "solreflimit": (-1e154, -1e-6)},

@@ -218,8 +218,8 @@ def test_saturated_servos_are_named_in_one_sentence(count):
     if count == 1:
         assert one.text.startswith("Servo `s0` is at the end of its forcerange (100 mN·m) for ")
         return
-    names = "`s0` and `s1`" if count == 2 else "`s0`, `s1` and `s2`"
-    assert f"Servos {names} are" in one.text or count == 3
+    names = "`s0` and `s1`" if count == 2 else "`s2`, `s0` and `s1`"
+    assert f"Servos {names} are" in one.text
     force = "(100 mN·m)" if count == 2 else "(up to 200 mN·m)"
     assert f"are at the ends of their forceranges {force} for " in one.text
     assert "where kv has no effect: slow the motion" in one.text

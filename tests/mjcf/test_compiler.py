@@ -4,6 +4,7 @@ import compiled
 import mujoco
 import numpy as np
 import pytest
+from covering import every_pair
 
 from stepcore import Scene, loads
 from stepcore.mjcf.nodes import MJCFError
@@ -147,10 +148,10 @@ INSIDE = {
 }
 
 
-@pytest.mark.parametrize("held", HOLDS)
-@pytest.mark.parametrize("inside", INSIDE)
-@pytest.mark.parametrize(
-    "rules", ["", 'inertiafromgeom="false"', 'inertiagrouprange="3 4"', 'inertiafromgeom="true"']
+@every_pair(
+    rules=["", 'inertiafromgeom="false"', 'inertiagrouprange="3 4"', 'inertiafromgeom="true"'],
+    inside=INSIDE,
+    held=HOLDS,
 )
 def test_bodies_without_mass(rules: str, inside: str, held: str) -> None:
     """MuJoCo takes the pose that such a body is written with for that of its inertia."""

@@ -5,6 +5,7 @@ from pathlib import Path
 import compiled
 import mujoco
 import pytest
+from covering import every_pair
 
 from stepcore import Sim, load, loads
 from stepcore.mjcf.nodes import MJCFError
@@ -169,9 +170,7 @@ ATTACHING = """<mujoco>{}<asset><model name="kid" file="kid.xml"/></asset><world
   <actuator><motor name="pm" joint="pj" class="{}a"/></actuator></mujoco>"""
 
 
-@pytest.mark.parametrize("part", ("", 'body="m"'))
-@pytest.mark.parametrize("prefix", ("", "K-"))
-@pytest.mark.parametrize("main", (0.1, 0.3))
+@every_pair(main=(0.1, 0.3), prefix=("", "K-"), part=("", 'body="m"'))
 def test_classes_of_the_same_name_stay_those_of_their_models(main, prefix, part, tmp_path):
     """Each element keeps its own model's, where attaching gives two classes one name."""
     (tmp_path / "kid.xml").write_text(WITH_CLASSES.format(CLASSES.format(0.3, 0.4)))
@@ -213,8 +212,7 @@ HEAVY = """<mujoco><compiler {0}/><worldbody><body name="a"><joint axis="1 0 0"/
       <geom size=".1" group="2"/></body></body></worldbody></mujoco>"""
 
 
-@pytest.mark.parametrize("what", RULES)
-@pytest.mark.parametrize("turned", (False, True))
+@every_pair(turned=(False, True), what=RULES)
 def test_bodies_follow_the_rules_of_their_own_model(
     what: str, turned: bool, tmp_path: Path
 ) -> None:

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import peers
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 
@@ -42,9 +43,7 @@ def same(model, data, sim, steps=20):
         assert peers.apart(sim.qvel, data.qvel) < 1e-9
 
 
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-@pytest.mark.parametrize("condim", [1, 3, 4, 6])
-@pytest.mark.parametrize("height", [0.0995, 0.1, 0.102, 0.108])
+@every_pair(height=[0.0995, 0.1, 0.102, 0.108], condim=[1, 3, 4, 6], cone=["pyramidal", "elliptic"])
 def test_runs_are_mujocos(cone, condim, height):
     """On the floor, exactly at it, and within the gap, where it pulls without friction."""
     condim_of = {"condim": condim, "more": ""}

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import peers
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 
@@ -22,8 +23,7 @@ OWN = ("", 'forcerange="-1.5 1.5"', 'forcerange="-2.5 1"')
 CTRL = ((-7, 0, 0), (1, 0.5, 1), (3, 0, 1), (-4, 0, 1), (5, 5, 3), (-2, 9, -1), (1.5, 1.5, 0.5))
 
 
-@pytest.mark.parametrize("integrator", ["implicitfast", "implicit", "euler"])
-@pytest.mark.parametrize("on", ["joint", "tendon"])
+@every_pair(on=["joint", "tendon"], integrator=["implicitfast", "implicit", "euler"])
 def test_slopes_end_where_a_sum_is_bounded(on, integrator):
     seen = set()
     for one in OWN:
@@ -64,10 +64,10 @@ MOTORS = """<mujoco><option timestep=".01" gravity="0 0 0"/><worldbody>
 COGS, RUBS = 'cogging=".1 7 .3"', 'lugre="10 .1 .2 .3 .1"'
 
 
-@pytest.mark.parametrize("integrator", ["euler", "implicitfast"])
-@pytest.mark.parametrize("other", ["", '<motor tendon="t"/>'])
-@pytest.mark.parametrize(
-    "motor", ["", COGS, RUBS, f'{COGS} {RUBS} saturation=".4"', f'{COGS} inductance=".01"']
+@every_pair(
+    motor=["", COGS, RUBS, f'{COGS} {RUBS} saturation=".4"', f'{COGS} inductance=".01"'],
+    other=["", '<motor tendon="t"/>'],
+    integrator=["euler", "implicitfast"],
 )
 def test_a_tendon_bounds_what_the_currents_of_its_motors_do(motor, other, integrator):
     """Their own bounds come after that, and then cogging and friction."""

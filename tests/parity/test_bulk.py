@@ -19,6 +19,7 @@ import peers
 import pytest
 import verdict
 import violent
+from covering import every_pair, first
 from random_drives import DrivesMaker
 from random_model import Maker
 from random_solids import Solids
@@ -168,14 +169,13 @@ def check(kind: str, seeds: range, folder: Path) -> None:
     assert seen[""] or kind == "solids"
 
 
-@pytest.mark.parametrize("part", range(5))
+@first(2, part=range(5))
 @pytest.mark.parametrize("kind", KINDS)
 def test_scenes_are_mujocos(kind, part, tmp_path):
     check(kind, range(25 * part, 25 * part + 25), tmp_path)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("part", range(10))
-@pytest.mark.parametrize("kind", KINDS)
+@every_pair(kind=KINDS, part=range(10))
 def test_many_scenes_are_mujocos(kind, part, tmp_path):
     check(kind, range(10_000 + 500 * part, 10_500 + 500 * part), tmp_path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from covering import every_pair, every_value
 
 import stepcore as sc
 
@@ -102,8 +103,7 @@ def assert_forces_are(sim, data, rel=1e-9) -> None:
     assert sim.constraint_force == pytest.approx(data.qfrc_constraint, rel=rel, abs=rel * size)
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("seed", range(40))
+@every_value(seed=range(40), cone=CONES)
 def test_parameters_and_forces_are_mujocos(seed, cone):
     """Which contacts act, and every force, to 1e-9: mixed, explicit and excluded pairs."""
     sim, _, data = both(scene_text(seed, cone), seed)
@@ -113,8 +113,7 @@ def test_parameters_and_forces_are_mujocos(seed, cone):
     assert_forces_are(sim, data)
 
 
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("seed", range(10))
+@every_pair(seed=range(10), cone=CONES)
 def test_the_override_is_mujocos(seed, cone):
     """o_margin, o_solref, o_solimp and o_friction in place of all others, while the flag is on."""
     rng = np.random.default_rng(seed)
@@ -128,11 +127,11 @@ def test_the_override_is_mujocos(seed, cone):
         assert_forces_are(sim, data)
 
 
-@pytest.mark.parametrize(
-    ("iterations", "tolerance"), [(1, 0), (3, 0), (20, 0), (60, 1e-3), (60, 1e-6)]
+@every_pair(
+    seed=range(10),
+    cone=CONES,
+    **{"iterations, tolerance": [(1, 0), (3, 0), (20, 0), (60, 1e-3), (60, 1e-6)]},
 )
-@pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("seed", range(10))
 def test_noslip_is_mujocos(seed, cone, iterations, tolerance):
     """After the same number of sweeps over friction, given or as many as the tolerance asks.
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import peers
 import pytest
+from fallen import falls
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -73,7 +74,7 @@ def rows_apart(sim, data, model):
 def test_rows(kind):
     sim, theirs = both(KINDS[kind])
     data, worst = mujoco.MjData(theirs), peers.Worst()
-    for index, state in enumerate(peers.fall_states(theirs, 100, 3, 0.2)):
+    for index, state in enumerate(falls(theirs, 100, 3, 0.2)):
         peers.note_forward(worst, index, sim, theirs, data, state)
         for name, value in rows_apart(sim, data, theirs).items():
             worst.note(name, value, index)
@@ -85,7 +86,7 @@ def test_rows(kind):
 def test_steps(integrator):
     sim, theirs = both("".join(KINDS.values()), integrator=integrator)
     data, worst = mujoco.MjData(theirs), peers.Worst()
-    for index, state in enumerate(peers.fall_states(theirs, 100, 4, 0.1)):
+    for index, state in enumerate(falls(theirs, 100, 4, 0.1)):
         peers.note_step(worst, index, sim, theirs, data, state)
     worst.check(peers.STEPPED, integrator)
 
@@ -95,7 +96,7 @@ def test_two_joints_of_one_body_are_each_tied():
     ties = "".join(f'<joint joint1="j0" joint2="j{second}"/>' for second in (2, 3))
     sim, theirs = both(ties)
     data, worst = mujoco.MjData(theirs), peers.Worst()
-    for index, state in enumerate(peers.fall_states(theirs, 10, 4, 0.1)):
+    for index, state in enumerate(falls(theirs, 10, 4, 0.1)):
         peers.note_forward(worst, index, sim, theirs, data, state)
     worst.check(peers.PLACED | peers.SOLVED, ties)
 
@@ -137,7 +138,7 @@ def test_drawn_equalities(equalities, seed):
     """Rows that say the same twice leave forces open, which only their R decides: not drawn."""
     sim, theirs = both("".join(equalities))
     data, worst = mujoco.MjData(theirs), peers.Worst()
-    for index, state in enumerate(peers.fall_states(theirs, 4, seed, 0.1)):
+    for index, state in enumerate(falls(theirs, 4, seed, 0.1)):
         peers.note_forward(worst, index, sim, theirs, data, state)
         peers.note_step(worst, index, sim, theirs, data, state)
     limits = peers.PLACED | peers.STEPPED | dict.fromkeys(peers.SOLVED, 1e-8)

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import peers
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 
@@ -61,9 +62,11 @@ def step_errors(tendons, integrator, dt, speed=3.0, actuators="", count=20):
     return worst
 
 
-@pytest.mark.parametrize("integrator", ("implicit", "implicitfast", "discrete"))
-@pytest.mark.parametrize("dt", (0.001, 0.02))
-@pytest.mark.parametrize("tendons", ("", TENDONS), ids=("joints", "tendons"))
+@every_pair(
+    tendons=["", TENDONS],
+    dt=(0.001, 0.02),
+    integrator=("implicit", "implicitfast", "discrete"),
+)
 def test_step(integrator, dt, tendons):
     """Law: the same step to rounding, whatever the tendons couple."""
     assert step_errors(tendons, integrator, dt) < 1e-11

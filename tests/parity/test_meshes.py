@@ -13,6 +13,7 @@ import menagerie
 import mujoco
 import numpy as np
 import pytest
+from covering import every_pair, first
 
 import stepcore as sc
 from stepcore.mjcf.builtin_meshes import OTHERS
@@ -88,8 +89,7 @@ def same(ours, theirs, data, tolerance, turn):
     assert ours.geom_size == pytest.approx(theirs.geom_size, abs=3e-6 * size)
 
 
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("seed", range(8))
+@every_pair(seed=range(8), mode=MODES)
 def test_mass_inertia_and_frame_in_every_mode(mode, seed):
     compare(model_text(mesh_text(*angle_solid(seed), f'inertia="{mode}"')))
     if mode != "exact":
@@ -121,8 +121,7 @@ def test_scale_and_reference_frame(more):
     compare(model_text(mesh_text(*angle_solid(1), more)))
 
 
-@pytest.mark.parametrize("aabb", ["false", "true"])
-@pytest.mark.parametrize("kind", ["sphere", "capsule", "cylinder", "ellipsoid", "box"])
+@every_pair(kind=["sphere", "capsule", "cylinder", "ellipsoid", "box"], aabb=["false", "true"])
 def test_fitted_primitives(kind, aabb):
     for more in ("", 'fitscale="0.5"', 'size="3 3 3" shellinertia="true"', 'mass="2"'):
         text = model_text(
@@ -274,7 +273,11 @@ def mesh_files() -> list[str]:
     return files
 
 
-@pytest.mark.parametrize("path", mesh_files(), ids=lambda path: Path(path).name)
+# By default every third file.
+FILES = [path for k in range(3) for path in mesh_files()[k::3]]
+
+
+@first(len(FILES) // 3, path=FILES)
 def test_meshes_of_robots(path):
     """As a free body: mass, frame, and the hull's reach in 200 directions."""
     for mode in ("legacy", "convex", "shell"):

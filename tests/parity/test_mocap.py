@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import peers
 import pytest
+from fallen import falls
 
 import stepcore as sc
 
@@ -57,7 +58,7 @@ def shaken(theirs, rng):
 def test_parity(integrator):
     sim, theirs = both(integrator=integrator)
     data, worst, rng = mujoco.MjData(theirs), peers.Worst(), np.random.default_rng(1)
-    for index, state in enumerate(peers.fall_states(theirs, 100, 2, 0.05)):
+    for index, state in enumerate(falls(theirs, 100, 2, 0.05)):
         inputs = shaken(theirs, rng)
         for step in (False, True):
             state.to_mujoco(theirs, data)

@@ -5,37 +5,20 @@ to 1e-10 of the largest entry; contact sets equal; constraint forces, qacc and
 one step of every shared integrator to 1e-9.
 """
 
-import functools
-
 import mujoco
 import peers
 import pytest
+from fallen import both, shipped, states_of, strict
 
 import stepcore as sc
 
 STATES = 200
 
 
-def strict(name, **options):
-    return peers.strict(mujoco.MjModel.from_xml_path(peers.gym_path(name)), **options)
-
-
-@functools.cache
-def states_of(name):
-    return peers.fall_states(strict(name), STATES, seed=peers.GYM.index(name))
-
-
-def both(name, **options):
-    """The model in both engines, MuJoCo's scratch data, and the states to visit."""
-    theirs = strict(name, **options)
-    sim = sc.Sim(sc.load(peers.gym_path(name)).compile(), **peers.EXACT, **options)
-    return sim, theirs, mujoco.MjData(theirs), states_of(name)
-
-
 @pytest.mark.parametrize("name", peers.GYM)
 def test_shape(name):
     """Sizes, initial configuration and the file's options are MuJoCo's."""
-    theirs = mujoco.MjModel.from_xml_path(peers.gym_path(name))
+    theirs = shipped(name)
     scene = sc.load(peers.gym_path(name))
     ours = scene.compile()
     for size in ("nq", "nv", "nu", "nbody", "ngeom"):
@@ -49,7 +32,7 @@ def test_shape(name):
 def test_states_reach_rows(name):
     """A good share of the states has an active limit or contact: the other tests see them."""
     theirs = strict(name)
-    seen = peers.rows_seen(theirs, mujoco.MjData(theirs), states_of(name))
+    seen = peers.rows_seen(theirs, mujoco.MjData(theirs), states_of(name, STATES))
     assert seen["limit"] >= 0.05 * STATES
     if name in ("hopper", "walker2d", "half_cheetah", "ant"):
         assert seen["contact"] >= 0.25 * STATES
@@ -57,7 +40,7 @@ def test_states_reach_rows(name):
 
 @pytest.mark.parametrize("name", peers.GYM)
 def test_forward(name):
-    sim, theirs, data, states = both(name)
+    sim, theirs, data, states = both(name, STATES)
     worst = peers.Worst()
     for index, state in enumerate(states):
         peers.note_forward(worst, index, sim, theirs, data, state)
@@ -67,7 +50,7 @@ def test_forward(name):
 @pytest.mark.parametrize("integrator", peers.INTEGRATORS)
 @pytest.mark.parametrize("name", peers.GYM)
 def test_step(name, integrator):
-    sim, theirs, data, states = both(name, integrator=integrator)
+    sim, theirs, data, states = both(name, STATES, integrator=integrator)
     worst = peers.Worst()
     for index, state in enumerate(states):
         peers.note_step(worst, index, sim, theirs, data, state)
@@ -80,9 +63,9 @@ def test_step(name, integrator):
 )
 def test_other_cones(name, cone, impratio):
     """The same states under cones that the files do not ask for."""
-    sim, theirs, data, states = both(name, cone=cone, impratio=impratio)
+    sim, theirs, data, states = both(name, 100, cone=cone, impratio=impratio)
     worst = peers.Worst()
-    for index, state in enumerate(states[:100]):
+    for index, state in enumerate(states):
         peers.note_forward(worst, index, sim, theirs, data, state)
     worst.check(peers.PLACED | peers.SOLVED, f"{name} {cone} {impratio}")
 
@@ -90,8 +73,8 @@ def test_other_cones(name, cone, impratio):
 @pytest.mark.parametrize("name", peers.GYM)
 def test_residual_is_at_rounding(name):
     """Newton's own figure agrees: the rows are solved to far below a nanometre a second."""
-    sim, _, _, states = both(name)
-    for state in states[:40]:
+    sim, _, _, states = both(name, 40)
+    for state in states:
         state.to_stepcore(sim)
         sim.forward()
         assert sim.residual < 1e-10

@@ -9,8 +9,8 @@ least four seeds of five.
 import mujoco
 import numpy as np
 import peers
-import pytest
 import zoo
+from covering import every_value, first
 
 import stepcore as sc
 
@@ -65,7 +65,8 @@ def seeds_passed(theirs, sim):
     return passed, figures
 
 
-@pytest.mark.parametrize("name", peers.GYM)
+# The two humanoids take as long as the others together.
+@first(len(peers.GYM) - 2, name=peers.GYM)
 def test_models(name):
     theirs = peers.strict(mujoco.MjModel.from_xml_path(peers.gym_path(name)))
     sim = sc.Sim(sc.load(peers.gym_path(name)).compile(), **peers.EXACT)
@@ -73,9 +74,10 @@ def test_models(name):
     assert passed >= 4, figures
 
 
-@pytest.mark.parametrize("integrator", peers.INTEGRATORS)
-@pytest.mark.parametrize(
-    "name", ("all_together", "connect", "friction_loss", "several_joints", "free_limb")
+# One step of every scene under every integrator is in test_parity_zoo.py.
+@every_value(
+    name=("all_together", "connect", "friction_loss", "several_joints", "free_limb"),
+    integrator=peers.INTEGRATORS,
 )
 def test_zoo(name, integrator):
     theirs = peers.strict(mujoco.MjModel.from_xml_string(zoo.ZOO[name].text), integrator=integrator)

@@ -11,6 +11,7 @@ import numpy as np
 import peers
 import pytest
 import zoo
+from fallen import falls
 
 import stepcore as sc
 
@@ -27,7 +28,7 @@ def both(name, **options):
 def test_forces(name):
     sim, theirs = both(name)
     data, worst = mujoco.MjData(theirs), peers.Worst()
-    for index, state in enumerate(peers.fall_states(theirs, 100, 5, 0.5, 3.0)):
+    for index, state in enumerate(falls(theirs, 100, 5, 0.5, 3.0)):
         peers.note_forward(worst, index, sim, theirs, data, state)
         worst.note("fluid", peers.apart(by_kind(sim, "fluid"), data.qfrc_fluid), index)
         held = by_kind(sim, "gravity compensation")
@@ -45,7 +46,7 @@ def by_kind(sim, kind):
 def test_steps(name, integrator):
     sim, theirs = both(name, integrator=integrator)
     data, worst = mujoco.MjData(theirs), peers.Worst()
-    for index, state in enumerate(peers.fall_states(theirs, 100, 6, 0.5, 3.0)):
+    for index, state in enumerate(falls(theirs, 100, 6, 0.5, 3.0)):
         peers.note_step(worst, index, sim, theirs, data, state)
     worst.check(peers.STEPPED, f"{name} {integrator}")
 

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import peers
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 
@@ -123,8 +124,7 @@ def test_the_bound_of_a_tendon_comes_before_those_of_its_actuators():
         assert peers.apart(sim.qacc, data.qacc) < 1e-12
 
 
-@pytest.mark.parametrize("actuator", ["", '<motor joint="j"/>'])
-@pytest.mark.parametrize("bounds", ["", 'actuatorfrcrange="-1 1"'])
+@every_pair(bounds=["", 'actuatorfrcrange="-1 1"'], actuator=["", '<motor joint="j"/>'])
 def test_the_force_on_a_joint_counts_what_adhesion_pulls(bounds, actuator):
     """MuJoCo's `qfrc_actuator` is that of all actuators, to 1e-12; after a step too."""
     model, data, sim = pair(
@@ -164,8 +164,10 @@ def test_a_weld_asks_in_vain_for_a_turn():
     assert peers.apart(sim.qacc, data.qacc) < 1e-9
 
 
-@pytest.mark.parametrize("extra", ["", 'actearly="true"', 'ctrlrange="-3 3"', 'actrange="-4 4"'])
-@pytest.mark.parametrize("dyntype", ["filter", "filterexact", "integrator"])
+@every_pair(
+    dyntype=["filter", "filterexact", "integrator"],
+    extra=["", 'actearly="true"', 'ctrlrange="-3 3"', 'actrange="-4 4"'],
+)
 def test_the_filter_of_a_servo_on_a_circle_goes_the_shorter_way_round(dyntype, extra):
     """Its control is the one of those a turn apart that is nearest to the activation: to 1e-9.
 
@@ -204,8 +206,7 @@ def test_the_filter_of_a_servo_on_a_circle_goes_the_shorter_way_round(dyntype, e
             assert peers.apart(sim.qvel, data.qvel) < 1e-9
 
 
-@pytest.mark.parametrize("limited", ["auto", "false"])
-@pytest.mark.parametrize("servo", ["position", "intvelocity", "pid"])
+@every_pair(servo=["position", "intvelocity", "pid"], limited=["auto", "false"])
 def test_servos_inherit_the_range_of_a_tendon(servo, limited):
     """Whether that limits the tendon or not, as of a joint."""
     text = f"""<mujoco><worldbody><body><joint name="j" type="slide"/><geom size=".1"/></body>
@@ -221,8 +222,7 @@ def test_servos_inherit_the_range_of_a_tendon(servo, limited):
         assert sim.qpos == pytest.approx(data.qpos, abs=1e-9)
 
 
-@pytest.mark.parametrize("solver", ["newton", "pgs"])
-@pytest.mark.parametrize("speed", [-1e4, -1e8, 1e12, -1e20])
+@every_pair(speed=[-1e4, -1e8, 1e12, -1e20], solver=["newton", "pgs"])
 def test_a_motion_that_was_broken_off_leaves_no_rounding(solver, speed):
     """A limit alone, whose last impulse was of another motion: the force of one that was not."""
     text = """<mujoco><option timestep=".005"/><worldbody><body>

@@ -3,7 +3,6 @@
 Law: the same numbers to 1e-9 of the largest (what depends on the solver, where both solve exactly).
 """
 
-import functools
 import pickle
 
 import mujoco
@@ -11,6 +10,7 @@ import numpy as np
 import peers
 import pytest
 import zoo
+from fallen import compiled, states_of, strict
 
 import stepcore as sc
 
@@ -21,27 +21,8 @@ FORCES = ("cacc", "cfrc_ext", "cfrc_int")
 EXACT = 1e-9
 
 
-@functools.cache
-def model(name):
-    if name in GYM:
-        return mujoco.MjModel.from_xml_path(peers.gym_path(name))
-    return mujoco.MjModel.from_xml_string(zoo.ZOO[name].text)
-
-
-@functools.cache
-def states_of(name):
-    entry = zoo.ZOO.get(name)
-    where = (entry.spread, entry.speed) if entry else ()
-    return peers.fall_states(peers.strict(model(name)), 100 if name in GYM else 24, 11, *where)
-
-
-def compiled(name):
-    scene = sc.load(peers.gym_path(name)) if name in GYM else sc.loads(zoo.ZOO[name].text)
-    return scene.compile()
-
-
 def theirs_at(name, state):
-    theirs = peers.strict(model(name))
+    theirs = strict(name)
     data = mujoco.MjData(theirs)
     state.to_mujoco(theirs, data)
     mujoco.mj_forward(theirs, data)

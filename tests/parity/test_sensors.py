@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import peers
 import pytest
+from fallen import falls
 
 import stepcore as sc
 from stepcore.scene.elements.sensor import OBJECTS
@@ -172,7 +173,7 @@ def text(cone="pyramidal"):
 @functools.cache
 def model(cone):
     theirs = peers.strict(mujoco.MjModel.from_xml_string(text(cone)), cone=cone)
-    return theirs, peers.fall_states(theirs, STATES, 3, 0.3)
+    return theirs, falls(theirs, STATES, 3, 0.3)
 
 
 def readings(theirs, data):
@@ -433,7 +434,7 @@ def test_random_trees(seed):
     source = drawn(rng)
     theirs = peers.strict(mujoco.MjModel.from_xml_string(source))
     data, sim = mujoco.MjData(theirs), sc.Sim(sc.loads(source), **peers.EXACT)
-    for state in peers.fall_states(theirs, 8, seed, 0.3):
+    for state in falls(theirs, 8, seed, 0.3):
         state.to_mujoco(theirs, data)
         state.to_stepcore(sim)
         mujoco.mj_forward(theirs, data)

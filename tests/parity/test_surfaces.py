@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import peers
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 
@@ -20,8 +21,7 @@ def run(text: str, time: float, **settings) -> sc.Sim:
     return sim
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@every_pair(cone=["pyramidal", "elliptic"], law=LAWS)
 def test_a_box_is_taken_to_the_speed_of_its_belt_by_friction(law, cone):
     """μ g t until then, then the belt's own speed, along the belt: to 2 %."""
     text = BELT.format('surfacevel="1 0 3 0 0 0"', 0)
@@ -51,8 +51,7 @@ def test_a_box_sticks_to_a_belt_as_it_would_to_a_body_that_moves():
     assert np.linalg.norm(sim.qvel[:2]) == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("numbers", ["1", ".5 1", ".5 1 2", "0 0 0 3", ".5 1 0 0 3"])
-@pytest.mark.parametrize("of_class", [False, True])
+@every_pair(of_class=[False, True], numbers=["1", ".5 1", ".5 1 2", "0 0 0 3", ".5 1 0 0 3"])
 def test_of_fewer_numbers_the_rest_is_that_of_the_class(numbers, of_class):
     """Or zero."""
     own = '<default><geom surfacevel="9 8 7 6 5 4"/></default>' if of_class else ""
@@ -79,8 +78,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@every_pair(cone=["pyramidal", "elliptic"], shape=SHAPES)
 def test_the_frame_of_a_surface_is_that_of_its_geom_as_in_mujoco(shape, cone):
     """Acceleration and a step, to 1e-6: the contacts of convex shapes are found to that."""
     text = f"""<mujoco><compiler angle="degree"/><option cone="{cone}"/><asset>{MESH}</asset>
@@ -104,9 +102,7 @@ def test_who_moves_the_surface_is_named():
         scene.geoms[0].surfacevel = (1, 2, 3, 4, 5, np.inf)
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-@pytest.mark.parametrize("speed", [1, 5, 10, 30])
+@every_pair(speed=[1, 5, 10, 30], cone=["pyramidal", "elliptic"], law=LAWS)
 def test_the_work_of_a_belt_is_no_gained_energy(law, cone, speed):
     """What it puts in is the box's energy and as much heat, or more: no ledger finds a gain."""
     text = BELT.format(f'surfacevel="{speed} 0 0 0 0 {speed / 2}"', 0.3)
@@ -116,9 +112,11 @@ def test_the_work_of_a_belt_is_no_gained_energy(law, cone, speed):
     assert sim.energy.kinetic > 0.3 * speed
 
 
-@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
-@pytest.mark.parametrize("surfacevel", ["0 .5 0 0 0 0", "1 0 0 0 0 0"])
-@pytest.mark.parametrize("axes", ["001", "100 001"])
+@every_pair(
+    axes=["001", "100 001"],
+    surfacevel=["0 .5 0 0 0 0", "1 0 0 0 0 0"],
+    cone=["pyramidal", "elliptic"],
+)
 def test_a_belt_asks_for_friction_where_nothing_moves(cone, surfacevel, axes):
     """Along tangents that no joint has its rows have a target, and so a share of the force."""
     joints = "".join(f'<joint type="slide" axis="{" ".join(axis)}"/>' for axis in axes.split())

@@ -12,6 +12,7 @@ from random import Random
 
 import mujoco
 import pytest
+from covering import every_pair
 
 import stepcore as sc
 
@@ -45,8 +46,7 @@ def opposite(one: tuple[float, float, float], two: tuple[float, float, float]) -
     return abs(cross) < 1e-6 and one[0] * two[0] + one[1] * two[1] < 0
 
 
-@pytest.mark.parametrize("uses", ["none", "inside", "on", "outside"])
-@pytest.mark.parametrize("kind", ["sphere", "cylinder"])
+@every_pair(kind=["sphere", "cylinder"], uses=["none", "inside", "on", "outside"])
 def test_lengths_are_mujocos(kind: str, uses: str) -> None:
     chance, same = Random(f"{kind} {uses}"), 0
     for _ in range(120):
@@ -90,9 +90,7 @@ def test_lengths_are_mujocos(kind: str, uses: str) -> None:
 SIDES = ((0.03, 0.04, 0.05), (0.06, 0.08, 0.1), (0.25, 0.6, 0.65), (0.14, 0.48, 0.5))
 
 
-@pytest.mark.parametrize(("x", "y", "radius"), SIDES)
-@pytest.mark.parametrize("kind", ["sphere", "cylinder"])
-@pytest.mark.parametrize("reach", [1, 2])
+@every_pair(kind=["sphere", "cylinder"], reach=[1, 2], **{"x, y, radius": SIDES})
 def test_a_site_on_the_surface_is_on_the_side_that_it_is_in_mujoco(
     kind: str, x: float, y: float, radius: float, reach: int
 ) -> None:

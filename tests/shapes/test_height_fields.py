@@ -7,6 +7,7 @@ import pytest
 from contact_oracle.convex import Convex, Posed
 from contact_oracle.poses import quaternions, rotation, shape
 from contact_oracle.search import search
+from covering import every_value
 
 import stepcore as sc
 
@@ -63,8 +64,7 @@ def land(name, rng):
     return np.float64(np.float32(heights))
 
 
-@pytest.mark.parametrize("name", ["hills", "cliffs"])
-@pytest.mark.parametrize("kind", KINDS)
+@every_value(kind=KINDS, name=["hills", "cliffs"])
 def test_distances_to_the_land(kind, name):
     """Over it, beside it and in it: apart, the least distance of all prisms, however far; else an
     overlap, be it in a pit with all ways out through other prisms."""
@@ -143,8 +143,7 @@ def on_flat_cells(geom, cell, pos, quat):
     )
 
 
-@pytest.mark.parametrize("cell", [0.05, 0.1, 0.25, 0.7])
-@pytest.mark.parametrize("kind", RESTS)
+@every_value(kind=RESTS, cell=[0.05, 0.1, 0.25, 0.7])
 def test_a_body_comes_to_rest_on_many_cells(kind, cell):
     """Its base lies on several prisms, each of which holds it where it is over it."""
     for quat in ("1 0 0 0", "1 0.3 0.2 0.1"):
