@@ -20,8 +20,8 @@ from types import SimpleNamespace
 
 import record
 
-# Bytes of machine code (`size`, section .text) of the module for AVX2 on Linux x86-64: 12.46e6 since
-# machine code of a step has left and lanes do without heaps and sleep (17.23e6 before), and a
+# Bytes of machine code (`size`, section .text) of the module for AVX2 on Linux x86-64: 12.46e6
+# since machine code of a step has left and lanes do without heaps and sleep (17.23e6 before), and a
 # twentieth for other compilers.
 TEXT = 13_100_000
 WHERE = "import pathlib, stepcore._core as core; print(core.VECTORS, core.__file__)"

@@ -44,6 +44,8 @@ pub struct Auto {
     /// Time of a step in lanes over that one by one, in the last trials.
     ratios: Vec<f64>,
     steps: u64,
+    /// Those at the last turn.
+    turned: u64,
     next: u64,
     gap: u64,
     /// The next step is to be taken the other way.
@@ -64,6 +66,7 @@ impl Auto {
             cost: Duration::ZERO,
             ratios: Vec::with_capacity(VOTES + 1),
             steps: 0,
+            turned: 0,
             next: FIRST,
             gap: LEAST,
             change: false,
@@ -162,6 +165,9 @@ impl Auto {
 
     /// Goes on the other way.
     fn turn(&mut self) -> Result<()> {
+        if self.steps - std::mem::replace(&mut self.turned, self.steps) >= LEAST {
+            self.now.balance()?;
+        }
         let mut other = match self.other.take() {
             Some(other) => other,
             None => (self.make)(!self.in_lanes, None)?,
@@ -265,9 +271,14 @@ impl Worlds for Auto {
         self.now.forget(worlds);
     }
     fn take_warning(&mut self) -> Option<String> {
-        let said = self.now.take_warning()?;
+        let other = || self.other.as_mut().and_then(|other| other.take_warning());
+        let said = self.now.take_warning().or_else(other)?;
+        self.now.unwatch();
         self.other.iter_mut().for_each(|other| other.unwatch());
         Some(said)
+    }
+    fn balance(&mut self) -> Result<()> {
+        self.now.balance()
     }
     fn unwatch(&mut self) {
         self.now.unwatch();

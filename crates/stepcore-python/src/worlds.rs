@@ -63,6 +63,8 @@ pub trait Worlds: Send + Sync {
     fn forget(&mut self, worlds: &[usize]);
     /// What there is to say of a world's energies, once; see `unwatch`.
     fn take_warning(&mut self) -> Option<String>;
+    /// Accounts of energy are balanced where they end: before worlds go on elsewhere.
+    fn balance(&mut self) -> Result<()>;
     /// Energies are not looked at any more, but by the ledger of the settings.
     fn unwatch(&mut self);
     /// In lanes now.
@@ -285,6 +287,9 @@ impl<R: Real> Worlds for Batch<R> {
     }
     fn take_warning(&mut self) -> Option<String> {
         Batch::take_warning(self)
+    }
+    fn balance(&mut self) -> Result<()> {
+        Batch::balance(self)
     }
     fn unwatch(&mut self) {
         Batch::unwatch(self);

@@ -204,7 +204,8 @@ impl<R: Real> Group<R> {
         let last = if solves { Last::Forward } else { last };
         let guest = Guest::new(watched, state, inputs, ledger, copies);
         if n == 0 {
-            self.failed = guest.watched.look().err().map(|error| (0, error));
+            let ended = guest.watched.end_account();
+            self.failed = ended.err().map(|error| (0, error));
             return;
         }
         self.failed = (0..n).find_map(|k| {

@@ -341,6 +341,11 @@ impl<R: Real> Batch<R> {
         Some(said)
     }
 
+    /// Accounts of energy end here, and are balanced: the worlds go on elsewhere.
+    pub fn balance(&mut self) -> Result<()> {
+        self.advance(0, None)
+    }
+
     /// Without `Settings::ledger`, energies are not looked at any more.
     pub fn unwatch(&mut self) {
         self.groups.iter_mut().for_each(Group::unwatch);

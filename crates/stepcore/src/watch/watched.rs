@@ -94,11 +94,11 @@ impl<R: Real> Watched<R> {
         outcome.map_err(|error| self.failed(error))
     }
 
-    /// Balances the account of energies, if it is due, of a world that was stepped elsewhere.
-    pub(crate) fn look(&mut self) -> Result<()> {
+    /// Balances the account of energies of worlds that go on elsewhere.
+    pub(crate) fn end_account(&mut self) -> Result<()> {
         let Self { sim, past, ledger, others, .. } = self;
         let Some(ledger) = ledger else { return Ok(()) };
-        ledger.look(sim, |ledger, sim, lane, gained| {
+        ledger.end(sim, |ledger, sim, lane, gained| {
             suspect(*others, ledger, sim, past, lane, gained)
         })
     }

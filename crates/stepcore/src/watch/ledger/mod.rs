@@ -259,18 +259,24 @@ impl<R: Real> Ledger<R> {
         outcome
     }
 
-    /// Balances the accounts if a milestone is due.
-    pub fn look(
+    /// Balances the account of a run that goes on elsewhere, whenever it began.
+    pub fn end(
         &mut self,
         sim: &mut Sim<R>,
         suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
     ) -> Result<()> {
         self.open(sim);
-        self.work.begin(sim);
+        let newest = self.newest_first().next().map(|newest| newest.state.steps);
+        if newest.is_none_or(|steps| steps >= sim.state.steps) {
+            return Ok(());
+        }
         let effort = sim.effort;
-        let outcome = self.balance(sim, suspect);
+        let solved = sim.audit(&mut self.levels, &self.work);
         sim.effort = effort;
-        outcome.map(|_| ())
+        if !solved {
+            return Ok(());
+        }
+        self.judge(sim, suspect)
     }
 
     /// The account that the settings ask for.
