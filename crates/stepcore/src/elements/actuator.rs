@@ -408,11 +408,7 @@ impl Forces for Actuator {
     /// Zero at the bounds of `forcerange`, and where the own joint or tendon bounds the sum, as in
     /// MuJoCo.
     #[inline(never)]
-    fn slopes<R: Real>(
-        now: &Moment<R>,
-        &index: &usize,
-        add: &mut dyn FnMut(usize, usize, [R; 2]),
-    ) {
+    fn slopes<R: Real>(now: &Moment<R>, &index: &usize, add: &mut dyn FnMut(usize, usize, [R; 2])) {
         let (model, actuator) = (now.model, &now.model.actuators[index]);
         let own = &model.drives[index];
         if !own.feeds_back {

@@ -98,9 +98,8 @@ impl<R: Real> Watched<R> {
     pub(crate) fn end_account(&mut self) -> Result<()> {
         let Self { sim, past, ledger, others, .. } = self;
         let Some(ledger) = ledger else { return Ok(()) };
-        ledger.end(sim, |ledger, sim, lane, gained| {
-            suspect(*others, ledger, sim, past, lane, gained)
-        })
+        ledger
+            .end(sim, |ledger, sim, lane, gained| suspect(*others, ledger, sim, past, lane, gained))
     }
 
     /// Takes one step and writes down what each element did in it, in one lane.
