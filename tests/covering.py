@@ -78,35 +78,5 @@ def _word(value):
     return getattr(value, "__name__", "") or getattr(value, "name", "")
 
 
-def _parametrize(where, factors, strength):
-    cases = []
-    for case in itertools.product(*(_values(*factor) for factor in factors.items())):
-        places, names, values = zip(*case, strict=True)
-        values = tuple(itertools.chain(*values))
-        if where is None or where(*values):
-            cases.append((places, values, "-".join(names)))
-    everyday = set(covering([places for places, _, _ in cases], strength))
-    return pytest.mark.parametrize(
-        ",".join(factors),
-        [_param(values, i in everyday, name) for i, (_, values, name) in enumerate(cases)],
-    )
-
-
-def _values(factor, values):
-    """The place of each value, what it is called in the name of a case, and itself as arguments.
-
-    A factor "a, b" has tuples for values, as in pytest's own parametrize.
-    """
-    for i, value in enumerate(values):
-        arguments = value if "," in factor else (value,)
-        word = "-".join(
-            str(one)
-            if isinstance(one, (str, float, int))
-            else getattr(one, "__name__", getattr(one, "name", ""))
-            for one in arguments
-        )
-        yield i, word if 0 < len(word) < 40 else f"{factor}{i}", arguments
-
-
 def _param(values, everyday, name):
     return pytest.param(*values, marks=() if everyday else pytest.mark.long, id=name)
