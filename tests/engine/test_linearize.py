@@ -314,3 +314,26 @@ def test_a_joint_without_a_name_is_called_as_in_a_trajectory():
     sim = sc.Sim(scene)
     (axis,) = sim.run(0.01, record=("qvel",)).axes("qvel")
     assert sim.linearize().labels == axis.entries == ("joint 0 of body `arm`", "own")
+
+
+ROUND = '<joint name="a" type="slide"/><geom size=".1" mass="1"/>'
+AT_REST = {
+    "joint": ('<joint name="a" type="slide" stiffness="100"/><geom size=".1" mass="1"/>', ""),
+    "fixed": (ROUND, '<fixed stiffness="100"><joint joint="a" coef="1"/></fixed>'),
+    "spatial": (
+        f'{ROUND}<site name="s"/>',
+        '<spatial stiffness="100"><site site="o"/><site site="s"/></spatial>',
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", AT_REST)
+def test_a_spring_at_its_rest_length_has_its_stiffness(kind):
+    """There every spring begins whose file says nothing else; once a tendon's had none."""
+    body, tendon = AT_REST[kind]
+    scene = sc.loads(f"""<mujoco><worldbody><site name="o" pos="0 0 -1"/><body>{body}</body>
+      </worldbody><tendon>{tendon}</tendon></mujoco>""")
+    sim = sc.Sim(scene, integrator="semi-implicit")
+    assert sim.linearize().A[1, 0] == pytest.approx(-100 * 0.002, rel=1e-12)
+    (acts,) = (a for name, a in sim.element_slopes().items() if "spring" in str(name))
+    assert np.asarray(acts.stiffness).max() == pytest.approx(100, rel=1e-12)

@@ -13,14 +13,16 @@ use crate::scene::NONE;
 pub(super) struct TendonSpring;
 pub(super) struct TendonDamper;
 
-/// How far the length is from the range within which the spring is slack: below it negative [m].
+/// How far the length is from the range within which the spring is slack: below it negative [m]. Of a
+/// spring with one rest length it is differentiable there.
 #[inline(always)]
 fn stretch<R: Real>(now: &Moment<R>, index: usize) -> R {
     let (length, [lo, hi]) =
         (now.frames.pulls.length[index], value::get(&now.model.tendons[index].springlength));
     let (below, above) = (length - lo, length - hi);
     let slack = R::zero();
-    R::select(below.lt(slack), below, R::select(above.gt(slack), above, slack))
+    let stretch = R::select(below.lt(slack), below, R::select(above.gt(slack), above, slack));
+    stretch.with_slopes_of(lo.ge(hi), || below)
 }
 
 fn along<R: Real>(now: &Moment<R>, index: usize, mut each: impl FnMut(usize, R)) {
