@@ -450,3 +450,19 @@ def test_directions_have_no_cutoff():
         mujoco.MjModel.from_xml_string(source)
     with pytest.raises(ValueError, match="a direction has no bound"):
         sc.loads(source)
+
+
+@pytest.mark.parametrize("masks", ["", 'contype="0" conaffinity="0"'])
+@pytest.mark.parametrize("of", ["geom", "body"])
+def test_the_distance_of_a_mesh_is_found_whether_it_collides_or_not(of, masks):
+    """A face of the cube is 0.1 from its centre, the ball's centre 0.5, and its radius 0.1."""
+    corners = " ".join(
+        f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)
+    )
+    text = f"""<mujoco><asset><mesh name="m" vertex="{corners}"/></asset><worldbody>
+      <body name="a"><joint/><geom name="a" type="mesh" mesh="m" {masks}/></body>
+      <body name="b" pos="0 0 .5"><joint/><geom name="b" size=".1"/></body></worldbody>
+      <sensor><distance {of}1="a" {of}2="b" cutoff="9"/></sensor></mujoco>"""
+    sim = sc.Sim(sc.loads(text))
+    sim.forward()
+    assert sim.sensordata == pytest.approx(0.3, abs=1e-9)

@@ -11,7 +11,9 @@ use super::solid::{Solid, Unsolid};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::pool::lock;
-use crate::scene::{Geom, GeomType, HField, Mesh, MeshInertia, Scene};
+use crate::scene::{
+    Geom, GeomType, HField, Mesh, MeshInertia, ObjectType, Scene, Sensor, SensorObject, SensorType,
+};
 use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
 use crate::shapes::ray::Surface;
@@ -85,8 +87,9 @@ pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
             }),
         };
         let paired = scene.pairs.iter().any(|pair| [pair.geom1, pair.geom2].contains(&i));
-        let collides = geom.kind == GeomType::Mesh && (paired || may_collide(geom));
-        if collides && known.aligned.is_none() {
+        let met = paired || may_collide(geom) || is_measured(scene, i);
+        let has_hull = geom.kind == GeomType::Mesh && met;
+        if has_hull && known.aligned.is_none() {
             let hull = match known.hull.take() {
                 Some(hull) => hull,
                 None => Arc::new(hull_of(mesh, index).map_err(named)?),
@@ -99,7 +102,7 @@ pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
         if geom.kind == GeomType::Mesh {
             asset.solid = Some(known.solid.clone());
             asset.surface = Some(known.surface.clone());
-            asset.hull = known.aligned.clone().filter(|_| collides);
+            asset.hull = known.aligned.clone().filter(|_| has_hull);
         }
     }
     for (mesh, known) in scene.meshes.iter().zip(&measured) {
@@ -126,6 +129,18 @@ fn height_field(field: &HField) -> HeightField {
 /// Its masks let it meet something.
 fn may_collide(geom: &Geom) -> bool {
     geom.contype != 0 || geom.conaffinity != 0
+}
+
+/// A sensor finds its distance from others.
+fn is_measured(scene: &Scene, geom: usize) -> bool {
+    use SensorType::{Distance, FromTo, Normal};
+    let of_distance = |sensor: &&Sensor| matches!(sensor.kind, Distance | Normal | FromTo);
+    let is_its = |object: SensorObject| match object.kind {
+        ObjectType::Geom => object.index == geom,
+        _ => object.index == scene.geoms[geom].body,
+    };
+    let sensors = scene.sensors.iter().filter(of_distance);
+    sensors.flat_map(|sensor| [sensor.object, sensor.reference]).flatten().any(is_its)
 }
 
 /// An error about a mesh with the geom that uses it before it.
