@@ -1,5 +1,8 @@
 """`Sim.copy` and `Batch.copy`, and the readouts under MuJoCo's names."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -57,3 +60,18 @@ def test_mujocos_names_are_recorded_with_their_dofs(model, name):
     run = sc.Sim(model).run(0.02, record=(name, NAMES[name]))
     np.testing.assert_array_equal(run[name], run[NAMES[name]])
     assert run.axes(name) == run.axes(NAMES[name])
+
+
+def test_a_clock_tells_the_time_of_the_last_solve_in_every_copy():
+    """It is no number of the state; once it read 0 in copies."""
+    scene = sc.loads("""<mujoco><worldbody><body><joint/><geom size=".1"/></body></worldbody>
+      <sensor><clock/></sensor></mujoco>""")
+    sim = sc.Sim(scene, dt=0.01)
+    sim.step(5)
+    assert sim.sensordata == pytest.approx(0.04)
+    for made in (sim.copy(), pickle.loads(pickle.dumps(sim)), copy.deepcopy(sim)):
+        assert made.sensordata == sim.sensordata
+    batch = sc.Batch(scene, 3, dt=0.01)
+    batch.step(5)
+    for made in (batch.copy(), pickle.loads(pickle.dumps(batch))):
+        assert np.array_equal(made.sensordata, batch.sensordata)

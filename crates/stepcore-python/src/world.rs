@@ -321,7 +321,10 @@ impl<R: Real> World for One<R> {
     fn set_last(&mut self, last: Option<&Solve>) {
         self.unsolved();
         let Some(last) = last else { return };
-        self.last.begin(&last.given(), |state| put_memo(state, &last.memo));
+        self.last.begin(&last.given(), |state| {
+            put_memo(state, &last.memo);
+            (state.start, state.steps) = (last.memo.start, last.memo.steps);
+        });
         self.solves(last.of);
         self.unmade = true;
         let qacc = &mut self.watched.sim.qacc;
