@@ -245,3 +245,10 @@ def test_what_moves_in_a_plane_is_worked_out_in_two_dimensions(axis: str) -> Non
     scene = scene.with_settings(integrator="implicit")
     left = [e.name for e in scene.compile().plan().left_out if "plane" in e.name]
     assert left == ["poses out of a plane (by tree)"]
+
+
+def test_noslip_over_friction_losses_alone_is_told():
+    scene = sc.loads("""<mujoco><option noslip_iterations="3"/><worldbody><body>
+      <joint frictionloss=".1"/><geom size=".1"/></body></worldbody></mujoco>""")
+    (entry,) = (e for e in scene.compile().plan().used if e.name.startswith("noslip"))
+    assert entry.name == "noslip: 3 sweeps over friction" and entry.count == 1

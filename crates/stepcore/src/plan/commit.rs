@@ -30,7 +30,9 @@ impl Print {
             if sweeps > 0 {
                 let plural = if sweeps > 1 { "s" } else { "" };
                 let name = format!("noslip: {sweeps} sweep{plural} over friction");
-                self.does("solve", name, Of::Pair, rubbing.clone()).counting(count);
+                // Friction losses are swept, too.
+                let swept = count + model.rubbing.len();
+                self.does("solve", name, Of::Pair, rubbing.clone()).counting(swept);
             }
             if settings.stiction {
                 let name = "stiction: friction held by a spring";
