@@ -14,11 +14,6 @@ from stepcore import deadline
 from stepcore.report import progress
 
 
-def pytest_xdist_auto_num_workers():
-    """`-n auto`: a worker more than cores, as some wait for a browser or for another process."""
-    return None if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ else (os.cpu_count() or 1) + 1
-
-
 @pytest.fixture(autouse=True, scope="session")
 def elsewhere(tmp_path_factory):
     """Tests run in a folder of their own: MuJoCo writes its warnings to the working directory."""
