@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.experiment.attempt import Attempt, attempt
 from stepcore.experiment.coordinates import Start
 from stepcore.experiment.drives import MOTOR, RATE, SERVO, Drives
 from stepcore.experiment.joint_gains import gains_of
 from stepcore.experiment.point_to_point import MOVE, REST, JointGains, PointToPoint
 from stepcore.experiment.poses import Poses, contact_jacobian
-from stepcore.experiment.trial import Trial, trial
 
 # The largest force, as a share of its bound, and of what holding the start leaves of it.
 FORCE, LEFT = 0.6, 0.5
@@ -35,7 +35,7 @@ class Move:
     """A move of one start; far: the way of each joint, (joints,). An untried one has no trial."""
 
     control: PointToPoint
-    trial: Trial | None
+    trial: Attempt | None
     far: np.ndarray
 
     @property
@@ -105,7 +105,7 @@ class Moves:
         clamped: np.ndarray = np.clip(ctrl, *self.ranges.T)
         return clamped
 
-    def _balanced(self, motors: list[int]) -> Trial:
+    def _balanced(self, motors: list[int]) -> Attempt:
         """Choose the gains and the load of the motors, and return the trial that holds the start.
 
         The first trial shows the contacts on which the machine comes to stand.
@@ -121,7 +121,7 @@ class Moves:
 
     def _holding(
         self, motors: list[int], stands: Start, contacts: np.ndarray, fixed: bool
-    ) -> tuple[PointToPoint, Trial]:
+    ) -> tuple[PointToPoint, Attempt]:
         gains = gains_of(
             *(self.model, self.drives, motors, self.home.qpos, stands, contacts),
             period=self.period,
@@ -130,8 +130,8 @@ class Moves:
         control = replace(self.control, gains=gains)
         return control, self._trial(self.home, control, HOLD)
 
-    def _trial(self, start: Start, control: PointToPoint, horizon: float) -> Trial:
-        return trial(self.model, self.drives, start, control, self.period, horizon, self.whole)
+    def _trial(self, start: Start, control: PointToPoint, horizon: float) -> Attempt:
+        return attempt(self.model, self.drives, start, control, self.period, horizon, self.whole)
 
     def choose(self, starts: Sequence[Start], seed: int) -> list[Move]:
         """Return a move for each start."""
@@ -192,7 +192,7 @@ class Moves:
         control = replace(self.control, spans=spans[None], rates=rates[None], changes=changes)
         return control, np.abs(change[poses.dofs])
 
-    def causes(self, seen: Trial, hold: Trial) -> set[int]:
+    def causes(self, seen: Attempt, hold: Attempt) -> set[int]:
         """Return the groups of joints that cause trouble in a trial; empty if there is none.
 
         hold: what happens without moves, which the moves do not cause.
@@ -222,12 +222,12 @@ class Moves:
         return causes
 
 
-def _holds(seen: Trial) -> bool:
+def _holds(seen: Attempt) -> bool:
     """Return whether a trial holds the start."""
     return not (seen.failure or seen.fell is not None or (seen.saturated > SATURATED).any())
 
 
-def _rank(seen: Trial) -> tuple[bool, float, float]:
+def _rank(seen: Attempt) -> tuple[bool, float, float]:
     """Return how badly a trial holds the start, for comparison."""
     standing = math.inf if seen.fell is None else seen.fell
     return bool(seen.failure), -standing, float(seen.saturated.max(initial=0.0))

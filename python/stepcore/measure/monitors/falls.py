@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from stepcore.engine.model import Model
+from stepcore.experiment.attempt import Upright
 from stepcore.experiment.drives import SERVO, Drives
-from stepcore.experiment.trial import Upright
 from stepcore.measure.monitors.finding import Finding, named
 from stepcore.report.units import seconds
 

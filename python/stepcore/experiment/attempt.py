@@ -30,7 +30,7 @@ Pair = tuple[int, int]
 
 
 @dataclass
-class Trial:
+class Attempt:
     """What happened in one run of a motion.
 
     saturated: the share of the run in which each actuator's force was at its bound, (nu,).
@@ -56,7 +56,7 @@ class Trial:
     flops: float = 0.0
     failure: str = ""
 
-    def beside(self, other: Trial) -> Trial:
+    def beside(self, other: Attempt) -> Attempt:
         """Return what happens in this or in another trial; contacts at the end are of both."""
         fell = [time for time in (self.fell, other.fell) if time is not None]
         return replace(
@@ -69,7 +69,7 @@ class Trial:
         )
 
 
-def trial(
+def attempt(
     model: Model,
     drives: Drives,
     start: Start,
@@ -77,7 +77,7 @@ def trial(
     period: float,
     horizon: float,
     whole: bool = False,
-) -> Trial:
+) -> Attempt:
     """Run a motion once under the model's settings.
 
     period: the control period [s]. horizon: the length of the run [s]. whole: whether controls are
@@ -91,7 +91,7 @@ def trial(
     if control.gains is None:
         rows = control.log(periods, steps * dt, whole).steps(0.0, dt, periods * steps)
     seen, upright = _Seen(model, drives), Upright(sim, drives)
-    result = Trial(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
+    result = Attempt(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
     try:
         for done in range(0, periods * steps, steps):
             if rows is None:

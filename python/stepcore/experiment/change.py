@@ -1,0 +1,210 @@
+"""`Change`: what is different from the scene as shipped; the only way to make a changed copy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+
+from stepcore import checks
+from stepcore.engine.features import Edit, Removal, without
+from stepcore.engine.model import Model
+from stepcore.mjcf.option import said, shortest
+from stepcore.report.settings import label
+from stepcore.report.units import metres, seconds
+
+if TYPE_CHECKING:
+    from stepcore._core import Settings
+    from stepcore.signatures import SettingsFields
+
+
+class Change:
+    """Settings, values of the model, and features left out.
+
+    values: new values by path, as in `Model.with_values`: ``{"actuator/knee/kp": 80.0}``.
+    without: features to leave out: names of flags of the scene ("gravity", "contact", "limit", …),
+        or `Removal`s.
+    settings: fields of `Settings`, such as ``dt=0.001, integrator="rk4"``.
+
+    Changes are constant, can be compared, hashed and pickled. An empty one is the scene as shipped.
+
+    >>> from stepcore import lesson
+    >>> change = Change({"joint/spring/stiffness": 20.0}, dt=0.001)
+    >>> print(change)
+    dt 1 ms, joint/spring/stiffness 20
+    >>> model = change.of(lesson.spring().compile())
+    >>> model.settings.dt, model.scene.joint("spring").stiffness
+    (0.001, 20.0)
+    """
+
+    __slots__ = ("_hash", "settings", "values", "without")
+
+    settings: tuple[tuple[str, Any], ...]
+    values: tuple[tuple[str, Any], ...]
+    without: tuple[Removal, ...]
+
+    def __init__(
+        self,
+        values: Mapping[str, Any] | None = None,
+        without: Iterable[str | Removal] = (),
+        **settings: Unpack[SettingsFields],
+    ) -> None:
+        removed = (_removal(one) if isinstance(one, str) else one for one in without)
+        own = {path: _constant(value) for path, value in (values or {}).items()}
+        fields: dict[str, Any] = {**settings}
+        object.__setattr__(self, "settings", tuple(sorted(fields.items())))
+        object.__setattr__(self, "values", tuple(sorted(own.items())))
+        object.__setattr__(self, "without", tuple(sorted(set(removed), key=lambda r: r.label)))
+        object.__setattr__(self, "_hash", hash((self.settings, self.values, self.without)))
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a Change is constant: make another one to change {name}")
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Change):
+            return NotImplemented
+        mine, theirs = (self.settings, self.values), (other.settings, other.values)
+        return mine == theirs and self.without == other.without
+
+    def __hash__(self) -> int:
+        return int(self._hash)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made, (dict(self.settings), dict(self.values), self.without)
+
+    def __repr__(self) -> str:
+        return f"<Change: {self.words}>"
+
+    def __str__(self) -> str:
+        return self.words
+
+    @classmethod
+    def between(cls, settings: Settings, shipped: Settings) -> Change:
+        """Return the change from shipped settings to others."""
+        before = shipped.as_dict()
+        return cls(**{k: v for k, v in settings.as_dict().items() if v != before[k]})
+
+    def also(self, other: Change) -> Change:
+        """Return both changes; of a setting or value in both, that of `other`."""
+        settings = {**dict(self.settings), **dict(other.settings)}
+        values = {**dict(self.values), **dict(other.values)}
+        return Change(values, (*self.without, *other.without), **settings)  # type: ignore[arg-type]
+
+    @property
+    def physics(self) -> Change:
+        """The values and the features left out: they change what is modelled."""
+        return Change(dict(self.values), self.without)
+
+    @property
+    def numerics(self) -> Change:
+        """The settings alone."""
+        return Change(**dict(self.settings))  # type: ignore[arg-type]
+
+    @property
+    def size(self) -> int:
+        """How much of the model is changed: the number of values and of features left out.
+
+        Settings do not count, because the model stays what it is.
+        """
+        return len(self.values) + len(self.without)
+
+    def of(self, model: Model) -> Model:
+        """Return the changed model.
+
+        Raises ValueError for what the model does not have, and for values outside their limits.
+        """
+        if self.without:
+            model = Model(without(model.scene, self.without), model.settings)
+        if self.values:
+            model = model.with_values(dict(self.values))
+        if self.settings:
+            model = model.with_settings(**dict(self.settings))
+        return model
+
+    @property
+    def words(self) -> str:
+        """The change as a person says it; "as shipped" for none."""
+        parts = [_setting(name, value) for name, value in sorted(self.settings, key=_order)]
+        parts += [f"{path} {_number(value)}" for path, value in self.values]
+        parts += [f"without {removal.label}" for removal in self.without]
+        return ", ".join(parts) or "as shipped"
+
+    def label(self, shipped: Settings) -> str:
+        """Return the settings in words as tables have them, and what else is changed.
+
+        shipped: the settings of the scene.
+        """
+        physics = self.physics
+        parts = [label(shipped.replace(**dict(self.settings)), shipped)]
+        return ", ".join([*parts, physics.words] if physics.size else parts)
+
+    @property
+    def mjcf(self) -> str:
+        """The change as an MJCF file says it: `<option>`, and attributes by element.
+
+        What MJCF cannot say stands in a comment.
+        """
+        attributes, flags, rest = said(dict(self.settings))
+        lines = []
+        if attributes or flags:
+            inner = f"<flag {_attributes(flags)}/>" if flags else ""
+            head = " ".join(filter(None, ("option", _attributes(attributes))))
+            lines.append(f"<{head}>{inner}</option>" if inner else f"<{head}/>")
+        by_element: dict[str, dict[str, str]] = {}
+        for path, value in self.values:
+            element, _, field = path.rpartition("/")
+            by_element.setdefault(element, {})[field] = _number(value)
+        for element, fields in by_element.items():
+            kind, _, name = element.partition("/")
+            head = f'{kind} name="{name}"' if name else "option"
+            lines.append(f"<{head} {_attributes(fields)}/>")
+        lines += [f"<!-- without {removal.label} -->" for removal in self.without]
+        lines += [f"<!-- {name} = {value} -->" for name, value in rest.items()]
+        return "\n".join(lines)
+
+
+def _made(settings: dict[str, Any], values: dict[str, Any], without: tuple[Removal, ...]) -> Change:
+    return Change(values, without, **settings)  # type: ignore[arg-type]
+
+
+def _removal(feature: str) -> Removal:
+    """Return the removal of a feature that the scene has a flag for."""
+    edits: tuple[Edit, ...] = (("feature", feature),)
+    return Removal(feature, "", edits)
+
+
+def _constant(value: Any) -> Any:
+    """Return a value that can be hashed: arrays and lists become tuples."""
+    return tuple(np.asarray(value).tolist()) if isinstance(value, list | np.ndarray) else value
+
+
+# The order in which settings are said; the others follow by name.
+FIRST = ("integrator", "solver", "sweeps", "accuracy", "dt")
+
+
+def _order(pair: tuple[str, Any]) -> tuple[int, str]:
+    name = pair[0]
+    return (FIRST.index(name) if name in FIRST else len(FIRST), name)
+
+
+def _setting(name: str, value: Any) -> str:
+    if name in ("integrator", "solver", "cone", "precision"):
+        return str(value)
+    if name == "sweeps":
+        return f"sweeps {value}"
+    if name == "dt":
+        return f"dt {seconds(value)}"
+    if name == "accuracy":
+        return "steps of fixed length" if value is None else f"accuracy {metres(value)}"
+    return f"{name} {checks.shown(value)}"
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, tuple):
+        return " ".join(_number(one) for one in value)
+    return shortest(value) if isinstance(value, float) else str(value)
+
+
+def _attributes(fields: Mapping[str, str]) -> str:
+    return " ".join(f'{name}="{value}"' for name, value in fields.items())
