@@ -8,9 +8,9 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.engine.start import Start
 from stepcore.experiment.closed_form import closed, expm
 from stepcore.experiment.converged import known, observed, shown
-from stepcore.experiment.coordinates import Start
 from stepcore.experiment.errors import Errors
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import stepcore as sc
+from stepcore.engine.start import Start
 from stepcore.experiment.batched_runs import batched
-from stepcore.experiment.coordinates import Start
 from stepcore.experiment.default_motion import KINDS, kind_of
 from stepcore.experiment.drives import Drives
 from stepcore.experiment.motion import Motion

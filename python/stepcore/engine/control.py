@@ -17,6 +17,7 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats, numbers
 
 if TYPE_CHECKING:
+    from stepcore.engine.model import Model
     from stepcore.engine.world import World
 
 # A function of (time, sim) that returns the controls.
@@ -86,8 +87,8 @@ def _refused(function: Callable[..., Any], sim: World, what: str) -> str:
     return f"{control_name(function)} returned {what} at time {sim.time:g} s: {limit}"
 
 
-def finite_controls(sim: World, table: Floats) -> NDArray[np.bool_]:
-    """Return which controls are finite in the precision of a Sim, in the shape of `table`."""
+def finite_controls(sim: World | Model, table: Floats) -> NDArray[np.bool_]:
+    """Return which controls are finite in the precision of the settings, shaped as `table`."""
     with np.errstate(over="ignore"):
         single = sim.settings.precision == "f32"
         return np.isfinite(table.astype(np.float32) if single else table)

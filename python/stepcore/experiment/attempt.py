@@ -11,7 +11,8 @@ from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.coordinates import Start, rotated
+from stepcore.engine.start import Start
+from stepcore.experiment.coordinates import rotated
 from stepcore.experiment.drives import Drives
 from stepcore.experiment.point_to_point import PointToPoint
 from stepcore.experiment.poses import Point, touching

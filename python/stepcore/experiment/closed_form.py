@@ -23,8 +23,9 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.sim import Sim
+from stepcore.engine.start import Start
 from stepcore.experiment.converged import MEASURES, Known
-from stepcore.experiment.coordinates import Start, product, rotated, rotation
+from stepcore.experiment.coordinates import product, rotated, rotation
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Runner
 

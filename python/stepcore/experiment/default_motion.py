@@ -29,8 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.engine.start import Start
 from stepcore.experiment.control_log import ControlLog
-from stepcore.experiment.coordinates import Start
 from stepcore.experiment.drives import MOTOR, RATE, SERVO, Drives, actuators_in_words
 from stepcore.experiment.move_words import MoveWords
 from stepcore.experiment.moves import Moves

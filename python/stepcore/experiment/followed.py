@@ -10,9 +10,9 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.engine.start import Start
 from stepcore.experiment.control_log import ControlLog
 from stepcore.experiment.control_table import ControlTable, control_table
-from stepcore.experiment.coordinates import Start
 from stepcore.experiment.drives import MOTOR, SERVO, Drives
 from stepcore.experiment.moves import holding
 from stepcore.experiment.point_to_point import JointGains

@@ -30,10 +30,10 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.deadline import OutOfTime
+from stepcore.engine.start import Start
 from stepcore.experiment.arguments import Workers
 from stepcore.experiment.batched_runs import screened
 from stepcore.experiment.bodies import Bodies
-from stepcore.experiment.coordinates import Start
 from stepcore.experiment.run import Run, separation
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule

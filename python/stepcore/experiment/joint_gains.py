@@ -18,7 +18,7 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.coordinates import Start
+from stepcore.engine.start import Start
 from stepcore.experiment.drives import Drives
 from stepcore.experiment.point_to_point import JointGains
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.engine.start import Start
 from stepcore.experiment.attempt import Attempt, attempt
-from stepcore.experiment.coordinates import Start
 from stepcore.experiment.drives import MOTOR, RATE, SERVO, Drives
 from stepcore.experiment.joint_gains import gains_of
 from stepcore.experiment.point_to_point import MOVE, REST, JointGains, PointToPoint

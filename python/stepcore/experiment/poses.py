@@ -9,7 +9,8 @@ import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.coordinates import Coordinates, Start
+from stepcore.engine.start import Start
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.drives import MOTOR, RATE, SERVO, Drives
 
 # Two bodies in contact, and the place [m].

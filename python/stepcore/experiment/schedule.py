@@ -19,9 +19,10 @@ from stepcore import checks
 from stepcore.engine.control import Control, control_name, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.engine.start import Start
 from stepcore.experiment.control_log import ControlLog, changes
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.coordinates import Coordinates, Start
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.followed import Following, PositionTable
 from stepcore.experiment.motion import Motion

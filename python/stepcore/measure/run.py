@@ -17,10 +17,10 @@ from stepcore.engine.control import Control, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced, refsafe_note
 from stepcore.engine.sim import Sim
+from stepcore.engine.start import Start
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.coordinates import Start
 from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.followed import PositionTable
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion

@@ -18,9 +18,9 @@ from stepcore.deadline import OutOfTime
 from stepcore.engine.control import control_option
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced
+from stepcore.engine.start import Start
 from stepcore.experiment.arguments import MeasurementFields, Setup, Source, measurement, set_up
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.coordinates import Start
 from stepcore.experiment.horizon import horizon_of
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words

@@ -11,7 +11,8 @@ import numpy as np
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.coordinates import Start, turned
+from stepcore.engine.start import Start
+from stepcore.experiment.coordinates import turned
 from stepcore.experiment.single_run import SingleRun
 from stepcore.measure.monitors import Monitor
 from stepcore.measure.monitors.actuators import on_one_dof, strength

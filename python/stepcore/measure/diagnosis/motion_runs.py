@@ -24,7 +24,8 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.control import ControlError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.coordinates import Coordinates, Start
+from stepcore.engine.start import Start
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.passage import Passage, Passages
 from stepcore.experiment.run import Probe
 from stepcore.experiment.runner import Runner

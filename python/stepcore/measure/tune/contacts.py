@@ -19,7 +19,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.coordinates import Start
+from stepcore.engine.start import Start
 from stepcore.measure.tune.goal import SETTLES, WITHIN, Goal, Tuned
 from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout

@@ -12,7 +12,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.coordinates import Start
+from stepcore.engine.start import Start
 from stepcore.measure.diagnosis.limits import step_stability
 from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
 from stepcore.measure.diagnosis.stiffness_warning import MARGIN

@@ -1,0 +1,187 @@
+"""`follow`: motions from several starts in one call are those of `Sim.step`, bit for bit."""
+
+import numpy as np
+import pytest
+from small import ball, pendulum, unstable
+
+import stepcore as sc
+from stepcore import deadline
+from stepcore.engine.control import ControlError
+from stepcore.engine.follow import follow
+from stepcore.engine.start import Start
+
+RECORD = ("qpos", "qvel", "act", "ctrl", "xpos", "xquat", "energy", "qacc", "actuator_force")
+
+
+@pytest.fixture(scope="module")
+def hopper():
+    return sc.load("gymnasium:hopper").compile()
+
+
+def drawn(model, n, seed=3):
+    rng = np.random.default_rng(seed)
+    qpos = model.qpos0 + rng.normal(0, 0.05, (n, model.nq))
+    return [Start(qpos[k], rng.normal(0, 0.5, model.nv)) for k in range(n)]
+
+
+def stepped(model, start, steps, every, ctrl=None, hold=1, names=RECORD):
+    """The same run, step by step."""
+    sim = sc.Sim(model)
+    start.put(sim)
+    seen = {name: [np.array(getattr(sim, name))] for name in names}
+    for step in range(steps):
+        if ctrl is not None:
+            sim.ctrl = ctrl[min(step // hold, len(ctrl) - 1)]
+        sim.step()
+        if (step + 1) % every == 0:
+            for name in names:
+                seen[name].append(np.array(getattr(sim, name)))
+    return {name: np.array(values) for name, values in seen.items()}
+
+
+@pytest.mark.parametrize("n, threads", [(1, 1), (3, 1), (9, 1), (9, 3), (17, 2)])
+@pytest.mark.parametrize("settings", [{}, {"precision": "f32", "solver": "pgs"}])
+def test_the_bits_are_those_of_single_steps(hopper, n, threads, settings):
+    model, starts = hopper.with_settings(**settings), drawn(hopper, n)
+    ctrl = np.random.default_rng(4).uniform(-1, 1, (n, 12, model.nu))
+    run = follow(model, starts, 60, 4, ctrl=ctrl, hold=3, record=RECORD, threads=threads)
+    assert run.times.tolist() == pytest.approx(np.arange(16) * 4 * model.settings.dt)
+    assert run.failures == {}
+    assert run.made.tolist() == run.inner.tolist() == [60] * n
+    for k in (0, n // 2, n - 1):
+        for name, values in stepped(model, starts[k], 60, 4, ctrl[k], 3).items():
+            assert run[name][k].tobytes() == values.tobytes(), name
+
+
+def test_one_table_serves_all_starts_and_its_last_row_stays(hopper):
+    starts, ctrl = drawn(hopper, 3), np.linspace(-1, 1, 2 * 3).reshape(1, 2, 3)
+    run = follow(hopper, starts, 30, 10, ctrl=ctrl, hold=10, record=RECORD)
+    for k, start in enumerate(starts):
+        for name, values in stepped(hopper, start, 30, 10, ctrl[0], 10).items():
+            assert run[name][k].tobytes() == values.tobytes(), name
+
+
+def test_without_controls_and_with_late_ones():
+    model = pendulum().compile()
+    starts = drawn(model, 2)
+    run = follow(model, starts, 20, 5, record=("qpos",))
+    expected = stepped(model, starts[1], 20, 5, names=("qpos",))
+    assert run["qpos"][1].tobytes() == expected["qpos"].tobytes()
+
+
+def test_steps_within_an_accuracy_are_those_of_a_sim(hopper):
+    model = hopper.with_settings(accuracy=1e-3)
+    starts, ctrl = drawn(model, 3), np.full((1, 1, 3), 0.3)
+    run = follow(model, starts, 12, 4, ctrl=ctrl, record=("qpos", "xpos"))
+    for k, start in enumerate(starts):
+        expected = stepped(model, start, 12, 4, ctrl[0], names=("qpos", "xpos"))
+        assert run["xpos"][k].tobytes() == expected["xpos"].tobytes()
+    assert (run.inner > run.made).all()
+
+
+@pytest.mark.parametrize("n", [1, 9])
+def test_the_failure_of_one_start_does_not_end_the_others(n):
+    model = unstable().compile()
+    still = Start(model.qpos0, np.zeros(model.nv))
+    starts = [Start(model.qpos0, np.ones(model.nv)), *[still] * (n - 1)]
+    run = follow(model, starts, 4000, 10, record=("qpos",))
+    assert list(run.failures) == [0]
+    error = run.failures[0]
+    sim = sc.Sim(model)
+    starts[0].put(sim)
+    with pytest.raises(sc.SimulationError) as alone:
+        sim.step(4000)
+    assert error.step == run.made[0] == alone.value.step < 4000
+    assert run.made[1:].tolist() == [4000] * (n - 1)
+    last = error.step // 10
+    assert np.isfinite(run["qpos"][0, : last + 1]).all()
+    assert np.isnan(run["qpos"][0, last + 1 :]).all()
+    assert np.isfinite(run["qpos"][1:]).all()
+
+
+def test_a_run_ends_beyond_its_bound():
+    model = ball(solver="pgs").compile()
+    slow, fast = (Start(model.qpos0, np.array([v, 0, 0, 0, 0, 0.0])) for v in (0.1, 100.0))
+    run = follow(model, [slow, fast], 100, 10, bound=1.0)
+    assert list(run.failures) == [1]
+    assert "beyond 1 m" in str(run.failures[1])
+    assert run.made.tolist() == [100, run.failures[1].step]
+    ended = run.made[1] // 10
+    far = np.linalg.norm(run["xpos"][1] - run["xpos"][1, 0], axis=-1).max(axis=-1)
+    assert (far[:ended] <= 1.0).all()
+    assert far[ended] > 1.0
+    assert np.isnan(far[ended + 1 :]).all()
+
+
+def test_a_control_function_is_called_at_its_period_with_each_starts_own_sim(hopper):
+    def push(time, sim):
+        return 0.1 * np.sin(20 * time) - 0.2 * sim.qvel[3:]
+
+    starts = drawn(hopper, 2)
+    run = follow(hopper, starts, 40, 10, control=push, hold=5, record=("qpos", "ctrl"))
+    for k, start in enumerate(starts):
+        sim = sc.Sim(hopper)
+        start.put(sim)
+        for _ in range(8):
+            sim.ctrl = push(sim.time, sim)
+            sim.step(5)
+        assert run["qpos"][k, -1].tobytes() == sim.qpos.tobytes()
+
+
+def test_each_start_has_its_own_copy_of_a_callable_object(hopper):
+    class Growing:
+        calls = 0
+
+        def __call__(self, time, sim):
+            self.calls += 1
+            return np.full(3, 0.01 * self.calls)
+
+    starts, control = drawn(hopper, 1) * 2, Growing()
+    run = follow(hopper, starts, 20, 10, control=control, record=("qpos",))
+    assert run["qpos"][0].tobytes() == run["qpos"][1].tobytes()
+    assert control.calls == 0
+
+
+@pytest.mark.parametrize(
+    "change, text",
+    [
+        ({"starts": []}, "starts"),
+        ({"steps": -1}, "steps"),
+        ({"every": 7}, "steps = 20: must be a multiple of every = 7"),
+        ({"hold": 0}, "hold"),
+        ({"record": ("qpso",)}, "qpso"),
+        ({"bound": 0.0}, "bound"),
+        (
+            {"ctrl": np.zeros((2, 4, 3))},
+            r"ctrl has shape \(2, 4, 3\): must be \(3 or 1, rows, 3\)",
+        ),
+        ({"ctrl": np.zeros((3, 0, 3))}, "at least one row"),
+        ({"ctrl": np.full((1, 2, 3), np.nan)}, r"ctrl\[0, 0, 0\] = nan"),
+        ({"ctrl": np.zeros((1, 1, 3)), "control": lambda time, sim: 0}, "control"),
+        ({"control": lambda time, sim: 1j}, "control function"),
+        ({"threads": 0}, "threads"),
+    ],
+)
+def test_bad_arguments_are_refused(hopper, change, text):
+    own = {"starts": drawn(hopper, 3), "steps": 20, "every": 5} | change
+    with pytest.raises(ValueError, match=text):
+        follow(hopper, **own)
+
+
+def test_a_failing_control_function_is_no_failure_of_a_start(hopper):
+    def bad(time, sim):
+        raise ValueError("no")
+
+    with pytest.raises(ControlError, match="bad"):
+        follow(hopper, drawn(hopper, 2), 10, control=bad)
+
+
+def test_a_start_that_is_not_finite_is_refused(hopper):
+    starts = [Start(np.full(hopper.nq, np.nan), np.zeros(hopper.nv))]
+    with pytest.raises(ValueError, match="qpos"):
+        follow(hopper, starts, 10)
+
+
+def test_the_deadline_ends_it(hopper):
+    with deadline.Deadline(0.0).opened(), pytest.raises(deadline.OutOfTime):
+        follow(hopper, drawn(hopper, 2), 1000)
