@@ -43,6 +43,7 @@ class Change:
     settings: tuple[tuple[str, Any], ...]
     values: tuple[tuple[str, Any], ...]
     without: tuple[Removal, ...]
+    _hash: int
 
     def __init__(
         self,
@@ -68,7 +69,7 @@ class Change:
         return mine == theirs and self.without == other.without
 
     def __hash__(self) -> int:
-        return int(self._hash)
+        return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _made, (dict(self.settings), dict(self.values), self.without)
@@ -89,7 +90,7 @@ class Change:
         """Return both changes; of a setting or value in both, that of `other`."""
         settings = {**dict(self.settings), **dict(other.settings)}
         values = {**dict(self.values), **dict(other.values)}
-        return Change(values, (*self.without, *other.without), **settings)  # type: ignore[arg-type]
+        return Change(values, (*self.without, *other.without), **settings)
 
     @property
     def physics(self) -> Change:
@@ -99,7 +100,7 @@ class Change:
     @property
     def numerics(self) -> Change:
         """The settings alone."""
-        return Change(**dict(self.settings))  # type: ignore[arg-type]
+        return Change(**dict(self.settings))
 
     @property
     def size(self) -> int:
@@ -165,7 +166,7 @@ class Change:
 
 
 def _made(settings: dict[str, Any], values: dict[str, Any], without: tuple[Removal, ...]) -> Change:
-    return Change(values, without, **settings)  # type: ignore[arg-type]
+    return Change(values, without, **settings)
 
 
 def _removal(feature: str) -> Removal:

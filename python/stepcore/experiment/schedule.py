@@ -162,6 +162,33 @@ class Schedule:
         """Whether the log has the controls of every start."""
         return self.log is not None and self.log.rows.shape[1] != self.nu
 
+    @property
+    def indices(self) -> range:
+        """Indices of the starts."""
+        return range(len(self.starts))
+
+    def rows(self, starts: Sequence[int], dt: float) -> tuple[np.ndarray | None, int]:
+        """Return the controls over time from some starts, and for how many steps a row is held.
+
+        The shape is (starts, rows, nu), or (1, rows, nu) for controls that all starts share; None
+        without controls.
+
+        dt: time step [s].
+        """
+        count = self.steps(dt)
+        if self.log is None:
+            rows = None if self.ctrl is None or not self.nu else self.ctrl[list(starts)]
+            return rows, count
+        # Rows that are held for whole steps are played as they are.
+        gaps = np.diff(self.log.times)
+        held = round(float(gaps[0]) / dt) if len(gaps) and not self.log.linear else 0
+        hold = held if held and np.allclose(gaps, held * dt, rtol=1e-9) else 1
+        rows = self.log.rows if hold > 1 else self.log.steps(0.0, dt, self.periods * count)
+        if self._logs_each:
+            own = rows.reshape(len(rows), -1, self.nu)[:, list(starts)]
+            return own.transpose(1, 0, 2), hold
+        return rows[None], hold
+
     def part(self, first: int, last: int | None = None) -> Schedule:
         """Return the schedule with the starts from `first` up to, but not including, `last`."""
         return self.picked(range(len(self.starts))[first:last])

@@ -1,0 +1,168 @@
+"""Choosing among trials: the cheapest rung of a ladder, the frontier, many at once; and the proof.
+
+A choice is made on the starts of a search and tested on further ones, which then join the search
+(`Study.settled`). What is told of it comes from starts that no choice has seen: `Proof`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from stepcore.experiment.trial import Trial
+from stepcore.report.units import counted, metres, percent
+
+T = TypeVar("T")
+
+# The confidence with which the bound of a proof holds.
+CONFIDENCE = 0.95
+
+
+def frontier(trials: Iterable[Trial], price: Callable[[Trial], float]) -> list[Trial]:
+    """Return the trials that no other one beats in price and error, the cheapest first.
+
+    Of equal trials the first remains. Failed trials are left out.
+    """
+    kept, best = list[Trial](), math.inf
+    for trial in sorted(trials, key=lambda t: (price(t), t.error)):
+        if trial.error < best:
+            kept.append(trial)
+            best = trial.error
+    return kept
+
+
+def least(
+    ladder: Sequence[int],
+    error: Callable[[int], float],
+    bound: float,
+    first: int,
+    *,
+    cliff: bool = False,
+) -> int | None:
+    """Return the least rung of a ladder whose error is within a bound, or None if none was found.
+
+    It climbs from a first rung. How far it climbs follows from the order at which the error falls,
+    and it gives up where that order says that the top of the ladder is not enough. Then it goes
+    down between a rung that fails and one that holds. Below a rung that fails nothing is tried, so
+    that a lucky coarse rung is not found.
+
+    ladder: numbers that rise, such as steps in a period. error: of a rung; inf if it failed.
+    first: the number to begin near.
+    cliff: for stability, where the error falls at once and has no order: it doubles up to the top.
+
+    >>> least(range(1, 1000), lambda n: 1 / n**2, 1e-4, first=8)
+    100
+    """
+    if not len(ladder):
+        return None
+    rungs, known = np.asarray(ladder), dict[int, float]()
+
+    def at(k: int) -> float:
+        known[k] = error(int(rungs[k]))
+        return known[k]
+
+    def order(k: int, j: int) -> float:
+        """The order between two rungs, k the coarser one."""
+        return math.log(known[k] / known[j]) / math.log(rungs[j] / rungs[k])
+
+    def rung(n: float) -> int:
+        return int(np.searchsorted(rungs, n))
+
+    top, bad = len(rungs) - 1, -1
+    good = min(rung(first), top)
+    while not at(good) <= bound:
+        if good == top:
+            return None
+        jump, finite = 2.0, math.isfinite(known[good]) and not cliff
+        if finite:
+            p = 1.0
+            if bad >= 0 and math.isfinite(known[bad]):
+                p = order(bad, good)
+                reach = rungs[good] * (known[good] / bound) ** (1 / max(p, 0.1))
+                if p < 0.2 or reach > 1.5 * rungs[top]:
+                    return None
+            jump = min(4.0, max(1.2, (known[good] / bound) ** (1 / min(p, 4.0))))
+        bad, good = good, min(top, max(good + 1, rung(rungs[good] * jump)))
+    while good - bad > 1:
+        if bad >= 0 and not cliff and math.isfinite(known[bad]) and known[good] > 0:
+            guess = rungs[bad] * (known[bad] / bound) ** (1 / max(0.25, order(bad, good)))
+        elif bad >= 0:
+            guess = math.sqrt(rungs[bad] * rungs[good])
+        else:
+            guess = rungs[good] * min(0.8, max(0.125, math.sqrt(max(known[good], 1e-300) / bound)))
+        middle = min(max(rung(guess), bad + 1), good - 1)
+        bad, good = (bad, middle) if at(middle) <= bound else (middle, good)
+    return int(rungs[good])
+
+
+def greedy(parts: Sequence[T], holds: Callable[[tuple[T, ...]], bool]) -> tuple[T, ...]:
+    """Return as many parts as hold together, tried in the given order; what fails is halved.
+
+    >>> greedy([1, 2, 3, 4], lambda some: sum(some) <= 6)
+    (1, 2, 3)
+    """
+    chosen, todo = tuple[T, ...](), [tuple(parts)] if parts else []
+    while todo:
+        some = todo.pop(0)
+        if holds((*chosen, *some)):
+            chosen = (*chosen, *some)
+        elif len(some) > 1:
+            half = len(some) // 2
+            todo[:0] = [some[:half], some[half:]]
+    return chosen
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What a choice did on starts that no choice has seen.
+
+    trial: the choice, run from these starts. error: what was asked [m].
+    missed: the number of these starts that exceed it.
+
+    >>> share_of(0, 32), share_of(2, 32)
+    (0.0893..., 0.1837...)
+    """
+
+    trial: Trial
+    error: float
+    missed: int
+
+    @property
+    def starts(self) -> int:
+        """The number of starts."""
+        return len(self.trial.starts)
+
+    @property
+    def share(self) -> float:
+        """The largest share of all starts that misses the error, with 95 % confidence."""
+        return share_of(self.missed, self.starts)
+
+    @property
+    def words(self) -> str:
+        """The proof as a sentence."""
+        number = "None" if not self.missed else f"{self.missed}"
+        worst = "fails" if self.trial.failure else f"has {metres(self.trial.error)}"
+        over = f"; the worst one {worst}" if self.missed else f" ({worst[4:]} in the worst)"
+        return (
+            f"{number} of {counted(self.starts, 'untouched start')} missed it{over}: with "
+            f"{percent(CONFIDENCE)} confidence at most {percent(self.share)} of starts do."
+        )
+
+
+def share_of(missed: int, starts: int) -> float:
+    """Return the largest share of misses that k of n do not refute: Clopper and Pearson's bound.
+
+    It is the share p at which k or fewer misses have a probability of 5 %.
+    """
+    if missed >= starts:
+        return 1.0
+    low, high = missed / starts, 1.0
+    for _ in range(60):
+        p = (low + high) / 2
+        terms = (math.comb(starts, k) * p**k * (1 - p) ** (starts - k) for k in range(missed + 1))
+        low, high = (p, high) if sum(terms) > 1 - CONFIDENCE else (low, p)
+    return high

@@ -1,0 +1,204 @@
+"""Engines: what runs a change of a scene and counts its work. Truth, norm and choices are theirs.
+
+An `Engine` runs a `Schedule` under a `Change` and returns `Tracks`. `Stepcore` is this package's
+own engine; `stepcore.experiment.mujoco_engine` runs MuJoCo.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from stepcore._core import SimulationError
+from stepcore.checks import one_line
+from stepcore.engine.control import ControlError
+from stepcore.engine.follow import Followed, follow
+from stepcore.engine.model import Model
+from stepcore.engine.run_settings import converged_settings
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.experiment.change import Change
+from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.norm import Matter, Tracks
+from stepcore.experiment.schedule import Schedule
+
+# A run has failed if a body is so many sizes of the scene away from where it began. A distance of a
+# few sizes is an error that is told; at a hundred, bodies have left the scene that was modelled.
+FAR = 100.0
+# States of the motion at which the work of a step is counted.
+LOOKS = 8
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to the converged motion: a ladder of changes, each rung finer than the last.
+
+    name: of the method. at: returns the change of a rung, from 0 on.
+    fixed: whether steps have a fixed length, so that nudged runs can be compared bit by bit.
+    """
+
+    name: str
+    at: Callable[[int], Change]
+    fixed: bool = True
+
+
+class Engine(Protocol):
+    """What runs changes of one scene.
+
+    name: of the engine. matter: the moving bodies. coordinates: of the states.
+    dt: the shipped time step [s]. nv: the number of dofs.
+    """
+
+    name: str
+    matter: Matter
+    coordinates: Coordinates
+    dt: float
+    nv: int
+
+    def settings(self, change: Change) -> Any:
+        """Return all settings of a change."""
+
+    def follow(self, change: Change, schedule: Schedule, starts: Sequence[int]) -> Tracks:
+        """Run a change from some starts. A run that fails, or is refused, is one of `failures`."""
+
+    def work(self, change: Change, schedule: Schedule) -> float:
+        """Count the floating-point operations of a simulated second; inf where none can be run."""
+
+    def ways(self, schedule: Schedule, goal: float) -> list[Way]:
+        """Return ways to the converged motion; goal: how exact it should be [m]."""
+
+
+class Stepcore:
+    """This package's engine, for one model.
+
+    size: the size of the scene [m].
+    """
+
+    name = "stepcore"
+
+    def __init__(self, model: Model, size: float) -> None:
+        self.model, self.size = model, size
+        self.matter, self.coordinates = Matter.of(model), Coordinates(model)
+        self.dt, self.nv = float(model.settings.dt), model.nv
+        self._models: dict[Change, Model] = {}
+        self._looks: list[tuple[np.ndarray, ...]] = []
+        self._counts: dict[Change, float] = {}
+
+    def of(self, change: Change) -> Model:
+        """Return the changed model; each physics is compiled once."""
+        physics = change.physics
+        if physics not in self._models:
+            self._models[physics] = physics.of(self.model)
+        return change.numerics.of(self._models[physics])
+
+    def settings(self, change: Change) -> Any:
+        return self.model.settings.replace(**dict(change.settings))
+
+    def follow(self, change: Change, schedule: Schedule, starts: Sequence[int]) -> Tracks:
+        try:
+            model = self.of(change)
+            ran = run(model, schedule, starts, bound=FAR * self.size)
+        except ControlError:
+            raise
+        except (ValueError, SimulationError) as error:
+            shape = (len(starts), len(schedule.times), len(self.matter.moving))
+            why = dict.fromkeys(range(len(starts)), one_line(error))
+            return Tracks(np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan), why)
+        failures = {k: one_line(error) for k, error in ran.failures.items()}
+        return self.matter.tracks(ran["xpos"][:, 1:], ran["xquat"][:, 1:], failures)
+
+    def work(self, change: Change, schedule: Schedule) -> float:
+        """Count the operations of a simulated second, at the same states for all changes.
+
+        A step costs about the same at all lengths, so each method is counted at one of them. Steps
+        within an accuracy are counted at their own.
+        """
+        settings = self.settings(change)
+        if settings.accuracy is None:
+            change = change.also(Change(dt=self.dt))
+        if change not in self._counts:
+            self._counts[change] = self._counted(change, schedule)
+        return self._counts[change] / settings.dt
+
+    def _counted(self, change: Change, schedule: Schedule) -> float:
+        """Count the operations of a step: the mean over states of the shipped motion."""
+        if not self._looks:
+            names = ("qpos", "qvel", "act", "ctrl")
+            seen = run(self.model, schedule, schedule.indices[:1], record=names)
+            whole = np.flatnonzero(np.isfinite(seen["qpos"][0]).all(axis=-1))
+            some = whole[np.unique(np.linspace(0, len(whole) - 1, LOOKS).astype(int))]
+            self._looks = [tuple(seen[name][0, k] for name in names) for k in some]
+        total = 0
+        try:
+            sim = unwatched(Sim(self.of(change)))
+            for qpos, qvel, act, ctrl in self._looks:
+                sim.reset()
+                sim.qpos[:], sim.qvel[:], sim.act[:], sim.ctrl[:] = qpos, qvel, act, ctrl
+                # The second step has impulses to begin from.
+                sim.step(1)
+                total += sim.count_flops()
+        except (ValueError, SimulationError):
+            return math.inf
+        return total / len(self._looks)
+
+    def ways(self, schedule: Schedule, goal: float) -> list[Way]:
+        shipped = self.model.settings.replace(sleep=False)
+        steps, convex = schedule.steps(self.dt), shipped.law == "solref"
+
+        def exact(**fields: Any) -> Change:
+            # As the scene's rows are, so soft are those of its converged motion.
+            full = {"warm_start": True, "refsafe": False, **fields}
+            return Change.between(converged_settings(shipped, **full), self.model.settings)
+
+        def halved(integrator: str) -> Way:
+            def at(k: int) -> Change:
+                return exact(integrator=integrator, dt=schedule.period / (steps * 2**k))
+
+            return Way(integrator, at)
+
+        def within(k: int) -> Change:
+            fixed = exact(integrator="rk4", dt=schedule.period)
+            return fixed.also(Change(accuracy=goal / schedule.horizon / 4**k))
+
+        second = "implicitfast" if convex else "semi-implicit"
+        ways = [halved(second), halved("rk4")]
+        adapts = convex and schedule.control is None and schedule.log is None
+        return [*ways, Way("accuracy", within, fixed=False)] if adapts else ways
+
+
+def run(
+    model: Model,
+    schedule: Schedule,
+    starts: Sequence[int],
+    record: Sequence[str] = ("xpos", "xquat"),
+    bound: float = math.inf,
+    threads: int = 1,
+) -> Followed:
+    """Run a schedule under a model's settings, from some of its starts; see `follow`.
+
+    Samples are those of the schedule, after the start itself.
+    """
+    dt = model.settings.dt
+    count = schedule.steps(dt)
+    begin = [schedule.starts[k] for k in starts]
+    how: dict[str, Any] = {"record": record, "bound": bound, "threads": threads}
+    steps, every = schedule.periods * count, schedule.every * count
+    if schedule.control is None:
+        ctrl, hold = schedule.rows(starts, dt)
+        return follow(model, begin, steps, every, ctrl=ctrl, hold=hold, **how)
+    own = [schedule.function(k) for k in starts]
+    parts = [
+        follow(model, [start], steps, every, control=function, hold=count, **how)
+        for start, function in zip(begin, own, strict=True)
+    ]
+    failures = {k: part.failures[0] for k, part in enumerate(parts) if part.failures}
+    data = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].data}
+    made, inner, operations = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("made", "inner", "operations")
+    )
+    seconds = sum(part.seconds for part in parts)
+    return Followed(parts[0].times, data, failures, made, inner, operations, seconds)

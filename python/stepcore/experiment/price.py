@@ -1,0 +1,22 @@
+"""Computing time by counted work: the same on every machine, so that choices are too.
+
+A step costs a fixed time and a time for each operation. Both were measured by
+`python benches/cost_of_work.py` on robots and on small scenes; only their ratio decides a choice.
+What a command prints beside it is measured where it runs.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+# Of one step [µs], and of an operation [µs]; benches/cost_of_work.py.
+STEP, OPERATION = 0.25, 3.5e-4
+
+
+def computing_time(work: float, settings: Any) -> float:
+    """Return the computing time of counted work [µs per simulated second].
+
+    work: operations per simulated second. settings: of the run, with its time step.
+    """
+    return OPERATION * work + STEP / float(settings.dt) if math.isfinite(work) else math.inf

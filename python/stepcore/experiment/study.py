@@ -1,0 +1,223 @@
+"""`Study`: runs changes of one scene in one motion, and scores them against the converged motion.
+
+Every measurement is a question to a Study: vary (a list of `Change`s), run, score (`Trial`s),
+choose (`stepcore.experiment.choose`), confirm on other starts, say.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from stepcore.experiment.arguments import Source, Workers
+from stepcore.experiment.change import Change
+from stepcore.experiment.engines import Engine, Stepcore
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.norm import Tracks, apart, largest, rms
+from stepcore.experiment.price import computing_time
+from stepcore.experiment.schedule import STARTS, Schedule, scheduled, time_steps
+from stepcore.experiment.trial import Trial
+from stepcore.experiment.truth import SHARE, Converging, Truth
+from stepcore.loading import find_model
+from stepcore.report.units import metres
+from stepcore.scene.softness import UNKNOWN, extent
+
+# Starts that run together: the worlds of a vector register.
+TOGETHER = 8
+# The most operations of a whole study: about ten seconds of a core.
+EFFORT = 3e10
+# What the lanes of a vector register save; steps within an accuracy go one world at a time.
+LANES = 3.0
+# Offset between the seed of the first starts and those of further ones.
+APART = 1_000_003
+SHIPPED = Change()
+
+
+class Study:
+    """Runs changes of one scene in one motion, scores them, and remembers what was run.
+
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name").
+    motion: a `Motion`; by default one that the machine could make, of about one second.
+    engine: runs the changes; by default stepcore's.
+    period: the control period [s]; every time step divides it. By default that of the motion, or
+        four shipped time steps.
+    starts: the number of starts of the search.
+    effort: the most operations of the study. When they are spent, truths stay as they are.
+    workers: threads or an executor for the runs; see `stepcore.experiment.arguments.Workers`.
+
+    schedule: the starts, the controls and the time grid of the motion. starts: those of the search,
+    by index. spent: the counted operations so far.
+
+    How the error depends on the stiffness of a spring, say:
+
+    >>> from stepcore import lesson
+    >>> from stepcore.experiment import Change, Study
+    >>> study = Study(lesson.spring())
+    >>> changes = [Change({"joint/spring/stiffness": k}) for k in (20.0, 80.0)]
+    >>> soft, hard = study.run(changes)
+    >>> soft.error < hard.error
+    True
+    """
+
+    def __init__(
+        self,
+        model: Source,
+        motion: Motion | None = None,
+        *,
+        engine: Engine | None = None,
+        period: float | None = None,
+        starts: int | None = None,
+        effort: float = EFFORT,
+        workers: Workers | None = None,
+    ) -> None:
+        self.model, self.motion = find_model(model), motion or Motion()
+        shipped = self.model.settings.dt
+        if period is None:
+            horizon = self.motion.horizon or 1.0
+            period = time_steps(shipped, None, self.motion.period(shipped), horizon)[1]
+        count = starts or self.motion.starts or STARTS
+        self.schedule: Schedule = scheduled(self.motion, self.model, period, starts=count)
+        self.starts: tuple[int, ...] = tuple(self.schedule.indices)
+        self.size = extent(self.model.scene) or UNKNOWN
+        self.engine: Engine = engine or Stepcore(self.model, self.size)
+        self.workers, self.effort = workers or Workers(), effort
+        self.spent, self.runs = 0.0, 0
+        self._tracks: dict[tuple[Change, int], Tracks] = {}
+        self._truths: dict[Change, Converging] = {}
+        self._blocks = 0
+
+    def fresh(self, count: int) -> tuple[int, ...]:
+        """Return the indices of further starts, from which nothing has been run."""
+        self._blocks += 1
+        unseen = dataclasses.replace(self.motion, seed=self.motion.seed + APART * self._blocks)
+        own = self.schedule
+        # The first start of every block is the keyframe itself, which the search has.
+        new = scheduled(unseen, self.model, own.period, starts=count + 1, horizon=own.horizon)
+        first, self.schedule = len(own.starts), own.joined(new.part(1))
+        return tuple(range(first, first + count))
+
+    def steps(self, change: Change = SHIPPED) -> int:
+        """Return the number of time steps in a control period."""
+        return self.schedule.steps(float(self.engine.settings(change).dt))
+
+    def price(self, change: Change, starts: int) -> float:
+        """Return the operations of runs from some starts; those within an accuracy weigh more."""
+        alone = 1.0 if getattr(self.engine.settings(change), "accuracy", None) is None else LANES
+        work = self.engine.work(change, self.schedule)
+        return alone * work * self.schedule.horizon * starts if math.isfinite(work) else 0.0
+
+    def tracks(
+        self, changes: Sequence[Change], starts: Sequence[int], bar: str | None = None
+    ) -> list[Tracks]:
+        """Run changes from some starts, or remember the runs; one result for each change.
+
+        Starts run in eights, beside each other on the workers. A change that is known to fail from
+        one of the starts is not run from the others, which then count as failed.
+        """
+        jobs = list[tuple[Change, list[int]]]()
+        for change in dict.fromkeys(changes):
+            known = [self._tracks.get((change, start)) for start in starts]
+            if any(own is not None and own.failures for own in known):
+                continue
+            todo = [s for s, own in zip(starts, known, strict=True) if own is None]
+            jobs += [(change, todo[k : k + TOGETHER]) for k in range(0, len(todo), TOGETHER)]
+        follow = partial(_followed, self.engine, self.schedule)
+        for (change, some), made in zip(jobs, self.workers.each(follow, jobs, bar), strict=True):
+            self.spent += self.price(change, len(some))
+            self.runs += len(some)
+            for k, start in enumerate(some):
+                self._tracks[change, start] = made.some([k])
+        return [self._together(change, starts) for change in changes]
+
+    def _together(self, change: Change, starts: Sequence[int]) -> Tracks:
+        """Return the runs from some starts; those that were not made are NaN and have failed."""
+        known = [self._tracks.get((change, start)) for start in starts]
+        made = [own for own in known if own is not None]
+        if len(made) == len(known):
+            return Tracks.joined(made)
+        why = next(own.failures[0] for own in made if own.failures)
+        nothing = made[0].com * np.nan, made[0].quat * np.nan
+        return Tracks.joined([own or Tracks(*nothing, {0: why}) for own in known])
+
+    def truth(
+        self,
+        error: float | None = None,
+        starts: Sequence[int] | None = None,
+        physics: Change = SHIPPED,
+    ) -> Truth:
+        """Return the converged motion, sure to a tenth of an error, or as the effort allows.
+
+        error: the error in question [m]; by default a tenth of the shipped settings' own.
+        starts: by index; by default those of the search. physics: what is modelled differently.
+
+        Raises ValueError if no converged motion can be run.
+        """
+        starts = self.starts if starts is None else starts
+        goal = None if error is None else SHARE * error
+        if physics not in self._truths:
+            self._truths[physics] = Converging(self, physics, starts[0], goal)
+        return self._truths[physics].upto(starts, goal)
+
+    def run(
+        self,
+        changes: Sequence[Change],
+        starts: Sequence[int] | None = None,
+        error: float | None = None,
+        bar: str | None = None,
+    ) -> list[Trial]:
+        """Run changes from some starts, and score each against its own converged motion.
+
+        Settings are scored against the scene's converged motion. A change of what is modelled is
+        scored against the converged motion of the changed model (its numerical error), and
+        `Trial.modelled` has how far that is from the scene's own (its modelling error).
+
+        starts: by index; by default those of the search.
+        error: the error in question [m], of which the converged motion is known to a tenth.
+        """
+        starts = self.starts if starts is None else starts
+        made = zip(changes, self.tracks(changes, starts, bar), strict=True)
+        return [
+            self.score(change, tracks, self.truth(error, starts, change.physics))
+            for change, tracks in made
+        ]
+
+    def score(self, change: Change, tracks: Tracks, truth: Truth) -> Trial:
+        """Score runs against a converged motion from the same starts."""
+        matter, settings = self.engine.matter, self.engine.settings(change)
+        far, work = apart(tracks, truth.tracks, matter), self.engine.work(change, self.schedule)
+        modelled = None
+        if change.physics.size:
+            whole = self.truth(truth.goal / SHARE, truth.starts)
+            modelled = rms(apart(truth.tracks, whole.tracks, matter), whole.scored)
+        return Trial(
+            change=change,
+            settings=settings,
+            starts=truth.starts,
+            # A run like the truth's own looks exact: no error is below what the truth is sure of.
+            errors=np.maximum(rms(far, truth.scored), truth.unsure),
+            unsure=truth.unsure,
+            largest=np.maximum(largest(far, truth.scored), truth.unsure),
+            work=work,
+            cost=computing_time(work, settings),
+            failure=tracks.failure,
+            tracks=tracks,
+            modelled=modelled,
+        )
+
+    def tell(self, wrong: float, moved: float) -> None:
+        """Say how far a search for the converged motion has come.
+
+        wrong: the error of the shipped settings [m]. moved: what the last refinement moved [m].
+        """
+        if math.isfinite(wrong):
+            said = f"error as shipped {metres(wrong)}, ± {metres(moved)}"
+            self.workers.deadline.so_far(f"{said}; the converged motion is made finer now")
+
+
+def _followed(engine: Engine, schedule: Schedule, job: tuple[Change, list[int]]) -> Any:
+    return engine.follow(job[0], schedule, job[1])

@@ -1,0 +1,95 @@
+"""`Trial`: what one change did. Text, tables, plots and choices read nothing else."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.experiment.change import Change
+from stepcore.experiment.norm import Tracks
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What one change did, from several starts.
+
+    change: what was run. settings: all settings under which it was run.
+    starts: the starts of the motion it was run from, by index.
+    errors: the RMS position error of every start [m], (starts,): the distance from the truth by the
+        norm of `stepcore.experiment.norm`, over the samples that can be predicted, and never below
+        what the truth is sure of; inf where the run failed, NaN without a truth.
+    unsure: how far the truth of every start may be off [m], (starts,).
+    largest: the largest error of a body at any time, of every start [m], (starts,).
+    work: counted floating-point operations per simulated second; the same on every machine.
+    cost: computing time by the counted work [µs per simulated second]; see
+        `stepcore.experiment.price`.
+    failure: why the first run that failed did; "" if none did.
+    tracks: the poses of the bodies.
+    modelled: (of a change of what is modelled) how far the converged motion of the changed model is
+        from the scene's own, of every start [m], (starts,); None for settings alone.
+    """
+
+    change: Change
+    settings: Any
+    starts: tuple[int, ...]
+    errors: np.ndarray
+    unsure: np.ndarray
+    largest: np.ndarray
+    work: float
+    cost: float = math.nan
+    failure: str = ""
+    tracks: Tracks | None = field(default=None, repr=False)
+    modelled: np.ndarray | None = None
+
+    @property
+    def error(self) -> float:
+        """The RMS position error of the worst start [m]; inf if a run failed."""
+        return math.inf if self.failure else float(np.max(self.errors, initial=0.0))
+
+    @property
+    def median(self) -> float:
+        """The RMS position error of the median start [m]; inf if a run failed."""
+        return math.inf if self.failure else float(np.median(self.errors))
+
+    @property
+    def bound(self) -> float:
+        """The error of the worst start with what its truth may be off [m]; inf if a run failed."""
+        return math.inf if self.failure else float(np.max(self.errors + self.unsure, initial=0.0))
+
+    @property
+    def worst(self) -> int:
+        """The start with the largest error."""
+        return self.starts[int(np.argmax(self.errors))]
+
+    @property
+    def dt(self) -> float:
+        """The time step [s]."""
+        settings: Settings = self.settings
+        return float(settings.dt)
+
+    def within(self, error: float) -> bool:
+        """Return whether every start stays within an error [m], the truth's own included."""
+        return self.bound <= error
+
+    def misses(self, error: float) -> list[int]:
+        """Return the starts that exceed an error [m], worst first; all if a run failed."""
+        if self.failure:
+            return list(self.starts)
+        over = np.flatnonzero(~(self.errors + self.unsure <= error))
+        return [self.starts[k] for k in sorted(over, key=lambda k: -self.errors[k])]
+
+    def record(self) -> dict[str, Any]:
+        """Return the trial as plain data."""
+        return {
+            "change": self.change.words,
+            "error": None if self.failure else self.error,
+            "median": None if self.failure else self.median,
+            "largest": None if self.failure else float(np.max(self.largest)),
+            "work": self.work,
+            "cost": self.cost,
+            "failure": self.failure or None,
+        }

@@ -1,0 +1,251 @@
+"""`Truth`: the converged motion of a scene, only as fine as a question needs it.
+
+Several methods climb their ladders on one start, the one with the cheapest next rung first, until a
+rung moves the motion by less than a tenth of the error in question. That method runs from all
+starts; only starts that still move climb on. How far a start may be off is the distance to its run
+at the rung before, which is larger than its error from order 1 on. Where order is lost that is no
+bound; so the hardest start also runs one rung finer, and the method that came second is compared:
+if either is further away than the rung before, all starts are taken to be as much less sure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stepcore.experiment.change import Change
+from stepcore.experiment.engines import Way
+from stepcore.experiment.norm import Tracks, apart, rms
+from stepcore.experiment.predictable import Growth, growth
+from stepcore.report.units import metres
+
+if TYPE_CHECKING:
+    from stepcore.experiment.study import Study
+
+# The converged motion is known to this share of the error in question.
+SHARE = 0.1
+# A rung that leaves more than this share of the last one's change does not converge; after two of
+# them a start is left as it is (one may be luck).
+STALLED, PATIENCE = 0.9, 2
+# Rungs of a ladder, at most: steps of a millionth of the shipped one are not tried.
+RUNGS = 20
+# The share of a study's effort that finding the method may take.
+FINDING = 0.25
+# Where growth ends within the horizon it is measured at finer rungs too, until two agree so well.
+AGREE, FINER = 0.2, 3
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The converged motion from some starts.
+
+    starts: by index. tracks: the motion. change: the settings of the finest run.
+    unsure: how far it may be off, of every start [m], (starts,).
+    scored: the samples that can be predicted, (starts, n). growth: of nudges from these starts.
+    goal: how sure it was to be [m].
+    """
+
+    starts: tuple[int, ...]
+    tracks: Tracks
+    change: Change
+    unsure: np.ndarray
+    scored: np.ndarray
+    growth: Growth
+    goal: float
+
+    @property
+    def error(self) -> float:
+        """How far the motion may be off in the worst start [m]."""
+        return float(self.unsure.max(initial=0.0))
+
+    @property
+    def words(self) -> str:
+        """The method and the uncertainty as a sentence."""
+        return (
+            f"Errors are measured from a converged motion ({self.change.words}); its uncertainty "
+            f"is {metres(self.error)}."
+        )
+
+
+@dataclass
+class _Start:
+    """What is known from one start: its finest rung, and how far that moved the motion [m]."""
+
+    rung: int
+    tracks: Tracks
+    moved: float
+    worse: int = 0
+
+
+class Converging:
+    """The converged motion of one physics of a study, start by start.
+
+    way: the method. rung: the rung that settled the first start. doubt: by which factor the
+    distance to the rung before is too small a bound.
+    """
+
+    def __init__(self, study: Study, physics: Change, start: int, goal: float | None) -> None:
+        self.study, self.physics = study, physics
+        self.goal, self.doubt, self._witnessed = goal, 1.0, False
+        self.way, self.rung, self.rival = self._found(start)
+        self.known: dict[int, _Start] = {}
+        self.grown: dict[int, Growth] = {}
+
+    def at(self, rung: int) -> Change:
+        """Return the settings of a rung."""
+        return self.physics.also(self.way.at(rung))
+
+    def upto(self, starts: Sequence[int], goal: float | None) -> Truth:
+        """Return the converged motion from some starts, sure to a goal [m] if the effort allows."""
+        goal = self.goal if goal is None else goal
+        assert goal is not None
+        self._begin([s for s in starts if s not in self.known])
+        self._refine([s for s in starts if self.known[s].moved * self.doubt > goal], goal)
+        self._witness(starts)
+        own = [self.known[s] for s in starts]
+        grown = self._growth(starts)
+        tracks, scored = Tracks.joined([one.tracks for one in own]), grown.scored(self.times)
+        unsure = self.doubt * np.array([one.moved for one in own])
+        finest = self.at(max(one.rung for one in own))
+        return Truth(tuple(starts), tracks, finest, unsure, scored, grown, goal)
+
+    @property
+    def times(self) -> np.ndarray:
+        return self.study.schedule.times
+
+    def _between(self, a: Tracks, b: Tracks, starts: Sequence[int]) -> np.ndarray:
+        """Return the distance of two motions over what can be predicted [m], (starts,)."""
+        return rms(apart(a, b, self.study.engine.matter), self._scored(starts))
+
+    def _scored(self, starts: Sequence[int]) -> np.ndarray | None:
+        if not all(s in self.grown for s in starts):
+            return None
+        return self._growth(starts).scored(self.times)
+
+    def _growth(self, starts: Sequence[int]) -> Growth:
+        return Growth.joined([self.grown[s] for s in starts])
+
+    def _found(self, start: int) -> tuple[Way, int, float]:
+        """Find the method that settles first from one start: it, its rung, and a rival's distance.
+
+        Without a goal that is a hundredth of the shipped settings' own error.
+        """
+        study = self.study
+        ways = study.engine.ways(study.schedule, self.goal or 1e-3 * study.size)
+        rungs, moved, last = [0] * len(ways), [math.inf] * len(ways), list[Tracks | None]()
+        last += [None] * len(ways)
+        (shipped,) = study.tracks([self.physics], [start])
+        begun, failure = study.spent, ""
+        while True:
+            change = [self.physics.also(way.at(n)) for way, n in zip(ways, rungs, strict=True)]
+            k = min(range(len(ways)), key=lambda k: study.price(change[k], 1))
+            (now,) = study.tracks([change[k]], [start])
+            before, last[k] = last[k], now
+            rungs[k] += 1
+            failure = failure or now.failure
+            if before is not None and not (before.failure or now.failure):
+                moved[k] = float(rms(apart(before, now, study.engine.matter))[0])
+                wrong = float(rms(apart(shipped, now, study.engine.matter))[0])
+                asked = SHARE**2 * wrong if math.isfinite(wrong) else 1e-3 * study.size
+                goal = asked if self.goal is None else self.goal
+                if moved[k] <= goal:
+                    self.goal = goal
+                    break
+                study.tell(wrong, moved[k])
+            if study.spent - begun > FINDING * study.effort or rungs[k] >= RUNGS:
+                k = int(np.argmin(moved))
+                if not math.isfinite(moved[k]):
+                    why = failure or "it does not settle"
+                    raise ValueError(f"the motion itself does not converge: {why}")
+                self.goal = moved[k] if self.goal is None else self.goal
+                break
+        own = last[k]
+        assert own is not None
+        rivals = [
+            (float(rms(apart(own, other, study.engine.matter))[0]), far)
+            for j, (other, far) in enumerate(zip(last, moved, strict=True))
+            if j != k and other is not None and math.isfinite(far)
+        ]
+        # A rival counts against the motion by what its own change does not explain.
+        rival = min((max(0.0, away - far) for away, far in rivals), default=0.0)
+        self.doubt = max(1.0, rival / moved[k]) if moved[k] > 0 and rival > 2 * moved[k] else 1.0
+        return ways[k], rungs[k] - 1, rival
+
+    def _begin(self, starts: Sequence[int]) -> None:
+        """Run new starts at the rung that settled the first one, and at the one before."""
+        if not starts:
+            return
+        rung, study = self.rung, self.study
+        for rung in range(self.rung, self.rung + PATIENCE + 1):
+            before, now = study.tracks([self.at(rung - 1), self.at(rung)], starts)
+            if not now.failure:
+                break
+        if now.failure:
+            raise ValueError(f"the converged motion fails from another start: {now.failure}")
+        self._measure_growth(starts, rung)
+        moved = self._between(before, now, starts)
+        for k, start in enumerate(starts):
+            self.known[start] = _Start(rung, now.some([k]), float(moved[k]))
+
+    def _refine(self, starts: Sequence[int], goal: float) -> None:
+        """Run the starts that still move at finer rungs, as long as that makes them surer."""
+        study, todo = self.study, list(starts)
+        while todo:
+            # Those at one rung go together.
+            rung = min(self.known[s].rung for s in todo) + 1
+            some = [s for s in todo if self.known[s].rung == rung - 1]
+            if rung >= RUNGS or study.spent + study.price(self.at(rung), len(some)) > study.effort:
+                return
+            (finer,) = study.tracks([self.at(rung)], some)
+            if finer.failure:
+                return
+            before = Tracks.joined([self.known[s].tracks for s in some])
+            for k, moved in enumerate(self._between(before, finer, some).tolist()):
+                own = self.known[some[k]]
+                worse = own.worse + 1 if moved > STALLED * own.moved else 0
+                self.known[some[k]] = _Start(rung, finer.some([k]), moved, worse)
+            todo = [
+                s
+                for s in todo
+                if self.known[s].moved * self.doubt > goal and self.known[s].worse < PATIENCE
+            ]
+
+    def _witness(self, starts: Sequence[int]) -> None:
+        """Run the hardest start one rung finer, and doubt all if that moves it no less."""
+        study = self.study
+        hardest = max(starts, key=lambda s: self.known[s].moved)
+        own = self.known[hardest]
+        change = self.at(own.rung + 1)
+        if self._witnessed or study.spent + study.price(change, 1) > study.effort:
+            return
+        self._witnessed = True
+        (finer,) = study.tracks([change], [hardest])
+        if not finer.failure and own.moved > 0:
+            far = float(self._between(own.tracks, finer, [hardest])[0])
+            self.doubt = max(self.doubt, far / own.moved)
+
+    def _measure_growth(self, starts: Sequence[int], rung: int) -> None:
+        """Measure until when the motion from some starts can be predicted.
+
+        Steps within an accuracy differ from run to run, so growth is measured at fixed ones there.
+        Where it ends, finer rungs must show the same end: a coarse motion may be unstable itself.
+        """
+        study, last = self.study, None
+        way = self.way if self.way.fixed else study.engine.ways(study.schedule, 1.0)[0]
+        first = max(1, rung - 1) if self.way.fixed else 2
+        for finer in range(FINER + 1):
+            change = self.physics.also(way.at(first + finer))
+            now = growth(study.engine, change, study.schedule, starts, study.size)
+            study.spent += study.price(change, 2 * len(starts))
+            ends = now.failure or np.isfinite(now.ends).any()
+            if not ends or (last is not None and now.agrees(last, AGREE)):
+                break
+            if study.spent + study.price(change, 4 * len(starts)) > study.effort:
+                break
+            last = now
+        for k, start in enumerate(starts):
+            self.grown[start] = now.some([k])
