@@ -13,18 +13,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from stepcore.experiment.change import Change
-from stepcore.experiment.engines import Way
+from stepcore.experiment.engines import Engine, Way
 from stepcore.experiment.norm import Tracks, apart, rms
 from stepcore.experiment.predictable import Growth, growth
+from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import metres
-
-if TYPE_CHECKING:
-    from stepcore.experiment.study import Study
 
 # The converged motion is known to this share of the error in question.
 SHARE = 0.1
@@ -37,6 +35,20 @@ RUNGS = 20
 FINDING = 0.25
 # Where growth ends within the horizon it is measured at finer rungs too, until two agree so well.
 AGREE, FINER = 0.2, 3
+
+
+class Runs(Protocol):
+    """What a converged motion needs of a `Study`; its members are described there."""
+
+    engine: Engine
+    schedule: Schedule
+    size: float
+    effort: float
+    spent: float
+
+    def tracks(self, changes: Sequence[Change], starts: Sequence[int]) -> list[Tracks]: ...
+    def price(self, change: Change, starts: int) -> float: ...
+    def tell(self, wrong: float, moved: float) -> None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +100,7 @@ class Converging:
     distance to the rung before is too small a bound.
     """
 
-    def __init__(self, study: Study, physics: Change, start: int, goal: float | None) -> None:
+    def __init__(self, study: Runs, physics: Change, start: int, goal: float | None) -> None:
         self.study, self.physics = study, physics
         self.goal, self.doubt, self._witnessed = goal, 1.0, False
         self.way, self.rung, self.rival = self._found(start)
