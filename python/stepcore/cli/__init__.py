@@ -1,6 +1,6 @@
 """The command line: `stepcore COMMAND`, also `python -m stepcore`.
 
-The module of a command contains the help (`TEXTS`), adds the options (`add`) and runs the command
+The module of a command has its help (`text`), adds the options (`add`) and runs the command
 (`call`). Only the module of the requested command is imported.
 """
 
@@ -211,7 +211,7 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
             commands.add_parser(name, help=summary)
             continue
         module = importlib.import_module(f"stepcore.cli.{MODULES.get(name, 'measurements')}")
-        text, _, example = module.TEXTS[name].strip().partition("\n\nExample")
+        text, _, example = module.text(name).partition("\n\nExample")
         command = commands.add_parser(
             name, help=summary, description=text, epilog=f"example{example}"
         )

@@ -35,6 +35,11 @@ PACKAGES = (
 WIDTH = 16
 
 
+def text(name: str) -> str:
+    """Return the description of a command and its example."""
+    return TEXTS[name]
+
+
 def add(command: argparse.ArgumentParser, name: str) -> None:
     """Add the options of a command."""
     if name == "lesson":

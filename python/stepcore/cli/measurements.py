@@ -1,4 +1,4 @@
-"""The measuring commands, each of which calls the function of the same name."""
+"""The measuring commands: each calls the function of its name, whose docstring is its help."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import importlib
 import inspect
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +32,8 @@ from stepcore.experiment import schedule
 from stepcore.report.result import Result
 
 LIST = "numbers a,b,c or FIRST:LAST:COUNT on a log scale"
+# A line of a docstring that begins the description of arguments: "dts [s], values: the axes".
+ARGUMENT = re.compile(r"((?:\w+(?: \[\w+\])?(?:, )?)+): (.*)")
 # Returns further arguments of the measuring function, from the command line and the model.
 More = Callable[[argparse.Namespace, Model], Mapping[str, Any]]
 
@@ -39,17 +42,18 @@ More = Callable[[argparse.Namespace, Model], Mapping[str, Any]]
 class Measurement:
     """A command that calls the measuring function of the same name.
 
-    module: the module of the function. text: the help. options: the options by function argument;
-    "flags" gives the option's name where it differs from the argument. excluding: mutually
-    exclusive options. full: the description of --all in the help. warn: whether to warn of
-    stiffness, as `stepcore.load` does; False if the result reports stiffness in detail. model: the
-    settings of the argument FILE. motion: defaults shown in the help; None for a command without a
-    motion. key: whether such a command has a keyframe. source: whether the function may read the
-    file itself. more: further arguments of the function. done: what follows a call.
+    module: the module of the function. example: the arguments of an example.
+    options: what argparse is told of each option, by function argument. Its "help" is what the
+    function's docstring says of the argument; "flags" are the option's names if these differ.
+    excluding: mutually exclusive options. full: the description of --all in the help. warn: whether
+    to warn of stiffness, as `stepcore.load` does; False if the result reports stiffness in detail.
+    model: the settings of the argument FILE. motion: defaults shown in the help; None for a command
+    without a motion. key: whether such a command has a keyframe. source: whether the function may
+    read the file itself. more: further arguments of the function. done: what follows a call.
     """
 
     module: str
-    text: str
+    example: str
     options: Mapping[str, Mapping[str, Any]]
     excluding: tuple[str, ...] = ()
     full: str = "print every row of the tables"
@@ -69,17 +73,51 @@ def _function(name: str) -> Callable[..., Any]:
     return function
 
 
+def text(name: str) -> str:
+    """Return the description of a command and its example."""
+    said, _ = documented(_function(name))
+    return f"{said}\n\nExample:\n  stepcore {name} {MEASUREMENTS[name].example}"
+
+
+def documented(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
+    """Return what a docstring says of a function, and of each of its arguments."""
+    said, arguments = list[str](), dict[str, str]()
+    described = list[str]()
+    for line in (inspect.getdoc(function) or "").splitlines():
+        begins = ARGUMENT.match(line)
+        if begins:
+            described = re.sub(r" \[\w+\]", "", begins[1]).split(", ")
+            arguments |= dict.fromkeys(described, begins[2])
+        elif described and line.startswith("    "):
+            for name in described:
+                arguments[name] += " " + line.strip()
+        elif arguments:
+            break
+        else:
+            said.append(line)
+    return "\n".join(said).strip(), arguments
+
+
 def add(command: argparse.ArgumentParser, name: str) -> None:
-    """Add the options of a command, with the defaults of its function."""
+    """Add the options of a command, with the words and defaults of its function."""
     measurement, function = MEASUREMENTS[name], _function(name)
-    takes = inspect.signature(function).parameters
+    takes, (_, words) = inspect.signature(function).parameters, documented(function)
     add_file(command, **(measurement.model or {}))
     alternatives = command.add_mutually_exclusive_group() if measurement.excluding else command
     for argument, option in measurement.options.items():
-        keywords = dict(option)
+        keywords = {"help": words.get(argument, "").replace("%", "%%").rstrip(".")} | dict(option)
         flags = keywords.pop("flags", (f"--{argument}",))
-        if argument in takes and "action" not in keywords:
-            keywords.setdefault("default", takes[argument].default)
+        default = takes[argument].default if argument in takes else None
+        if "action" not in keywords:
+            known = default not in (None, inspect.Parameter.empty)
+            default = keywords.setdefault("default", default if known else None)
+            if known and "default" not in keywords["help"]:
+                number = "g" if isinstance(default, float) else "s"
+                keywords["help"] += f" (default: %(default){number})"
+        elif keywords["action"] == "append":
+            keywords["help"] += "; may be given several times"
+        if keywords.get("metavar") == "LIST":
+            keywords["help"] += f" ({LIST})"
         if flags[0].startswith("-"):
             keywords["dest"] = argument
         to = alternatives if argument in measurement.excluding else command
@@ -116,7 +154,7 @@ def call(args: argparse.Namespace, name: str) -> Result:
     return result
 
 
-def _checked(result: Any, args: argparse.Namespace) -> None:
+def _name_the_file(result: Any, args: argparse.Namespace) -> None:
     """Give the commands recommended by a check the same file and motion."""
     from stepcore.measure.check import file_in_words
 
@@ -125,12 +163,17 @@ def _checked(result: Any, args: argparse.Namespace) -> None:
     result.options = {name: str(value) for name, value in said.items() if value is not None}
 
 
-def _ablated(result: Any, args: argparse.Namespace) -> None:
+def _save_smallest(result: Any, args: argparse.Namespace) -> None:
     if args.save is not None:
         result.smallest.save(args.save)
 
 
-def _planned(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
+def _save_identified(result: Any, args: argparse.Namespace) -> None:
+    if args.save is not None:
+        result.model.scene.save(args.save)
+
+
+def _sim_at_key(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
     if args.key is None:
         return {}
     sim = Sim(model)
@@ -139,12 +182,12 @@ def _planned(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
 
 
 def _lists(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
+    """Return the lists of values, time steps and accuracies of a map."""
+    read: dict[str, Callable[[str], float]] = {"values": float, "dts": time, "accuracies": length}
+    given = {name: getattr(args, name) for name in read}
     return {
-        "values": None if args.values is None else numbers("--values", args.values),
-        "dts": None if args.dts is None else numbers("--dts", args.dts, time),
-        "accuracies": (
-            None if args.accuracies is None else numbers("--accuracies", args.accuracies, length)
-        ),
+        name: None if words is None else numbers(f"--{name}", words, read[name])
+        for name, words in given.items()
     }
 
 
@@ -164,7 +207,7 @@ def numbers(option: str, text: str, read: Callable[[str], float] = float) -> lis
     return [low * ratio**k for k in range(some)]
 
 
-def _ranges(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
+def _logs_and_ranges(args: argparse.Namespace, model: Model) -> Mapping[str, Any]:
     """Return the logs and the ranges of the parameters of an identification."""
     ranges = {}
     for text in args.parameters:
@@ -188,78 +231,35 @@ def _log(text: str) -> Any:
     return {name: file for name, _, file in parts} if apart else text
 
 
-def _identified(result: Any, args: argparse.Namespace) -> None:
-    if args.save is not None:
-        result.model.scene.save(args.save)
-
+LENGTH = {"metavar": "LENGTH"}
+DT = {"type": time, "metavar": "S"}
+COUNT = {"type": int, "metavar": "N"}
+NAMES = {"action": "append", "metavar": "NAME"}
 
 MEASUREMENTS = {
     "check": Measurement(
         "stepcore.measure.check",
-        """\
-Look for what makes a model misbehave, in seconds: overlaps, masses that no real thing
-has, units that look like mm or degrees, states outside of limits, servos that are too weak, too
-stiff or saturated, contacts that creep or sink in; then the element that limits the time step. Each
-finding names its cure. The first command to run on a scene that misbehaves.
-
-Example:
-  stepcore check gymnasium:half_cheetah
-""",
-        {
-            "depth": {
-                "metavar": "LENGTH",
-                "help": "name the solref with which contacts rest at this depth: metres, or "
-                '"0.1mm"',
-            }
-        },
+        "gymnasium:half_cheetah",
+        {"depth": LENGTH},
         warn=False,
         motion={},
         source=True,
-        done=_checked,
+        done=_name_the_file,
     ),
     "trade": Measurement(
         "stepcore.measure.trade",
-        """\
-Run a model under many settings and compare each with a converged run: what speed costs in
-accuracy. Given an error or a budget, recommend settings and confirm them on further starts.
-
-Example:
-  stepcore trade gymnasium:half_cheetah --error 1mm --plot trade.png
-""",
+        "gymnasium:half_cheetah --error 1mm --plot trade.png",
         {
-            "error": {
-                "metavar": "LENGTH",
-                "help": 'recommend the cheapest settings within this error: metres, "1mm" or '
-                '"0.1%%" of the scene\'s size',
-            },
-            "budget": {
-                "metavar": "COST",
-                "help": 'recommend the most accurate settings within this cost: "20us/step", '
-                '"5ms/s", or "100x" real time',
-            },
-            "further": {
-                "type": int,
-                "metavar": "N",
-                "help": "number of further starts that must confirm a recommendation (default: "
-                "%(default)s)",
-            },
-            "by": {
-                "choices": ("time", "flops"),
-                "help": "cost metric: wall time or floating-point operations (default: "
-                "%(default)s)",
-            },
+            "error": LENGTH,
+            "budget": {"metavar": "COST"},
+            "further": COUNT,
+            "by": {"choices": ("time", "flops")},
             "grid": {
                 "action": "store_true",
                 "help": "try a full grid of settings instead of a search",
             },
-            "effort": {
-                "type": float,
-                "metavar": "STEPS",
-                "help": "the most that the converged motion may cost, in steps × (dofs + 2); a "
-                "larger one knows errors better and judges shorter time steps (default: "
-                "%(default)g)",
-            },
-            "mujoco": {"action": "store_true", "help": "run MuJoCo on the same motion too"},
+            "effort": {"type": float, "metavar": "STEPS"},
+            "mujoco": {"action": "store_true"},
         },
         excluding=("error", "budget"),
         full="print every setting",
@@ -268,79 +268,29 @@ Example:
     ),
     "predict": Measurement(
         "stepcore.measure.predictability",
-        """\
-Measure how long a model's motion can be predicted: until runs that start a rounding error
-apart are a thousand times as far apart. Beyond that time only statistics of the motion mean
-anything, whatever the settings.
-
-Example:
-  stepcore predict gymnasium:ant --horizon 5 --plot growth.png
-""",
+        "gymnasium:ant --horizon 5 --plot growth.png",
         {},
         motion={},
     ),
     "diagnose": Measurement(
         "stepcore.measure.diagnosis",
-        """\
-Find the element that limits the time step under each integrator: a spring, damper, servo,
-contact, limit or connect, with its frequency and damping. For a time step that is not stable,
-list changes of the model or the settings that make it so.
-
-Example:
-  stepcore diagnose gymnasium:half_cheetah --dt 0.01
-""",
-        {
-            "dt": {
-                "type": time,
-                "metavar": "S",
-                "help": "time step that is wanted [s] (default: the model's)",
-            }
-        },
+        "gymnasium:half_cheetah --dt 0.01",
+        {"dt": DT},
         full="print every element on its own, under every integrator",
         warn=False,
         motion={},
     ),
     "stability-map": Measurement(
         "stepcore.measure.stability",
-        """\
-Map the stability and accuracy of a model over the time step and one of its values (a
-stiffness, a mass, a gain). There is one map for each integrator, with the stability limit from
-theory.
-
-Example:
-  stepcore stability-map lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png
-""",
+        "lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png",
         {
-            "path": {
-                "flags": ("path",),
-                "metavar": "VALUE",
-                "nargs": "?",
-                "help": 'value to vary, such as "joint/knee/stiffness"',
-            },
-            "values": {"metavar": "LIST", "help": f"values to try: {LIST}"},
-            "dts": {"metavar": "LIST", "help": f"time steps to try [s]: {LIST}"},
-            "accuracies": {
-                "metavar": "LIST",
-                "help": f"accuracies that steps are to keep over the horizon [m]: {LIST}; the map "
-                "shows the error delivered over the one asked for",
-            },
-            "integrators": {
-                "flags": ("--integrator",),
-                "action": "append",
-                "metavar": "NAME",
-                "help": "integrator to map; may be given several times",
-            },
-            "deviation": {
-                "flags": ("--deviation", "--error"),
-                "metavar": "E",
-                "help": "deviation from the true motion above which a run is inaccurate: metres, "
-                "1mm, or a percentage of the scene's size (default: 10%%)",
-            },
-            "size": {
-                "type": length,
-                "metavar": "M",
-                "help": "length that deviations are relative to [m] (default: the scene's size)",
-            },
+            "path": {"flags": ("path",), "metavar": "VALUE", "nargs": "?"},
+            "values": {"metavar": "LIST"},
+            "dts": {"metavar": "LIST"},
+            "accuracies": {"metavar": "LIST"},
+            "integrators": {"flags": ("--integrator",), **NAMES},
+            "deviation": {"flags": ("--deviation", "--error"), "metavar": "E"},
+            "size": {"type": length, "metavar": "M"},
         },
         model={
             "nargs": "?",
@@ -353,34 +303,14 @@ Example:
     ),
     "converge": Measurement(
         "stepcore.measure.convergence",
-        """\
-Test whether the solver's sweeps converge the contact forces of a model. The report says
-which contacts are furthest from converged, how fast the sweeps converge, and whether more sweeps or
-smaller time steps reduce the error more for the same work.
-
-Example:
-  stepcore converge lesson:stack --plot residual.png
-""",
-        {
-            "states": {
-                "type": int,
-                "metavar": "N",
-                "help": "number of states at which sweeps are measured (default: %(default)s)",
-            }
-        },
+        "lesson:stack --plot residual.png",
+        {"states": COUNT},
         full="print every row, all runs of equal work, the residual by sweeps",
         motion={},
     ),
     "identify": Measurement(
         "stepcore.measure.identification",
-        """\
-Find values of a model in logs of its motion: masses, friction, damping, gains, the delay
-of the controls. The answer has intervals, says which values the logs cannot tell apart, and how
-much of the residual the time step makes.
-
-Example:
-  stepcore identify arm.xml log.csv --parameters joint/hinge/damping=0.01:2
-""",
+        "arm.xml log.csv --parameters joint/hinge/damping=0.01:2",
         {
             "logs": {
                 "flags": ("logs",),
@@ -393,67 +323,30 @@ Example:
             "parameters": {
                 "nargs": "+",
                 "required": True,
-                "default": None,
                 "metavar": "PATH=LOW:HIGH",
                 "help": "a value to find and its range, such as joint/knee/damping=0.01:2, or "
                 "delay=0:0.05 [s] of the controls",
             },
-            "most": {
-                "type": int,
-                "metavar": "N",
-                "help": "largest number of iterations (default: %(default)s)",
-            },
+            "most": COUNT,
             "save": {"metavar": "OUT.xml", "help": "write the model with the values found as MJCF"},
         },
         key=False,
-        more=_ranges,
-        done=_identified,
+        more=_logs_and_ranges,
+        done=_save_identified,
     ),
     "tune": Measurement(
         "stepcore.measure.tune",
-        """\
-Find kp and kv of position servos for a wanted bandwidth, settling time or sag; or solref and
-solimp of contacts for a wanted stiffness, depth, settling time or force noise. Every proposal is
-run before it is printed, with the value that the run shows, as MJCF attributes to paste.
-
-Example:
-  stepcore tune arm.xml --bandwidth 5
-""",
+        "arm.xml --bandwidth 5",
         {
-            "bandwidth": {"type": float, "metavar": "HZ", "help": "of servos, -3 dB [Hz]"},
-            "settling": {
-                "type": time,
-                "metavar": "S",
-                "help": "time in which a step of the target (or of a contact's load) settles "
-                "within 2 %% [s]",
-            },
-            "sag": {
-                "type": float,
-                "metavar": "X",
-                "help": "of servos, distance from the target under the load of the pose [rad or m]",
-            },
-            "stiffness": {
-                "type": float,
-                "metavar": "N/M",
-                "help": "of the contacts of a geom together [N/m]",
-            },
-            "depth": {"metavar": "LENGTH", "help": 'of contacts at rest: metres, or "0.1mm"'},
-            "noise": {"type": float, "metavar": "N", "help": "of contact forces at rest, RMS [N]"},
-            "servo": {
-                "action": "append",
-                "metavar": "NAME",
-                "help": "a position servo; may be given several times (default: all)",
-            },
-            "geom": {
-                "action": "append",
-                "metavar": "NAME",
-                "help": "a geom; may be given several times (default: those at rest after 2 s)",
-            },
-            "dt": {
-                "type": time,
-                "metavar": "S",
-                "help": "time step that is wanted [s] (default: the model's)",
-            },
+            "bandwidth": {"type": float, "metavar": "HZ"},
+            "settling": DT,
+            "sag": {"type": float, "metavar": "X"},
+            "stiffness": {"type": float, "metavar": "N/M"},
+            "depth": LENGTH,
+            "noise": {"type": float, "metavar": "N"},
+            "servo": NAMES,
+            "geom": NAMES,
+            "dt": DT,
         },
         excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
         warn=False,
@@ -461,40 +354,20 @@ Example:
     ),
     "plan": Measurement(
         "stepcore.measure.plan",
-        """\
-List what a step of a model computes and how many operations each entry costs, and what the
-step leaves out and why.
-
-Example:
-  stepcore plan gymnasium:half_cheetah --time
-""",
-        {"time": {"action": "store_true", "help": "also measure times [µs]"}},
+        "gymnasium:half_cheetah --time",
+        {"time": {"action": "store_true"}},
         full="print every entry, the names of all its elements",
-        more=_planned,
+        more=_sim_at_key,
     ),
     "ablate": Measurement(
         "stepcore.measure.ablation",
-        """\
-Remove each modelled feature in turn (friction, damping, limits, a geom, ...) and measure
-how much work that saves and how much error it adds; then find the smallest model within an error.
-
-Example:
-  stepcore ablate gymnasium:half_cheetah --error 5mm --save small.xml
-""",
+        "gymnasium:half_cheetah --error 5mm --save small.xml",
         {
-            "added": {
-                "flags": ("--added", "--error"),
-                "default": "1mm",
-                "metavar": "LENGTH",
-                "help": 'error that the smallest model may add: metres, "1mm" or "0.1%%" of the '
-                "scene's size (default: %(default)s)",
-            },
+            "added": {"flags": ("--added", "--error"), "default": "1mm", **LENGTH},
             "save": {"metavar": "OUT.xml", "help": "write the smallest model as MJCF"},
         },
         full="print every feature",
         motion={},
-        done=_ablated,
+        done=_save_smallest,
     ),
 }
-
-TEXTS = {name: measurement.text for name, measurement in MEASUREMENTS.items()}

@@ -57,6 +57,11 @@ Example:
 }
 
 
+def text(name: str) -> str:
+    """Return the description of a command and its example."""
+    return TEXTS[name]
+
+
 def add(command: argparse.ArgumentParser, name: str) -> None:
     """Add the options of a command."""
     if name == "replay":

@@ -25,8 +25,7 @@ from stepcore.experiment.control_table import control_table
 from stepcore.measure.run import simulated
 from stepcore.viewing.needs import need
 
-TEXTS = {
-    "view": """\
+TEXT = """\
 Watch a model move, in a browser: paused, stepped, taken back in time, with sliders for its
 controls, contact forces, energy and the residual. It prints the address of the page, which a
 browser on another machine can open too (--host 0.0.0.0). With --html it runs the model and writes
@@ -35,9 +34,13 @@ a page that replays the run, which anybody opens without Python.
 Example:
   stepcore view gymnasium:half_cheetah --ctrl bthigh=1,fthigh=-1 --html run.html
 """
-}
 # Default horizon of the run on a page [s].
 HORIZON = 5.0
+
+
+def text(name: str) -> str:
+    """Return the description of the command and its example."""
+    return TEXT
 
 
 def add(command: argparse.ArgumentParser, name: str) -> None:
