@@ -5,8 +5,7 @@ import pytest
 from covering import every_pair
 
 import stepcore as sc
-from stepcore.engine.parameter_columns import split_entry
-from stepcore.engine.variations import own_value
+from stepcore.engine.parameters import own_value, split_entry
 
 # Of the first derivative, to the eighth power of the distance (Fornberg 1988).
 WEIGHTS = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}

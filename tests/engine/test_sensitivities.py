@@ -5,8 +5,7 @@ import pytest
 from test_linearize_by_parameters import ARM, PATHS
 
 import stepcore as sc
-from stepcore.engine.rollout_steps import Steps
-from stepcore.engine.sensitivities import sensitivities
+from stepcore.engine.rollout_steps import Steps, sensitivities
 
 STEPS = 40
 

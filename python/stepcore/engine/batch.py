@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -14,16 +15,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, indices_of, kept, last_of, numbers, snapshot
-from stepcore.engine.gradients import Differentiable
-from stepcore.engine.linear_steps import LinearWorlds
-from stepcore.engine.parameters import Parameters
+from stepcore.engine import gradients
+from stepcore.engine.arrays import INPUTS, Floats, indices_of, kept, last_of, numbers, snapshot
+from stepcore.engine.gradients import Gradients
+from stepcore.engine.linearization import Linearizations, LinearWorlds
+from stepcore.engine.parameters import Parameters, columns
 from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
+from stepcore.engine.rollout_steps import X
 from stepcore.engine.sums import Momentum
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import recordable
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
-from stepcore.engine.world import compiled
+from stepcore.engine.world import World, compiled
 from stepcore.signatures import refuse_unknown_settings, takes_settings
 
 if TYPE_CHECKING:
@@ -44,7 +47,7 @@ WORTH_THREADS = 2000
 ON_FAILURE = ("stop", "go on")
 
 
-class Batch(Differentiable):
+class Batch(World):
     """A simulation of many worlds of a model.
 
     The arrays are those of a `Sim` with a leading world axis: an array documented with shape (nq,)
@@ -193,6 +196,86 @@ class Batch(Differentiable):
                 states = Rollout(*self._core.rollout(table, told)[:3])
         self._told(steps)
         return states
+
+    def linearize(self, parameters: Sequence[str] = ()) -> Linearizations:
+        """Linearise the next step of every world about its state, without taking the step.
+
+        parameters: paths as in `Sim.linearize`, whose errors it raises.
+
+        Worlds share the batch's threads. The states of a trajectory, one to a world, are linearised
+        in one call. The solver starts from no impulses, as after a reset; one that converges
+        forgets its start.
+
+        >>> from stepcore import Batch, lesson
+        >>> batch = Batch(lesson.spring(), 3, dt=0.01, integrator="semi-implicit")
+        >>> batch.linearize().A.shape
+        (3, 2, 2)
+        """
+        by = columns(self._model, parameters)
+        states = {name: np.array(getattr(self, name))[:, None] for name in (*X, *INPUTS)}
+        return Linearizations(self._model, self._linearised_worlds().linear(states, by), by)
+
+    def _linearised_worlds(self) -> LinearWorlds:
+        """Return the worlds as they are linearised, which are kept until a parameter is set."""
+        models = self._param.models()
+        if self._linear_worlds is None or self._linear_worlds.models is not models:
+            self._linear_worlds = LinearWorlds(models, self._threads)
+        return self._linear_worlds
+
+    def vjp(
+        self,
+        ctrl: ArrayLike,
+        qpos: ArrayLike | None = None,
+        qvel: ArrayLike | None = None,
+        act: ArrayLike | None = None,
+        parameters: Sequence[str] = (),
+        error_bar: bool = False,
+    ) -> Gradients:
+        """Step with given controls, and return the gradient of a sum of the states, backward.
+
+        ctrl: shape (n, steps, nu), as in `rollout`.
+        qpos, qvel, act: the gradient of a number by the states after each step, shapes
+            (n, steps, nq), …; None for zero.
+        parameters: paths as in `Sim.linearize`.
+        error_bar: take the same gradient in steps half as long as well, which costs twice as much
+            again: `error` is how far apart both are. Not of a scene with late controls.
+
+        Each step is differentiated exactly where it began, its rows solved to rounding; see
+        `Sim.linearize`. Kept are the states and the gradient by each. Worlds share the batch's
+        threads, and the batch ends where the rollout ends. Warns (`GradientWarning`) where a
+        gradient grows without bound, and where its error is more than half of it.
+
+        >>> import numpy as np
+        >>> from stepcore import Batch, lesson
+        >>> batch = Batch(lesson.spring(), 1, dt=0.01, integrator="semi-implicit")
+        >>> batch.reset("start")
+        >>> ends = np.zeros((1, 50, 1))
+        >>> ends[0, -1] = 1.0
+        >>> found = batch.vjp(np.zeros((1, 50, 0)), ends, parameters=["joint/spring/stiffness"])
+        >>> list(found.parameters), found.qvel.shape
+        (['joint/spring/stiffness'], (1, 1))
+        """
+        given = {"qpos": qpos, "qvel": qvel, "act": act}
+        return gradients.vjp(self, ctrl, given, parameters, error_bar)
+
+    def jvp(
+        self,
+        ctrl: ArrayLike,
+        qpos: ArrayLike | None = None,
+        qvel: ArrayLike | None = None,
+        act: ArrayLike | None = None,
+        ctrl_change: ArrayLike | None = None,
+        parameters: Mapping[str, ArrayLike] = MappingProxyType({}),
+    ) -> tuple[Rollout, Rollout]:
+        """Step with given controls; return the states, and how they change with their causes.
+
+        ctrl: shape (n, steps, nu), as in `rollout`.
+        qpos, qvel, act: changes of the initial state, shapes (n, nq), (n, nv), (n, na).
+        ctrl_change: changes of the controls, shape (n, steps, nu).
+        parameters: changes of parameters by label, numbers or of shape (n,); see `vjp`.
+        """
+        given = {"qpos": qpos, "qvel": qvel, "act": act}
+        return gradients.jvp(self, ctrl, given, ctrl_change, parameters)
 
     def _told(self, steps: int) -> None:
         """Warn of rows that stay unsolved, unless another thread is using the batch."""

@@ -13,7 +13,6 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import INPUTS, STATE, Floats, refuse_late
 from stepcore.engine.control import ControlError, controls, fresh
 from stepcore.engine.run_settings import converged_settings
-from stepcore.engine.world import World
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -37,54 +36,6 @@ class ErrorBar(NamedTuple):
 
     rms: float
     largest: float
-
-
-class Judged(World):
-    """A world that can run beside a finer one."""
-
-    _finer: FinerRun | None
-
-    @property
-    def error(self) -> ErrorBar:
-        """The estimated error in position [m] since the state was last written: RMS and largest.
-
-        A body's error is the RMS displacement of its mass: the distance between centres of mass,
-        and the turn times the radius of gyration. It is the distance from a finer run under the
-        same inputs, from `error_bar=True`. inf: it is not known, see `predictable_until`.
-
-        >>> from stepcore import Sim, lesson
-        >>> sim = Sim(lesson.spring(), dt=0.01, error_bar=True)
-        >>> sim.reset("start")
-        >>> sim.step(100)
-        >>> 0.01 < sim.error.largest < 0.1
-        True
-        """
-        finer = self._judge()
-        each = finer.errors()[finer.moving]
-        if not len(each):
-            return ErrorBar(0.0, 0.0)
-        return ErrorBar(float(np.sqrt(np.mean(each**2))), float(each.max()))
-
-    @property
-    def body_error(self) -> Floats:
-        """The estimated error of each body in position [m], shape (nbody,); see `error`."""
-        return self._judge().errors()
-
-    @property
-    def predictable_until(self) -> float:
-        """The time from which no error is known [s]; inf while one is.
-
-        From then on the finer run is elsewhere, by more than a tenth of the scene's lengths, or has
-        failed: the step is far too long, or the motion is one in which every error grows.
-        `stepcore.predict` tells which.
-        """
-        return self._judge().until
-
-    def _judge(self) -> FinerRun:
-        if self._finer is None:
-            raise ValueError("error: not measured; ask for it with Sim(…, error_bar=True)")
-        self._finer.meet()
-        return self._finer
 
 
 class FinerRun:

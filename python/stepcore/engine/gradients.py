@@ -1,23 +1,20 @@
-"""Derivatives of rollouts of many worlds, forward and backward, from the exact one of each step."""
+"""Gradients of rollouts on their way back through the steps, and what makes them say nothing."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
-from stepcore.engine.adjoints import Adjoints, adjoints, apart, grown, parted, spread
-from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers, refuse_late
-from stepcore.engine.linearization import Linearizations
-from stepcore.engine.parameter_columns import columns, split_entry
+from stepcore.engine.arrays import STATE, Floats, numbers, refuse_late
+from stepcore.engine.parameters import split_entry
 from stepcore.engine.rollout import Rollout
-from stepcore.engine.rollout_steps import Steps, X, linear_worlds, rows_of
-from stepcore.engine.world import World
+from stepcore.engine.rollout_steps import Steps, rows_of
+from stepcore.engine.sim import Sim, unwatched
 
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
@@ -26,6 +23,11 @@ if TYPE_CHECKING:
 GROWTH = 1e6
 # One that is another by this share of itself in steps half as long says nothing either.
 APART = 0.5
+TINY = np.finfo(float).tiny
+# Of what is asked: a share below which nothing is said of the initial state.
+LEFT = 1e-6
+# Steps before and after one, in which its contact is looked for.
+NEAR = 50
 
 
 class GradientWarning(UserWarning):
@@ -58,13 +60,6 @@ class Gradients(NamedTuple):
     growth: Floats
     one_sided: list[tuple[int, int, str]]
     error: Floats | None = None
-
-
-def linearizations(batch: Batch, parameters: Sequence[str]) -> Linearizations:
-    """See `Batch.linearize`."""
-    by = columns(batch.model, parameters)
-    states = {name: np.array(getattr(batch, name))[:, None] for name in (*X, *INPUTS)}
-    return Linearizations(batch.model, linear_worlds(batch).linear(states, by), by)
 
 
 def vjp(
@@ -240,76 +235,165 @@ def jvp(
     return steps.rollout, Rollout(qpos, dv, dw)
 
 
-class Differentiable(World):
-    """Worlds whose steps and rollouts have derivatives."""
+class Adjoints(NamedTuple):
+    """A gradient by the states, from the last to the first.
 
-    def linearize(self: Any, parameters: Sequence[str] = ()) -> Linearizations:
-        """Linearise the next step of every world about its state, without taking the step.
+    rows: by the state where each step begins, and after the last: shape (n, steps + 1, size of x).
+    after: by the state after each step, with what is asked of that itself, (n, steps, size of x).
+    ctrl: by the controls, (n, steps, nu). values: by the parameters, (n, parameters).
+    ctrl_terms: the sum of the sizes of what those by the controls are sums of, (n,).
+    sizes: of a row, (n, steps). factors: by how much each step makes it larger.
+    sided: (world, step, element) where a row is exactly at its switch.
+    """
 
-        parameters: paths as in `Sim.linearize`, whose errors it raises.
+    rows: Floats
+    after: Floats
+    ctrl: Floats
+    values: Floats
+    ctrl_terms: Floats
+    sizes: Floats
+    factors: Floats
+    sided: list[tuple[int, int, str]]
 
-        Worlds share the batch's threads. The states of a trajectory, one to a world, are linearised
-        in one call. The solver starts from no impulses, as after a reset; one that converges
-        forgets its start.
 
-        >>> from stepcore import Batch, lesson
-        >>> batch = Batch(lesson.spring(), 3, dt=0.01, integrator="semi-implicit")
-        >>> batch.linearize().A.shape
-        (3, 2, 2)
-        """
-        return linearizations(self, parameters)
+def adjoints(steps: Steps, weights: Floats) -> Adjoints:
+    """Go back through a rollout.
 
-    def vjp(
-        self: Any,
-        ctrl: ArrayLike,
-        qpos: ArrayLike | None = None,
-        qvel: ArrayLike | None = None,
-        act: ArrayLike | None = None,
-        parameters: Sequence[str] = (),
-        error_bar: bool = False,
-    ) -> Gradients:
-        """Step with given controls, and return the gradient of a sum of the states, backward.
+    weights: the gradient by the state after each step, (n, steps, size of x).
+    """
+    model, (n, count, size) = steps.batch.model, weights.shape
+    rows, after = np.zeros((n, count + 1, size)), np.array(weights)
+    ctrl, ctrl_terms = np.zeros((n, count, model.nu)), np.zeros(n)
+    values = np.zeros((n, len(steps.by)))
+    sided = list[tuple[int, int, str]]()
+    for share in steps.shares():
+        own = share.own
+        for block in reversed(steps.blocks()):
+            A, B, P, degenerate = share.linear(block)
+            sided += [
+                (share.worlds[world], block[k], model.element_name(*element))
+                for world, k, element in degenerate
+            ]
+            for k in reversed(range(len(block))):
+                step = block[k]
+                after[own, step] += rows[own, step + 1]
+                rows[own, step] = np.matmul(after[own, step, None], A[:, k])[:, 0]
+            some = slice(block[0], block[-1] + 1)
+            each = after[own, some, None]
+            ctrl[own, some] = np.matmul(each, B)[:, :, 0]
+            ctrl_terms[own] += np.matmul(np.abs(each), np.abs(B)).sum(axis=(1, 2, 3))
+            values[own] += np.matmul(each, P)[:, :, 0].sum(axis=1)
+    sizes = np.linalg.norm(rows[:, :-1], axis=2)
+    asked = np.linalg.norm(after, axis=2)
+    factors = np.where(asked > 0, sizes / np.maximum(asked, TINY), 1.0)
+    sided.sort(key=lambda one: one[:2])
+    return Adjoints(rows, after, ctrl, values, ctrl_terms, sizes, factors, sided)
 
-        ctrl: shape (n, steps, nu), as in `rollout`.
-        qpos, qvel, act: the gradient of a number by the states after each step, shapes
-            (n, steps, nq), …; None for zero.
-        parameters: paths as in `Sim.linearize`.
-        error_bar: take the same gradient in steps half as long as well, which costs twice as much
-            again: `error` is how far apart both are. Not of a scene with late controls.
 
-        Each step is differentiated exactly where it began, its rows solved to rounding; see
-        `Sim.linearize`. Kept are the states and the gradient by each. Worlds share the batch's
-        threads, and the batch ends where the rollout ends. Warns (`GradientWarning`) where a
-        gradient grows without bound, and where its error is more than half of it.
+def spread(rows: Floats) -> Floats:
+    """What is asked of each state, asked after the second of two steps; (n, steps, …)."""
+    out = np.zeros((rows.shape[0], 2 * rows.shape[1], *rows.shape[2:]))
+    out[:, 1::2] = rows
+    return out
 
-        >>> import numpy as np
-        >>> from stepcore import Batch, lesson
-        >>> batch = Batch(lesson.spring(), 1, dt=0.01, integrator="semi-implicit")
-        >>> batch.reset("start")
-        >>> ends = np.zeros((1, 50, 1))
-        >>> ends[0, -1] = 1.0
-        >>> found = batch.vjp(np.zeros((1, 50, 0)), ends, parameters=["joint/spring/stiffness"])
-        >>> list(found.parameters), found.qvel.shape
-        (['joint/spring/stiffness'], (1, 1))
-        """
-        given = {"qpos": qpos, "qvel": qvel, "act": act}
-        return vjp(self, ctrl, given, parameters, error_bar)
 
-    def jvp(
-        self: Any,
-        ctrl: ArrayLike,
-        qpos: ArrayLike | None = None,
-        qvel: ArrayLike | None = None,
-        act: ArrayLike | None = None,
-        ctrl_change: ArrayLike | None = None,
-        parameters: Mapping[str, ArrayLike] = MappingProxyType({}),
-    ) -> tuple[Rollout, Rollout]:
-        """Step with given controls; return the states, and how they change with their causes.
+def apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict[str, Floats]:
+    """How far each part of a gradient is from that in steps half as long, as a share of it, (n,).
 
-        ctrl: shape (n, steps, nu), as in `rollout`.
-        qpos, qvel, act: changes of the initial state, shapes (n, nq), (n, nv), (n, na).
-        ctrl_change: changes of the controls, shape (n, steps, nu).
-        parameters: changes of parameters by label, numbers or of shape (n,); see `vjp`.
-        """
-        given = {"qpos": qpos, "qvel": qvel, "act": act}
-        return jvp(self, ctrl, given, ctrl_change, parameters)
+    Below these sizes a part is nothing: a share of what the gradient was by any state; of what the
+    controls' is a sum of; for a change of a parameter by itself, of what all steps change.
+    asked: the size of the gradient that was given, (n,).
+    """
+    most = np.maximum(asked, back.sizes.max(axis=1, initial=0.0))
+    both = finer.ctrl[:, ::2] + finer.ctrl[:, 1::2]
+    parts = {
+        "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], LEFT * most),
+        "the controls": _distance(back.ctrl, both, LEFT * back.ctrl_terms),
+    }
+    changes = np.sum(np.abs(back.after * steps.changes()), axis=(1, 2))
+    for k, column in enumerate(steps.by):
+        least = LEFT * changes / abs(column.value)
+        parts[f"`{column.label}`"] = _distance(back.values[:, k], finer.values[:, k], least)
+    return parts
+
+
+def _distance(one: Floats, other: Floats, least: Floats | float = 0.0) -> Floats:
+    """Of rows of worlds, as a share of the larger."""
+    off, *sizes = (
+        np.linalg.norm(rows.reshape(len(rows), -1), axis=1) for rows in (one - other, one, other)
+    )
+    return off / np.maximum(np.maximum(*sizes), np.maximum(least, TINY))
+
+
+def grown(steps: Steps, world: int, growth: float, step: int) -> str:
+    """Say that a gradient has grown, most in this step, and name the contact that began there."""
+    time = steps.time + step * steps.batch.settings.dt
+    return (
+        f"the gradient of world {world} grows {growth:.0e} times over {steps.count} steps, most in "
+        f"step {step} [{time:.4g} s]{_impact(steps, world, step)}: before it, the gradient holds "
+        "only for changes that are as much smaller; begin after it, or sample instead"
+    )
+
+
+def parted(steps: Steps, world: int, of: str, error: float, back: Adjoints, finer: Adjoints) -> str:
+    """Say where the gradient becomes another one than in steps half as long.
+
+    of: the part that changes most.
+    """
+    each = _distance(back.rows[world], finer.rows[world, ::2])
+    time = steps.time + np.arange(steps.count + 1) * steps.batch.settings.dt
+    # Before it the gradient by the states has parted, whatever it is asked by.
+    parts = np.flatnonzero(each >= min(error, 1.0) / 2)
+    where = ""
+    if parts.size:
+        step = min(int(parts[-1]), steps.count - 1)
+        where = (
+            f", from step {step} [{time[step]:.4g} s] on its way back{_impact(steps, world, step)}"
+        )
+    return (
+        f"the gradient of world {world} by {of} changes by {100 * error:.0f} % in steps half as "
+        f"long{where}: take shorter steps or a softer contact, or begin after it"
+    )
+
+
+def _impact(steps: Steps, world: int, step: int) -> str:
+    """Name the contact that pushes most near where a step begins, with the time when it began."""
+    touches, dt = _Touches(steps, world), steps.batch.settings.dt
+    # In steps half as long an impact of few steps may be over before, or still to come.
+    near = sorted(
+        range(max(0, step - NEAR), min(step + NEAR, steps.count)), key=lambda k: abs(k - step)
+    )
+    for k in near:
+        if pairs := touches.at(k):
+            break
+    else:
+        return ""
+    pair, began = max(pairs, key=lambda names: pairs[names]), k
+    while began and pair in touches.at(began - 1):
+        began -= 1
+    known = "contact" if began == 0 else "impact"
+    names = " with ".join(f"`{checks.cut(name, 60)}`" for name in pair)
+    time = steps.time + began * dt
+    return f", at the {known} of {names}" + f" at {time:.4g} s" * (known == "impact")
+
+
+class _Touches:
+    """What touches in a world where its steps begin."""
+
+    def __init__(self, steps: Steps, world: int) -> None:
+        self.sim, self.steps, self.world = unwatched(Sim(steps.models[world])), steps, world
+        for name, rows in steps.held.items():
+            getattr(self.sim, name)[...] = rows[world]
+
+    def at(self, step: int) -> dict[tuple[str, str], float]:
+        """The pairs of geoms that touch there, with the force between them [N]."""
+        sim, steps, world = self.sim, self.steps, self.world
+        for name, rows in steps.states.items():
+            getattr(sim, name)[...] = rows[world, step]
+        sim.ctrl[...] = steps.ctrl[world, step]
+        sim.forward()
+        forces = dict[tuple[str, str], float]()
+        for contact in sim.contacts:
+            pair = str(contact["name1"]), str(contact["name2"])
+            forces[pair] = forces.get(pair, 0.0) + float(np.linalg.norm(contact["force"]))
+        return {pair: force for pair, force in forces.items() if force > 0}

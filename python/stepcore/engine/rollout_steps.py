@@ -1,4 +1,4 @@
-"""The steps of rollouts of many worlds, each to be linearised where it began."""
+"""Rollouts of many worlds whose steps are linearised where they began; derivatives forward."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers
-from stepcore.engine.linear_steps import LinearSteps, LinearWorlds
-from stepcore.engine.parameter_columns import columns
+from stepcore.engine.linearization import LinearSteps, LinearWorlds
+from stepcore.engine.parameters import columns
 from stepcore.engine.rollout import Rollout
-from stepcore.engine.tangents import Tangents
 
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
+    from stepcore.engine.model import Model
     from stepcore.report.progress import Choice
 
 # Steps of a world that are linearised together, and as many numbers of matrices as are in memory
@@ -26,12 +26,69 @@ BLOCK, ROOM = 64, 2**23
 X = (*STATE, "ctrl_history")
 
 
-def linear_worlds(batch: Batch) -> LinearWorlds:
-    """The worlds of a batch, which keeps them until a parameter is set."""
-    models = batch.param.models()
-    if batch._linear_worlds is None or batch._linear_worlds.models is not models:
-        batch._linear_worlds = LinearWorlds(models, batch._threads)
-    return batch._linear_worlds
+class Tangents:
+    """Maps between changes of qpos and those of the dofs, where these differ: quaternions."""
+
+    def __init__(self, model: Model) -> None:
+        self.nv = model.nv
+        pairs: list[tuple[int, int]] = []
+        self.quats: list[tuple[int, int]] = []
+        for joint, kind in enumerate(model.jnt_type):
+            q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+            if kind in ("slide", "hinge"):
+                pairs.append((q, v))
+            elif kind == "free":
+                pairs += [(q + k, v + k) for k in range(3)]
+            if kind in ("ball", "free"):
+                shift = 3 * (kind == "free")
+                self.quats.append((q + shift, v + shift))
+        self.q, self.v = (np.array([pair[k] for pair in pairs], int) for k in (0, 1))
+
+    def _turns(self, qpos: Floats, q: int, inverse: bool) -> Floats:
+        """The change of a quaternion by a turn about each body axis, (…, 3, 4).
+
+        inverse: its pseudo-inverse, transposed. The rows are at right angles, each |q|/2 long.
+        """
+        quat = qpos[..., q : q + 4]
+        w, x, y, z = np.moveaxis(quat, -1, 0)
+        rows = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
+        turns: Floats = np.moveaxis(np.array(rows), (0, 1), (-2, -1)) / 2
+        return turns * (4 / (quat**2).sum(-1))[..., None, None] if inverse else turns
+
+    def of_dofs(self, qpos: Floats, change: Floats, inverse: bool = False) -> Floats:
+        """A change of dofs as one of qpos; (…, nv) to (…, nq)."""
+        out = np.zeros(qpos.shape)
+        out[..., self.q] = change[..., self.v]
+        for q, v in self.quats:
+            turns = self._turns(qpos, q, inverse)
+            out[..., q : q + 4] = np.einsum("...a,...ak->...k", change[..., v : v + 3], turns)
+        return out
+
+    def moved(self, qpos: Floats, change: Floats) -> Floats:
+        """A qpos moved by a change of dofs, to first order; quaternions keep their length."""
+        out: Floats = qpos + self.of_dofs(qpos, change)
+        for q, _ in self.quats:
+            before, after = qpos[..., q : q + 4], out[..., q : q + 4]
+            after *= np.sqrt((before**2).sum(-1, keepdims=True) / (after**2).sum(-1, keepdims=True))
+        return out
+
+    def gradient(self, qpos: Floats, change: Floats) -> Floats:
+        """A gradient by the dofs as one by qpos, of which quaternions are made unit."""
+        return self.of_dofs(qpos, change, inverse=True)
+
+    def to_dofs(self, qpos: Floats, gradient: Floats, inverse: bool = False) -> Floats:
+        """A gradient by qpos as one by the dofs; (…, nq) to (…, nv)."""
+        out = np.zeros((*qpos.shape[:-1], self.nv))
+        out[..., self.v] = gradient[..., self.q]
+        for q, v in self.quats:
+            turns = self._turns(qpos, q, inverse)
+            part = np.einsum("...k,...ak->...a", gradient[..., q : q + 4], turns)
+            out[..., v : v + 3] = part
+        return out
+
+    def changed(self, qpos: Floats, change: Floats) -> Floats:
+        """A change of qpos as one of the dofs; (…, nq) to (…, nv)."""
+        return self.to_dofs(qpos, change, inverse=True)
 
 
 def rows_of(
@@ -152,7 +209,7 @@ class Share:
         self.steps, self.worlds = steps, list(worlds)
         self.own = slice(self.worlds[0], self.worlds[-1] + 1)
         if len(self.worlds) == steps.n and steps.models is steps.batch.param.models():
-            self.linear_worlds = linear_worlds(steps.batch)
+            self.linear_worlds = steps.batch._linearised_worlds()
         else:
             models = [steps.models[world] for world in worlds]
             self.linear_worlds = LinearWorlds(models, steps.batch._threads, self.worlds[0])
@@ -165,3 +222,28 @@ class Share:
         for name, rows in of.held.items():
             states[name] = np.repeat(rows[mine][:, None], len(steps), 1)
         return self.linear_worlds.linear(states, of.by)
+
+
+def sensitivities(steps: Steps, world: int = 0, changes: Floats | None = None) -> Floats:
+    """Return the derivatives of a world's states by numbers, then by its first x.
+
+    changes: of the controls by further numbers, shape (steps, nu, further).
+
+    Shape (steps + 1, size of x, parameters + further + size of x); the first row is the initial
+    state.
+    """
+    model, share = steps.models[world], steps.share([world])
+    size, labels = steps.size, len(steps.labels)
+    pushes = np.zeros((steps.count, model.nu, 0)) if changes is None else changes
+    count = labels + pushes.shape[2]
+    # The numbers stand below the state as what stays: each step is one product.
+    slopes = np.zeros((steps.count + 1, size + count, count + size))
+    slopes[0, :size, count:] = np.eye(size)
+    slopes[:, size:, :count] = np.eye(count)
+    for block in steps.blocks():
+        A, B, P = (one[0] for one in share.linear(block)[:3])
+        each = np.concatenate([A, P, B @ pushes[block]], axis=2)
+        own = slopes[block[0] : block[-1] + 2]
+        for step, before, after in zip(each, own, own[1:, :size], strict=False):
+            np.matmul(step, before, out=after)
+    return slopes[:, :size]

@@ -13,15 +13,14 @@ from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, kept, last_of, snapshot
 from stepcore.engine.element import Element, ElementSlopes, element_slopes
-from stepcore.engine.error_bar import FinerRun, Judged
-from stepcore.engine.linear_steps import linear_step
-from stepcore.engine.linearization import Linearization, Linearizations
-from stepcore.engine.parameter_columns import columns
+from stepcore.engine.error_bar import ErrorBar, FinerRun
+from stepcore.engine.linearization import Linearization, Linearizations, linear_step
+from stepcore.engine.parameters import columns
 from stepcore.engine.sums import Energy, Momentum
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run, whole_steps
 from stepcore.engine.unsolved import UnsolvedWarning
-from stepcore.engine.world import compiled
+from stepcore.engine.world import World, compiled
 from stepcore.signatures import refuse_unknown_settings, takes_settings
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from stepcore.viewing.live import View
 
 
-class Sim(Judged):
+class Sim(World):
     """A simulation of one world of a model.
 
     model: a `Model`, a `Scene`, which is compiled, or any argument of `stepcore.load`, such as the
@@ -316,6 +315,48 @@ class Sim(Judged):
     def overlap(self) -> float:
         """The deepest overlap of two collidable geoms at the present state [m]; 0 if none."""
         return float(self._core.readout("overlap"))
+
+    @property
+    def error(self) -> ErrorBar:
+        """The estimated error in position [m] since the state was last written: RMS and largest.
+
+        A body's error is the RMS displacement of its mass: the distance between centres of mass,
+        and the turn times the radius of gyration. It is the distance from a finer run under the
+        same inputs, from `error_bar=True`. inf: it is not known, see `predictable_until`.
+
+        >>> from stepcore import Sim, lesson
+        >>> sim = Sim(lesson.spring(), dt=0.01, error_bar=True)
+        >>> sim.reset("start")
+        >>> sim.step(100)
+        >>> 0.01 < sim.error.largest < 0.1
+        True
+        """
+        finer = self._judge()
+        each = finer.errors()[finer.moving]
+        if not len(each):
+            return ErrorBar(0.0, 0.0)
+        return ErrorBar(float(np.sqrt(np.mean(each**2))), float(each.max()))
+
+    @property
+    def body_error(self) -> Floats:
+        """The estimated error of each body in position [m], shape (nbody,); see `error`."""
+        return self._judge().errors()
+
+    @property
+    def predictable_until(self) -> float:
+        """The time from which no error is known [s]; inf while one is.
+
+        From then on the finer run is elsewhere, by more than a tenth of the scene's lengths, or has
+        failed: the step is far too long, or the motion is one in which every error grows.
+        `stepcore.predict` tells which.
+        """
+        return self._judge().until
+
+    def _judge(self) -> FinerRun:
+        if self._finer is None:
+            raise ValueError("error: not measured; ask for it with Sim(…, error_bar=True)")
+        self._finer.meet()
+        return self._finer
 
     # The last step or forward().
 

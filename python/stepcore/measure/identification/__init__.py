@@ -11,9 +11,8 @@ import numpy as np
 from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
-from stepcore.engine.parameter_columns import Column, named_columns
+from stepcore.engine.parameters import Column, named_columns, own_value
 from stepcore.engine.trajectory import Trajectory
-from stepcore.engine.variations import own_value
 from stepcore.experiment.arguments import Source
 from stepcore.loading import find_model
 from stepcore.measure.identification.certainty import Certainty, certainty

@@ -10,11 +10,8 @@ import numpy as np
 from stepcore.engine.arrays import STATE
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.engine.model import Model
-from stepcore.engine.parameter_columns import split_entry
-from stepcore.engine.rollout_steps import Steps
-from stepcore.engine.sensitivities import sensitivities
-from stepcore.engine.tangents import Tangents
-from stepcore.engine.variations import own_value
+from stepcore.engine.parameters import own_value, split_entry
+from stepcore.engine.rollout_steps import Steps, Tangents, sensitivities
 from stepcore.measure.identification.delays import DELAY, is_delay, late_entries
 from stepcore.measure.identification.log import MEASURED, MeasuredLog, entries_of
 from stepcore.measure.identification.sensors import Readings

@@ -10,8 +10,8 @@ from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
 from stepcore.engine.model import Model
-from stepcore.engine.parameter_columns import AROUND, columns
-from stepcore.engine.tangents import Tangents
+from stepcore.engine.parameters import AROUND, columns
+from stepcore.engine.rollout_steps import Tangents
 from stepcore.measure.identification.worlds import States, Worlds, differences
 
 # Readings that no change of state or of a parameter moves smoothly.

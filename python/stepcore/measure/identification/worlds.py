@@ -12,7 +12,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch, unwatched
-from stepcore.engine.parameter_columns import Column, models_around
+from stepcore.engine.parameters import Column, models_around
 from stepcore.engine.run_settings import converged_settings
 
 if TYPE_CHECKING:
