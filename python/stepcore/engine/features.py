@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore._core import Settings
@@ -61,12 +62,40 @@ def without(scene: SomeScene, removals: Iterable[Removal]) -> SomeScene:
     scene = copy.deepcopy(scene)
     for removal in removals:
         for edit, value in removal.edits:
-            _EDITS[edit](scene, value)
+            _change(scene, edit, value)
     return scene
 
 
-def _feature(scene: Contents, name: str) -> None:
-    setattr(scene.features, name, False)
+def _change(scene: Contents, edit: str, value: Any) -> None:
+    """Make one edit of a scene."""
+    match edit:
+        case "feature":
+            setattr(scene.features, value, False)
+        case "exclude":
+            _exclude(scene, value)
+        case "no fluid":
+            scene.density = scene.viscosity = 0.0
+        case "frictionless":
+            _limit_condim(scene, value, 1)
+        case "sliding only":
+            _limit_condim(scene, value, 3)
+        case "no contact":
+            own = [scene.geoms[geom] for geom in value]
+            for geom in own:
+                geom.contype = geom.conaffinity = 0
+            ids = set(map(id, own))
+            scene.pairs = [p for p in scene.pairs if not ids & {id(p.geom1), id(p.geom2)}]
+        case "inactive":
+            for equality in value:
+                scene.equalities[equality].active = False
+        case "cleared":
+            # Fields of some elements get their defaults.
+            elements, indices, fields = value
+            for index, field in product(indices, fields):
+                element = getattr(scene, elements)[index]
+                setattr(element, field, getattr(type(element), field))
+        case "settings":
+            scene.options.update(value)
 
 
 def _exclude(scene: Contents, pairs: Iterable[tuple[int, int]]) -> None:
@@ -80,18 +109,6 @@ def _exclude(scene: Contents, pairs: Iterable[tuple[int, int]]) -> None:
         ]
 
 
-def _no_fluid(scene: Contents, _: None) -> None:
-    scene.density = scene.viscosity = 0.0
-
-
-def _frictionless(scene: Contents, geoms: Iterable[int]) -> None:
-    _limit_condim(scene, geoms, 1)
-
-
-def _sliding_only(scene: Contents, geoms: Iterable[int]) -> None:
-    _limit_condim(scene, geoms, 3)
-
-
 def _limit_condim(scene: Contents, geoms: Iterable[int], most: int) -> None:
     own = {id(scene.geoms[geom]): scene.geoms[geom] for geom in geoms}
     for geom in own.values():
@@ -99,44 +116,6 @@ def _limit_condim(scene: Contents, geoms: Iterable[int], most: int) -> None:
     for pair in scene.pairs:
         if id(pair.geom1) in own and id(pair.geom2) in own:
             pair.condim = min(pair.condim, most)
-
-
-def _no_contact(scene: Contents, geoms: Iterable[int]) -> None:
-    for geom in geoms:
-        scene.geoms[geom].contype = scene.geoms[geom].conaffinity = 0
-    own = {id(scene.geoms[geom]) for geom in geoms}
-    scene.pairs = [p for p in scene.pairs if not own & {id(p.geom1), id(p.geom2)}]
-
-
-def _inactive(scene: Contents, equalities: Iterable[int]) -> None:
-    for equality in equalities:
-        scene.equalities[equality].active = False
-
-
-def _cleared(scene: Contents, value: tuple[str, tuple[int, ...], tuple[str, ...]]) -> None:
-    """Reset fields of some elements to their defaults."""
-    elements, indices, fields = value
-    for index in indices:
-        element = getattr(scene, elements)[index]
-        for field in fields:
-            setattr(element, field, getattr(type(element), field))
-
-
-def _settings(scene: Contents, values: tuple[tuple[str, Any], ...]) -> None:
-    scene.options.update(values)
-
-
-_EDITS: dict[str, Any] = {
-    "feature": _feature,
-    "exclude": _exclude,
-    "no fluid": _no_fluid,
-    "frictionless": _frictionless,
-    "sliding only": _sliding_only,
-    "no contact": _no_contact,
-    "inactive": _inactive,
-    "cleared": _cleared,
-    "settings": _settings,
-}
 
 
 @dataclass(frozen=True)
@@ -321,20 +300,22 @@ class RemovableFeatures:
 
     def colliders(self, usage: MotionUsage) -> list[Removal]:
         """Return the removals of body pairs, self-collision and groups of geoms."""
-        pairs = self.body_pairs()
+        pairs, called = self.body_pairs(), self.model.called("body")
         removals = []
         unused = [pair for pair in pairs if pair not in usage.touched]
         if unused:
             removals.append(self._excluding("colliders", _unmet(unused), unused))
         met = [pair for pair in pairs if pair in usage.touched]
         if len(met) <= MAX_PAIRS:
-            removals += [self._excluding("collider", self._pair(pair), [pair]) for pair in met]
+            for a, b in met:
+                removals.append(self._excluding("collider", f"{called[a]}/{called[b]}", [(a, b)]))
         else:
             for body in sorted({body for pair in met for body in pair}):
                 own = [pair for pair in met if body in pair]
-                name = f"{self._body(body)} ({counted(len(own), 'pair')})"
+                name = f"{called[body]} ({counted(len(own), 'pair')})"
                 removals.append(self._excluding("collider", name, own))
-        own = [pair for pair in pairs if self._same_tree(*pair)]
+        trees = [range(first, first + count) for first, count, _, _ in self.plan["trees"]]
+        own = [(a, b) for a, b in pairs if any(a in tree and b in tree for tree in trees)]
         if own and len(own) < len(pairs):
             name = counted(len(own), "pair") + " of bodies"
             removals.append(self._excluding("self-collision", name, own))
@@ -398,16 +379,6 @@ class RemovableFeatures:
         if not settings.warm_start:
             return []
         return [Removal("warm start", "", (("settings", (("warm_start", False),)),))]
-
-    def _body(self, index: int) -> str:
-        return self.model.called("body")[index]
-
-    def _pair(self, pair: tuple[int, int]) -> str:
-        return f"{self._body(pair[0])}/{self._body(pair[1])}"
-
-    def _same_tree(self, a: int, b: int) -> bool:
-        spans = [range(first, first + count) for first, count, _, _ in self.plan["trees"]]
-        return any(a in span and b in span for span in spans)
 
 
 def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:

@@ -28,7 +28,7 @@ from stepcore.signatures import refuse_unknown_settings, takes_settings
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from stepcore.engine.plan.result import Plan
+    from stepcore.engine.plan import Plan
     from stepcore.engine.sim import Sim
     from stepcore.scene.scene import Scene
     from stepcore.signatures import SettingsFields

@@ -26,7 +26,7 @@ from stepcore.report.plot.style import (
 from stepcore.report.units import metres, seconds
 
 if TYPE_CHECKING:
-    from stepcore.engine.plan.result import Plan
+    from stepcore.engine.plan import Plan
     from stepcore.measure.ablation.result import Ablation, FeatureEffect
     from stepcore.measure.check import Check
     from stepcore.measure.diagnosis.result import Diagnosis
