@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from stepcore import checks
 
 Floats = NDArray[np.float64]
 Array = TypeVar("Array", bound=NDArray[Any])
+T = TypeVar("T")
 
 # The state, and the inputs of a step in the order of `Replay.inputs`.
 STATE = ("qpos", "qvel", "act")
@@ -47,8 +48,8 @@ class StateArray:
         fill(sim._arrays[self.name], self.name, value)
 
 
-class ReadOnlyArray:
-    """An array that can be read but not assigned; the engine uses the attribute's name."""
+class ReadOnly(Generic[T]):
+    """An attribute that can be read but not assigned; `read` is told the object that has it."""
 
     def __init__(self, doc: str) -> None:
         self.__doc__ = doc
@@ -56,12 +57,19 @@ class ReadOnlyArray:
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
+    def __get__(self, owner: Any, kind: type | None = None) -> T:
+        return self if owner is None else self.read(owner)  # type: ignore[return-value]
+
     def __set__(self, owner: Any, value: object) -> None:
         raise AttributeError(f"{self.name} of a {type(owner).__name__} is read-only")
 
+    def read(self, owner: Any) -> T:
+        """Return the value of the attribute."""
+        raise NotImplementedError
 
-class Readout(ReadOnlyArray):
-    """A read-only array computed from the state or kept from the last solve.
+
+class Readout(ReadOnly[Floats]):
+    """An array computed from the state or kept from the last solve, by the engine's name.
 
     of: the readout that an alias with MuJoCo's name returns.
     """
@@ -70,53 +78,40 @@ class Readout(ReadOnlyArray):
         super().__init__(doc)
         self.of = of
 
-    def __get__(self, sim: Any, owner: type | None = None) -> Floats:
-        if sim is None:
-            return self  # type: ignore[return-value]
-        array: Floats = sim._core.readout(self.of or self.name)
+    def read(self, owner: Any) -> Floats:
+        array: Floats = owner._core.readout(self.of or self.name)
         return array
 
 
-class ModelArray(ReadOnlyArray):
+class ModelArray(ReadOnly[NDArray[Any]]):
     """A constant array of a `Model`."""
 
     def __init__(self, doc: str, table: str = "_arrays") -> None:
         super().__init__(doc)
         self.table = table
 
-    def __get__(self, model: Any, owner: type | None = None) -> NDArray[Any]:
-        if model is None:
-            return self  # type: ignore[return-value]
-        array: NDArray[Any] = getattr(model, self.table)[self.name]
+    def read(self, owner: Any) -> NDArray[Any]:
+        array: NDArray[Any] = getattr(owner, self.table)[self.name]
         return array
 
 
-class Names:
+class Names(ReadOnly[tuple[str, ...]]):
     """The names of a model's elements of one kind; the attribute's name gives the kind."""
 
-    def __init__(self, doc: str) -> None:
-        self.__doc__ = doc
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.kind = name.removesuffix("_names")
-
-    def __get__(self, model: Any, owner: type | None = None) -> tuple[str, ...]:
-        if model is None:
-            return self  # type: ignore[return-value]
-        names: tuple[str, ...] = model.names[self.kind]
+    def read(self, owner: Any) -> tuple[str, ...]:
+        names: tuple[str, ...] = owner.names[self.name.removesuffix("_names")]
         return names
 
 
-class Count:
+class Count(ReadOnly[int]):
     """The number of a model's elements of one kind."""
 
     def __init__(self, doc: str, kind: str) -> None:
-        self.__doc__, self.kind = doc, kind
+        super().__init__(doc)
+        self.kind = kind
 
-    def __get__(self, model: Any, owner: type | None = None) -> int:
-        if model is None:
-            return self  # type: ignore[return-value]
-        return len(model.names[self.kind])
+    def read(self, owner: Any) -> int:
+        return len(owner.names[self.kind])
 
 
 def fill(array: Floats, name: str, value: ArrayLike) -> None:

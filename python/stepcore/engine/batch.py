@@ -22,8 +22,7 @@ from stepcore.engine.linearization import Linearizations, LinearWorlds
 from stepcore.engine.parameters import Parameters, columns
 from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
 from stepcore.engine.rollout_steps import X
-from stepcore.engine.sums import Momentum
-from stepcore.engine.tables import contact_table, contacts_of_body, row_table
+from stepcore.engine.tables import Momentum, contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import recordable
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
 from stepcore.engine.world import World, compiled

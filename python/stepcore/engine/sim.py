@@ -16,8 +16,7 @@ from stepcore.engine.element import Element, ElementSlopes, element_slopes
 from stepcore.engine.error_bar import ErrorBar, FinerRun
 from stepcore.engine.linearization import Linearization, Linearizations, linear_step
 from stepcore.engine.parameters import columns
-from stepcore.engine.sums import Energy, Momentum
-from stepcore.engine.tables import contact_table, contacts_of_body, row_table
+from stepcore.engine.tables import Energy, Momentum, contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run, whole_steps
 from stepcore.engine.unsolved import UnsolvedWarning
 from stepcore.engine.world import World, compiled
