@@ -24,9 +24,8 @@ except ModuleNotFoundError as error:
 
 from stepcore.gymnasium.draws import Draws
 from stepcore.gymnasium.env import Env
-from stepcore.gymnasium.snapshot import Moment
+from stepcore.gymnasium.snapshot import Moment, TaskState
 from stepcore.gymnasium.task import Task
-from stepcore.gymnasium.task_state import TaskState
 from stepcore.gymnasium.tasks import TASKS as _TASKS
 from stepcore.gymnasium.vector_env import VectorEnv
 

@@ -16,7 +16,7 @@ from stepcore.engine.sim import Sim
 from stepcore.gymnasium.camera import MODES, Picture, camera_for, metadata_of
 from stepcore.gymnasium.env_core import EnvCore
 from stepcore.gymnasium.snapshot import owned
-from stepcore.gymnasium.spaces import Spaces
+from stepcore.gymnasium.spaces import spaces_of
 from stepcore.gymnasium.task import Source, Task, TaskFields, takes_task, task_of
 
 
@@ -79,9 +79,9 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         self.render_mode = render_mode
         self._task = task_of(Env, model, task)
         self._env_core = EnvCore(self._task, settings)
-        spaces = Spaces(self._task, self._env_core, dtype)
-        self.action_space = spaces.action
-        self.observation_space = spaces.observation  # type: ignore[assignment]
+        self.action_space, self.observation_space = spaces_of(  # type: ignore[assignment]
+            self._task, self._env_core, dtype
+        )
         self._begun = False
         self.metadata = metadata_of(self.dt)  # type: ignore[misc]
 

@@ -14,13 +14,11 @@ from stepcore import checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
-from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.gymnasium.draws import Streams
 from stepcore.gymnasium.mujoco_late_arrays import go_to_last_stage
-from stepcore.gymnasium.snapshot import Moment, Readings
+from stepcore.gymnasium.snapshot import Moment, Readings, TaskState
 from stepcore.gymnasium.task import Task
-from stepcore.gymnasium.task_state import TaskState
 
 # What tells of the last solve; the other arrays are of the present state.
 OF_THE_SOLVE = frozenset(
@@ -49,7 +47,8 @@ class EnvCore:
     ) -> None:
         self.task = task
         self.skip = checks.count("frame_skip", task.frame_skip)
-        self.model = _with_settings(task.model(), settings)
+        fields = settings if isinstance(settings, Mapping) else {"settings": settings}
+        self.model = task.model().with_settings(**fields)
         self.action_space = task.action_space(self.model)
         self.world = self._made(n, how)
         # All worlds: their indices, and as an index of arrays; a Sim's have no axis of worlds.
@@ -338,9 +337,3 @@ def _not_before(name: str) -> NoReturn:
         f"before.{name} is not known in control and before_step: keep it in now.state, in begin "
         "and after_action"
     )
-
-
-def _with_settings(model: Model, given: Settings | Mapping[str, Any] | None) -> Model:
-    if isinstance(given, Mapping):
-        return model.with_settings(**given)
-    return model.with_settings(given)

@@ -9,37 +9,31 @@ from gymnasium.spaces import Box
 
 from stepcore import checks
 from stepcore.gymnasium.env_core import EnvCore
-from stepcore.gymnasium.snapshot import Moment
 from stepcore.gymnasium.task import Task
 
 
-class Spaces:
-    """The spaces of one world's actions and observations.
+def spaces_of(task: Task, core: EnvCore, dtype: Any = None) -> tuple[Box, Box]:
+    """Return the spaces of one world's actions and observations.
 
     Raises ValueError if a function of the task returns something of another shape.
     """
-
-    def __init__(self, task: Task, core: EnvCore, dtype: Any = None) -> None:
-        with core.trial() as now:
-            self._try(task, core, now, dtype)
-
-    def _try(self, task: Task, core: EnvCore, now: Moment, dtype: Any) -> None:
+    with core.trial() as now:
         shape = now.shape
         nu = len(core.model.names["actuator"])
-        controls = _array("control", task.control(core.ahead(now.action)), "fiub")
-        self.action = core.action_space
-        if not task.has("control") and self.action.shape != (nu,):
-            raise ValueError(f"action_space has shape {self.action.shape}: must be ({nu},)")
+        controls = _array("control", task.control(core.ahead(now.action)))
+        action = core.action_space
+        if not task.has("control") and action.shape != (nu,):
+            raise ValueError(f"action_space has shape {action.shape}: must be ({nu},)")
         if controls.shape != (*shape, nu):
             raise ValueError(_text("control", controls, str((*shape, nu))))
         task.after_action(now)
-        observation = _array("observe", task.observe(now), "fiub")
+        observation = _array("observe", task.observe(now))
         if observation.ndim != len(shape) + 1 or observation.shape[:-1] != shape:
             limit = f"{(*shape, 'k')}".replace("'", "")
             raise ValueError(_text("observe", observation, limit))
         reward, terminated, info = task.outcome(now)
         for name, value in (("reward", reward), ("terminated", terminated)):
-            array = _array(name, value, "fiub")
+            array = _array(name, value)
             if array.shape != shape:
                 raise ValueError(_text(name, array, str(shape)))
         for what, infos in (("info", info), ("info after a reset", task.reset_info(now))):
@@ -47,14 +41,11 @@ class Spaces:
                 if np.shape(value)[: len(shape)] != shape:
                     text = _text(f'{what}["{key}"]', np.asarray(value), f"{shape} first")
                     raise ValueError(text)
-        self.observation: Box = task.observation_space(observation.shape[-1])
-        if self.observation.shape != observation.shape[-1:]:
+        space: Box = task.observation_space(observation.shape[-1])
+        if space.shape != observation.shape[-1:]:
             limit = str(observation.shape[-1:])
-            raise ValueError(
-                f"observation_space has shape {self.observation.shape}: must be {limit}"
-            )
-        if dtype is not None:
-            self.observation = _of_type(self.observation, dtype)
+            raise ValueError(f"observation_space has shape {space.shape}: must be {limit}")
+    return action, space if dtype is None else _of_type(space, dtype)
 
 
 def _of_type(space: Box, dtype: Any) -> Box:
@@ -70,9 +61,9 @@ def _of_type(space: Box, dtype: Any) -> Box:
     return Box(low, high, space.shape, own)
 
 
-def _array(name: str, value: Any, kinds: str) -> Any:
+def _array(name: str, value: Any) -> Any:
     array = np.asarray(value)
-    if array.dtype.kind not in kinds:
+    if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} returned {checks.shown(value)}: must be numbers")
     return array
 

@@ -19,7 +19,7 @@ from stepcore.engine.batch import Batch
 from stepcore.gymnasium.camera import MODES, Picture, camera_for, metadata_of
 from stepcore.gymnasium.env import checked, no_options
 from stepcore.gymnasium.env_core import EnvCore
-from stepcore.gymnasium.spaces import Spaces
+from stepcore.gymnasium.spaces import spaces_of
 from stepcore.gymnasium.task import Source, Task, TaskFields, takes_task, task_of
 
 Mask = NDArray[np.bool_]
@@ -76,11 +76,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         self._task = task_of(VectorEnv, model, task)
         self._env_core = EnvCore(self._task, settings, self.num_envs, threads=threads, lanes=lanes)
         self._copy: bool = checks.flag("VectorEnv", "copy", copy)
-        spaces = Spaces(self._task, self._env_core, dtype)
-        self.single_action_space = spaces.action
-        self.single_observation_space = spaces.observation
-        self.action_space = batch_space(spaces.action, self.num_envs)
-        self.observation_space = batch_space(spaces.observation, self.num_envs)
+        action, observation = spaces_of(self._task, self._env_core, dtype)
+        self.single_action_space, self.single_observation_space = action, observation
+        self.action_space = batch_space(action, self.num_envs)
+        self.observation_space = batch_space(observation, self.num_envs)
         self.autoreset_mode = _mode(autoreset_mode)
         metadata = {**metadata_of(self.dt), "autoreset_mode": self.autoreset_mode}
         self.metadata = metadata  # type: ignore[misc]

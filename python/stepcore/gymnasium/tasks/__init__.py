@@ -19,17 +19,17 @@ class Entry(NamedTuple):
 
 
 TASKS = {
-    "Ant": Entry("ant", 1000, 6000.0),
-    "HalfCheetah": Entry("planar", 1000, 4800.0),
-    "Hopper": Entry("planar", 1000, 3800.0),
-    "Humanoid": Entry("humanoids", 1000, None),
-    "HumanoidStandup": Entry("humanoids", 1000, None),
+    "Ant": Entry("walkers", 1000, 6000.0),
+    "HalfCheetah": Entry("walkers", 1000, 4800.0),
+    "Hopper": Entry("walkers", 1000, 3800.0),
+    "Humanoid": Entry("walkers", 1000, None),
+    "HumanoidStandup": Entry("walkers", 1000, None),
     "InvertedDoublePendulum": Entry("pendulums", 1000, 9100.0),
     "InvertedPendulum": Entry("pendulums", 1000, 950.0),
     "Pusher": Entry("arms", 100, 0.0),
     "Reacher": Entry("arms", 50, -3.75),
-    "Swimmer": Entry("planar", 1000, 360.0),
-    "Walker2d": Entry("planar", 1000, None),
+    "Swimmer": Entry("walkers", 1000, 360.0),
+    "Walker2d": Entry("walkers", 1000, None),
 }
 
 

@@ -1,4 +1,4 @@
-"""Humanoid: walk forward on two legs; HumanoidStandup: stand up from the ground."""
+"""Tasks that move forward: swimmer, cheetah, hopper, walker, ant and humanoid; and standing up."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.arrays import Floats
-from stepcore.gymnasium.snapshot import Moment
+from stepcore.gymnasium.snapshot import Moment, state_vector
 from stepcore.gymnasium.tasks.mujoco_task import (
+    ForwardTask,
     NoisyTask,
     StandingTask,
     distance,
@@ -18,7 +19,126 @@ from stepcore.gymnasium.tasks.mujoco_task import (
     squares,
     velocity,
 )
-from stepcore.gymnasium.tasks.planar import within
+
+
+@dataclass(frozen=True, kw_only=True)
+class HalfCheetah(ForwardTask):
+    """The options are those of gymnasium's HalfCheetah-v5."""
+
+    normal: ClassVar[bool] = True
+
+    xml_file: str = "half_cheetah.xml"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Swimmer(ForwardTask):
+    """The options are those of gymnasium's Swimmer-v5."""
+
+    axes: ClassVar[str] = "xy"
+
+    xml_file: str = "swimmer.xml"
+    frame_skip: int = 4
+    ctrl_cost_weight: float = 1e-4
+
+
+# Observed velocities are clipped to this on either side [m/s or rad/s].
+FASTEST = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Upright(StandingTask):
+    """A walker whose qpos begins with x, height z and the angle of the torso."""
+
+    frame_skip: int = 4
+    ctrl_cost_weight: float = 1e-3
+    healthy_z_range: tuple[float, float] = (0.0, np.inf)
+    healthy_angle_range: tuple[float, float] = (-1.0, 1.0)
+    reset_noise_scale: float = 5e-3
+
+    def observe(self, now: Moment) -> Floats:
+        excluded = int(self.exclude_current_positions_from_observation)
+        return observed(now, excluded, np.clip(now.qvel, -FASTEST, FASTEST))
+
+    def healthy(self, now: Moment) -> NDArray[np.bool_]:
+        height = within(now.qpos[..., 1], self.healthy_z_range)
+        return height & within(now.qpos[..., 2], self.healthy_angle_range)
+
+    def reset_info(self, now: Moment) -> dict[str, Floats]:
+        height = now.qpos[..., 1] - now.model.qpos0[1]
+        return {**super().reset_info(now), "z_distance_from_origin": height}
+
+
+def within(value: Floats, interval: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return whether values are within an open interval."""
+    low, high = interval
+    return (low < value) & (value < high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hopper(Upright):
+    """The options are those of gymnasium's Hopper-v5."""
+
+    xml_file: str = "hopper.xml"
+    healthy_state_range: tuple[float, float] = (-100.0, 100.0)
+    healthy_z_range: tuple[float, float] = (0.7, np.inf)
+    healthy_angle_range: tuple[float, float] = (-0.2, 0.2)
+
+    def healthy(self, now: Moment) -> NDArray[np.bool_]:
+        state = within(state_vector(now)[..., 2:], self.healthy_state_range)
+        return super().healthy(now) & np.all(state, axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Walker2d(Upright):
+    """The options are those of gymnasium's Walker2d-v5."""
+
+    xml_file: str = "walker2d_v5.xml"
+    healthy_z_range: tuple[float, float] = (0.8, 2.0)
+    healthy_angle_range: tuple[float, float] = (-1.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ant(StandingTask):
+    """The options are those of gymnasium's Ant-v5."""
+
+    axes: ClassVar[str] = "xy"
+    normal: ClassVar[bool] = True
+    late: ClassVar[tuple[str, ...]] = ("xpos", "cfrc_ext")  # type: ignore[misc]
+
+    xml_file: str = "ant.xml"
+    ctrl_cost_weight: float = 0.5
+    contact_cost_weight: float = 5e-4
+    main_body: int | str = 1
+    healthy_z_range: tuple[float, float] = (0.2, 1.0)
+    contact_force_range: tuple[float, float] = (-1.0, 1.0)
+    include_cfrc_ext_in_observation: bool = True
+
+    def contact_forces(self, now: Moment) -> Floats:
+        """Return the clipped forces on all bodies but the world, shape (6 (nbody - 1),)."""
+        return np.clip(_of_bodies(now, now.cfrc_ext), *self.contact_force_range)
+
+    def observe(self, now: Moment) -> Floats:
+        state = super().observe(now)
+        if not self.include_cfrc_ext_in_observation:
+            return state
+        return np.concatenate([state, self.contact_forces(now)], axis=-1)
+
+    def healthy(self, now: Moment) -> NDArray[np.bool_]:
+        low, high = self.healthy_z_range
+        height = now.qpos[..., 2]
+        finite = np.all(np.isfinite(state_vector(now)), axis=-1)
+        return finite & (low <= height) & (height <= high)
+
+    def main_velocity(self, now: Moment, axis: int) -> Floats:
+        return velocity(now, "xpos", (..., now.model.index("body", self.main_body), axis))
+
+    def parts(self, now: Moment) -> dict[str, Floats]:
+        parts = super().parts(now)
+        # gymnasium adds them in this order.
+        survive = parts.pop("reward_survive")
+        contact = -self.contact_cost_weight * squares(self.contact_forces(now))
+        return {**parts, "reward_contact": contact, "reward_survive": survive}
+
 
 # Dofs of the free joint, on which no actuator acts.
 FREE = 6
