@@ -1,8 +1,7 @@
 """Run a function at many points, in threads of this process or in a user's executor.
 
-`Executor.map(chunksize=…)` would be shorter, but it reports no progress, ignores `chunksize` for
-threads and for Dask, and loses all results when one worker is lost. This module therefore submits
-the points in chunks, so that the function with its model is sent once for many points.
+`Executor.map(chunksize=…)` reports no progress, ignores `chunksize` for threads and for Dask, and
+loses all results when one worker is lost.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 R = TypeVar("R")
 
-# Largest number of chunks: enough that dozens of workers finish together, progress is reported
-# often, and little is repeated when a worker is lost. (Executors do not report their number of
-# workers.)
+# Largest number of chunks: the function with its model is sent once for each, dozens of workers
+# finish together, and little is repeated when a worker is lost. (Executors do not tell how many
+# workers they have.)
 MAX_CHUNKS = 512
 # Number of steps between two checkpoints of a long run.
 STEPS_PER_CHECK = 1000
@@ -96,10 +95,7 @@ def each(
 
     def unless_stopped(point: T) -> R:
         _thread.stop = stop
-        if limit is None:
-            checkpoint()
-            return function(point)
-        with limit.opened():
+        with contextlib.nullcontext() if limit is None else limit.opened():
             checkpoint()
             return function(point)
 
@@ -153,15 +149,11 @@ class _Chunks(Generic[T, R]):
         finally:
             for future in self.pending:
                 future.cancel()
-            self._take_finished()
+            # After an error, results that came before it was raised are kept.
+            for future, indices in self.pending.items():
+                if future.done() and not future.cancelled() and future.exception() is None:
+                    self._keep(indices, future.result())
         return self.done
-
-    def _take_finished(self) -> None:
-        """After an error, take the results that came before it was raised."""
-        for future, indices in list(self.pending.items()):
-            if future.done() and not future.cancelled() and future.exception() is None:
-                self._keep(indices, future.result())
-                del self.pending[future]
 
     def _keep(self, indices: range, results: list[R]) -> None:
         self.done[indices.start : indices.stop] = results
@@ -195,21 +187,18 @@ class _Chunks(Generic[T, R]):
         except Exception as error:
             if not _worker_was_lost(error):
                 raise
-            self._retry(indices, error)
+            # Each point alone, so that a point that kills its worker is identified.
+            for i in indices:
+                self.losses[i] = self.losses.get(i, 0) + 1
+                if self.losses[i] > MAX_RETRIES:
+                    raise RuntimeError(
+                        f"point {i} ({checks.shown(self.points[i])}) lost its worker "
+                        f"{self.losses[i]} times: {checks.one_line(error)}"
+                    ) from error
+                self._submit(range(i, i + 1), self.losses[i])
             return
         self._keep(indices, results)
         self.bar.advance(len(indices))
-
-    def _retry(self, indices: range, error: Exception) -> None:
-        """Submit each point alone, so that a point that kills its worker is identified."""
-        for i in indices:
-            self.losses[i] = self.losses.get(i, 0) + 1
-            if self.losses[i] > MAX_RETRIES:
-                raise RuntimeError(
-                    f"point {i} ({checks.shown(self.points[i])}) lost its worker "
-                    f"{self.losses[i]} times: {checks.one_line(error)}"
-                ) from error
-            self._submit(range(i, i + 1), self.losses[i])
 
 
 def _run_chunk(function: Callable[[T], R], points: Sequence[T], key: str) -> list[R]:
@@ -251,19 +240,15 @@ def steps(sim: Sim, n: int) -> None:
 
 
 def _worker_was_lost(error: Exception) -> bool:
-    """Return whether the error says that a Dask cluster lost the worker."""
+    """Return whether a Dask cluster lost the worker, before or while its result was fetched.
+
+    While it is fetched, Dask's executor raises a ValueError of its own when it unpacks the missing
+    answer. An error of the work itself comes from another module.
+    """
     # Dask is no dependency, but it is imported if it raised the error.
     dask = sys.modules.get("distributed")
-    killed = dask is not None and isinstance(error, dask.KilledWorker)
-    return killed or isinstance(error, CancelledError) or _was_lost_on_the_way(error)
-
-
-def _was_lost_on_the_way(error: Exception) -> bool:
-    """Return whether a worker died while Dask fetched its result.
-
-    Dask's executor then raises a ValueError of its own when it unpacks the missing answer. An error
-    of the work itself comes from another module.
-    """
+    if isinstance(error, CancelledError) or (dask and isinstance(error, dask.KilledWorker)):
+        return True
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
