@@ -108,8 +108,6 @@ def each(
 
 
 class _Chunks(Generic[T, R]):
-    """The chunks of points that were submitted to an executor, by future."""
-
     def __init__(
         self,
         function: Callable[[T], R],
@@ -202,7 +200,6 @@ class _Chunks(Generic[T, R]):
 
 
 def _run_chunk(function: Callable[[T], R], points: Sequence[T], key: str) -> list[R]:
-    """Return the results for the points of a chunk; a worker runs this."""
     return [function(point) for point in points]
 
 

@@ -71,7 +71,6 @@ def has_avx2() -> bool:
 
 
 def _flags() -> list[str]:
-    """Return the processor features that Linux reports."""
     try:
         # Read line by line: Linux generates the file on reading, and one processor is enough.
         with open("/proc/cpuinfo", encoding="ascii", errors="replace") as facts:

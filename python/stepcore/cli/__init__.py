@@ -180,7 +180,6 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _failed(error: Exception) -> int:
-    """Print the error in one line and return its exit status."""
     say(reason(error))
     if isinstance(error, OutOfTime) and error.interrupted:
         return INTERRUPTED

@@ -73,7 +73,6 @@ def check_output(args: argparse.Namespace) -> None:
 
 
 def _outputs(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    """Yield the options of the command that name an output file, and their files."""
     for name, option in OPTIONS.items():
         out = getattr(args, name, None)
         if isinstance(out, str) and out != "-":
@@ -94,7 +93,6 @@ def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
 
 
 def _same(one: str, other: str) -> bool:
-    """Return whether two paths refer to the same file."""
     try:
         return os.path.samefile(one, other)
     except OSError:

@@ -214,7 +214,6 @@ def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _saves(args: argparse.Namespace, run: Trajectory | None) -> Writes:
-    """Return the files of --save and the functions that write them."""
     saves: Writes = []
     if run is not None and args.save is not None:
         ending = SAVED.index(args.save[args.save.rindex(".") :])

@@ -416,7 +416,6 @@ class Batch(World):
             self._arrays[name][where] = rows
 
     def _write_own_initial(self, chosen: NDArray[np.intp]) -> None:
-        """Write the initial arrays that parameters change into the chosen worlds."""
         for worlds, values in self._param.initial():
             self._write(values, np.intersect1d(worlds, chosen))
 

@@ -128,7 +128,6 @@ class SceneField:
 
 
 def _owner(layout: Layout, kind: str, index: int) -> Any:
-    """Return the part of the scene that has a field."""
     scene: Any = layout.scene
     return scene.contact_override if kind == OVERRIDE else layout.elements[kind][index]
 

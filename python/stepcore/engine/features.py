@@ -67,7 +67,6 @@ def without(scene: SomeScene, removals: Iterable[Removal]) -> SomeScene:
 
 
 def _change(scene: Contents, edit: str, value: Any) -> None:
-    """Make one edit of a scene."""
     match edit:
         case "feature":
             setattr(scene.features, value, False)
@@ -351,7 +350,6 @@ class RemovableFeatures:
         return Removal(kind, name, (("exclude", value),))
 
     def _groups(self) -> list[Removal]:
-        """Return the removal of each group of geoms, where several groups collide."""
         geoms = self.scene.geoms
         solid = [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
         groups = sorted({geoms[i].group for i in solid})

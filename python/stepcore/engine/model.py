@@ -475,7 +475,6 @@ class Model:
         return f"<Model{name}: {shown}; {self._settings!r}>"
 
     def _repr_html_(self) -> str | None:
-        """Return HTML for a notebook, with a picture if possible."""
         from stepcore.engine.sim import Sim
         from stepcore.viewing.notebook import shown
 

@@ -125,7 +125,6 @@ class Noise:
         return drawn
 
     def _asked(self, k: int, worlds: ArrayLike | None) -> tuple[Chosen, tuple[int, int]]:
-        """Return the worlds that draw, and the shape of the numbers."""
         width = checks.count("k", k, 0)
         if worlds is None:
             return slice(None), (len(self), width)

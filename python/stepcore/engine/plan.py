@@ -187,7 +187,6 @@ def _most(entries: list[PlanEntry], size: Callable[[PlanEntry], float]) -> list[
 
 
 def _table(entries: list[PlanEntry], heading: str, every: int) -> Table:
-    """Return a table of some entries; every: the total number of entries."""
     numbers = ("n", "rows", "flops", "µs")
     rows = [_cells(entry) for entry in entries]
     columns = list(rows[0]) if rows else []
@@ -198,7 +197,6 @@ def _table(entries: list[PlanEntry], heading: str, every: int) -> Table:
 
 
 def _cells(entry: PlanEntry) -> dict[str, str]:
-    """Return the printed cells of an entry."""
     names = entry.names[:NAMES]
     if entry.kind == "file":
         names = tuple(os.path.basename(name) for name in names)
@@ -396,7 +394,6 @@ class _Listing:
 
 
 def _has_friction(name: str) -> bool:
-    """Return whether an entry is of contacts with friction."""
     return name.startswith("contacts, ") and not name.startswith("contacts, normal")
 
 

@@ -107,7 +107,6 @@ class PostMortem(Result):
         return [table]
 
     def _steps(self, names: list[str], most: int) -> Table:
-        """Return a table of the last steps."""
         count = len(self.time)
         first = self.replay.happened["step"] - count + 1
         records = [

@@ -144,7 +144,6 @@ def _packed(array: Any) -> Any:
 
 
 def _check(body: dict[str, Any]) -> str:
-    """Return a checksum of the contents of the file."""
     text = json.dumps(body, sort_keys=True, separators=(",", ":"), default=_packed)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -237,14 +236,12 @@ _list, _dict = _is(list, "a list"), _is(dict, "an object")
 
 
 def _each(check: checks.Check) -> checks.Check:
-    """Return a check for a list whose entries pass a check."""
     return lambda owner, name, value: [
         check(owner, f"{name}[{k}]", entry) for k, entry in enumerate(_list(owner, name, value))
     ]
 
 
 def _id(owner: Any, name: str, value: object) -> tuple[str, int, int]:
-    """Check the kind, index and part of an element."""
     entries = _list(owner, name, value)
     if len(entries) != 3 or not isinstance(entries[0], str):
         raise checks.refuse(owner, name, value, "(kind, index, part)")

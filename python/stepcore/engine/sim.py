@@ -501,7 +501,6 @@ class Sim(World):
         return f"<Sim{name}: time {self.time:g} s; {self.settings!r}>"
 
     def _repr_html_(self) -> str | None:
-        """Return HTML of the present state for a notebook, with a picture if possible."""
         from stepcore.viewing.notebook import shown
 
         return shown(self, self._model.ngeom, lambda: self)

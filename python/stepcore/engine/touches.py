@@ -60,7 +60,6 @@ def touches(
 
 
 def _geom(model: Model, field: str, geom: int | str) -> int:
-    """Return the index of a geom given by name or by index."""
     names = model.geom_names
     if isinstance(geom, str):
         if not geom or geom not in names:

@@ -361,5 +361,4 @@ class World(checks.KnownNames, ABC):
         attach(error, self._model_of(error.world), qpos, qvel)
 
     def _model_of(self, world: int) -> Model:
-        """Return the model of one of the worlds."""
         return self._model

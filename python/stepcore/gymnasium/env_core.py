@@ -179,7 +179,6 @@ class EnvCore:
         return errors
 
     def _stepped(self, n: int) -> dict[int, SimulationError]:
-        """Take n steps; return the errors of worlds that failed."""
         if n:
             try:
                 self.world.step(n)
@@ -226,7 +225,6 @@ class EnvCore:
         return first
 
     def _randomize(self, worlds: NDArray[np.intp]) -> None:
-        """Give worlds model values of their own."""
         if not self.task.has("randomize"):
             return
         values = self.task.randomize(self.model, self.streams.of(worlds), worlds)

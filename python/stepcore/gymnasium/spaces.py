@@ -49,7 +49,6 @@ def spaces_of(task: Task, core: EnvCore, dtype: Any = None) -> tuple[Box, Box]:
 
 
 def _of_type(space: Box, dtype: Any) -> Box:
-    """Return the same space of another number type."""
     try:
         own = np.dtype(dtype)
     except TypeError:

@@ -177,7 +177,6 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         return _masked(infos, self._task.reset_info(first), mask)
 
     def _shown(self) -> Floats:
-        """The observations as a call returns them."""
         return self._observations.copy() if self._copy else self._observations
 
     # Actions.
@@ -321,7 +320,6 @@ def _fill(infos: dict[str, Any], name: str, rows: Any, worlds: Any, mask: Mask) 
 
 
 def _final_infos(info: dict[str, Any], observations: Floats, ended: Mask) -> dict[str, Any]:
-    """Return "final_obs" and "final_info" of worlds whose episodes ended."""
     last = np.full(len(ended), None, dtype=object)
     for world in np.flatnonzero(ended):
         last[world] = observations[world].copy()
@@ -334,7 +332,6 @@ def _final_infos(info: dict[str, Any], observations: Floats, ended: Mask) -> dic
 
 
 def _failures(errors: dict[int, Any], n: int) -> NDArray[Any]:
-    """Return the text of each world's failure, or None."""
     texts = np.full(n, None, dtype=object)
     for world, error in errors.items():
         texts[world] = str(error)

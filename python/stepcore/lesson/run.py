@@ -214,7 +214,6 @@ def report(rows: Iterable[Row], full: bool = False) -> str:
 
 
 def _agreeing(rows: Iterable[Row]) -> str:
-    """Count the figures that agree with their references, as "n of m"."""
     checked = [row for row in rows if row.reference is not None]
     return f"{sum(row.ok for row in checked)} of {len(checked)}"
 

@@ -82,7 +82,6 @@ class Report:
         return pages.page(self.title, answer, drawn, self._details())
 
     def _details(self) -> str:
-        """Return the part below the answer: setup, tables and notes."""
         setup = [f"<p>{_marked(text)}</p>" for text in self.setup.splitlines()]
         tables = [
             part for t in self.tables for part in (t.html(), _small(_stopped(t.legend))) if part
@@ -113,7 +112,6 @@ def _note(note: str) -> str:
 
 
 def _stopped(text: str) -> str:
-    """Return a text with a final full stop."""
     return text if not text or text.endswith((".", ":")) else f"{text}."
 
 

@@ -154,7 +154,6 @@ class Result(ABC):
         return f"<{type(self).__name__}: {checks.cut(self.title)}>"
 
     def _repr_html_(self) -> str:
-        """Return the report for a notebook, with the plot if matplotlib is installed."""
         try:
             drawn = picture(self._drawn(), self.title)
         except ImportError:
@@ -162,7 +161,6 @@ class Result(ABC):
         return self.report().html(drawn)
 
     def _drawn(self) -> bytes:
-        """Draw the plot as SVG."""
         drawn = io.BytesIO()
         self.plot().savefig(drawn, format="svg")
         return drawn.getvalue()

@@ -143,7 +143,6 @@ class Table:
         return self.text()
 
     def _repr_html_(self) -> str:
-        """Return the table for a notebook."""
         return self.html()
 
     def __repr__(self) -> str:
