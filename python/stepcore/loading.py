@@ -41,10 +41,17 @@ def find_scene(source: Any, without: Iterable[str] = (), fuse: bool | None = Non
         return scene
     text = os.fsdecode(source)
     package, _, name = text.partition(":")
-    if not _is_name(text):
+    # "C:" is a drive.
+    if ":" not in text or len(package) == 1 or os.path.exists(text):
         return _read(text, without, fuse)
     if package == "lesson":
-        return _lesson(name)
+        if name not in LESSON:
+            raise ValueError(brief(f"lesson:{name}: the lesson's scenes are {', '.join(LESSON)}"))
+        from stepcore.lesson import scenes
+
+        lesson: Scene = getattr(scenes, name)()
+        lesson.name = name
+        return lesson
     scene = _read(find_asset(package, name), without, fuse)
     scene.name = scene.name or name
     return scene
@@ -92,20 +99,4 @@ def find_asset(package: str, name: str) -> Path:
 def _read(path: str | Path, without: Iterable[str], fuse: bool | None) -> Scene:
     scene = Scene()
     read_file(scene, path, without, fuse)
-    return scene
-
-
-def _is_name(text: str) -> bool:
-    """Return whether this is "package:name", not a path; "C:" is a drive."""
-    package, colon, _ = text.partition(":")
-    return bool(colon) and len(package) != 1 and not os.path.exists(text)
-
-
-def _lesson(name: str) -> Scene:
-    from stepcore.lesson import scenes
-
-    if name not in LESSON:
-        raise ValueError(brief(f"lesson:{name}: the lesson's scenes are {', '.join(LESSON)}"))
-    scene: Scene = getattr(scenes, name)()
-    scene.name = name
     return scene

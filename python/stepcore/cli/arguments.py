@@ -275,7 +275,12 @@ def control_function(text: str) -> Callable[..., Any]:
     A module is found as by `python -m` in the working directory.
     """
     if text.endswith(ENDINGS_OF_POLICIES):
-        return _policy(text)
+        try:
+            control = Policy(text)
+            control.network()
+            return control
+        except (ImportError, ValueError, OSError) as error:
+            raise Usage(f"--control {text}: {one_line(error)}") from None
     module, colon, name = text.rpartition(":")
     if not colon or not module or not name:
         raise Usage(f"--control {text}: must be FILE.py:FUNCTION or MODULE:FUNCTION")
@@ -298,16 +303,6 @@ def control_function(text: str) -> Callable[..., Any]:
         # Some C functions have no signature.
         pass
     return _NamedControl(text, function)
-
-
-def _policy(path: str) -> Callable[..., Any]:
-    """Return the policy of a file that exists, whose package is installed."""
-    try:
-        control = Policy(path)
-        control.network()
-        return control
-    except (ImportError, ValueError, OSError) as error:
-        raise Usage(f"--control {path}: {one_line(error)}") from None
 
 
 class _NamedControl:

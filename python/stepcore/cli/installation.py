@@ -74,13 +74,14 @@ def _lesson(args: argparse.Namespace) -> int:
 def _info(args: argparse.Namespace) -> int:
     from stepcore import _core, vectors
 
+    free_threaded = bool(sysconfig.get_config_var("Py_GIL_DISABLED"))
     facts = {package: _version(package) for package in PACKAGES} | {
         # The file name shows whether this is a stable-ABI or a free-threaded build.
         "module": os.path.basename(_core.__file__),
         "vectors": _core.VECTORS,
         # The values of the variable STEPCORE_VECTORS that are valid on this machine.
         "levels": ", ".join(vectors.levels()),
-        "python": platform.python_version() + (" free-threaded" if _free_threaded() else ""),
+        "python": platform.python_version() + " free-threaded" * free_threaded,
         "machine": f"{platform.system()} {platform.machine()}",
         "cores": os.cpu_count(),
     }
@@ -90,10 +91,6 @@ def _info(args: argparse.Namespace) -> int:
         for name, fact in facts.items():
             put(f"{name:<{WIDTH}}{fact}")
     return 0
-
-
-def _free_threaded() -> bool:
-    return bool(sysconfig.get_config_var("Py_GIL_DISABLED"))
 
 
 def _version(package: str) -> str:

@@ -7,7 +7,7 @@ import contextlib
 import json
 import os
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -56,10 +56,15 @@ def add_json(command: argparse.ArgumentParser) -> None:
 
 def check_output(args: argparse.Namespace) -> None:
     """Check before the run that every output file can be written."""
-    outputs = list(_outputs(args))
+    named = ((option, getattr(args, name, None)) for name, option in OPTIONS.items())
+    outputs = [(option, out) for option, out in named if isinstance(out, str) and out != "-"]
     files.outputs.clear()
     for option, out in outputs:
-        _check_path(out, option)
+        path = Path(out).resolve()
+        if path.is_dir():
+            raise Usage(f"{option} {out}: is a folder, not a file")
+        if not path.parent.is_dir():
+            raise Usage(f"{option} {out}: no such folder")
         _keep_inputs(args, option, out)
         if any(_same(out, other) for name, other in outputs if name != option):
             raise Usage(f"{option} {out}: another output of the command is the same file")
@@ -70,13 +75,6 @@ def check_output(args: argparse.Namespace) -> None:
         _need_matplotlib("--plot", args.plot)
     if getattr(args, "html", None) is not None:
         _need_matplotlib("--html")
-
-
-def _outputs(args: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    for name, option in OPTIONS.items():
-        out = getattr(args, name, None)
-        if isinstance(out, str) and out != "-":
-            yield option, out
 
 
 def _keep_inputs(args: argparse.Namespace, option: str, out: str) -> None:
@@ -99,15 +97,6 @@ def _same(one: str, other: str) -> bool:
         return os.path.realpath(one) == os.path.realpath(other)
 
 
-def _check_path(out: str, option: str) -> None:
-    """Refuse a path that is a folder or whose folder does not exist."""
-    path = Path(out).resolve()
-    if path.is_dir():
-        raise Usage(f"{option} {out}: is a folder, not a file")
-    if not path.parent.is_dir():
-        raise Usage(f"{option} {out}: no such folder")
-
-
 def deliver(result: Result, args: argparse.Namespace) -> None:
     """Write and print a result according to the options of `add_output`."""
     writes: Writes = []
@@ -116,15 +105,14 @@ def deliver(result: Result, args: argparse.Namespace) -> None:
     if args.html is not None:
         writes.append((args.html, lambda: result.to_html(args.html)))
     if args.json not in (None, "-"):
-        writes.append((args.json, lambda: _write(args.json, result.to_json())))
+        file = Path(args.json)
+        writes.append(
+            (args.json, lambda: file.write_text(result.to_json() + "\n", encoding="utf-8"))
+        )
     failed = attempted(writes)
     put(result.to_json() if args.json == "-" else result.text(full=args.all))
     for error in failed:
         raise error
-
-
-def _write(out: str, text: str) -> None:
-    Path(out).write_text(text + "\n", encoding="utf-8")
 
 
 def attempted(writes: Writes) -> list[Exception]:

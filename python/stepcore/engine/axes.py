@@ -84,7 +84,11 @@ def _entries(model: Model, axis: str) -> Sequence[str]:
     lists: dict[str, Callable[[], Sequence[str]]] = {
         "dof": lambda: _of_joints(model, DOFS),
         "coordinate": lambda: _of_joints(model, COORDINATES),
-        "reading": lambda: _readings(model),
+        "reading": lambda: [
+            name if count == 1 else f"{name}.{part}"
+            for name, count in zip(model.called("sensor"), model.sensor_dim.tolist(), strict=True)
+            for part in range(count)
+        ],
     }
     return lists[axis]() if axis in lists else ()
 
@@ -95,12 +99,4 @@ def _of_joints(model: Model, parts: Mapping[str, Sequence[str]]) -> list[str]:
     for k, name in enumerate(model.called("joint")):
         own = parts.get(model.jnt_type[k], ())
         entries += [f"{name}.{part}" for part in own] or [name]
-    return entries
-
-
-def _readings(model: Model) -> list[str]:
-    entries: list[str] = []
-    for k, name in enumerate(model.called("sensor")):
-        count = int(model.sensor_dim[k])
-        entries += [name] if count == 1 else [f"{name}.{part}" for part in range(count)]
     return entries

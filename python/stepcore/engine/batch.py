@@ -411,13 +411,11 @@ class Batch(World):
         where: Any = slice(None) if worlds is None else chosen
         self._write(values, where)
         if key is None:
-            self._write_own_initial(chosen)
+            # The arrays that parameters change.
+            for worlds_of, values in self._param.initial():
+                self._write(values, np.intersect1d(worlds_of, chosen))
         for name, rows in own.items():
             self._arrays[name][where] = rows
-
-    def _write_own_initial(self, chosen: NDArray[np.intp]) -> None:
-        for worlds, values in self._param.initial():
-            self._write(values, np.intersect1d(worlds, chosen))
 
     def _rows(self, name: str, given: ArrayLike, k: int) -> Floats:
         """Return a finite table with one row for each of k worlds and the array's width."""

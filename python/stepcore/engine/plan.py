@@ -323,7 +323,8 @@ class _Listing:
 
     def _names(self, of: str, elements: Sequence[int]) -> list[str]:
         if of == "pair":
-            return self._pair_names(elements)
+            names, pairs = self.geom_names, self.features.pairs
+            return [f"{names[a]}/{names[b]}" for a, b in _pick(pairs, elements)]
         if of == "tree":
             return _pick(self.tree_names, elements)
         if of == "island":
@@ -375,10 +376,6 @@ class _Listing:
         name = "adhesion (by geom)"
         yield _entry("solve", name, used, removal=self.removals.get("adhesion"))
         yield _entry("solve", name, unused, why)
-
-    def _pair_names(self, indices: Iterable[int]) -> list[str]:
-        pairs = self.features.pairs
-        return [f"{self.geom_names[a]}/{self.geom_names[b]}" for a, b in _pick(pairs, indices)]
 
     def _excluding(self, indices: Sequence[int]) -> Removal | None:
         """Return the removal of these pairs; None if their bodies have further pairs."""

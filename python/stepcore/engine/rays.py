@@ -46,7 +46,9 @@ def ray_hits(
     if not ends[1].any(axis=-1).all():
         raise ValueError("direction = (0, 0, 0): must have a length")
     try:
-        shape = np.broadcast_shapes(*(end.shape for end in ends), (*worlds, *(1,) * _more(ends)))
+        # The axes of rays after that of the worlds.
+        further = (1,) * max(max(end.ndim for end in ends) - 1, 1)
+        shape = np.broadcast_shapes(*(end.shape for end in ends), (*worlds, *further))
     except ValueError:
         shapes = " and ".join(str(end.shape) for end in ends)
         limit = "shapes that broadcast" + (f", with {worlds[0]} worlds first" if worlds else "")
@@ -59,11 +61,6 @@ def ray_hits(
     lead = shape[:-1]
     met = np.array(geom, dtype=np.int64).reshape(lead)
     return RayHits(distance.reshape(lead), met, normal.reshape((*lead, 3)))
-
-
-def _more(ends: list[Any]) -> int:
-    """Return the number of ray axes after the axis of the worlds."""
-    return max(max(end.ndim for end in ends) - 1, 1)
 
 
 def _vectors(name: str, value: ArrayLike) -> Floats:

@@ -130,7 +130,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         Raises ValueError for a mask or seeds of another length.
         """
         options = dict(options or {})
-        mask = self._mask(options.pop("reset_mask", None))
+        given = options.pop("reset_mask", None)
+        mask: Mask = np.ones(self.num_envs, dtype=bool) if given is None else np.asarray(given)
+        if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
+            limit = f"{self.num_envs} truth values, one of them True"
+            raise ValueError(f"reset_mask = {checks.shown(given)}: must be {limit}")
         no_options(options)
         seeds: Sequence[int | None]
         if seed is None or isinstance(seed, (int, np.integer)):
@@ -147,15 +151,6 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
             self._observations = np.zeros(space.shape or (), dtype=space.dtype)
         infos = self._begin(mask, {})
         return self._shown(), infos
-
-    def _mask(self, mask: Any) -> Mask:
-        if mask is None:
-            return np.ones(self.num_envs, dtype=bool)
-        given = np.asarray(mask)
-        if given.dtype != bool or given.shape != (self.num_envs,) or not given.any():
-            limit = f"{self.num_envs} truth values, one of them True"
-            raise ValueError(f"reset_mask = {checks.shown(mask)}: must be {limit}")
-        return given
 
     def _seed(self, seeds: Sequence[int | None]) -> None:
         """Gives a generator to worlds with a seed, and to those that have none yet."""
