@@ -216,26 +216,6 @@ def test_lanes_and_batches_have_the_same_bits():
             assert np.array_equal(sim.qpos, batch.qpos[world])
 
 
-@pytest.mark.parametrize(("ratio", "share"), ((0.0, 1e-9), (0.2, 0.02)))
-def test_work_of_a_servo_is_no_error(ratio, share):
-    """A servo that swings a mass between setpoints: what it gives and takes is not an error.
-
-    Work is the mean force over a look times its travel: exact for kp, second order for kv.
-    """
-    trade = sc.trade(
-        servo(100.0, ratio=ratio),
-        ctrl=[[1.0], [-1.0], [0.5], [0.0]],
-        horizon=1.0,
-        control_dt=0.25,
-        starts=1,
-        dts=[5e-4],
-        integrators=["rk4"],
-    )
-    swing = 0.5 * 100.0 * 1.0**2
-    errors = next(row.errors for row in trade.rows if row.settings.dt == 5e-4)
-    assert max(errors.gained, errors.lost) < share * swing
-
-
 def test_what_fails_is_named():
     """A servo far beyond its limit explodes, and is the element that is blamed."""
     sim = sc.Sim(servo(1e8).compile(), dt=0.01, integrator="semi-implicit")

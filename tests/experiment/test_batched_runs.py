@@ -126,14 +126,3 @@ def test_a_run_that_explodes_ends_with_the_joint_that_does():
     ]
     assert any(text and text.startswith("exploded at time 0.") for text in failures)
     assert any(text and "moves" in text and "in a step" in text for text in failures)
-
-
-def test_a_measurement_says_what_its_batches_saved():
-    fields = {"horizon": 0.4, "threads": 1, "progress": False}
-    trade = sc.trade("gymnasium:half_cheetah", error="1%", by="flops", effort=3e5, **fields)
-    singly = sc.trade(
-        "gymnasium:half_cheetah", error="1%", by="flops", effort=3e5, **{**fields, "threads": 64}
-    )
-    assert trade.to_json() == singly.to_json()
-    assert all(text in trade.text(10_000, full=True) for text in trade.batches)
-    assert singly.batches == []

@@ -117,7 +117,8 @@ def test_trade_tries_steps_longer_than_the_model_s_under_a_log(gap):
     )
     steps = {row.settings.dt for row in result.rows}
     assert max(steps) > 0.0039 and min(steps) < 0.002
-    assert result.reference.high < 2e-5
+    # The motion is known to a tenth of a tenth of the shipped error.
+    assert result.reference.error <= 0.011 * result.shipped.error
 
 
 def test_rows_are_told_at_their_own_rate():

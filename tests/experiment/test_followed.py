@@ -116,4 +116,4 @@ def test_motors_follow_by_a_pd_controller_of_stepcore(tmp_path):
     assert np.abs(run.trajectory.qpos - path(run.trajectory.time)).max() < 0.12
     assert "motors follow the positions of walk.csv" in run.ran
     trade = sc.trade(model, follow=log(tmp_path), horizon=0.4, starts=2, by="flops", progress=False)
-    assert trade.reference.high < 1e-4
+    assert trade.reference.error < 1e-4

@@ -200,7 +200,7 @@ def test_a_long_check_says_first_what_the_file_alone_shows(capsys, clock, tmp_pa
     [
         (
             ("trade", "lesson:spring", "--further", "0"),
-            r"error as shipped [\d.]+ mm ± .* in 2 of 3 starts; best .* [\d.]+× the shipped work",
+            r"error as shipped [\d.]+ mm, ± .*; best .* at [\d.]+× the shipped cost",
         ),
         (("predict", "lesson:spring"), "from 1 start, the motion can be predicted over all of"),
         (("ablate", "gymnasium:reacher"), r"\d+ of \d+ features add at most 1 mm"),

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from stepcore.signatures import SettingsFields
 
 
+# Settings that change what is modelled: they move the limit dt → 0. (Another law does too, and is a
+# scene of its own; sleep and f32 are errors of the numbers.)
+MODELLING = ("cone", "impratio", "stiction", "softness", "beta", "restitution", "slop")
+
+
 class Change:
     """Settings, values of the model, and features left out.
 
@@ -94,13 +99,9 @@ class Change:
 
     @property
     def physics(self) -> Change:
-        """The values and the features left out: they change what is modelled."""
-        return Change(dict(self.values), self.without)
-
-    @property
-    def numerics(self) -> Change:
-        """The settings alone."""
-        return Change(**dict(self.settings))
+        """What changes the model: values, features left out, and settings such as the cone."""
+        model = {name: value for name, value in self.settings if name in MODELLING}
+        return Change(dict(self.values), self.without, **model)
 
     @property
     def size(self) -> int:
@@ -109,6 +110,11 @@ class Change:
         Settings do not count, because the model stays what it is.
         """
         return len(self.values) + len(self.without)
+
+    @property
+    def models(self) -> bool:
+        """Whether the change is of what is modelled, so that its motion has a limit of its own."""
+        return bool(self.size) or any(name in MODELLING for name, _ in self.settings)
 
     def of(self, model: Model) -> Model:
         """Return the changed model.
@@ -119,9 +125,11 @@ class Change:
             model = Model(without(model.scene, self.without), model.settings)
         if self.values:
             model = model.with_values(dict(self.values))
-        if self.settings:
-            model = model.with_settings(**dict(self.settings))
-        return model
+        return self.with_settings(model)
+
+    def with_settings(self, model: Model) -> Model:
+        """Return a model that has the change of the model already, with the change of settings."""
+        return model.with_settings(**dict(self.settings)) if self.settings else model
 
     @property
     def words(self) -> str:

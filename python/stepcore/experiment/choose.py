@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from stepcore.experiment.trial import Trial
-from stepcore.report.units import counted, metres, percent
+from stepcore.report.units import counted, metres
 
 T = TypeVar("T")
 
@@ -146,11 +146,12 @@ class Proof:
     def words(self) -> str:
         """The proof as a sentence."""
         number = "None" if not self.missed else f"{self.missed}"
+        share = math.ceil(100 * self.share)
         worst = "fails" if self.trial.failure else f"has {metres(self.trial.error)}"
         over = f"; the worst one {worst}" if self.missed else f" ({worst[4:]} in the worst)"
         return (
             f"{number} of {counted(self.starts, 'untouched start')} missed it{over}: with "
-            f"{percent(CONFIDENCE)} confidence at most {percent(self.share)} of starts do."
+            f"{100 * CONFIDENCE:.0f} % confidence at most {share} % of starts do."
         )
 
 

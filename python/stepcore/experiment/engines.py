@@ -6,6 +6,7 @@ own engine; `stepcore.experiment.mujoco_engine` runs MuJoCo.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from stepcore._core import SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.control import ControlError
 from stepcore.engine.follow import Followed, follow
+from stepcore.engine.linear_maps import STAGED
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
@@ -30,6 +32,13 @@ from stepcore.experiment.schedule import Schedule
 FAR = 100.0
 # States of the motion at which the work of a step is counted.
 LOOKS = 8
+# The integrators that are tried under MuJoCo's law, and under the laws on velocities.
+CONVEX = ("rk4", "implicitfast", "euler", "semi-implicit", "discrete", "midpoint", "implicit")
+ON_VELOCITIES = ("rk4", "semi-implicit", "midpoint", "explicit")
+# Numbers of sweeps that are tried.
+SWEEPS = (2, 8, 30)
+# Control periods in the test whether a control function is repeatable.
+REPEATED = 32
 
 
 @dataclass(frozen=True)
@@ -70,6 +79,12 @@ class Engine(Protocol):
     def ways(self, schedule: Schedule, goal: float) -> list[Way]:
         """Return ways to the converged motion; goal: how exact it should be [m]."""
 
+    def families(self, schedule: Schedule) -> list[Change]:
+        """Return the settings to try, all but the time step."""
+
+    def seconds(self, change: Change, schedule: Schedule) -> float:
+        """Return the processor time of a run from the first start [s]; NaN if it fails."""
+
 
 class Stepcore:
     """This package's engine, for one model.
@@ -86,13 +101,14 @@ class Stepcore:
         self._models: dict[Change, Model] = {}
         self._looks: list[tuple[np.ndarray, ...]] = []
         self._counts: dict[Change, float] = {}
+        self._rows: bool | None = None
 
     def of(self, change: Change) -> Model:
         """Return the changed model; each physics is compiled once."""
         physics = change.physics
         if physics not in self._models:
             self._models[physics] = physics.of(self.model)
-        return change.numerics.of(self._models[physics])
+        return change.with_settings(self._models[physics])
 
     def settings(self, change: Change) -> Any:
         return self.model.settings.replace(**dict(change.settings))
@@ -123,6 +139,13 @@ class Stepcore:
             self._counts[change] = self._counted(change, schedule)
         return self._counts[change] / settings.dt
 
+    def seconds(self, change: Change, schedule: Schedule) -> float:
+        try:
+            ran = run(self.of(change), schedule, schedule.indices[:1], record=())
+        except (ValueError, SimulationError):
+            return math.nan
+        return math.nan if ran.failures else ran.seconds
+
     def _counted(self, change: Change, schedule: Schedule) -> float:
         """Count the operations of a step: the mean over states of the shipped motion."""
         if not self._looks:
@@ -143,6 +166,34 @@ class Stepcore:
         except (ValueError, SimulationError):
             return math.inf
         return total / len(self._looks)
+
+    def has_rows(self, schedule: Schedule) -> bool:
+        """Return whether a contact, limit or other row acts at a sample of the shipped motion."""
+        if self._rows is None:
+            seen = run(self.model, schedule, schedule.indices[:8], record=("qpos", "qvel"))
+            sim, self._rows = unwatched(Sim(self.model)), False
+            flat = (seen[name].reshape(-1, seen[name].shape[-1]) for name in ("qpos", "qvel"))
+            for qpos, qvel in zip(*flat, strict=True):
+                if not (self._rows or np.isnan(qvel).any()):
+                    sim.qpos[:], sim.qvel[:] = qpos, qvel
+                    sim.forward()
+                    self._rows = len(sim.rows) > 0
+        return bool(self._rows)
+
+    def families(self, schedule: Schedule) -> list[Change]:
+        """Return every integrator with every solver; one solver is enough where no row acts."""
+        shipped = self.model.settings
+        convex, rows = shipped.law == "solref", self.has_rows(schedule)
+        names = dict.fromkeys([shipped.integrator, *(CONVEX if convex else ON_VELOCITIES)])
+        solvers: list[dict[str, Any]] = [{}] if convex and shipped.solver == "newton" else []
+        if rows or not solvers:
+            solvers += [{"solver": "pgs", "sweeps": n} for n in SWEEPS]
+            solvers += [{"solver": "newton", "sweeps": 100}] * (convex and {} not in solvers)
+        staged = [name for name in names if not (shipped.sleep and name in STAGED)]
+        every = [Change(integrator=name, **solver) for name in staged for solver in solvers]
+        return (
+            [family.also(Change(accuracy=None)) for family in every] if shipped.accuracy else every
+        )
 
     def ways(self, schedule: Schedule, goal: float) -> list[Way]:
         shipped = self.model.settings.replace(sleep=False)
@@ -202,3 +253,16 @@ def run(
     )
     seconds = sum(part.seconds for part in parts)
     return Followed(parts[0].times, data, failures, made, inner, operations, seconds)
+
+
+def check_repeatable(model: Model, schedule: Schedule) -> None:
+    """Raise ControlError if the user's control function is not repeatable.
+
+    The beginning of a run is made twice. If the controls differ, they depend on more than the
+    motion, and runs cannot be compared.
+    """
+    periods = min(REPEATED, schedule.periods)
+    beginning = dataclasses.replace(schedule, periods=periods, every=1)
+    first, again = (run(model, beginning, [0], record=("ctrl",))["ctrl"] for _ in range(2))
+    if schedule.control is not None and not np.array_equal(first, again, equal_nan=True):
+        raise ControlError.not_repeatable(schedule.control, "the same run was made again")

@@ -12,6 +12,8 @@ from typing import Any
 
 # Of one step [µs], and of an operation [µs]; benches/cost_of_work.py.
 STEP, OPERATION = 0.25, 3.5e-4
+# The operations that take as long as a step does besides its own.
+OVERHEAD = STEP / OPERATION
 
 
 def computing_time(work: float, settings: Any) -> float:

@@ -16,10 +16,10 @@ import numpy as np
 
 from stepcore.experiment.arguments import Source, Workers
 from stepcore.experiment.change import Change
-from stepcore.experiment.engines import Engine, Stepcore
+from stepcore.experiment.engines import Engine, Stepcore, check_repeatable
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.norm import Tracks, apart, largest, rms
-from stepcore.experiment.price import computing_time
+from stepcore.experiment.price import OVERHEAD, computing_time
 from stepcore.experiment.schedule import STARTS, Schedule, scheduled, time_steps
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Converging, Truth
@@ -35,6 +35,10 @@ EFFORT = 3e10
 LANES = 3.0
 # Offset between the seed of the first starts and those of further ones.
 APART = 1_000_003
+# How often a run is timed.
+ROUNDS = 5
+# The operations of a step for each dof, where a change fails and none can be counted.
+USUAL = 1500.0
 SHIPPED = Change()
 
 
@@ -90,6 +94,8 @@ class Study:
         self._tracks: dict[tuple[Change, int], Tracks] = {}
         self._truths: dict[Change, Converging] = {}
         self._blocks = 0
+        if self.schedule.calls_user:
+            check_repeatable(self.model, self.schedule)
 
     def fresh(self, count: int) -> tuple[int, ...]:
         """Return the indices of further starts, from which nothing has been run."""
@@ -109,7 +115,10 @@ class Study:
         """Return the operations of runs from some starts; those within an accuracy weigh more."""
         alone = 1.0 if getattr(self.engine.settings(change), "accuracy", None) is None else LANES
         work = self.engine.work(change, self.schedule)
-        return alone * work * self.schedule.horizon * starts if math.isfinite(work) else 0.0
+        if not math.isfinite(work):
+            work = USUAL * (self.engine.nv + 2) / float(self.engine.settings(change).dt)
+        steps = OVERHEAD / float(self.engine.settings(change).dt)
+        return alone * (work + steps) * self.schedule.horizon * starts
 
     def tracks(
         self, changes: Sequence[Change], starts: Sequence[int], bar: str | None = None
@@ -191,7 +200,7 @@ class Study:
         matter, settings = self.engine.matter, self.engine.settings(change)
         far, work = apart(tracks, truth.tracks, matter), self.engine.work(change, self.schedule)
         modelled = None
-        if change.physics.size:
+        if change.models:
             whole = self.truth(truth.goal / SHARE, truth.starts)
             modelled = rms(apart(truth.tracks, whole.tracks, matter), whole.scored)
         return Trial(
@@ -208,6 +217,20 @@ class Study:
             tracks=tracks,
             modelled=modelled,
         )
+
+    def times(self, changes: Sequence[Change]) -> dict[Change, float]:
+        """Measure the computing time of changes from the first start [µs per simulated second].
+
+        The runs of all changes take turns, so that other load on the machine affects all alike; the
+        least of several times is kept. A change that fails has none.
+        """
+        times: dict[Change, float] = {}
+        for _ in range(ROUNDS):
+            for change in dict.fromkeys(changes):
+                spent = self.engine.seconds(change, self.schedule)
+                if math.isfinite(spent):
+                    times[change] = min(times.get(change, math.inf), spent)
+        return {change: 1e6 * spent / self.schedule.horizon for change, spent in times.items()}
 
     def tell(self, wrong: float, moved: float) -> None:
         """Say how far a search for the converged motion has come.

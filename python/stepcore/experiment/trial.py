@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -57,8 +58,13 @@ class Trial:
 
     @property
     def bound(self) -> float:
-        """The error of the worst start with what its truth may be off [m]; inf if a run failed."""
-        return math.inf if self.failure else float(np.max(self.errors + self.unsure, initial=0.0))
+        """The most that the worst start may be off [m]; inf if a run failed.
+
+        That is its error, with what the truth may be off and with the modelling error.
+        """
+        modelled = 0.0 if self.modelled is None else self.modelled
+        every = self.errors + self.unsure + modelled
+        return math.inf if self.failure else float(np.max(every, initial=0.0))
 
     @property
     def worst(self) -> int:
@@ -76,11 +82,24 @@ class Trial:
         return self.bound <= error
 
     def misses(self, error: float) -> list[int]:
-        """Return the starts that exceed an error [m], worst first; all if a run failed."""
+        """Return the starts whose error is above one [m], worst first; all if a run failed."""
         if self.failure:
             return list(self.starts)
-        over = np.flatnonzero(~(self.errors + self.unsure <= error))
+        over = np.flatnonzero(~(self.errors <= error))
         return [self.starts[k] for k in sorted(over, key=lambda k: -self.errors[k])]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Trial]) -> Trial:
+        """Return the trial of one change from all starts of some parts."""
+        first = parts[0]
+        errors, unsure, largest = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("errors", "unsure", "largest")
+        )
+        starts = tuple(start for part in parts for start in part.starts)
+        failure = next((part.failure for part in parts if part.failure), "")
+        whole = replace(first, starts=starts, failure=failure, tracks=None)
+        return replace(whole, errors=errors, unsure=unsure, largest=largest)
 
     def record(self) -> dict[str, Any]:
         """Return the trial as plain data."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,19 +22,23 @@ from stepcore.experiment.engines import Engine, Way
 from stepcore.experiment.norm import Tracks, apart, rms
 from stepcore.experiment.predictable import Growth, growth
 from stepcore.experiment.schedule import Schedule
-from stepcore.report.units import metres
+from stepcore.report.settings import label
+from stepcore.report.units import metres, seconds
 
 # The converged motion is known to this share of the error in question.
 SHARE = 0.1
 # A rung that leaves more than this share of the last one's change does not converge; after two of
 # them a start is left as it is (one may be luck).
 STALLED, PATIENCE = 0.9, 2
-# Rungs of a ladder, at most: steps of a millionth of the shipped one are not tried.
-RUNGS = 20
+# Rungs of a ladder, at most, and rungs after which a method that still fails is given up.
+RUNGS, HOPELESS = 20, 5
 # The share of a study's effort that finding the method may take.
 FINDING = 0.25
 # Where growth ends within the horizon it is measured at finer rungs too, until two agree so well.
 AGREE, FINER = 0.2, 3
+# Nudges that grow less than this from all starts of a search are not measured from further ones.
+TAME = 30.0
+SHIPPED = Change()
 
 
 class Runs(Protocol):
@@ -55,7 +59,7 @@ class Runs(Protocol):
 class Truth:
     """The converged motion from some starts.
 
-    starts: by index. tracks: the motion. change: the settings of the finest run.
+    starts: by index. tracks: the motion. change: that of the finest run, under these `settings`.
     unsure: how far it may be off, of every start [m], (starts,).
     scored: the samples that can be predicted, (starts, n). growth: of nudges from these starts.
     goal: how sure it was to be [m].
@@ -64,10 +68,23 @@ class Truth:
     starts: tuple[int, ...]
     tracks: Tracks
     change: Change
+    settings: Any
     unsure: np.ndarray
     scored: np.ndarray
     growth: Growth
     goal: float
+
+    def part(self, starts: Sequence[int]) -> Truth:
+        """Return the truth of some of its starts, by index."""
+        places = [self.starts.index(start) for start in starts]
+        return replace(
+            self,
+            starts=tuple(starts),
+            tracks=self.tracks.some(places),
+            unsure=self.unsure[places],
+            scored=self.scored[places],
+            growth=self.growth.some(places),
+        )
 
     @property
     def error(self) -> float:
@@ -78,8 +95,8 @@ class Truth:
     def words(self) -> str:
         """The method and the uncertainty as a sentence."""
         return (
-            f"Errors are measured from a converged motion ({self.change.words}); its uncertainty "
-            f"is {metres(self.error)}."
+            f"Errors are measured from a converged motion ({label(self.settings)}); its "
+            f"uncertainty is {metres(self.error)}."
         )
 
 
@@ -115,7 +132,7 @@ class Converging:
         """Return the converged motion from some starts, sure to a goal [m] if the effort allows."""
         goal = self.goal if goal is None else goal
         assert goal is not None
-        self._begin([s for s in starts if s not in self.known])
+        self._begin([s for s in starts if s not in self.known], goal)
         self._refine([s for s in starts if self.known[s].moved * self.doubt > goal], goal)
         self._witness(starts)
         own = [self.known[s] for s in starts]
@@ -123,7 +140,8 @@ class Converging:
         tracks, scored = Tracks.joined([one.tracks for one in own]), grown.scored(self.times)
         unsure = self.doubt * np.array([one.moved for one in own])
         finest = self.at(max(one.rung for one in own))
-        return Truth(tuple(starts), tracks, finest, unsure, scored, grown, goal)
+        settings = self.study.engine.settings(finest)
+        return Truth(tuple(starts), tracks, finest, settings, unsure, scored, grown, goal)
 
     @property
     def times(self) -> np.ndarray:
@@ -154,7 +172,20 @@ class Converging:
         begun, failure = study.spent, ""
         while True:
             change = [self.physics.also(way.at(n)) for way, n in zip(ways, rungs, strict=True)]
-            k = min(range(len(ways)), key=lambda k: study.price(change[k], 1))
+            prices = [study.price(one, 1) for one in change]
+            # What still fails at steps so short diverges itself.
+            prices = [
+                math.inf if n > HOPELESS and own is not None and own.failure else price
+                for n, own, price in zip(rungs, last, prices, strict=True)
+            ]
+            k = int(np.argmin(prices))
+            spent = study.spent - begun + prices[k] > FINDING * study.effort
+            if (spent and sum(rungs) > 2 * len(ways)) or rungs[k] >= RUNGS:
+                k = int(np.argmin(moved))
+                if not math.isfinite(moved[k]):
+                    raise self._fails(failure or "it does not settle")
+                self.goal = moved[k] if self.goal is None else self.goal
+                break
             (now,) = study.tracks([change[k]], [start])
             before, last[k] = last[k], now
             rungs[k] += 1
@@ -168,13 +199,6 @@ class Converging:
                     self.goal = goal
                     break
                 study.tell(wrong, moved[k])
-            if study.spent - begun > FINDING * study.effort or rungs[k] >= RUNGS:
-                k = int(np.argmin(moved))
-                if not math.isfinite(moved[k]):
-                    why = failure or "it does not settle"
-                    raise ValueError(f"the motion itself does not converge: {why}")
-                self.goal = moved[k] if self.goal is None else self.goal
-                break
         own = last[k]
         assert own is not None
         rivals = [
@@ -187,18 +211,33 @@ class Converging:
         self.doubt = max(1.0, rival / moved[k]) if moved[k] > 0 and rival > 2 * moved[k] else 1.0
         return ways[k], rungs[k] - 1, rival
 
-    def _begin(self, starts: Sequence[int]) -> None:
-        """Run new starts at the rung that settled the first one, and at the one before."""
+    def _fails(self, why: str) -> ValueError:
+        dt = seconds(float(self.study.engine.settings(SHIPPED).dt))
+        text = f"the converged motion fails{self.study.schedule.driven}, at shorter steps than"
+        return ValueError(f"{text} {dt} too, so there is nothing to compare with: {why}")
+
+    def _begin(self, starts: Sequence[int], goal: float) -> None:
+        """Run new starts at the rung that settled the first one, and at the one before.
+
+        For a coarser goal they begin at a coarser rung: one less for each factor of two.
+        """
         if not starts:
             return
-        rung, study = self.rung, self.study
-        for rung in range(self.rung, self.rung + PATIENCE + 1):
+        assert self.goal is not None
+        coarser = int(math.log2(max(1.0, goal / self.goal))) if self.goal > 0 else 0
+        study = self.study
+        for rung in range(max(1, self.rung - coarser), self.rung + PATIENCE + 1):
             before, now = study.tracks([self.at(rung - 1), self.at(rung)], starts)
             if not now.failure:
                 break
         if now.failure:
-            raise ValueError(f"the converged motion fails from another start: {now.failure}")
-        self._measure_growth(starts, rung)
+            raise self._fails(now.failure)
+        if self.grown and max(g.factor.max() for g in self.grown.values()) < TAME:
+            # Where nothing grows from the starts of a search, nothing will nearby.
+            like = next(iter(self.grown.values()))
+            self.grown |= dict.fromkeys(starts, like)
+        else:
+            self._measure_growth(starts, rung)
         moved = self._between(before, now, starts)
         for k, start in enumerate(starts):
             self.known[start] = _Start(rung, now.some([k]), float(moved[k]))

@@ -1,209 +1,205 @@
-"""`Trade`: the rows and the recommendation of `trade`, in sentences, tables and data."""
+"""`Trade`: the trials and the recommendation of `trade`, in sentences, tables and data."""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from stepcore._core import Settings, SimulationError
-from stepcore.engine.snapshots import RATE, Snapshots
+from stepcore import checks
+from stepcore._core import Settings
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory
+from stepcore.experiment.change import Change
+from stepcore.experiment.choose import Proof, frontier
 from stepcore.experiment.motion import Motion, picklable
-from stepcore.experiment.reference import Reference
-from stepcore.experiment.run import Probe
-from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.trial import Trial
+from stepcore.experiment.truth import Truth
 from stepcore.measure.monitors import Finding
-from stepcore.measure.trade.batch_cost import BatchPoint
-from stepcore.measure.trade.mujoco import Point, compared_with_mujoco
-from stepcore.measure.trade.rows import MARGIN, NOTABLE, UNITS, Frontier, TradeRow, observed_orders
-from stepcore.measure.trade.tables import batch_tables, settings_table, statistics_tables
-from stepcore.measure.trade.words import Words
+from stepcore.measure.trade.search import Search
 from stepcore.report.result import Result
+from stepcore.report.settings import differences, solver_words
 from stepcore.report.table import Table
-from stepcore.report.units import counted, length, metres, seconds
+from stepcore.report.units import (
+    beginning,
+    compact,
+    computing,
+    counted,
+    length,
+    metres,
+    operations,
+    seconds,
+)
 
 if TYPE_CHECKING:
     from stepcore.viewing.live import View
 
 # Default error of `Trade.best` [m].
 ERROR = 1e-3
-# Largest share of starts on which a cheaper row may exceed the error and still be named.
-FEW = 0.1
+# Rows of a printed table.
+SHOWN = 10
+# Ratio of the worst start's error to the median's above which starts are said to differ widely.
+DIFFER = 30.0
+# A slope of log error over log dt counts as an order if it is so near to a whole one; errors count
+# if they are so far above the truth's own, and so far below the motion.
+CLOSE, ABOVE, BELOW = 0.15, 10.0, 0.1
+UNITS = {
+    "dt": "s",
+    "accuracy": "m per simulated second",
+    **dict.fromkeys(("error", "median", "largest", "unsure"), "m"),
+    "work": "operations per simulated second",
+    "cost": "us per simulated second",
+}
+FIELDS = (
+    *("dt", "integrator", "solver", "sweeps", "precision", "tolerance", "warm_start"),
+    *("cost_tolerance", "acceleration", "cone", "accuracy"),
+)
 
 
 @dataclass(eq=False, repr=False)
 class Trade(Result):
     """The trade-off between cost and accuracy for one scene; `stepcore.trade` returns it.
 
-    motion: the motion that every setting ran.
-    frontier: every setting that ran from all starts, and every setting that failed.
+    motion: the motion that every setting ran; schedule: its starts and controls.
+    model: the scene as shipped.
     reference: the converged motion, with its error.
-    horizon: the simulated time [s].
+    rows: every setting that ran from all starts, and those that failed; coarsest step first.
+    shipped: the trial of the scene's own settings.
     target, budget: the requested error [m] or the requested budget.
-    verified: if the reference cannot verify `target`, the least round error that it can [m].
+    verified: if the target cannot be verified, the least round error that can [m].
+    chosen: the settings for `target`, or for `verified`, or for `budget`.
+    proof: what these did on starts that no choice has seen; None if they did not run there.
+    by: "time" or "flops". times: measured computing times [µs per simulated second], by change.
     size: the size of the scene [m].
-    mujoco: MuJoCo's points, if MuJoCo was requested.
-    in_batch: the cost of the named settings as worlds of a batch, in both precisions; empty if
-        costs are counted or a Python function gives the controls.
-    screened: the number of settings that were tried.
     runs: the number of runs that the trade made.
-    chosen: the row for `target`, or for `verified`, that further starts confirmed.
     findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
-    runner: repeats runs of the trade for viewing.
+    beside: the same trade on a second engine, if one was asked for.
     """
 
     kind = "trade"
     units: ClassVar = UNITS
 
     motion: Motion
-    frontier: Frontier
-    reference: Reference
-    horizon: float
+    model: Model
+    schedule: Schedule
+    by: str = "time"
     target: float | None = None
     budget: float | None = None
     verified: float | None = None
     size: float = math.nan
-    mujoco: Sequence[Point] = ()
-    in_batch: Sequence[BatchPoint] = ()
-    screened: int = 0
+    rows: list[Trial] = field(default_factory=list)
+    chosen: Trial | None = None
+    proof: Proof | None = None
+    times: Mapping[Change, float] = field(default_factory=dict)
     runs: int = 0
-    chosen: TradeRow | None = None
+    moved: float = math.nan
     findings: Sequence[Finding] = ()
-    runner: Runner | None = None
+    beside: Trade | None = None
+    reference: Truth = field(init=False)
+    shipped: Trial = field(init=False)
+
+    def take(self, search: Search) -> None:
+        """Take over what a search has tried, without the poses of all bodies."""
+        if self.starts == len(search.truth.starts):
+            self.reference, self.shipped = search.truth, search.shipped
+        self.moved = search.moved
+        light = [dataclasses.replace(trial, tracks=None) for trial in search.trials.values()]
+        self.rows = sorted(light, key=lambda trial: (-trial.dt, trial.cost))
+        if self.chosen is None and self.target is not None:
+            with contextlib.suppress(ValueError):
+                self.chosen = self.cheapest(self.asked)
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(self.__dict__)
-        if (runner := self.runner) is not None and (control := runner.schedule.control) is not None:
-            schedule = replace(runner.schedule, control=picklable(control))
-            state["runner"] = Runner(runner.model, schedule)
+        if self.schedule.control is not None:
+            control = picklable(self.schedule.control)
+            state["schedule"] = dataclasses.replace(self.schedule, control=control)
         return state
 
     # Rows and recommendations.
 
     @property
-    def rows(self) -> list[TradeRow]:
-        """Every setting that ran from all starts, and those that failed; coarsest step first."""
-        return list(self.frontier.rows)
+    def asked(self) -> float:
+        """The error that settings are chosen for [m]: `verified`, or else `target`."""
+        return self.verified or self.target or ERROR
 
     @property
     def starts(self) -> int:
-        """The number of starts that every setting ran from."""
-        return len(self.reference.runs)
+        """The number of starts of the search."""
+        return len(self.shipped.starts)
 
     @property
-    def by(self) -> str:
-        """The cost metric: "time" [µs] or "flops", per simulated second."""
-        return self.frontier.by
-
-    def error(self, row: TradeRow) -> float:
-        """Return the error that a row can claim [m]; inf if the row failed.
-
-        This is the RMS position error of the worst start, further starts included, and never below
-        the reference's own error.
-        """
-        return self.frontier.error(row)
-
-    def price(self, row: TradeRow) -> float:
-        """Return the cost of a row per simulated second: µs, or operations with `by="flops"`."""
-        return self.frontier.price(row)
-
-    @property
-    def shipped(self) -> TradeRow:
-        """The row of the scene's own settings."""
-        return self.frontier.shipped
+    def horizon(self) -> float:
+        """The simulated time [s]."""
+        return self.schedule.horizon
 
     @property
     def settings(self) -> Settings:
         """The scene's own settings."""
-        return self.shipped.settings
+        own: Settings = self.shipped.settings
+        return own
 
     @property
-    def orders(self) -> dict[str, float]:
-        """The observed order of accuracy of each integrator in the worst start."""
-        return observed_orders(self.rows, self.reference)
+    def recommended(self) -> Trial | None:
+        """The settings for the requested error or budget; None without any."""
+        return self.chosen if self.verified is None else None
+
+    @property
+    def nearest(self) -> Trial | None:
+        """The settings for `verified`, where the requested error cannot be verified."""
+        return None if self.verified is None else self.chosen
+
+    @property
+    def front(self) -> list[Trial]:
+        """The settings that no others beat in price and error, the cheapest first."""
+        return frontier((row for row in self.rows if not row.failure), self.price)
+
+    @property
+    def named(self) -> list[Trial]:
+        """The settings that the answer names besides the shipped ones."""
+        if self.chosen is not None:
+            other = self.next_better()
+        elif self.target is None and self.budget is None and not self.shipped.failure:
+            return [row for row in (self.next_better(), self._same()) if row is not None]
+        else:
+            other = None
+        return [row for row in (self.chosen, other) if row is not None]
+
+    @property
+    def failures(self) -> list[Trial]:
+        """The settings that failed; `Trial.failure` gives the reason."""
+        return [row for row in self.rows if row.failure]
 
     @property
     def predictable(self) -> float:
         """The time when the first start becomes unpredictable [s]; inf if none does.
 
-        Trajectory errors are measured before this time; see `stepcore.predict`.
+        Errors are measured before this time; see `stepcore.predict`.
         """
         return self.reference.growth.overall
 
-    @property
-    def failures(self) -> list[TradeRow]:
-        """The rows that failed; `TradeRow.failure` gives the reason."""
-        return [row for row in self.rows if row.failure]
+    def error(self, row: Trial) -> float:
+        """Return the RMS position error of a row's worst start [m]; inf if it failed.
 
-    @property
-    def recommended(self) -> TradeRow | None:
-        """The row for the requested error or budget; None without a request or a matching row."""
-        return self._wanted(self.target) if self.verified is None else None
-
-    @property
-    def nearest(self) -> TradeRow | None:
-        """The row for `verified`, where the reference cannot verify the requested error."""
-        return None if self.verified is None else self._wanted(self.verified)
-
-    def _wanted(self, error: float | None) -> TradeRow | None:
-        if self.chosen is not None:
-            return self.chosen
-        try:
-            if error is not None:
-                return self.cheapest(error)
-            return None if self.budget is None else self.most_accurate(self.budget)
-        except ValueError:
-            return None
-
-    @property
-    def passed_over(self) -> TradeRow | None:
-        """A notably cheaper row than the recommended row that almost meets the error.
-
-        The row meets the requested error without the safety margin of a recommendation, or exceeds
-        the error on at most a tenth of the starts. Of several such rows, this is the row with the
-        fewest misses.
+        That of the chosen settings includes the untouched starts.
         """
-        chosen = self.recommended or self.nearest
-        if chosen is None or self.target is None:
-            return None
-        near = []
-        for row in self.rows:
-            if row.errors is None or row.further is None or row.further.starts == 0:
-                continue
-            missed, count = self.misses(row)
-            cheap = self.price(row) < NOTABLE * self.price(chosen)
-            if cheap and missed <= FEW * count and self.error(row) < math.inf:
-                near.append((missed, self.price(row), row.settings.dt, row))
-        return min(near, key=lambda entry: entry[:3])[-1] if near else None
+        if self.proof is not None and row.change == self.proof.trial.change:
+            return max(row.error, self.proof.trial.error)
+        return row.error
 
-    @property
-    def offered(self) -> list[TradeRow]:
-        """The rows compared in the answer: half the error, and the same error at a lower cost."""
-        if (chosen := self.recommended or self.nearest) is not None:
-            rows = [self.passed_over, self.frontier.halving(chosen)]
-        elif self.shipped.errors is not None and not math.isnan(self.price(self.shipped)):
-            error = self.error(self.shipped)
-            rows = [self.next_better(error), self.frontier.cheapest(error)]
-        else:
-            rows = []
-        return [row for row in rows if row is not None]
+    def price(self, row: Trial) -> float:
+        """Return the cost of a row per simulated second by its counted work.
 
-    @property
-    def kept(self) -> float:
-        """The error limit of a recommendation [m]: `target` less a margin; NaN without a target.
-
-        Where the reference cannot verify the target, `verified` takes its place.
+        The unit is µs, or operations with `by="flops"`.
         """
-        return math.nan if self.target is None else MARGIN * (self.verified or self.target)
-
-    def misses(self, row: TradeRow) -> tuple[int, int]:
-        """Return on how many starts a row exceeds the requested error, and from how many it ran."""
-        return row.misses(self.verified or self.target or math.inf)
+        return row.work if self.by == "flops" else row.cost
 
     def best(self, error: float | str | None = None) -> Settings:
         """Return the cheapest Settings whose error in every start is at most `error`.
@@ -214,41 +210,77 @@ class Trade(Result):
 
         Raises ValueError, naming the smallest error reached, if no row is accurate enough.
         """
-        if error is None and self.target is None and self.budget is not None:
-            return self.most_accurate(self.budget).settings
-        if self.chosen is not None and error in (None, self.target) and self.verified is None:
-            return self.chosen.settings
-        return self.cheapest(error).settings
+        if error in (None, self.target) and self.recommended is not None:
+            own: Settings = self.recommended.settings
+        else:
+            own = self.cheapest(error).settings
+        return own
 
-    def next_better(self, error: float | str | None = None) -> TradeRow | None:
-        """Return the cheapest row with at most half of an error; None if there is no such row.
-
-        error: as in `best`. The default is the error of the recommended row. That error is compared
-            on the starts of the search, because other rows need not have run from the further
-            starts.
-        """
-        if error is None and (row := self.recommended or self.nearest) is not None:
-            return self.frontier.halving(row)
-        try:
-            return self.frontier.cheapest(self._length(error) / 2)
-        except ValueError:
-            return None
-
-    def cheapest(self, error: float | str | None = None) -> TradeRow:
+    def cheapest(self, error: float | str | None = None) -> Trial:
         """Return the row with the lowest price whose error is at most `error`; see `best`."""
-        return self.frontier.cheapest(self._length(error))
+        limit = self.target or ERROR
+        if error is not None:
+            limit = length("best", "error", error, self.size)
+        good = [row for row in self.rows if self.error(row) <= limit]
+        if not good:
+            least = min((self.error(row) for row in self.rows), default=math.inf)
+            raise ValueError(f"error = {limit:g} m: the smallest in this trade is {least:.3g} m")
+        return min(good, key=lambda row: (self.price(row), row.error))
 
-    def _length(self, error: float | str | None) -> float:
-        if error is None:
-            return ERROR if self.target is None else self.target
-        return length("best", "error", error, self.size)
+    def next_better(self, error: float | str | None = None) -> Trial | None:
+        """Return the cheapest row with at most half of an error; None if there is none.
 
-    def most_accurate(self, budget: float) -> TradeRow:
+        error: as in `best`; by default that of the chosen settings on the starts of the search, or
+            of the shipped ones.
+        """
+        if error is not None:
+            half = length("best", "error", error, self.size) / 2
+        else:
+            half = (self.chosen or self.shipped).error / 2
+        good = [row for row in self.rows if row.error <= half and not row.failure]
+        return min(good, key=self.price) if good and half > 0 else None
+
+    def most_accurate(self, budget: float) -> Trial:
         """Return the row with the smallest error whose price is at most `budget`.
 
         Raises ValueError, naming the lowest price, if no row is cheap enough.
         """
-        return self.frontier.most_accurate(budget)
+        checks.real(above=0)("most_accurate", "budget", budget)
+        done = [row for row in self.rows if not row.failure]
+        good = [row for row in done if self.price(row) <= budget]
+        if not good:
+            least = min(map(self.price, done), default=math.inf)
+            raise ValueError(f"budget = {budget:g}: the lowest price in this trade is {least:.3g}")
+        return min(good, key=lambda row: (row.error, self.price(row)))
+
+    def _same(self) -> Trial | None:
+        """Return a notably cheaper row with at most the shipped error."""
+        row = self.cheapest(max(self.shipped.error, 1e-300))
+        return row if self.price(row) < 0.9 * self.price(self.shipped) else None
+
+    @property
+    def orders(self) -> dict[str, float]:
+        """The observed order of accuracy of each integrator: the slope of log error over log dt.
+
+        It is that of three or more rows that differ in dt alone, where their errors are well above
+        the truth's own and well below the motion; only slopes near 1, 2 or 4 count.
+        """
+        lines: dict[Change, list[tuple[float, float]]] = {}
+        for row in self.rows:
+            plain = row.settings.precision == "f64" and row.settings.accuracy is None
+            if plain and ABOVE * self.reference.error < row.error < BELOW * self.moved:
+                family = Change.between(row.settings.replace(dt=self.settings.dt), self.settings)
+                lines.setdefault(family, []).append((row.dt, row.error))
+        slopes: dict[str, list[float]] = {}
+        for family, points in lines.items():
+            if len(points) < 3:
+                continue
+            dts, errors = np.log(np.array(points)).T
+            slope = float(np.polyfit(dts, errors, 1)[0])
+            if min(abs(slope - order) / order for order in (1, 2, 4)) <= CLOSE:
+                name = dict(family.settings).get("integrator", self.settings.integrator)
+                slopes.setdefault(name, []).append(slope)
+        return {name: float(np.median(some)) for name, some in slopes.items()}
 
     # Sentences.
 
@@ -259,122 +291,265 @@ class Trade(Result):
 
     @property
     def setup(self) -> str:
-        """The settings tried and the reference, in one line."""
-        ref, tried = self.reference, ""
-        if self.screened > len(self.rows):
-            tried = f", of {self.screened} tried in {self.runs} runs"
-        truth = f"a converged motion ({ref.level.integrator}, dt {seconds(ref.settings.dt)})"
-        if ref.exact is not None:
-            truth = "the exact motion"
-        return (
-            f"{counted(len(self.rows), 'setting')}{tried}. Errors are measured from {truth}; its "
-            f"uncertainty is {metres(ref.high)}."
-        )
+        """The settings tried and the truth, in one line."""
+        tried = f"{counted(len(self.rows), 'setting')} in {counted(self.runs, 'run')}"
+        return f"{tried}. {self.reference.words}"
 
     @property
     def sentences(self) -> list[str]:
         """The recommendation, the error of the shipped settings, and the cost of less error."""
-        words = Words(
-            frontier=self.frontier,
-            reference=self.reference,
-            target=self.target,
-            verified=self.verified,
-            budget=self.budget,
-            recommended=self.recommended or self.nearest,
-            passed_over=self.passed_over,
-            horizon=self.horizon,
+        said = [*self._scored(), *self._answer(), self._as_shipped()]
+        if self.target is None and self.budget is None:
+            said += self._improvements()
+        return [*said, *(finding.text for finding in self.findings)]
+
+    def _scored(self) -> Iterator[str]:
+        """Say first until when errors count, if that is not the whole horizon."""
+        ends = self.reference.growth.ends
+        lost = int(np.isfinite(ends).sum())
+        if lost:
+            yield (
+                f"Errors count only while the motion can be predicted: from {lost} of "
+                f"{counted(len(ends), 'start')} nearby motions part before {seconds(self.horizon)} "
+                f"are over, the first after {seconds(self.predictable)}."
+            )
+
+    def _answer(self) -> Iterator[str]:
+        target, truth = self.target, self.reference
+        if target is not None and truth.error > target:
+            yield (
+                f"{metres(target)} cannot be verified: the converged motion is known to "
+                f"{metres(truth.error)} in the worst start. Try your own motion, or a larger "
+                "`effort` (--effort)."
+            )
+        elif self.verified is not None and target is not None:
+            yield (
+                f"{metres(target)} cannot be verified well: the converged motion is known to "
+                f"{metres(truth.error)} in the worst start."
+            )
+        row = self.chosen
+        if row is not None:
+            within = f"an error of at most {metres(self.asked)}"
+            if self.budget is not None:
+                within = f"a cost of at most {self._amount(self.budget)} per simulated second"
+            yield (
+                f"Recommended for {within}: {self.label(row)}. Its RMS position error is "
+                f"{self._wrong(row)} in the worst of {counted(len(row.starts), 'start')}, for "
+                f"{self._priced_beside(row)}."
+            )
+            if self.proof is not None:
+                yield self.proof.words
+            elif target is not None:
+                yield "It was not tried on untouched starts."
+            yield self._halved()
+        elif target is not None:
+            yield f"No setting tried has an error of at most {metres(self.asked)} in every start."
+            done = [row for row in self.rows if not row.failure]
+            if done:
+                least = min(done, key=lambda row: row.error)
+                yield f"The smallest is {self._wrong(least)}: {self.label(least)}."
+        elif self.budget is not None:
+            yield f"No setting costs at most {self._amount(self.budget)} per simulated second."
+
+    def _halved(self) -> str:
+        better = self.next_better()
+        if better is None:
+            return "No setting tried halves that error."
+        return (
+            f"Half that error or less comes at {self._multiple(better)}: {self.label(better)}, "
+            f"with an error of {metres(better.error)}."
         )
-        said = list(words.answer())
-        if self.mujoco:
-            said += compared_with_mujoco(self.mujoco, self.shipped)
-        said += words.in_a_batch(self.in_batch)
-        return said + [finding.text for finding in self.findings]
+
+    def _as_shipped(self) -> str:
+        """Describe the error of the shipped settings, in the worst and in the median start."""
+        row = self.shipped
+        what = f"As shipped ({self.label(row)})"
+        if row.failure:
+            return f"{what} the simulation fails: {beginning(row.failure)}."
+        where, count = "", len(row.starts)
+        if count > 1:
+            median = f"median {metres(row.median)}"
+            if row.error > DIFFER * row.median:
+                median = f"starts differ widely: {median}"
+            where = f" in the worst of {count} starts (start {row.worst}; {median})"
+        scored = min(self.horizon, self.predictable)
+        over = seconds(self.horizon) if scored == self.horizon else "what can be predicted"
+        return (
+            f"{what} the RMS position error over {over} is {self._wrong(row)}{where}, for "
+            f"{self._priced(row)}. The largest error of a body at any time is "
+            f"{metres(float(row.largest.max()))}."
+        )
+
+    def _improvements(self) -> Iterator[str]:
+        """Yield the cost of half the shipped error, and of the shipped error itself."""
+        if self.shipped.failure:
+            ran = [row for row in self.rows if not row.failure]
+            if ran:
+                least = min(ran, key=self.price)
+                wrong = f"with an error of {self._wrong(least)}"
+                yield f"The cheapest setting that runs is {self.label(least)}, {wrong}."
+            return
+        yield self._halved()
+        same = self._same()
+        if same is not None and same is not self.next_better():
+            yield (
+                f"The same error or less comes at {self._multiple(same)}: {self.label(same)}, with "
+                f"an error of {metres(same.error)}."
+            )
+
+    def label(self, row: Trial) -> str:
+        """Describe settings, with every field that differs from the shipped settings."""
+        return row.change.label(self.settings)
+
+    def _wrong(self, row: Trial) -> str:
+        unsure = float(row.unsure.max())
+        sure = "" if unsure < 0.005 * row.error else f" (± {metres(unsure).removeprefix('< ')})"
+        return f"{metres(row.error)}{sure}"
+
+    def _multiple(self, row: Trial) -> str:
+        """Describe the cost of settings as a multiple of that of the shipped settings."""
+        if self.shipped.failure:
+            return self._amount(self.price(row))
+        return f"{self.price(row) / self.price(self.shipped):.2f}× the cost of the shipped settings"
+
+    def _priced_beside(self, row: Trial) -> str:
+        if row.change == Change():
+            return f"{self._priced(row)}, as shipped"
+        beside, here = self._multiple(row), self.times.get(row.change)
+        shipped = self.times.get(Change())
+        if here is None or not shipped:
+            return f"{beside} by counted work"
+        measured = f"{here / shipped:.2f}× as measured here: {self._priced(row)}"
+        return f"{beside} by counted work ({measured})"
+
+    def _priced(self, row: Trial) -> str:
+        if self.by == "flops" or row.change not in self.times:
+            return f"{operations(row.work)} per simulated second"
+        return f"{computing(self.times[row.change])} of computing per simulated second"
+
+    def _amount(self, cost: float) -> str:
+        return operations(cost) if self.by == "flops" else computing(cost)
 
     # Tables, data and motions.
 
     @property
     def table(self) -> Table:
-        """All rows, coarsest step first; units as in `Errors` and `TradeRow`."""
-        return Table(row.record() for row in self.rows)
+        """All rows, coarsest step first."""
+        return Table(self._record(row) for row in self.rows)
+
+    def _record(self, row: Trial) -> dict[str, Any]:
+        record: dict[str, Any] = {name: getattr(row.settings, name) for name in FIELDS}
+        front = {id(one) for one in self.front}
+        return record | {
+            **row.record(),
+            "unsure": float(row.unsure.max()),
+            "worst_start": row.worst,
+            "measured": self.times.get(row.change),
+            "pareto": id(row) in front,
+            "starts": len(row.starts),
+            "shipped": row.change == Change(),
+            "recommended": self.chosen is not None and row.change == self.chosen.change,
+        }
 
     def tables(self, full: bool) -> list[Table]:
-        """Return the table of the main settings, and the means after the motion is unpredictable.
+        """Return the table of the main settings; `full`: of all."""
+        shown = self.rows if full else self._main_rows()
+        front = self.front
+        records = []
+        for row in shown:
+            mark = "*" * any(row is one for one in front)
+            mark += "s" * (row.change == Change())
+            mark += "r" * (self.chosen is not None and row.change == self.chosen.change)
+            s, here = row.settings, self.times.get(row.change)
+            known = differences(s, self.settings)
+            record = {
+                "": mark,
+                "dt": f"{1e3 * s.dt:.4g}",
+                "integrator": s.integrator,
+                "solver": solver_words(s),
+                "also": ", ".join(word for word in known if word not in solver_words(s)),
+                "cost": f"{self.price(row) / self.price(self.shipped):.2f}×",
+                "measured": "" if here is None else f"{here:.0f}",
+            }
+            wrong = (row.error, row.median, float(row.largest.max()))
+            errors = ["failed", "", ""] if row.failure else [compact(value) for value in wrong]
+            records.append(record | dict(zip(("error", "median", "max"), errors, strict=True)))
+        columns = [n for n in records[0] if any(r[n] for r in records) or n in ("", "dt")]
+        counts = sorted({len(row.starts) for row in shown})
+        ran = counted(counts[-1], "start")
+        if len(counts) > 1:
+            ran = f"the {counts[0]} to {ran} that a setting ran from"
+        more = len(self.rows) - len(shown)
+        legend = (
+            "*: no other setting is cheaper and at least as accurate; s: shipped; r: chosen. dt "
+            "[ms]; cost: by counted work, of the shipped settings'; measured: computing time here "
+            f"[µs per simulated second]; error: RMS position error of the worst of {ran} [m], "
+            "rotations included as arcs; median: of the median start; max: the largest of any body "
+            "at any time."
+        )
+        if more and not full:
+            legend += f" --all (in Python text(full=True)) prints {counted(more, 'more setting')}."
+        numbers = dict.fromkeys(("dt", "cost", "measured", "error", "median", "max"), "")
+        return [Table(records, columns, numbers, legend=legend)]
 
-        full: whether to include all settings, and the batch cost of the recommended ones.
-        """
-        chosen, frontier = self.recommended or self.nearest, self.frontier
-        named = [row for row in (self.shipped, chosen, *self.offered) if row is not None]
-        return [
-            settings_table(frontier, self.reference, chosen, named, self.mujoco, full),
-            *(batch_tables(frontier, self.in_batch) if full else []),
-            *statistics_tables(frontier),
-        ]
+    def _main_rows(self) -> list[Trial]:
+        """Return about a screen of rows: those that the answer names, and others of the front."""
+        named = {row.change for row in (self.shipped, *self.named)}
+        others = [row for row in self.front if row.change not in named]
+        left = max(0, SHOWN - len(named))
+        even = np.unique(np.linspace(0, len(others) - 1, min(left, len(others))).astype(int))
+        kept = named | {others[k].change for k in even}
+        return [row for row in self.rows if row.change in kept]
 
     def details(self) -> dict[str, Any]:
-        """Return the reference, the request, the recommendation and MuJoCo's points as data."""
-        chosen = self.recommended
+        """Return the reference, the request and the recommendation as data."""
+        truth, proof = self.reference, self.proof
         return {
             "horizon": self.horizon,
             "starts": self.starts,
             "size": self.size,
-            "reference": self._reference(),
+            "reference": {
+                "change": truth.change.words,
+                "error": truth.error,
+                "unsure": truth.unsure,
+                "predictable": self.predictable,
+                "predictable_starts": truth.growth.ends,
+            },
             "orders": self.orders,
-            "predictable": self.predictable,
             "asked": {"error": self.target, "budget": self.budget, "by": self.by},
-            "recommended": None if chosen is None else chosen.settings,
+            "recommended": None if self.recommended is None else self.recommended.settings,
             "verified": self.verified,
             "nearest": None if self.nearest is None else self.nearest.settings,
-            "mujoco": [point.record() for point in self.mujoco],
-            "in_batch": [point.record() for point in self.in_batch],
-            "screened": self.screened,
+            "proof": None
+            if proof is None
+            else {"starts": proof.starts, "missed": proof.missed, "share": proof.share},
             "runs": self.runs,
             "findings": [finding.record() for finding in self.findings],
         }
 
-    def _reference(self) -> dict[str, Any]:
-        ref = self.reference
-        return {
-            "settings": ref.settings,
-            "error": ref.error,
-            "error_high": ref.high,
-            "error_max": ref.largest,
-            "angle_error": ref.angle,
-            "agreement": ref.agreement,
-            "other_integrator": ref.other,
-            "halvings": [{"dt": level.dt, "distance": level.distance} for level in ref.levels],
-            "basis": ref.basis,
-            "order": ref.order,
-            "known": None if ref.exact else {"orders": ref.known.orders, "bases": ref.known.bases},
-            "orders": ref.orders,
-            "closed_form": None if ref.exact is None else ref.exact.check,
-            "stiffens": ref.stiffens,
-            "modelling": ref.gaps,
-            "predictable": self.predictable,
-            "predictable_starts": ref.growth.ends,
-            "overlap": max(run.overlap for run in ref.runs),
-            "gained": max(float(run.balance.max()) for run in ref.runs),
-            "lost": max(-float(run.balance.min()) for run in ref.runs),
-        }
-
-    def seen(self, row: TradeRow | None = None) -> list[Trajectory]:
+    def seen(self, row: Trial | None = None) -> list[Trajectory]:
         """Return the converged motion and the motion of a row, from the row's worst start.
 
-        row: by default the recommended row, or the shipped settings without a recommendation.
+        row: by default the chosen row, or the shipped settings without one.
 
         The runs are repeated. A run that fails ends at its failure.
         """
-        if self.runner is None:
-            raise ValueError("this trade does not hold its runs, so that they cannot be made again")
-        chosen = row or self.recommended or self.nearest or self.shipped
-        start = 0 if chosen.errors is None else chosen.errors.worst
-        return [
-            run_again(self.runner, settings, start)
-            for settings in (self.reference.settings, chosen.settings)
-        ]
+        row = row or self.chosen or self.shipped
+        return [self._again(change, row.worst) for change in (self.reference.change, row.change)]
+
+    def _again(self, change: Change, start: int) -> Trajectory:
+        sim, schedule = Sim(change.of(self.model)), self.schedule
+        schedule.starts[start].put(sim)
+        control: Any = schedule.function(start)
+        held = schedule.period
+        if control is None:
+            rows, hold = schedule.rows([start], sim.settings.dt)
+            control, held = (None if rows is None else rows[0]), hold * sim.settings.dt
+        return sim.run(schedule.horizon, control, held, record=())
 
     def view(
         self,
-        row: TradeRow | None = None,
+        row: Trial | None = None,
         *,
         host: str = "localhost",
         port: int = 8080,
@@ -382,14 +557,14 @@ class Trade(Result):
     ) -> View:
         """Open a page with the motion of a row, the converged motion, and their distance.
 
-        row: by default the recommended row, or the shipped settings without a recommendation. The
-            motion is that of the row's worst start.
+        row: by default the chosen row, or the shipped settings without one. The motion is that of
+            the row's worst start.
         host, port, wait: see `stepcore.view`. Needs the extra "view".
         """
         from stepcore.viewing.live import view
 
-        chosen = row or self.recommended or self.nearest or self.shipped
-        named = f"dt {seconds(chosen.settings.dt)}, {chosen.settings.integrator}"
+        row = row or self.chosen or self.shipped
+        named = f"dt {seconds(row.settings.dt)}, {row.settings.integrator}"
         return view(self.seen(row), labels=["converged", named], host=host, port=port, wait=wait)
 
     def to_pandas(self) -> Any:
@@ -399,42 +574,3 @@ class Trade(Result):
     def __repr__(self) -> str:
         failed = len(self.failures)
         return f"<Trade of {self.name}: {len(self.rows)} settings, {failed} failed>"
-
-
-def run_again(runner: Runner, settings: Settings, start: int) -> Trajectory:
-    """Repeat the run from one start for viewing; a run that fails ends at its failure."""
-    sim, states = runner.sim(settings), _States(settings.dt)
-    with contextlib.suppress(SimulationError):
-        runner.follow(sim, start, [states])
-    kept = Snapshots(type(sim), sim.model, tuple(states.states))
-    return Trajectory(np.array(states.times), snapshots=kept)
-
-
-class _States(Probe):
-    """A probe that records whole states of a run, each with the inputs of the following step."""
-
-    def __init__(self, dt: float) -> None:
-        self.apart = max(1, round(1 / (RATE * dt)))
-        self.least = 1 / RATE - 0.5 * dt
-        self.times: list[float] = []
-        self.states: list[bytes] = []
-
-    def stride(self, steps: int) -> int:
-        return min(steps, self.apart)
-
-    def begin(self, sim: Any) -> None:
-        self._keep(sim)
-
-    def period(self, sim: Any, period: int) -> None:
-        self._keep(sim)
-
-    def step(self, sim: Any) -> None:
-        self._keep(sim)
-
-    def _keep(self, sim: Any) -> None:
-        if self.times and sim.time == self.times[-1]:
-            # Replace the state of the same instant by the state that has the new controls.
-            self.states[-1] = sim.state()
-        elif not self.times or sim.time - self.times[-1] >= self.least:
-            self.times.append(sim.time)
-            self.states.append(sim.state())
