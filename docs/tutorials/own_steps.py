@@ -76,9 +76,9 @@ fixed = [
     if row.settings.accuracy is None and trade.error(row) <= 5e-4
 ]
 if fixed:
-    best = min(row.flops for row in fixed)
+    best = min(row.work for row in fixed)
     print(
-        f"the best fixed step takes {best / chosen.flops:.0f} times the operations"
+        f"the best fixed step takes {best / chosen.work:.0f} times the operations"
     )
 else:
     print("no fixed step tried is as accurate")

@@ -86,14 +86,14 @@ trade = sc.trade(
     precisions=["f64"],
     progress=False,
 )
-for row in sorted(trade.rows, key=lambda row: row.flops):
+for row in sorted(trade.rows, key=lambda row: row.work):
     dt, integrator = 1e3 * row.settings.dt, row.settings.integrator
     if row.failure:
         print(f"{dt:4g} ms {integrator:13} fails")
     else:
-        error = 1e3 * row.errors.high
+        error = 1e3 * row.error
         print(
-            f"{dt:4g} ms {integrator:13} {error:.2f} mm, {row.flops:.2g} operations"
+            f"{dt:4g} ms {integrator:13} {error:.2f} mm, {row.work:.2g} operations"
         )
 
 # %% [markdown]
