@@ -52,6 +52,7 @@ class Study:
         four shipped time steps.
     starts: the number of starts of the search.
     effort: the most operations of the study. When they are spent, truths stay as they are.
+    by: what trials cost: "time" by their counted work, or "flops".
     workers: threads or an executor for the runs; see `stepcore.experiment.arguments.Workers`.
 
     schedule: the starts, the controls and the time grid of the motion. starts: those of the search,
@@ -77,6 +78,7 @@ class Study:
         period: float | None = None,
         starts: int | None = None,
         effort: float = EFFORT,
+        by: str = "time",
         workers: Workers | None = None,
     ) -> None:
         self.model, self.motion = find_model(model), motion or Motion()
@@ -89,7 +91,7 @@ class Study:
         self.starts: tuple[int, ...] = tuple(self.schedule.indices)
         self.size = extent(self.model.scene) or UNKNOWN
         self.engine: Engine = engine or Stepcore(self.model, self.size)
-        self.workers, self.effort = workers or Workers(), effort
+        self.workers, self.effort, self.by = workers or Workers(), effort, by
         self.spent, self.runs = 0.0, 0
         self._tracks: dict[tuple[Change, int], Tracks] = {}
         self._truths: dict[Change, Converging] = {}
@@ -119,6 +121,11 @@ class Study:
             work = USUAL * (self.engine.nv + 2) / float(self.engine.settings(change).dt)
         steps = OVERHEAD / float(self.engine.settings(change).dt)
         return alone * (work + steps) * self.schedule.horizon * starts
+
+    def cost(self, change: Change) -> float:
+        """Return the cost of a change: µs by counted work, or operations, per simulated second."""
+        work = self.engine.work(change, self.schedule)
+        return work if self.by == "flops" else computing_time(work, self.engine.settings(change))
 
     def tracks(
         self, changes: Sequence[Change], starts: Sequence[int], bar: str | None = None
@@ -198,7 +205,7 @@ class Study:
     def score(self, change: Change, tracks: Tracks, truth: Truth) -> Trial:
         """Score runs against a converged motion from the same starts."""
         matter, settings = self.engine.matter, self.engine.settings(change)
-        far, work = apart(tracks, truth.tracks, matter), self.engine.work(change, self.schedule)
+        far = apart(tracks, truth.tracks, matter)
         modelled = None
         if change.models:
             whole = self.truth(truth.goal / SHARE, truth.starts)
@@ -211,8 +218,8 @@ class Study:
             errors=np.maximum(rms(far, truth.scored), truth.unsure),
             unsure=truth.unsure,
             largest=np.maximum(largest(far, truth.scored), truth.unsure),
-            work=work,
-            cost=computing_time(work, settings),
+            work=self.engine.work(change, self.schedule),
+            cost=self.cost(change),
             failure=tracks.failure,
             tracks=tracks,
             modelled=modelled,

@@ -26,8 +26,8 @@ class Trial:
     unsure: how far the truth of every start may be off [m], (starts,).
     largest: the largest error of a body at any time, of every start [m], (starts,).
     work: counted floating-point operations per simulated second; the same on every machine.
-    cost: computing time by the counted work [µs per simulated second]; see
-        `stepcore.experiment.price`.
+    cost: by which trials are ranked: computing time by the counted work [µs per simulated second],
+        see `stepcore.experiment.price`; or the work itself, see `Study`.
     failure: why the first run that failed did; "" if none did.
     tracks: the poses of the bodies.
     modelled: (of a change of what is modelled) how far the converged motion of the changed model is

@@ -118,7 +118,7 @@ def trade(
         motion = dataclasses.replace(motion, horizon=far.length)
     held = motion.period(shipped.dt)
     steps, period = time_steps(shipped.dt, dts, held, far.length)
-    study = Study(model, motion, period=period, effort=effort, workers=workers)
+    study = Study(model, motion, period=period, effort=effort, by=by, workers=workers)
     target = None if error is None else units.length("trade", "error", error, study.size)
     result = Trade(
         name=setup.name,
@@ -162,7 +162,7 @@ def _searched(result: Trade, search: Search, further: int) -> None:
     """Search for what was asked: an error, a budget, or what less error would cost."""
     truth = search.truth
     if result.budget is not None:
-        result.chosen = search.most_accurate(result.budget, result.by)
+        result.chosen = search.most_accurate(result.budget)
     elif result.target is None:
         for share in LESS:
             search.cheapest(share * search.shipped.error)

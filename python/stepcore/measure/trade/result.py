@@ -199,7 +199,7 @@ class Trade(Result):
 
         The unit is µs, or operations with `by="flops"`.
         """
-        return row.work if self.by == "flops" else row.cost
+        return row.cost
 
     def best(self, error: float | str | None = None) -> Settings:
         """Return the cheapest Settings whose error in every start is at most `error`.

@@ -19,7 +19,6 @@ from stepcore.deadline import OutOfTime
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, least
 from stepcore.experiment.norm import Tracks, apart, rms
-from stepcore.experiment.price import computing_time
 from stepcore.experiment.study import SHIPPED, TOGETHER, Study
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Truth
@@ -122,7 +121,7 @@ class Search:
         every = [t for t in self.trials.values() if t.starts == self.truth.starts]
         holds = [trial for trial in every if trial.within(error)]
         best = min(holds, key=lambda trial: trial.cost, default=None)
-        own, limit = self.study.steps(), self.price(self.truth.change)
+        own, limit = self.study.steps(), self.study.cost(self.truth.change)
         if best is not None:
             self.hard = best.worst
         for family in sorted(self.families, key=self.rate):
@@ -147,15 +146,10 @@ class Search:
         """All settings but the time step, of each method."""
         return self.study.engine.families(self.study.schedule)
 
-    def price(self, change: Change) -> float:
-        """Return the computing time of a change by its counted work [µs per simulated second]."""
-        work = self.study.engine.work(change, self.study.schedule)
-        return computing_time(work, self.study.engine.settings(change))
-
     def rate(self, family: Change) -> float:
         """Return the price of a family for each step in a control period."""
         own = self.study.steps()
-        return self.price(self.at(family, own)) / own
+        return self.study.cost(self.at(family, own)) / own
 
     def _least(
         self, family: Change, ladder: Sequence[int], error: float, first: int
@@ -184,11 +178,11 @@ class Search:
         study, truth = self.study, self.truth
         if all(way.fixed for way in study.engine.ways(study.schedule, error)):
             return best
-        most = BETTER * best.cost if best is not None else self.price(truth.change)
+        most = BETTER * best.cost if best is not None else self.study.cost(truth.change)
         for share in ACCURACIES:
             accuracy = share * error / study.schedule.horizon
             change = Change(accuracy=accuracy, dt=study.schedule.period)
-            if self.price(change) >= most:
+            if self.study.cost(change) >= most:
                 break
             (alone,) = study.tracks([change], [self.hard])
             if study.score(change, alone, truth.part([self.hard])).within(error):
@@ -197,30 +191,23 @@ class Search:
                     return trial
         return best
 
-    def most_accurate(self, budget: float, by: str) -> Trial | None:
-        """Return the settings with the smallest error within a price, or None.
+    def most_accurate(self, budget: float) -> Trial | None:
+        """Return the settings with the smallest error within a budget, or None.
 
-        budget: computing time as measured here [µs per simulated second], or with `by` "flops"
-            operations per simulated second.
+        budget: as the study counts costs; computing time [µs per simulated second] is measured.
         """
-
-        def price(change: Change) -> float:
-            work = self.study.engine.work(change, self.study.schedule)
-            return work if by == "flops" else self.price(change)
-
-        own, tried = self.study.steps(), list[Trial]()
-        times = self.study.times([SHIPPED]) if by == "time" else {}
-        # What counted work says of time is scaled by one measurement, and looked at in the end.
-        scale = price(SHIPPED) / times.get(SHIPPED, price(SHIPPED))
+        study, scale, tried = self.study, 1.0, list[Trial]()
+        if study.by == "time":
+            # What counted work says of time is scaled by one measurement, and looked at in the end.
+            scale = study.cost(SHIPPED) / study.times([SHIPPED]).get(SHIPPED, study.cost(SHIPPED))
         for family in [SHIPPED, *self.families]:
-            rate = price(self.at(family, own)) / own
-            ladder = [n for n in self.steps if n * rate <= scale * budget]
+            ladder = [n for n in self.steps if n * self.rate(family) <= scale * budget]
             if ladder:
                 tried.append(self.trial(self.at(family, ladder[-1])))
         for trial in sorted(tried, key=lambda trial: (trial.error, trial.cost)):
             if trial.failure:
                 break
-            if by == "flops" or self.study.times([trial.change])[trial.change] <= budget:
+            if study.by == "flops" or study.times([trial.change])[trial.change] <= budget:
                 return trial
         return None
 

@@ -80,7 +80,7 @@ def _front(trade: Trade | None) -> list[Trial]:
 
 def _cost(trade: Trade, row: Trial) -> float:
     """Return the horizontal value: ms per simulated second, or operations."""
-    return trade.price(row) if trade.by == "flops" else row.cost / 1e3
+    return row.cost if trade.by == "flops" else row.cost / 1e3
 
 
 def _split(trade: Trade) -> tuple[list[Trial], list[Trial]]:
