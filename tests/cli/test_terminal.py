@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from stepcore.experiment import mujoco_schedule
+
 
 def output(*args, encoding="utf-8", columns=100, **more):
     environment = os.environ | {"PYTHONIOENCODING": encoding, "COLUMNS": str(columns)} | more
@@ -37,6 +39,24 @@ def test_a_narrow_terminal_is_honoured(command):
     words = done.stdout.decode().splitlines()
     # A single word, such as a list of numbers without spaces, may be longer.
     assert all(len(line) <= 40 or " " not in line.strip() for line in words)
+
+
+def test_ctrl_c_while_mujoco_is_imported_is_no_missing_package(monkeypatch):
+    class Interrupted:
+        def find_spec(self, name, *_):
+            if name == "mujoco":
+                raise ImportError("KeyboardInterrupt: <EMPTY MESSAGE>")
+
+    monkeypatch.delitem(sys.modules, "mujoco", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    with pytest.raises(KeyboardInterrupt):
+        mujoco_schedule.mujoco()
+
+
+def test_a_missing_mujoco_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ImportError, match="pip install mujoco"):
+        mujoco_schedule.mujoco()
 
 
 START = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"

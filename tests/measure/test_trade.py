@@ -413,3 +413,46 @@ def test_accuracies_are_an_axis():
     )
     kept = {row.settings.accuracy for row in trade.rows if row.settings.accuracy is not None}
     assert len(kept) == 3 and 0.01 / trade.horizon == pytest.approx(max(kept))
+
+
+def test_mujoco_beside_computes_the_same_physics():
+    result = sc.trade(
+        "gymnasium:reacher", error="1mm", mujoco=True, starts=2, further=0, progress=False
+    )
+    other = result.beside
+    assert '<option timestep="' in other.text() or other.chosen.change.words == "as shipped"
+    assert result.parted <= result.reference.error + other.reference.error
+    assert other.shipped.settings.dt == result.shipped.settings.dt
+    assert any("MuJoCo computes the same physics" in said for said in result.sentences)
+    assert other.chosen.error <= 1e-3
+    assert {row.settings.integrator for row in other.rows} <= {
+        *("euler", "rk4", "implicit", "implicitfast")
+    }
+
+
+FLEX = """<mujoco><option timestep="0.001"/><worldbody><geom type="plane" size="2 2 .1"/>
+<flexcomp name="jelly" type="grid" count="3 3 3" spacing=".1 .1 .1" pos="0 0 .5" radius=".01"
+mass="1" dim="3"><elasticity young="1e4" poisson=".2" damping=".01"/>
+<contact selfcollide="none"/></flexcomp></worldbody></mujoco>"""
+
+
+def test_a_file_that_stepcore_refuses_is_traded_by_mujoco(tmp_path, capsys):
+    from stepcore.cli import main
+
+    path = tmp_path / "jelly.xml"
+    path.write_text(FLEX)
+    quick = ["--error", "5mm", "--horizon", "0.1", "--starts", "2", "--further", "2"]
+    assert main(["trade", str(path), "--engine", "mujoco", *quick]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Recommended for an error of at most 5 mm" in said
+    assert "In MuJoCo alone" in said or "in MuJoCo alone" in said
+    assert main(["trade", str(path), *quick]) != 0
+
+
+def test_mujoco_cannot_be_beside_itself_nor_run_other_laws():
+    with pytest.raises(ValueError, match="mujoco = True: must be False"):
+        sc.trade("gymnasium:reacher", engine="mujoco", mujoco=True)
+    with pytest.raises(ValueError, match="engine = 'bullet': must be one of 'stepcore', 'mujoco'"):
+        sc.trade("gymnasium:reacher", engine="bullet")
+    with pytest.raises(ValueError, match="law = 'lesson': MuJoCo has solref alone"):
+        sc.trade(lesson.drop(), engine="mujoco")

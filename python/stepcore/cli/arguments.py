@@ -188,15 +188,15 @@ def model_of(args: argparse.Namespace, warn: bool = True) -> Model:
     return read(args.file, without=args.without, fuse=args.fuse).compile()
 
 
-def key_of(args: argparse.Namespace, model: Model) -> str | int | None:
+def key_of(args: argparse.Namespace, model: Model | None) -> str | int | None:
     """Return the keyframe of --key; a number is an index unless it names a keyframe."""
     key: str | None = args.key
-    if key is None or key in model.key_names or not key.isdecimal():
+    if key is None or (model is not None and key in model.key_names) or not key.isdecimal():
         return key
     return int(key)
 
 
-def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
+def motion_of(args: argparse.Namespace, model: Model | None) -> dict[str, Any]:
     """Return the given options of `add_motion` as arguments of a measurement."""
     given = {name: getattr(args, name, None) for name in (*OPTIONS, "threads")}
     given["key"] = key_of(args, model)
@@ -213,14 +213,19 @@ def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
     return {name: value for name, value in given.items() if value is not None}
 
 
-def controls_of(text: str, model: Model) -> Any:
-    """Return the controls of --ctrl as an argument of `Motion`."""
-    if text in KINDS and text not in model.actuator_names:
+def controls_of(text: str, model: Model | None) -> Any:
+    """Return the controls of --ctrl as an argument of `Motion`.
+
+    model: None for a file that MuJoCo alone can load, where controls are those of a file.
+    """
+    if text in KINDS and (model is None or text not in model.actuator_names):
         raise Usage(f"--ctrl {text}: write --motion {text}")
     if is_file(text):
         return _table("ctrl", text, control_table)
     if os.path.exists(text):
         raise Usage(f"--ctrl {text}: must end in {', '.join(ENDINGS)}")
+    if model is None:
+        raise Usage(f"--ctrl {text}: must be a file where stepcore cannot load the scene")
     return _constants(text, model)
 
 

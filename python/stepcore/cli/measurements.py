@@ -139,7 +139,7 @@ def add(command: argparse.ArgumentParser, name: str) -> None:
 def call(args: argparse.Namespace, name: str) -> Result:
     """Run the measurement of a command."""
     measurement, function = MEASUREMENTS[name], _function(name)
-    model = model_of(args, warn=measurement.warn)
+    model = _model(args, measurement)
     takes = inspect.signature(function).parameters
     given = {option: getattr(args, option) for option in measurement.options if option in takes}
     if measurement.motion is not None:
@@ -148,10 +148,20 @@ def call(args: argparse.Namespace, name: str) -> Result:
         given["seconds"] = args.seconds
     given |= measurement.more(args, model)
     # The measurement can read the file itself, if it is taken as it is.
-    whole = measurement.source and not args.without and args.fuse is not False
+    whole = model is None or (measurement.source and not args.without and args.fuse is not False)
     result: Result = function(args.file if whole else model, **given)
     measurement.done(result, args)
     return result
+
+
+def _model(args: argparse.Namespace, measurement: Measurement) -> Any:
+    """Return stepcore's model of FILE; None where it has none and MuJoCo is to run the file."""
+    try:
+        return model_of(args, warn=measurement.warn)
+    except ValueError:
+        if getattr(args, "engine", "stepcore") == "stepcore":
+            raise
+        return None
 
 
 def _name_the_file(result: Any, args: argparse.Namespace) -> None:
@@ -259,10 +269,13 @@ MEASUREMENTS = {
                 "help": "try a full grid of settings instead of a search",
             },
             "effort": {"type": float, "metavar": "OPERATIONS"},
+            "engine": {"choices": ("stepcore", "mujoco")},
+            "mujoco": {"action": "store_true"},
         },
         excluding=("error", "budget"),
         full="print every setting",
         motion={},
+        source=True,
         more=lambda args, model: {"search": "grid" if args.grid else None},
     ),
     "predict": Measurement(

@@ -14,10 +14,11 @@ from stepcore import checks, deadline
 from stepcore.deadline import Deadline, in_time
 from stepcore.engine.model import Model
 from stepcore.executors import check_executor, each
-from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.change import Change
+from stepcore.experiment.engines import Engine
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
+from stepcore.experiment.mujoco_engine import engine_of
 from stepcore.experiment.run import Run
-from stepcore.loading import find_model
 from stepcore.report.progress import Choice, Progress
 from stepcore.scene.scene import Scene
 from stepcore.signatures import F, annotation, keyword
@@ -189,13 +190,17 @@ class Workers:
 class Setup(NamedTuple):
     """The checked arguments that measurements share. name: the name of the scene."""
 
-    model: Model
+    engine: Engine
     motion: Motion
     workers: Workers
 
     @property
+    def model(self) -> Model:
+        return self.engine.model
+
+    @property
     def name(self) -> str:
-        return self.model.scene.name or "scene"
+        return self.engine.title
 
 
 class MeasurementFields(MotionFields, total=False):
@@ -230,24 +235,26 @@ def set_up(
     fields: Mapping[str, Any],
     *,
     missing: str,
+    engine: str = "stepcore",
 ) -> Setup:
     """Check the arguments that all measurements share, and load and compile the model.
 
     called: the measurement. fields: its `MeasurementFields`.
     missing: words for the error if nothing in the scene can move, such as "no motion to predict".
+    engine: "stepcore" or "mujoco".
     """
     motion = Motion.of(motion, {k: v for k, v in fields.items() if k not in SHARED}, called)
-    compiled = find_model(model)
-    asked = compiled.settings.accuracy
+    made = engine_of(model, engine)
+    asked = made.settings(Change()).accuracy
     if asked is not None and called.__name__ not in WITHIN_ACCURACY:
         limit = f"None: {called.__name__} regards steps of a fixed length; stepcore.trade does not"
         raise ValueError(f"accuracy = {asked:g}: must be {limit}")
     shared = (fields.get(name) for name in ("threads", "executor", "progress"))
     workers = Workers.checked(called.__name__, *shared)
-    if not compiled.nv:
+    if not made.nv:
         raise ValueError(
             "the scene has no joint, so nothing in it can move: add a body with a joint"
         )
-    if not Coordinates(compiled).moving:
+    if not made.matter.moving:
         raise ValueError(f"nothing in the scene can move: there is {missing}")
-    return Setup(compiled, motion, workers)
+    return Setup(made, motion, workers)

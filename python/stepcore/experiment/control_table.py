@@ -6,12 +6,11 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.control_files import MCAP, mcap_rows
 from stepcore.experiment.control_log import ControlLog
@@ -25,6 +24,20 @@ NAMED = 8
 SOME = 4
 # Names of the columns of an array of a recorded run.
 RECORDED = r"{}\[(.+)\]"
+
+
+class Actuated(Protocol):
+    """The actuators that a table is matched to: those of a Model, which describes the members."""
+
+    @property
+    def nu(self) -> int: ...
+    @property
+    def joint_names(self) -> Sequence[str]: ...
+    @property
+    def actuator_names(self) -> Sequence[str]: ...
+    @property
+    def actuator_joint(self) -> np.ndarray: ...
+    def called(self, kind: str) -> Sequence[str]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +141,7 @@ class ControlTable:
         gap = self.gap
         return "rows at their own times" if gap is None else f"a row every {seconds(gap)}"
 
-    def log(self, model: Model, held: np.ndarray, linear: bool = False) -> ControlLog | None:
+    def log(self, model: Actuated, held: np.ndarray, linear: bool = False) -> ControlLog | None:
         """Return the rows at their own times; None for a table without times.
 
         held: the controls of actuators without a column, shape (nu,).
@@ -143,7 +156,7 @@ class ControlTable:
         rows = self._complete(model, held)
         return ControlLog(self.times - self.times[0], rows, linear)
 
-    def over(self, model: Model, held: np.ndarray, periods: int, period: float) -> np.ndarray:
+    def over(self, model: Actuated, held: np.ndarray, periods: int, period: float) -> np.ndarray:
         """Return the controls in each period, shape (periods, nu); the last row stays to the end.
 
         held: the controls of actuators without a column, shape (nu,).
@@ -159,7 +172,7 @@ class ControlTable:
         rows: np.ndarray = self._complete(model, held)[index]
         return rows
 
-    def _complete(self, model: Model, held: np.ndarray) -> np.ndarray:
+    def _complete(self, model: Actuated, held: np.ndarray) -> np.ndarray:
         """Return the rows with the controls of all actuators, shape (n, nu)."""
         if self.columns is None:
             rows = self.rows[:, None] if self.rows.ndim == 1 and model.nu == 1 else self.rows
@@ -246,7 +259,7 @@ def _of_table(
     return ControlTable(rows, tuple(recorded.values()), times, source)
 
 
-def _actuators(source: str, columns: Sequence[str], model: Model) -> list[int]:
+def _actuators(source: str, columns: Sequence[str], model: Actuated) -> list[int]:
     """Return the index of the actuator of each column, by the name of the actuator or its joint."""
     by_joint: dict[str, list[int]] = {}
     for index, joint in enumerate(model.actuator_joint.tolist()):

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Self
+
 import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.scene.layout import Layout
+
+# Type, first coordinate, first dof, and range of a joint.
+Place = tuple[str, int, int, tuple[float, float] | None]
 
 
 class Coordinates:
@@ -19,13 +25,23 @@ class Coordinates:
     def __init__(self, model: Model) -> None:
         scene = model.scene
         layout = Layout(scene)
-        self.nv = model.nv
         qpos, qvel = model.jnt_qposadr.tolist(), model.jnt_dofadr.tolist()
-        self.joints: list[tuple[str, int, int, tuple[float, float] | None]] = [
+        joints: list[Place] = [
             (joint.type, q, v, joint.range if scene.features.limit else None)
             for joint, q, v in zip(layout.joints, qpos, qvel, strict=True)
         ]
-        self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
+        moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
+        self._lay_out(model.nv, joints, moving)
+
+    @classmethod
+    def of(cls, nv: int, joints: Sequence[Place], moving: Sequence[int]) -> Self:
+        """Return the coordinates of joints that are given one by one."""
+        made = cls.__new__(cls)
+        made._lay_out(nv, joints, moving)
+        return made
+
+    def _lay_out(self, nv: int, joints: Sequence[Place], moving: Sequence[int]) -> None:
+        self.nv, self.joints, self.moving = nv, list(joints), list(moving)
         self.slides = np.zeros(self.nv, bool)
         # Scalar coordinates and their dofs; first coordinates and first dofs of quaternions.
         self._numbers: tuple[list[int], list[int]] = ([], [])

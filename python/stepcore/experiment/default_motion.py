@@ -35,7 +35,7 @@ from stepcore.experiment.drives import MOTOR, RATE, SERVO, Drives, actuators_in_
 from stepcore.experiment.move_words import MoveWords
 from stepcore.experiment.moves import Moves
 from stepcore.experiment.point_to_point import PointToPoint
-from stepcore.experiment.sines import sines, sines_in_words, undriven, uniform
+from stepcore.experiment.sines import control_ranges, sines, sines_in_words, undriven, uniform
 from stepcore.report.units import seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
@@ -108,14 +108,14 @@ def default_motion(
         log = control.log(periods, period, whole)
         means = log.steps(0.0, period, periods).reshape(periods, count, model.nu)
         return DefaultMotion(means.transpose(1, 0, 2), None, *told, None if whole else log)
-    draws = [np.random.default_rng([seed, k]) for k in range(count)]
+    draws, ranges = [np.random.default_rng([seed, k]) for k in range(count)], control_ranges(model)
     if kind == "random":
-        rows = np.stack([uniform(model, ctrl, periods, rng) for rng in draws])
+        rows = np.stack([uniform(ranges, ctrl, periods, rng) for rng in draws])
         words = f"{what} get new random controls within their range every {seconds(period)}"
         return DefaultMotion(rows, None, words)
-    rows = np.stack([sines(model, ctrl, periods, period, rng) for rng in draws])
-    still = undriven(model, ctrl)
+    rows = np.stack([sines(ranges, ctrl, periods, period, rng) for rng in draws])
+    still = undriven(model.called("actuator"), ranges, ctrl)
     remarks = (
         [f"actuators without a control range are not driven: {', '.join(still)}"] if still else []
     )
-    return DefaultMotion(rows, None, sines_in_words(model, what, still), tuple(remarks))
+    return DefaultMotion(rows, None, sines_in_words(ranges, what, still), tuple(remarks))

@@ -24,8 +24,9 @@ from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.change import Change
 from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.motion import Motion
 from stepcore.experiment.norm import Matter, Tracks
-from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
 
 # A run has failed if a body is so many sizes of the scene away from where it began. A distance of a
 # few sizes is an error that is told; at a hundred, bodies have left the scene that was modelled.
@@ -57,8 +58,9 @@ class Way:
 class Engine(Protocol):
     """What runs changes of one scene.
 
-    name: of the engine. matter: the moving bodies. coordinates: of the states.
-    dt: the shipped time step [s]. nv: the number of dofs.
+    name: of the engine. title: of the scene. matter: the moving bodies. coordinates: of the states.
+    known: whether stepcore has a model of the scene.
+    dt: the shipped time step [s]. nv: the number of dofs. size: the size of the scene [m].
     """
 
     name: str
@@ -66,6 +68,20 @@ class Engine(Protocol):
     coordinates: Coordinates
     dt: float
     nv: int
+    size: float
+
+    @property
+    def title(self) -> str: ...
+    @property
+    def known(self) -> bool: ...
+    @property
+    def model(self) -> Model:
+        """stepcore's model of the scene; ValueError if there is none."""
+
+    def scheduled(
+        self, motion: Motion, period: float, starts: int | None = None, horizon: float = HORIZON
+    ) -> Schedule:
+        """Return the schedule of a motion; see `stepcore.experiment.schedule.scheduled`."""
 
     def settings(self, change: Change) -> Any:
         """Return all settings of a change."""
@@ -92,7 +108,7 @@ class Stepcore:
     size: the size of the scene [m].
     """
 
-    name = "stepcore"
+    name, known = "stepcore", True
 
     def __init__(self, model: Model, size: float) -> None:
         self.model, self.size = model, size
@@ -102,6 +118,15 @@ class Stepcore:
         self._looks: list[tuple[np.ndarray, ...]] = []
         self._counts: dict[Change, float] = {}
         self._rows: bool | None = None
+
+    @property
+    def title(self) -> str:
+        return self.model.scene.name or "scene"
+
+    def scheduled(
+        self, motion: Motion, period: float, starts: int | None = None, horizon: float = HORIZON
+    ) -> Schedule:
+        return scheduled(motion, self.model, period, starts, horizon)
 
     def of(self, change: Change) -> Model:
         """Return the changed model; each physics is compiled once."""

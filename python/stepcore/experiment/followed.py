@@ -89,7 +89,7 @@ class PositionTable(ControlTable):
         log, path, load = (ControlLog(times, table, linear=True) for table in tables)
         return Following(log, path, load, gains, period)
 
-    def _complete(self, model: Model, held: np.ndarray) -> np.ndarray:
+    def _complete(self, model: Any, held: np.ndarray) -> np.ndarray:
         """Return the controls with which the servos are without force in each pose."""
         servos = Drives(model).of(SERVO)
         if not servos and not Drives(model).of(MOTOR):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -21,7 +21,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.experiment.control_log import ControlLog, changes
-from stepcore.experiment.control_table import control_table
+from stepcore.experiment.control_table import Actuated, control_table
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.followed import Following, PositionTable
@@ -229,21 +229,15 @@ def scheduled(
 
     Raises ValueError if the horizon is shorter than a period, or the run has too many steps.
     """
-    length = default_horizon(period, horizon) if motion.horizon is None else motion.horizon
     count = starts or motion.starts or STARTS
-    checks.steps(
-        length, model.settings.dt, count, f"from {count} start{'s' * (count > 1)} in steps"
-    )
-    periods = int(length / period + 1e-9)
-    if periods < 1:
-        raise ValueError(f"horizon = {length:g} s: shorter than one period of {period:g} s")
-    every = _every(periods)
-    periods -= periods % every
+    periods, every = grid(motion, model.settings.dt, period, count, horizon)
     rng = np.random.default_rng(motion.seed)
     coordinates = Coordinates(model)
     first, held = home(model, motion.key)
     first = begun(motion, model, first)
-    begin = [first, *(near(model, coordinates, first, rng) for _ in range(count - 1))]
+    slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
+    overlap = overlaps(model)
+    begin = [first, *(near(coordinates, first, rng, overlap, slack) for _ in range(count - 1))]
     ctrl, control, remarks, drive = None, motion.control, tuple[str, ...](), ""
     log = None
     if isinstance(motion.ctrl, PositionTable):
@@ -261,6 +255,22 @@ def scheduled(
     return Schedule(period, periods, every, tuple(begin), ctrl, control, remarks, drive, log)
 
 
+def grid(
+    motion: Motion, dt: float, period: float, starts: int, horizon: float = HORIZON
+) -> tuple[int, int]:
+    """Return the number of control periods of a motion, and that between two samples.
+
+    dt: the shipped time step [s]. The other arguments and the errors are those of `scheduled`.
+    """
+    length = default_horizon(period, horizon) if motion.horizon is None else motion.horizon
+    checks.steps(length, dt, starts, f"from {starts} start{'s' * (starts > 1)} in steps")
+    periods = int(length / period + 1e-9)
+    if periods < 1:
+        raise ValueError(f"horizon = {length:g} s: shorter than one period of {period:g} s")
+    every = _every(periods)
+    return periods - periods % every, every
+
+
 def begun(motion: Motion, model: Model, home: Start) -> Start:
     """Return the first start of a motion: recorded positions begin at the first of them."""
     if not isinstance(motion.ctrl, PositionTable):
@@ -269,7 +279,7 @@ def begun(motion: Motion, model: Model, home: Start) -> Start:
 
 
 def played(
-    motion: Motion, model: Model, held: np.ndarray, periods: int, period: float
+    motion: Motion, model: Actuated, held: np.ndarray, periods: int, period: float
 ) -> tuple[np.ndarray, ControlLog | None]:
     """Return the rows of a motion's `ctrl`, (periods, nu), and a log that changes within periods.
 
@@ -378,29 +388,40 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
     return Start(frame.qpos, frame.qvel, frame.act, mocap), frame.ctrl
 
 
-def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Generator) -> Start:
+def near(
+    coordinates: Coordinates,
+    home: Start,
+    rng: np.random.Generator,
+    overlap: Callable[[Start], float],
+    slack: float,
+) -> Start:
     """Return a random start near `home`, within the joint ranges.
 
-    Under laws whose contacts are springs, the overlap of the start exceeds that of `home` by at
-    most 0.1 mm. Other laws correct a share of an overlap in each step, which ejects a body at a
-    speed that grows as 1/dt. Under these laws the overlap does not increase.
+    overlap: the deepest overlap of a start's contacts [m]. It exceeds that of `home` by at most
+    `slack`: 0.1 mm under laws whose contacts are springs. Other laws correct a share of an overlap
+    in each step, which ejects a body at a speed that grows as 1/dt. Under these laws the overlap
+    does not increase.
     """
-    sim = Sim(model)
-
-    def depth(start: Start) -> float:
-        start.put(sim)
-        sim.forward()
-        dist = sim.contacts["dist"]
-        return -float(dist.min()) if len(dist) else 0.0
-
-    slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
-    allowed = max(0.0, depth(home)) + slack
+    allowed = max(0.0, overlap(home)) + slack
     tried = []
     for _ in range(64):
         step, rate = coordinates.drawn(rng, SHIFT, TURN), coordinates.drawn(rng, SPEED, SPIN)
         moved = coordinates.inside(coordinates.moved(home.qpos, step))
         start = dataclasses.replace(home, qpos=moved, qvel=home.qvel + rate)
-        tried.append((depth(start), start))
+        tried.append((overlap(start), start))
         if tried[-1][0] <= allowed:
             return start
     return min(tried, key=lambda pair: pair[0])[1]
+
+
+def overlaps(model: Model) -> Callable[[Start], float]:
+    """Return a function that measures the deepest overlap of a start's contacts [m]."""
+    sim = Sim(model)
+
+    def overlap(start: Start) -> float:
+        start.put(sim)
+        sim.forward()
+        dist = sim.contacts["dist"]
+        return -float(dist.min()) if len(dist) else 0.0
+
+    return overlap

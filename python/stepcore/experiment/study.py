@@ -14,18 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.experiment.arguments import Source, Workers
+from stepcore.engine.model import Model
+from stepcore.experiment.arguments import Workers
 from stepcore.experiment.change import Change
-from stepcore.experiment.engines import Engine, Stepcore, check_repeatable
+from stepcore.experiment.engines import Engine, check_repeatable
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.mujoco_engine import engine_of
 from stepcore.experiment.norm import Tracks, apart, largest, rms
 from stepcore.experiment.price import OVERHEAD, computing_time
-from stepcore.experiment.schedule import STARTS, Schedule, scheduled, time_steps
+from stepcore.experiment.schedule import STARTS, Schedule, time_steps
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import SHARE, Converging, Truth
-from stepcore.loading import find_model
 from stepcore.report.units import metres
-from stepcore.scene.softness import UNKNOWN, extent
 
 # Starts that run together: the worlds of a vector register.
 TOGETHER = 8
@@ -47,7 +47,8 @@ class Study:
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: a `Motion`; by default one that the machine could make, of about one second.
-    engine: runs the changes; by default stepcore's.
+    engine: runs the changes: "stepcore", or "mujoco", which also runs files that stepcore cannot
+        load; or an `Engine`, whose scene is then the study's, and `model` need not be given.
     period: the control period [s]; every time step divides it. By default that of the motion, or
         four shipped time steps.
     starts: the number of starts of the search.
@@ -71,26 +72,24 @@ class Study:
 
     def __init__(
         self,
-        model: Source,
+        model: Any = None,
         motion: Motion | None = None,
         *,
-        engine: Engine | None = None,
+        engine: Engine | str = "stepcore",
         period: float | None = None,
         starts: int | None = None,
         effort: float = EFFORT,
         by: str = "time",
         workers: Workers | None = None,
     ) -> None:
-        self.model, self.motion = find_model(model), motion or Motion()
-        shipped = self.model.settings.dt
+        self.engine, self.motion = engine_of(model, engine), motion or Motion()
+        shipped, self.size = self.engine.dt, self.engine.size
         if period is None:
             horizon = self.motion.horizon or 1.0
             period = time_steps(shipped, None, self.motion.period(shipped), horizon)[1]
         count = starts or self.motion.starts or STARTS
-        self.schedule: Schedule = scheduled(self.motion, self.model, period, starts=count)
+        self.schedule: Schedule = self.engine.scheduled(self.motion, period, starts=count)
         self.starts: tuple[int, ...] = tuple(self.schedule.indices)
-        self.size = extent(self.model.scene) or UNKNOWN
-        self.engine: Engine = engine or Stepcore(self.model, self.size)
         self.workers, self.effort, self.by = workers or Workers(), effort, by
         self.spent, self.runs = 0.0, 0
         self._tracks: dict[tuple[Change, int], Tracks] = {}
@@ -99,13 +98,18 @@ class Study:
         if self.schedule.calls_user:
             check_repeatable(self.model, self.schedule)
 
+    @property
+    def model(self) -> Model:
+        """stepcore's model of the scene; ValueError if MuJoCo alone can load the scene."""
+        return self.engine.model
+
     def fresh(self, count: int) -> tuple[int, ...]:
         """Return the indices of further starts, from which nothing has been run."""
         self._blocks += 1
         unseen = dataclasses.replace(self.motion, seed=self.motion.seed + APART * self._blocks)
         own = self.schedule
         # The first start of every block is the keyframe itself, which the search has.
-        new = scheduled(unseen, self.model, own.period, starts=count + 1, horizon=own.horizon)
+        new = self.engine.scheduled(unseen, own.period, count + 1, own.horizon)
         first, self.schedule = len(own.starts), own.joined(new.part(1))
         return tuple(range(first, first + count))
 

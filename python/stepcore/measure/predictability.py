@@ -174,7 +174,7 @@ def predict(
     (inf, 1.0)
     """
     setup = set_up(predict, model, motion, fields, missing="no motion to predict")
-    model, motion, workers = setup
+    model, (_, motion, workers) = setup.model, setup
     horizon = HORIZON if motion.horizon is None else motion.horizon
     motion = dataclasses.replace(motion, horizon=horizon, starts=motion.starts or STARTS)
     own = model.settings.dt

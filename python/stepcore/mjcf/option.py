@@ -184,7 +184,8 @@ def _note(scene: Contents, node: Node, text: str) -> None:
 # The MJCF attribute of each setting, and the attribute's value for each value of the setting.
 _WRITTEN: dict[str, tuple[str, dict[str, str]]] = {
     "integrator": ("integrator", {ours: word for word, ours in INTEGRATORS.items()}),
-    "solver": ("solver", {"pgs": "PGS", "newton": "Newton"}),
+    # MuJoCo has cg as a solver of its own.
+    "solver": ("solver", {"pgs": "PGS", "newton": "Newton", "cg": "CG"}),
     "cone": ("cone", {"pyramidal": "pyramidal", "elliptic": "elliptic"}),
 }
 _NUMBERS = {

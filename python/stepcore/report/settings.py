@@ -49,6 +49,8 @@ def differences(settings: Settings, shipped: Settings) -> list[str]:
         words.append(counted(int(settings.sweeps), "iteration"))
     if settings.tolerance != shipped.tolerance:
         words.append(f"tolerance {settings.tolerance:g}")
+    if settings.cost_tolerance != shipped.cost_tolerance:
+        words.append(f"cost tolerance {settings.cost_tolerance:g}")
     if settings.warm_start != shipped.warm_start:
         words.append("warm start" if settings.warm_start else "no warm start")
     if settings.acceleration != shipped.acceleration:

@@ -90,7 +90,7 @@ def ablate(
     # Check the tolerance before minutes of work; the scene's size is known later.
     units.length("ablate", "added", added, 1.0)
     setup = set_up(ablate, model, motion, fields, missing="no motion to keep")
-    model, motion, workers = setup
+    model, (_, motion, workers) = setup.model, setup
     starts, dt = motion.starts or STARTS, model.settings.dt
     _, period = time_steps(dt, None, motion.period(dt), motion.horizon or HORIZON)
     first = Runner(model, scheduled(motion, model, period, starts=1))

@@ -94,7 +94,7 @@ def converge(
     0.9990 0.9990
     """
     setup = set_up(converge, model, motion, fields, missing="nothing to solve")
-    model, motion, workers = setup
+    model, (_, motion, workers) = setup.model, setup
     states = checks.count("states", states)
     shipped = model.settings
     if motion.control_dt is not None and not divides(shipped.dt, motion.control_dt):

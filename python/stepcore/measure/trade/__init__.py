@@ -11,12 +11,12 @@ from stepcore import checks
 from stepcore._core import Settings
 from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
 from stepcore.experiment.change import Change
-from stepcore.experiment.horizon import affordable, horizon_of
+from stepcore.experiment.horizon import Horizon, affordable, horizon_of
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import STARTS, time_steps
-from stepcore.experiment.study import EFFORT, Study
+from stepcore.experiment.schedule import HORIZON, STARTS, time_steps
+from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.search import Search, proven, settled
@@ -53,6 +53,8 @@ def trade(
     precisions: Sequence[str] | None = None,
     accuracies: Sequence[float | str] | None = None,
     effort: float = EFFORT,
+    engine: str = "stepcore",
+    mujoco: bool = False,
     **fields: Unpack[MeasurementFields],
 ) -> Trade:
     """Measure accuracy against cost over many settings of a scene, and recommend settings.
@@ -86,6 +88,9 @@ def trade(
     by: "time" to print measured computing times beside the counted work; with "flops" nothing is
         timed.
     effort: the most floating-point operations of the runs. What they do not reach stays less sure.
+    engine: "stepcore", or "mujoco" to ask the same of MuJoCo, whose settings are then the axes. It
+        also runs files that stepcore cannot load.
+    mujoco: whether to trade with MuJoCo on the same motion too, and compare; see `Trade.beside`.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, or if no converged motion can be run.
@@ -101,36 +106,43 @@ def trade(
     """
     axes: dict[str, Any] = {"integrators": integrators, "solvers": solvers, "sweeps": sweeps}
     axes["precisions"] = precisions
-    full = _full(search, {"dts": dts, "accuracies": accuracies} | axes)
+    full = _full(search, {"dts": dts, "accuracies": accuracies} | axes, engine)
     checks.one_of("time", "flops")("trade", "by", by)
     further = checks.count("further", further, least=0)
     effort = checks.real(low=0)("trade", "effort", effort)
     if error is not None:
         units.length("trade", "error", error, 1.0)
-    model, motion, workers = setup = set_up(
-        trade, model, motion, fields, missing="no motion to trade"
-    )
-    shipped = model.settings
+    if mujoco and engine == "mujoco":
+        raise ValueError("mujoco = True: must be False where the engine is MuJoCo already")
+    setup = set_up(trade, model, motion, fields, missing="no motion to trade", engine=engine)
+    runs, motion, workers = setup
+    shipped = runs.settings(SHIPPED)
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
     starts = motion.starts or STARTS
-    far = horizon_of(model, motion, cost=affordable(effort, starts))
+    far = Horizon(motion.horizon or HORIZON)
+    if runs.known:
+        far = horizon_of(setup.model, motion, cost=affordable(effort, starts))
     if far.words:
         motion = dataclasses.replace(motion, horizon=far.length)
     held = motion.period(shipped.dt)
     steps, period = time_steps(shipped.dt, dts, held, far.length)
-    study = Study(model, motion, period=period, effort=effort, by=by, workers=workers)
+    study = Study(motion=motion, engine=runs, period=period, effort=effort, by=by, workers=workers)
+    ran = f"{study.schedule.drive or 'the controls given'}; in MuJoCo alone"
+    if runs.known:
+        ran = motion_in_words(setup.model, motion, study.schedule)
     target = None if error is None else units.length("trade", "error", error, study.size)
     result = Trade(
         name=setup.name,
         motion=motion,
-        ran=far.after(motion_in_words(model, motion, study.schedule)),
-        model=model,
+        ran=far.after(ran),
+        model=setup.model if runs.known else None,
+        engine=engine,
         schedule=study.schedule,
         target=target,
         budget=limit,
         by=by,
         size=study.size,
-        notes=[*study.schedule.notes, *model.scene.notes],
+        notes=[*study.schedule.notes, *(setup.model.scene.notes if runs.known else ())],
     )
     search_ = Search.of(study, None if full else target, held=held is not None)
     result.reference, result.shipped = search_.truth, search_.shipped
@@ -153,8 +165,15 @@ def trade(
         with workers.deadline.closing(), workers.deadline.stage("all timing"):
             named = [result.shipped, *result.named]
             result.times = study.times([trial.change for trial in named if not trial.failure])
-    with workers.deadline.stage("the findings on the shipped settings"):
-        result.findings = monitored(Runner(model, study.schedule), shipped)[0]
+    if engine == "stepcore":
+        with workers.deadline.stage("the findings on the shipped settings"):
+            result.findings = monitored(Runner(setup.model, study.schedule), shipped)[0]
+    if mujoco:
+        with workers.deadline.stage("the same trade in MuJoCo"):
+            own: Any = {"threads": fields.get("threads"), "executor": fields.get("executor")}
+            asked: Any = {"error": error, "budget": budget, "by": by, "effort": effort}
+            again = trade(model, motion, engine="mujoco", further=0, **asked, **own, progress=False)
+            result.compare(again)
     return result
 
 
@@ -179,7 +198,7 @@ def _searched(result: Trade, search: Search, further: int) -> None:
                 search.cheapest(result.chosen.error / 2)
 
 
-def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
+def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None], engine: str) -> bool:
     """Return whether to search the full grid; raise ValueError for an invalid axis."""
     checks.one_of("frugal", "grid", None)("trade", "search", search)
     given = {name: values for name, values in axes.items() if values is not None}
@@ -191,7 +210,7 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
                 units.time(name, value)
             elif name == "accuracies":
                 units.length("trade", name, value, 1.0)
-            else:
+            elif engine == "stepcore":
                 Settings(**{name if name == "sweeps" else name.removesuffix("s"): value})
     if given and search == "frugal":
         raise ValueError(f"search = 'frugal': must be 'grid' or None where {min(given)} is given")
@@ -210,8 +229,9 @@ def grid(
 
     Unless precisions are given, single precision is tried with only one number of sweeps.
     """
-    shipped, families = study.model.settings, study.engine.families(study.schedule)
-    names = integrators or list(dict.fromkeys(dict(f.settings)["integrator"] for f in families))
+    shipped, families = study.engine.settings(SHIPPED), study.engine.families(study.schedule)
+    used = (dict(f.settings).get("integrator", shipped.integrator) for f in families)
+    names = integrators or list(dict.fromkeys(used))
     methods = list[dict[str, Any]]()
     own = list(dict.fromkeys([shipped.solver, *(dict(f.settings).get("solver") for f in families)]))
     for solver in solvers or [name for name in own if name]:
@@ -224,7 +244,8 @@ def grid(
             methods += [{"solver": "pgs", "sweeps": count} for count in counts]
     if precisions is None:
         single = {m["solver"]: m | {"precision": "f32"} for m in methods}
-        methods = [m | {"precision": "f64"} for m in methods] + list(single.values())
+        methods = [m | {"precision": "f64"} for m in methods]
+        methods += list(single.values()) if study.engine.name == "stepcore" else []
     else:
         methods = [m | {"precision": p} for p in precisions for m in methods]
     return [

@@ -19,7 +19,9 @@ from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.change import Change
 from stepcore.experiment.choose import Proof, frontier
 from stepcore.experiment.motion import Motion, picklable
+from stepcore.experiment.norm import Matter, apart, rms
 from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.study import SHIPPED
 from stepcore.experiment.trial import Trial
 from stepcore.experiment.truth import Truth
 from stepcore.measure.monitors import Finding
@@ -68,7 +70,8 @@ class Trade(Result):
     """The trade-off between cost and accuracy for one scene; `stepcore.trade` returns it.
 
     motion: the motion that every setting ran; schedule: its starts and controls.
-    model: the scene as shipped.
+    engine: "stepcore" or "mujoco".
+    model: the scene as shipped; None for a file that MuJoCo alone can load.
     reference: the converged motion, with its error.
     rows: every setting that ran from all starts, and those that failed; coarsest step first.
     shipped: the trial of the scene's own settings.
@@ -80,15 +83,17 @@ class Trade(Result):
     size: the size of the scene [m].
     runs: the number of runs that the trade made.
     findings: problems of the shipped settings in the first start, such as creep; see `Finding`.
-    beside: the same trade on a second engine, if one was asked for.
+    beside: the same trade with MuJoCo, if it was asked for.
+    parted: how far both engines' converged motions are apart in the worst start [m].
     """
 
     kind = "trade"
     units: ClassVar = UNITS
 
     motion: Motion
-    model: Model
+    model: Model | None
     schedule: Schedule
+    engine: str = "stepcore"
     by: str = "time"
     target: float | None = None
     budget: float | None = None
@@ -102,6 +107,7 @@ class Trade(Result):
     moved: float = math.nan
     findings: Sequence[Finding] = ()
     beside: Trade | None = None
+    parted: float = math.nan
     reference: Truth = field(init=False)
     shipped: Trial = field(init=False)
 
@@ -115,6 +121,17 @@ class Trade(Result):
         if self.chosen is None and self.target is not None:
             with contextlib.suppress(ValueError):
                 self.chosen = self.cheapest(self.asked)
+
+    def compare(self, beside: Trade) -> None:
+        """Take over the same trade with a second engine."""
+        ours, theirs = self.reference, beside.reference
+        both = [start for start in ours.starts if start in theirs.starts]
+        ours, theirs = ours.part(both), theirs.part(both)
+        matter = Matter.of(self.model) if self.model is not None else None
+        self.beside = beside
+        if matter is not None:
+            scored = ours.scored & theirs.scored
+            self.parted = float(rms(apart(ours.tracks, theirs.tracks, matter), scored).max())
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(self.__dict__)
@@ -301,6 +318,7 @@ class Trade(Result):
         said = [*self._scored(), *self._answer(), self._as_shipped()]
         if self.target is None and self.budget is None:
             said += self._improvements()
+        said += self._beside()
         return [*said, *(finding.text for finding in self.findings)]
 
     def _scored(self) -> Iterator[str]:
@@ -341,6 +359,8 @@ class Trade(Result):
                 yield self.proof.words
             elif target is not None:
                 yield "It was not tried on untouched starts."
+            if self.engine == "mujoco" and row.change.settings:
+                yield f"In the file: {row.change.mjcf}"
             yield self._halved()
         elif target is not None:
             yield f"No setting tried has an error of at most {metres(self.asked)} in every start."
@@ -397,6 +417,40 @@ class Trade(Result):
                 f"an error of {metres(same.error)}."
             )
 
+    def _beside(self) -> Iterator[str]:
+        """Say whether MuJoCo converges to the same motion, and what its settings do."""
+        other = self.beside
+        if other is None:
+            return
+        here, there = metres(self.reference.error), metres(other.reference.error)
+        known = f"known to {here} and {there}"
+        if self.parted <= self.reference.error + other.reference.error:
+            said = "computes the same physics: its converged motion"
+        else:
+            said = "does NOT compute the same physics: its converged motion"
+        yield f"MuJoCo {said} is {metres(self.parted)} from stepcore's; they are {known}."
+        yield f"As shipped MuJoCo's error is {other._wrong(other.shipped)}{self._times(SHIPPED)}."
+        row = other.chosen
+        if row is not None and row.change != SHIPPED:
+            within = f"an error of at most {metres(other.asked)}"
+            own = None if self.chosen is None else self.chosen.change
+            yield (
+                f"Its cheapest settings for {within} are {other.label(row)}, with "
+                f"{metres(row.error)}{self._times(row.change, own)}."
+            )
+        elif self.target is not None and row is None:
+            yield f"None of its settings has an error of at most {metres(other.asked)}."
+
+    def _times(self, theirs: Change, ours: Change | None = None) -> str:
+        """Return how much longer MuJoCo computes than stepcore, as measured; "" if unknown."""
+        other = self.beside
+        own = self.times.get(ours or SHIPPED)
+        spent = None if other is None else other.times.get(theirs)
+        if not own or not spent:
+            return ""
+        named = "stepcore" if ours in (None, SHIPPED) else "stepcore's recommended ones"
+        return f", and it takes {spent / own:.2f} times as long as {named}"
+
     def label(self, row: Trial) -> str:
         """Describe settings, with every field that differs from the shipped settings."""
         return row.change.label(self.settings)
@@ -413,10 +467,10 @@ class Trade(Result):
         return f"{self.price(row) / self.price(self.shipped):.2f}× the cost of the shipped settings"
 
     def _priced_beside(self, row: Trial) -> str:
-        if row.change == Change():
+        if row.change == SHIPPED:
             return f"{self._priced(row)}, as shipped"
         beside, here = self._multiple(row), self.times.get(row.change)
-        shipped = self.times.get(Change())
+        shipped = self.times.get(SHIPPED)
         if here is None or not shipped:
             return f"{beside} by counted work"
         measured = f"{here / shipped:.2f}× as measured here: {self._priced(row)}"
@@ -447,7 +501,7 @@ class Trade(Result):
             "measured": self.times.get(row.change),
             "pareto": id(row) in front,
             "starts": len(row.starts),
-            "shipped": row.change == Change(),
+            "shipped": row.change == SHIPPED,
             "recommended": self.chosen is not None and row.change == self.chosen.change,
         }
 
@@ -458,7 +512,7 @@ class Trade(Result):
         records = []
         for row in shown:
             mark = "*" * any(row is one for one in front)
-            mark += "s" * (row.change == Change())
+            mark += "s" * (row.change == SHIPPED)
             mark += "r" * (self.chosen is not None and row.change == self.chosen.change)
             s, here = row.settings, self.times.get(row.change)
             known = differences(s, self.settings)
@@ -538,6 +592,8 @@ class Trade(Result):
         return [self._again(change, row.worst) for change in (self.reference.change, row.change)]
 
     def _again(self, change: Change, start: int) -> Trajectory:
+        if self.engine != "stepcore" or self.model is None:
+            raise ValueError("the motions of MuJoCo's settings are not kept: run them in MuJoCo")
         sim, schedule = Sim(change.of(self.model)), self.schedule
         schedule.starts[start].put(sim)
         control: Any = schedule.function(start)

@@ -1,0 +1,666 @@
+"""`MuJoCo`: MuJoCo runs the changes of a Study, by `mujoco.rollout`. Its settings are the axes.
+
+The package mujoco is imported here alone, where it is used. Settings have stepcore's words (dt,
+integrator, solver, sweeps, …), and `Change.mjcf` says them as `<option>`. Truth, norm and choice
+are those of every engine. Starts and controls come from stepcore's model of the scene; where
+stepcore refuses a file that MuJoCo loads, `mujoco_schedule` makes them.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import os
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepcore import checks
+from stepcore.engine.control import ControlError, controls
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.start import Start
+from stepcore.executors import checkpoint
+from stepcore.experiment.change import Change
+from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.engines import FAR, LOOKS, Engine, Stepcore, Way
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.mujoco_schedule import mujoco, scheduled_by_mujoco
+from stepcore.experiment.norm import Matter, Tracks
+from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
+from stepcore.loading import find_asset, find_model, find_scene
+from stepcore.mjcf.reader import read_text
+from stepcore.scene.scene import Scene
+from stepcore.scene.softness import UNKNOWN, extent
+
+# MuJoCo's enumerations, in stepcore's words.
+INTEGRATORS = ("euler", "rk4", "implicit", "implicitfast", "discrete")
+SOLVERS, CONES = ("pgs", "cg", "newton"), ("pyramidal", "elliptic")
+# Solvers that a trade tries. MuJoCo's newton ends by its tolerance after a few iterations.
+SOLVED: tuple[dict[str, Any], ...] = (
+    {"solver": "newton"},
+    {"solver": "newton", "cost_tolerance": 1e-4},
+    {"solver": "cg"},
+    *({"solver": "pgs", "sweeps": sweeps} for sweeps in (4, 16, 64)),
+)
+# The most steps of one call, after which the deadline is asked.
+CHUNK = 2000
+# Worlds that wait for their next run; those of changed scenes are many.
+KEPT = 16
+# Flags by which features are left out; those of MJCF, as in `Features`.
+FLAGS = (
+    *("constraint", "equality", "frictionloss", "limit", "contact", "spring", "damper", "gravity"),
+    *("clampctrl", "actuation", "filterparent", "eulerdamp"),
+)
+# Values that can be changed: (kind, field) and the array that has them.
+VALUES = {
+    **{("joint", name): f"dof_{name}" for name in ("damping", "armature", "frictionloss")},
+    ("joint", "stiffness"): "jnt_stiffness",
+    **{("tendon", n): f"tendon_{n}" for n in ("stiffness", "damping", "armature", "frictionloss")},
+    **{("geom", name): f"geom_{name}" for name in ("friction", "solref", "solimp", "margin")},
+    ("actuator", "gear"): "actuator_gear",
+}
+# Why MuJoCo warns.
+WARNINGS = {
+    "BADQPOS": "its position is not finite",
+    "BADQVEL": "its velocity is not finite",
+    "BADQACC": "its acceleration is not finite",
+    "BADCTRL": "its control is not finite",
+    "INERTIA": "its inertia matrix is singular",
+    "CONTACTFULL": "its contacts do not fit in memory",
+    "CNSTRFULL": "its rows do not fit in memory",
+}
+
+
+@dataclass(frozen=True)
+class MujocoSettings:
+    """MuJoCo's settings in stepcore's words; of the others, the scene's own hold.
+
+    dt: `timestep` [s]. sweeps: `iterations`. cost_tolerance: `tolerance`.
+    """
+
+    dt: float
+    integrator: str
+    solver: str
+    sweeps: int
+    cost_tolerance: float
+    cone: str
+    impratio: float
+    noslip_iterations: int
+    noslip_tolerance: float
+    refsafe: bool
+    warm_start: bool
+    sleep: bool
+
+    # What stepcore's settings have beside these, for the words of tables.
+    accuracy = None
+    precision, acceleration, tolerance = "f64", "none", 0.0
+
+    @classmethod
+    def of(cls, opt: Any) -> MujocoSettings:
+        """Return the settings of an `MjOption`."""
+        bits = mujoco().mjtDisableBit
+        numbers = {name: getattr(opt, mine) for name, mine in _NUMBERS.items()}
+        return cls(
+            **numbers,
+            integrator=INTEGRATORS[opt.integrator],
+            solver=SOLVERS[opt.solver],
+            cone=CONES[opt.cone],
+            refsafe=not opt.disableflags & bits.mjDSBL_REFSAFE,
+            warm_start=not opt.disableflags & bits.mjDSBL_WARMSTART,
+            sleep=bool(opt.enableflags & mujoco().mjtEnableBit.mjENBL_SLEEP),
+        )
+
+    def put(self, opt: Any) -> None:
+        """Write the settings into an `MjOption`."""
+        bits = mujoco().mjtDisableBit
+        for name, mine in _NUMBERS.items():
+            setattr(opt, mine, getattr(self, name))
+        opt.integrator = INTEGRATORS.index(self.integrator)
+        opt.solver, opt.cone = SOLVERS.index(self.solver), CONES.index(self.cone)
+        for on, bit in ((self.refsafe, "REFSAFE"), (self.warm_start, "WARMSTART")):
+            flag = int(getattr(bits, f"mjDSBL_{bit}"))
+            opt.disableflags = opt.disableflags & ~flag if on else opt.disableflags | flag
+        sleep = int(mujoco().mjtEnableBit.mjENBL_SLEEP)
+        opt.enableflags = opt.enableflags | sleep if self.sleep else opt.enableflags & ~sleep
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all settings by name."""
+        return dataclasses.asdict(self)
+
+    def replace(self, **fields: Any) -> MujocoSettings:
+        """Return other settings; ValueError for what MuJoCo does not have."""
+        for name, value in fields.items():
+            if name not in _FIELDS and value != getattr(type(self), name, None):
+                raise ValueError(f"{name} = {checks.shown(value)}: MuJoCo has no such setting")
+        for name, known in (("integrator", INTEGRATORS), ("solver", SOLVERS), ("cone", CONES)):
+            if name in fields:
+                checks.one_of(*known)("MuJoCo", name, fields[name])
+        if not fields.get("dt", self.dt) > 0:
+            raise ValueError(f"dt = {fields['dt']}: must be > 0 s")
+        if "sweeps" in fields:
+            checks.count("sweeps", fields["sweeps"])
+        return dataclasses.replace(self, **{k: v for k, v in fields.items() if k in _FIELDS})
+
+
+_FIELDS = {field.name for field in dataclasses.fields(MujocoSettings)}
+# The numbers of `MjOption`.
+_NUMBERS = {
+    "dt": "timestep",
+    "sweeps": "iterations",
+    "cost_tolerance": "tolerance",
+    **{name: name for name in ("impratio", "noslip_iterations", "noslip_tolerance")},
+}
+
+
+class MuJoCo:
+    """MuJoCo as the engine of a `Study`, for one scene.
+
+    source: the path of an MJCF file, or its text; "package:name"; an MjModel or MjSpec of MuJoCo; a
+        Scene or a Model.
+
+    scene: MuJoCo's model. title: its name. size: the size of the scene [m].
+    refusal: why stepcore cannot load the scene; "" if it can.
+
+    Raises ImportError without MuJoCo, ValueError and OSError for what MuJoCo cannot load.
+    """
+
+    name = "mujoco"
+
+    def __init__(self, source: Any) -> None:
+        self.scene, (self._model, self.refusal) = load(source), _read_by_stepcore(source)
+        if self._model is not None:
+            ours = [getattr(self._model, name) for name in ("nq", "nv", "nu", "nbody")]
+            theirs = [self.scene.nq, self.scene.nv, self.scene.nu, self.scene.nbody]
+            if ours != theirs:
+                self.refusal = f"its nq, nv, nu, bodies are {ours}, but MuJoCo's {theirs}"
+                self._model = None
+        # A state that is not finite is a failure, not a reason to begin again. Sensors and energies
+        # do not act on the motion.
+        mj, opt = mujoco(), self.scene.opt
+        off = mj.mjtDisableBit.mjDSBL_AUTORESET | mj.mjtDisableBit.mjDSBL_SENSOR
+        opt.disableflags |= int(off)
+        opt.enableflags &= ~int(mj.mjtEnableBit.mjENBL_ENERGY | mj.mjtEnableBit.mjENBL_FWDINV)
+        self.shipped = MujocoSettings.of(opt)
+        self.dt, self.nv = self.shipped.dt, int(self.scene.nv)
+        self.coordinates = _coordinates(self.scene)
+        self.matter = _matter(self.scene, self.coordinates.moving)
+        own = _extent(self.scene) if self._model is None else extent(self._model.scene)
+        self.size = own or UNKNOWN
+        self._rows = False
+        self._counts, self._looks = dict[Change, float](), list[tuple[np.ndarray, np.ndarray]]()
+        self._free, self._lock = list[_World](), threading.Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_free": [], "_lock": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=threading.Lock())
+
+    @property
+    def title(self) -> str:
+        return self.scene.names.split(b"\0", 1)[0].decode(errors="replace") or "scene"
+
+    @property
+    def known(self) -> bool:
+        return self._model is not None
+
+    @property
+    def model(self) -> Model:
+        """stepcore's model of the scene; ValueError if stepcore refuses the scene."""
+        if self._model is None:
+            raise ValueError(f"stepcore cannot load this scene: {self.refusal}")
+        return self._model
+
+    def scheduled(
+        self, motion: Motion, period: float, starts: int | None = None, horizon: float = HORIZON
+    ) -> Schedule:
+        """Return the schedule of a motion; see `stepcore.experiment.schedule.scheduled`."""
+        if self._model is not None:
+            return scheduled(motion, self._model, period, starts, horizon)
+        return scheduled_by_mujoco(motion, self.scene, self.coordinates, period, starts, horizon)
+
+    def settings(self, change: Change) -> MujocoSettings:
+        return self.shipped.replace(**dict(change.settings))
+
+    @contextmanager
+    def _world(self, change: Change) -> Iterator[_World]:
+        """Lend a world under a change to this thread."""
+        physics = change.physics
+        with self._lock:
+            own = [k for k, world in enumerate(self._free) if world.physics == physics]
+            world = self._free.pop(own[-1]) if own else None
+        if world is None:
+            model = _changed(self.scene, physics)
+            world = _World(physics, model, mujoco().MjData(model))
+        self.settings(change).put(world.model.opt)
+        with _quiet():
+            yield world
+        with self._lock:
+            self._free.append(world)
+            del self._free[:-KEPT]
+
+    def follow(self, change: Change, schedule: Schedule, starts: Sequence[int]) -> Tracks:
+        if schedule.control is not None and self._model is None:
+            raise ValueError(
+                "control: the function gets a Sim of stepcore, which cannot load this scene "
+                f"({self.refusal}); give rows of controls in its place"
+            )
+        shape = (len(starts), len(schedule.times), self.scene.nbody)
+        xpos, xquat = np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan)
+        failures = dict[int, str]()
+        try:
+            with self._world(change) as world:
+                for k, start in enumerate(starts):
+                    states, _, failure = self._run(world, schedule, start)
+                    places, turns = world.frames(states)
+                    far = np.linalg.norm(places - places[0], axis=-1).max(axis=1, initial=0.0)
+                    for sample in np.flatnonzero(far > FAR * self.size)[:1]:
+                        away, time = far[sample], schedule.times[sample - 1]
+                        failure = f"a body is {away:.3g} m from its start at {time:.4g} s"
+                        places[sample:] = turns[sample:] = np.nan
+                    xpos[k], xquat[k] = places[1:], turns[1:]
+                    failures |= {k: failure} if failure else {}
+        except ControlError:
+            raise
+        except ValueError as error:
+            failures = dict.fromkeys(range(len(starts)), checks.one_line(error))
+        return self.matter.tracks(xpos, xquat, failures)
+
+    def _run(
+        self, world: _World, schedule: Schedule, start: int
+    ) -> tuple[np.ndarray, np.ndarray, str]:
+        """Run from one start; return its states and controls at the start and at the samples.
+
+        Both are NaN after a failure. Its reason is returned too; "" for none.
+        """
+        dt, function = float(world.model.opt.timestep), schedule.function(start)
+        steps, nu = schedule.steps(dt), self.scene.nu
+        sample, state = schedule.every * steps, world.begin(schedule.starts[start])
+        states = np.full((len(schedule.times) + 1, len(state)), np.nan)
+        played = np.full((len(states), nu), np.nan)
+        states[0], played[0] = state, 0.0
+        if function is None:
+            rows, hold = schedule.rows([start], dt)
+            once = sample * max(1, CHUNK // sample)
+        else:
+            shown, once = unwatched(Sim(self.model)), steps
+            schedule.starts[start].put(shown)
+        whole = sample * len(schedule.times)
+        for done in range(0, whole, once):
+            checkpoint()
+            ctrl = np.zeros((min(once, whole - done), nu))
+            if function is not None:
+                shown.qpos, shown.qvel, shown.time = world.data.qpos, world.data.qvel, done * dt
+                if schedule.calls_user:
+                    shown.forward()
+                ctrl[:] = controls(function, shown)
+            elif rows is not None:
+                held = np.arange(done, done + len(ctrl)) // hold
+                ctrl[:] = rows[0, np.minimum(held, rows.shape[1] - 1)]
+            made, failure = world.roll(state, ctrl)
+            ends = np.arange(done // sample + 1, (done + len(made)) // sample + 1)
+            states[ends] = made[ends * sample - done - 1]
+            played[ends] = ctrl[ends * sample - done - 1]
+            if failure:
+                return states, played, f"{failure} at {(done + len(made)) * dt:.4g} s"
+            state = made[-1]
+        return states, played, ""
+
+    def work(self, change: Change, schedule: Schedule) -> float:
+        """Estimate the operations of a simulated second, at the same states for all changes.
+
+        The terms are the counts that MuJoCo reports: rows, contacts, iterations of the solver. What
+        each costs was measured (`operations`). A step costs about the same at all lengths, so each
+        method is counted at one of them.
+        """
+        try:
+            dt, change = self.settings(change).dt, change.also(Change(dt=self.dt))
+            if change not in self._counts:
+                self._counts[change] = self._counted(change, schedule)
+        except ValueError:
+            return math.inf
+        return self._counts[change] / dt
+
+    def _counted(self, change: Change, schedule: Schedule) -> float:
+        """Return the operations of a step: the mean over states of the shipped motion."""
+        if not self._looks:
+            with self._world(Change()) as world:
+                states, played, _ = self._run(world, schedule, 0)
+            whole = np.flatnonzero(np.isfinite(states).all(axis=-1))
+            some = whole[np.unique(np.linspace(0, len(whole) - 1, LOOKS).astype(int))]
+            self._looks = [(states[k], played[k]) for k in some]
+        with self._world(change) as world:
+            world.begin(schedule.starts[0])
+            total = 0.0
+            for state, ctrl in self._looks:
+                # The second step has forces to begin from.
+                world.roll(state, np.stack([ctrl, ctrl]))
+                total += operations(world.model, world.data)
+                self._rows = self._rows or world.data.nefc > 0
+        return total / len(self._looks)
+
+    def ways(self, schedule: Schedule, goal: float) -> list[Way]:
+        steps = schedule.steps(self.dt)
+        exact = {"solver": "newton", "sweeps": 200, "cost_tolerance": 1e-15}
+        exact |= {"warm_start": True, "refsafe": False, "sleep": False}
+
+        def halved(integrator: str) -> Way:
+            def at(k: int) -> Change:
+                dt = schedule.period / (steps * 2**k)
+                return _change(self.shipped, integrator=integrator, dt=dt, **exact)
+
+            return Way(integrator, at)
+
+        # MuJoCo does not run a flex with elasticity under implicitfast.
+        able = [halved(name) for name in ("implicitfast", "discrete", "rk4")]
+        able = [way for way in able if math.isfinite(self.work(way.at(0), schedule))]
+        return [able[0], *able[-1:]] if len(able) > 1 else able
+
+    def families(self, schedule: Schedule) -> list[Change]:
+        """Return every integrator with every solver; one solver is enough where no row acts."""
+        if not math.isfinite(self.work(Change(), schedule)):
+            return [Change()]
+        made = [
+            _change(self.shipped, integrator=integrator, **fields)
+            for integrator in dict.fromkeys([self.shipped.integrator, *INTEGRATORS[:-1]])
+            for fields in (SOLVED if self._rows else [{}])
+        ]
+        return list(dict.fromkeys([Change(), *made]))
+
+    def seconds(self, change: Change, schedule: Schedule) -> float:
+        with self._world(change) as world:
+            begun = time.thread_time()
+            failure = self._run(world, schedule, 0)[2]
+            return math.nan if failure else time.thread_time() - begun
+
+
+def engine_of(model: Any, engine: Engine | str) -> Engine:
+    """Return the engine of a name for a model, see `Study`; or the engine itself.
+
+    Raises ValueError for another name, and ImportError where MuJoCo is not installed.
+    """
+    if not isinstance(engine, str):
+        return engine
+    checks.one_of("stepcore", "mujoco")("study", "engine", engine)
+    if engine == "mujoco":
+        return MuJoCo(model)
+    compiled = find_model(model)
+    return Stepcore(compiled, extent(compiled.scene) or UNKNOWN)
+
+
+class _World:
+    """MuJoCo's model and data of one physics; one thread at a time uses them."""
+
+    def __init__(self, physics: Change, model: Any, data: Any) -> None:
+        self.physics, self.model, self.data = physics, model, data
+        kinds = mujoco().mjtState
+        self.state = kinds.mjSTATE_FULLPHYSICS
+        self.inputs = int(kinds.mjSTATE_CTRL)
+        if model.nmocap:
+            self.inputs |= int(kinds.mjSTATE_MOCAP_POS | kinds.mjSTATE_MOCAP_QUAT)
+
+    def read(self, kind: int) -> np.ndarray:
+        """Return a part of the state."""
+        values = np.empty(mujoco().mj_stateSize(self.model, kind))
+        mujoco().mj_getState(self.model, self.data, values, kind)
+        return values
+
+    def begin(self, start: Start) -> np.ndarray:
+        """Set the start of a run; return its state."""
+        data = self.data
+        mujoco().mj_resetData(self.model, data)
+        data.qpos[:], data.qvel[:] = start.qpos, start.qvel
+        data.act[:] = 0.0 if start.act is None else start.act
+        if start.mocap is not None:
+            data.mocap_pos[:], data.mocap_quat[:] = start.mocap
+        return self.read(self.state)
+
+    def roll(self, state: np.ndarray, ctrl: np.ndarray) -> tuple[np.ndarray, str]:
+        """Make a step with each row of controls; return the states after them, and a failure.
+
+        A run that fails ends with the step before.
+        """
+        inputs = np.tile(self.read(self.inputs), (1, len(ctrl), 1))
+        inputs[0, :, : self.model.nu] = ctrl
+        made = np.empty((1, len(ctrl), len(state)))
+        sensed = np.empty((1, len(ctrl), self.model.nsensordata))
+        try:
+            mujoco().rollout.rollout(
+                *([self.model], self.data, state[None], inputs if inputs.size else None),
+                control_spec=self.inputs,
+                nstep=len(ctrl),
+                initial_warmstart=self.data.qacc_warmstart[None].copy(),
+                state=made,
+                sensordata=sensed,
+                skip_checks=True,
+            )
+        except mujoco().FatalError as error:
+            raise ValueError(checks.one_line(error)) from None
+        failure = next((why for kind, why in _warnings() if self.data.warning[kind].number), "")
+        # A warning ends the roll-out: the state after that step fills the rest.
+        last = int(np.argmax(made[0, :, 0] >= made[0, -1, 0])) if failure else len(ctrl)
+        return made[0, :last], failure
+
+    def frames(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the places and orientations of all bodies in some states."""
+        count = self.model.nbody
+        xpos, xquat = (np.full((len(states), count, n), np.nan) for n in (3, 4))
+        for k in np.flatnonzero(np.isfinite(states).all(axis=1)):
+            mujoco().mj_setState(self.model, self.data, states[k], self.state)
+            mujoco().mj_kinematics(self.model, self.data)
+            xpos[k], xquat[k] = self.data.xpos, self.data.xquat
+        return xpos, xquat
+
+
+def operations(model: Any, data: Any) -> float:
+    """Estimate the operations of the step that was just made, in the unit of `price.OPERATION`.
+
+    The terms are what MuJoCo counts; nnz are the non-zeros of Newton's factor or of the matrix of
+    PGS. The factors fit times that `python benches/cost_of_mujoco.py` measures on 14 scenes under
+    20 settings each: the estimate is off by 20 % (standard deviation), and by 2.1 times at most.
+    """
+    solver, nefc = SOLVERS[model.opt.solver], data.nefc
+    islands = max(1, data.nisland)
+    iterations = data.solver_niter[:islands].astype(float)
+    nonzeros = float(iterations @ data.solver_nnz[:islands])
+    sparse = data.nJ + model.nM
+    each = 2400 + 105 * (model.nbody + model.nv + model.ngeom + model.nM / 2)
+    each += 475 * nefc + 110 * model.nflexelem
+    if solver == "pgs":
+        each += 2 * (nonzeros + nefc**2)
+    else:
+        each += 3 * iterations.sum() * sparse + 3 * nonzeros * (solver == "newton")
+    if CONES[model.opt.cone] == "elliptic":
+        each += 9 * iterations.sum() * (data.contact.dim.astype(float) ** 3).sum()
+    integrator = INTEGRATORS[model.opt.integrator]
+    # `discrete` solves with the stiffness of every flex.
+    once = 140 * model.nv + 80 * model.nD * (integrator == "implicit") + 50 * data.nefmK
+    return float((4 if integrator == "rk4" else 1) * each + once)
+
+
+def load(source: Any) -> Any:
+    """Return MuJoCo's model of a source; see `MuJoCo`."""
+    mj = mujoco()
+    kind = type(source).__name__
+    with _quiet():
+        if isinstance(source, mj.MjModel):
+            return copy.copy(source)
+        if isinstance(source, mj.MjSpec):
+            return source.compile()
+        if isinstance(source, (Scene, Model)):
+            if source.settings.law != "solref":
+                raise ValueError(f"law = '{source.settings.law}': MuJoCo has solref alone")
+            scene = source if isinstance(source, Scene) else source.scene
+            return mj.MjModel.from_xml_string(scene.with_settings(source.settings).to_mjcf())
+        if not isinstance(source, (str, os.PathLike)):
+            raise ValueError(f"{kind}: MuJoCo loads an MJCF file or text, a Scene or an MjModel")
+        text = os.fsdecode(source)
+        if _is_text(text):
+            return mj.MjModel.from_xml_string(text)
+        package, colon, name = text.partition(":")
+        if package == "lesson":
+            return load(find_scene(text))
+        path = text if os.path.exists(text) or not colon else find_asset(package, name)
+        return mj.MjModel.from_xml_path(os.fspath(path))
+
+
+def _read_by_stepcore(source: Any) -> tuple[Model | None, str]:
+    """Return stepcore's model of a source, or why there is none."""
+    try:
+        if isinstance(source, str) and _is_text(source):
+            scene = Scene()
+            read_text(scene, source)
+            return find_model(scene), ""
+        return find_model(source), ""
+    except (ValueError, OSError) as error:
+        return None, checks.one_line(error)
+
+
+def _is_text(source: str) -> bool:
+    return source.lstrip().startswith("<")
+
+
+def _changed(scene: Any, physics: Change) -> Any:
+    """Return a copy of MuJoCo's model with other values, and without some features."""
+    mj, model = mujoco(), copy.copy(scene)
+    for removal in physics.without:
+        for edit, value in removal.edits:
+            if edit == "feature" and value in FLAGS:
+                flag = getattr(mj.mjtDisableBit, f"mjDSBL_{value.upper()}")
+                model.opt.disableflags |= int(flag)
+            elif edit == "no fluid":
+                model.opt.density = model.opt.viscosity = 0.0
+            else:
+                raise ValueError(f"without {removal.label}: MuJoCo has no flag for it")
+    for path, value in physics.values:
+        _assign(model, path, value)
+    if physics.values:
+        mj.mj_setConst(model, mj.MjData(model))
+    return model
+
+
+def _assign(model: Any, path: str, value: Any) -> None:
+    """Set a value of MuJoCo's model by its path."""
+    mj = mujoco()
+    if path in ("gravity", "density", "viscosity", "wind"):
+        setattr(model.opt, path, value)
+        return
+    kind, _, rest = path.partition("/")
+    name, _, field = rest.rpartition("/")
+    known = [f for k, f in VALUES if k == kind] + ["kp", "kv"] * (kind == "actuator")
+    if field not in known:
+        raise ValueError(f"{path}: MuJoCo's engine changes {', '.join(known) or 'no such value'}")
+    index = mj.mj_name2id(model, getattr(mj.mjtObj, f"mjOBJ_{kind.upper()}"), name)
+    if index < 0:
+        raise ValueError(f"{path}: MuJoCo's model has no {kind} of this name")
+    if field in ("kp", "kv"):
+        order = 1 + (field == "kv")
+        if not model.actuator_biasprm[index, order]:
+            raise ValueError(f"{path}: the actuator has no {field}")
+        # The gain that multiplies the control is that of the servo's own error.
+        if model.actuator_gainprm[index, 0] == -model.actuator_biasprm[index, order]:
+            model.actuator_gainprm[index, 0] = value
+        model.actuator_biasprm[index, order] = -value
+        return
+    array = getattr(model, VALUES[kind, field])
+    if VALUES[kind, field].startswith("dof_"):
+        array[model.dof_jntid == index] = value
+    elif array.ndim == 1:
+        array[index] = value
+    else:
+        given = np.atleast_1d(value)
+        array[index, : len(given)] = given
+
+
+class _Flexible(Coordinates):
+    """Coordinates that a flex shares: the same random change moves all its vertices.
+
+    flexes: the dofs of the free vertices of every flex, (vertices, 3).
+    """
+
+    flexes: list[np.ndarray]
+
+    def drawn(self, rng: np.random.Generator, slides: float, turns: float) -> np.ndarray:
+        change = super().drawn(rng, slides, turns)
+        for dofs in self.flexes:
+            change[dofs] = change[dofs[0]]
+        return change
+
+
+def _coordinates(scene: Any) -> Coordinates:
+    """Return the layout of the coordinates of MuJoCo's model."""
+    kinds = ("free", "ball", "slide", "hinge")
+    limited = not scene.opt.disableflags & int(mujoco().mjtDisableBit.mjDSBL_LIMIT)
+    joints = [
+        (
+            kinds[int(scene.jnt_type[k])],
+            int(scene.jnt_qposadr[k]),
+            int(scene.jnt_dofadr[k]),
+            tuple(scene.jnt_range[k].tolist()) if limited and scene.jnt_limited[k] else None,
+        )
+        for k in range(scene.njnt)
+    ]
+    moving = np.flatnonzero(scene.body_weldid).tolist()
+    made = _Flexible.of(int(scene.nv), joints, moving)
+    owners = [*zip(scene.flex_vertadr, scene.flex_vertnum, strict=True)]
+    bodies = [np.unique(scene.flex_vertbodyid[first : first + n]) for first, n in owners]
+    firsts = [scene.body_dofadr[own[scene.body_dofnum[own] == 3]] for own in bodies]
+    made.flexes = [first[:, None] + np.arange(3) for first in firsts if len(first)]
+    return made
+
+
+def _matter(scene: Any, moving: Sequence[int]) -> Matter:
+    """Return the moving bodies of MuJoCo's model."""
+    mass = np.maximum(scene.body_mass[moving], 1e-300)
+    gyration = np.sqrt(scene.body_inertia[moving].sum(axis=1) / 2 / mass)
+    return Matter(moving, scene.body_ipos[moving].copy(), gyration)
+
+
+def _extent(scene: Any) -> float:
+    """Return the size of MuJoCo's model at rest [m], as `softness.extent` does for a scene."""
+    thick = float(scene.geom_rbound.max(initial=0.0))
+    return thick + float(np.linalg.norm(scene.body_pos, axis=1).max(initial=0.0))
+
+
+def _change(shipped: MujocoSettings, **fields: Any) -> Change:
+    """Return the change from the shipped settings to these fields."""
+    return Change(**{k: v for k, v in fields.items() if v != getattr(shipped, k)})
+
+
+def _warnings() -> list[tuple[int, str]]:
+    """Return MuJoCo's warnings that end a run, and what they say of it."""
+    kinds = mujoco().mjtWarning
+    return [(int(getattr(kinds, f"mjWARN_{name}")), why) for name, why in WARNINGS.items()]
+
+
+_quiets, _handlers = threading.Lock(), list[Any]()
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep MuJoCo from writing its warnings to a file and from timing its stages."""
+    mj = mujoco()
+    with _quiets:
+        if not _handlers:
+            before = mj.get_mju_user_warning(), mj.get_mjcb_time()
+            mj.set_mju_user_warning(lambda text: None)
+            mj.set_mjcb_time(None)
+            _handlers.append(before)
+        else:
+            _handlers.append(None)
+    try:
+        yield
+    finally:
+        with _quiets:
+            if len(_handlers) == 1:
+                warning, timer = _handlers[0]
+                mj.set_mju_user_warning(warning)
+                mj.set_mjcb_time(timer)
+            _handlers.pop()
