@@ -1,4 +1,4 @@
-"""Scenes on which recommendations are put to the test, and the best settings by brute force.
+"""Scenes on which recommendations are put to the test.
 
 Every scene is named with the error that is asked for [m]: where the shipped settings are far off,
 where they are far too good, and between.
@@ -6,10 +6,7 @@ where they are far too good, and between.
 
 from __future__ import annotations
 
-import itertools
-import math
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,22 +16,8 @@ import scenes
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment.arguments import Workers
-from stepcore.experiment.cost import priced
-from stepcore.experiment.errors import errors
-from stepcore.experiment.failure import far_off
-from stepcore.experiment.motion import Motion
-from stepcore.experiment.reference import ReferenceRuns
-from stepcore.experiment.run import Run
-from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import scheduled, time_steps
-from stepcore.measure.trade.methods import COULOMB_LAW, SMOOTH_LAW, Steps, longest
-from stepcore.report.progress import Progress
 
 G = (0, 0, -9.81)
-SWEEPS = (1, 2, 3, 5, 8, 12, 20, 50)
-# Neighbours on the ladder of steps: a ratio of about √2.
-LADDER = (1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 91, 128)
 
 
 @dataclass(frozen=True)
@@ -183,91 +166,3 @@ CASES = (
     Case("half_cheetah", partial(gym, "half_cheetah"), 1e-2),
     Case("ant", partial(gym, "ant"), 1e-2, 0.48),
 )
-
-
-class Judge:
-    """Starts of its own, their converged motion, and what settings do on them."""
-
-    def __init__(self, case: Case, count: int, seed: int, finest: float) -> None:
-        model = case.make().compile()
-        self.shipped = model.settings
-        _, self.period = time_steps(self.shipped.dt, None, None, case.horizon)
-        if not model.nu:
-            self.period = longest(self.period, case.horizon)
-        motion = Motion(horizon=case.horizon, seed=seed)
-        # The first start, the keyframe, is one that the trade has seen.
-        schedule = scheduled(motion, model, self.period, starts=count + 1).part(1)
-        self.runner, self.count = Runner(model, schedule), count
-        self.runs = ReferenceRuns(self.runner, self.shipped, finest, 1e9, Workers(2))
-        with Progress("", 1, False) as bar:
-            self.truth = self.runs.level("rk4", finest, bar)
-
-    def wrong(self, settings: sc.Settings, start: int) -> float:
-        """The error from one start [m]; inf for a failure."""
-        path = self.runner.screen(settings, start)
-        true: Run = self.truth.runs[start]
-        if path.failure or far_off([path], [true], 1e3):
-            return math.inf
-        every = np.ones((1, len(self.runner.schedule.times)), bool)
-        return errors([path], [true], every).high
-
-    def price(self, settings: sc.Settings) -> float:
-        """Operations per simulated second, on the motion of the first start."""
-        return priced(self.runner, settings, [0], Workers())[1].flops
-
-
-def every(shipped: sc.Settings, steps: Steps, rows: int) -> Iterator[sc.Settings]:
-    """What brute force tries."""
-    smooth = shipped.law == "solref"
-    integrators = SMOOTH_LAW if smooth else COULOMB_LAW
-    methods: list[dict[str, Any]] = [{}]
-    if rows:
-        few = SWEEPS if rows > 1 else (1,)
-        methods = [{"solver": "pgs", "sweeps": n} for n in few]
-        methods += [m | {"warm_start": not shipped.warm_start} for m in methods]
-    if rows and smooth:
-        methods += [{"solver": "newton", "sweeps": n} for n in (2, 100)]
-    for pieces, name, method in itertools.product(LADDER, integrators, methods):
-        yield shipped.replace(dt=steps.dt(pieces), integrator=name, **method)
-
-
-def best(
-    judge: Judge, error: float, rows: int, patience: float = math.inf
-) -> tuple[sc.Settings, float] | None:
-    """The cheapest of `every` that keeps to an error in all of the judge's starts, and its price.
-
-    Ordered by price, as far as a short run tells, and tried until the rest cannot be cheaper; first
-    from the starts that others failed on. None if there is none, or `patience` [s of processor
-    time] is over before.
-    """
-    begun = time.process_time()
-    steps = Steps(judge.period, judge.shipped.dt)
-    guess, cheapest = _guesses(judge, list(every(judge.shipped, steps, rows))), None
-    order = list(range(judge.count))
-    for setting in sorted(guess, key=lambda s: guess[s]):
-        if cheapest is not None and guess[setting] > 1.4 * cheapest[1]:
-            return cheapest
-        if time.process_time() - begun > patience:
-            return None
-        bad = next((k for k in order if judge.wrong(setting, k) > error), None)
-        if bad is not None:
-            order.remove(bad)
-            order.insert(0, bad)
-            continue
-        price = judge.price(setting)
-        if cheapest is None or price < cheapest[1]:
-            cheapest = (setting, price)
-    return cheapest
-
-
-def _guesses(judge: Judge, tried: list[sc.Settings]) -> dict[sc.Settings, float]:
-    """What settings will cost: the work of a step, from a run at the shipped one."""
-    per_step = {}
-    for setting in tried:
-        key = setting.replace(dt=judge.shipped.dt)
-        if key not in per_step:
-            price = judge.price(key)
-            per_step[key] = 0.0 if math.isnan(price) else price * key.dt
-    return {
-        setting: per_step[setting.replace(dt=judge.shipped.dt)] / setting.dt for setting in tried
-    }

@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 API = "\n".join(path.read_text(encoding="utf-8") for path in (DOCS / "api").glob("*.md"))
 DOCUMENTED = re.findall(r"^::: stepcore\.([\w.]+)$", API, re.MULTILINE)
-# What only types a part of a result stands under the module that defines it.
-PARTS = re.compile(r"(engine|measure|scene)\.")
+# What types a part of a result, and what questions are written with, stands under its module.
+PARTS = re.compile(r"(engine|experiment|measure|scene)\.")
 # Pages that the build makes.
 MADE = {"index.md", "adding.md", "benchmarks.md", "changelog.md", "contributing.md"}
 

@@ -74,7 +74,7 @@ def test_an_ablation_shows_a_bar_for_each_feature(results):
     assert work.get_xlabel() == "work saved [% of operations]"
     assert error.get_xlabel() == "RMS position error added [m]"
     assert error.get_xscale() == "log"
-    features = [row for row in ablation.rows if row.outcome.failure is None]
+    features = [row for row in ablation.rows if not row.trial.failure]
     assert len(ticks(work)) == len(features) + 1
     assert {row.removal.label[:45] for row in features} == {name[:45] for name in ticks(work)[1:]}
     assert sorted(names(figure)) == sorted(

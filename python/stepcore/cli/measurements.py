@@ -175,6 +175,8 @@ def _name_the_file(result: Any, args: argparse.Namespace) -> None:
 
 def _save_smallest(result: Any, args: argparse.Namespace) -> None:
     if args.save is not None:
+        if result.smallest is None:
+            raise Usage(f"--save {args.save}: give MuJoCo the file with {result.in_file}")
         result.smallest.save(args.save)
 
 
@@ -244,6 +246,7 @@ def _log(text: str) -> Any:
 LENGTH = {"metavar": "LENGTH"}
 DT = {"type": time, "metavar": "S"}
 COUNT = {"type": int, "metavar": "N"}
+ENGINE = {"choices": ("stepcore", "mujoco")}
 NAMES = {"action": "append", "metavar": "NAME"}
 
 MEASUREMENTS = {
@@ -269,7 +272,7 @@ MEASUREMENTS = {
                 "help": "try a full grid of settings instead of a search",
             },
             "effort": {"type": float, "metavar": "OPERATIONS"},
-            "engine": {"choices": ("stepcore", "mujoco")},
+            "engine": ENGINE,
             "mujoco": {"action": "store_true"},
         },
         excluding=("error", "budget"),
@@ -376,10 +379,13 @@ MEASUREMENTS = {
         "gymnasium:half_cheetah --error 5mm --save small.xml",
         {
             "added": {"flags": ("--added", "--error"), "default": "1mm", **LENGTH},
+            "further": COUNT,
+            "engine": ENGINE,
             "save": {"metavar": "OUT.xml", "help": "write the smallest model as MJCF"},
         },
         full="print every feature",
         motion={},
+        source=True,
         done=_save_smallest,
     ),
 }

@@ -329,22 +329,6 @@ class RemovableFeatures:
             pairs.setdefault(key, []).append((a, b))
         return pairs
 
-    def reduced(self, removal: Removal, usage: MotionUsage) -> Removal | None:
-        """Restrict a removal of unused limits or pairs to those that another motion did not use.
-
-        The result is None if nothing is left of the removal. Other removals are returned unchanged.
-        """
-        if removal.kind not in ("limits", "colliders"):
-            return removal
-        ((_, values),) = removal.edits
-        if removal.kind == "limits":
-            used = {self.joint[i] for i in usage.limited}
-            joints = [joint for joint in values[1] if joint not in used]
-            return Removal("limits", _unreached(joints), (_no_range(joints),)) if joints else None
-        met = {tuple(sorted((self.body[a], self.body[b]))) for a, b in usage.touched}
-        pairs = tuple(pair for pair in values if tuple(sorted(pair)) not in met)
-        return Removal("colliders", _unmet(pairs), (("exclude", pairs),)) if pairs else None
-
     def _excluding(self, kind: str, name: str, pairs: Iterable[tuple[int, int]]) -> Removal:
         value = tuple((self.body[a], self.body[b]) for a, b in pairs)
         return Removal(kind, name, (("exclude", value),))

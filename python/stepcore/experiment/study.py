@@ -154,6 +154,10 @@ class Study:
                 self._tracks[change, start] = made.some([k])
         return [self._together(change, starts) for change in changes]
 
+    def ran(self, change: Change, start: int) -> bool:
+        """Return whether a change was run from a start."""
+        return (change, start) in self._tracks
+
     def _together(self, change: Change, starts: Sequence[int]) -> Tracks:
         """Return the runs from some starts; those that were not made are NaN and have failed."""
         known = [self._tracks.get((change, start)) for start in starts]

@@ -3,55 +3,42 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
-from functools import partial
+import math
+from collections.abc import Sequence
 from typing import Unpack
 
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.features import RemovableFeatures, Removal, without
-from stepcore.engine.model import Model
-from stepcore.experiment.arguments import MeasurementFields, Source, Workers, measurement, set_up
-from stepcore.experiment.cost import TimedRun, heaviness
-from stepcore.experiment.experiment import Experiment
-from stepcore.experiment.failure import runaway
+from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, without
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.experiment.arguments import MeasurementFields, Source, measurement, set_up
+from stepcore.experiment.change import Change
+from stepcore.experiment.choose import Proof, greedy
+from stepcore.experiment.engines import run
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.reference import Reference
-from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import HORIZON, STARTS, scheduled, time_steps
-from stepcore.experiment.sizes import scene_size
+from stepcore.experiment.mujoco_engine import FLAGS
+from stepcore.experiment.norm import apart, largest, rms
+from stepcore.experiment.study import SHIPPED, Study
+from stepcore.experiment.trial import Trial
+from stepcore.experiment.truth import Truth
 from stepcore.measure.ablation.result import Ablation, FeatureEffect
-from stepcore.measure.ablation.selection import Selection
-from stepcore.measure.ablation.variants import (
-    Baseline,
-    VariantOutcome,
-    outcome_of,
-    time_saved,
-    timed_runs,
-    usage_of,
-)
 from stepcore.report import units
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import metres
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
 
-# Largest number of sets of other starts on which the smallest model is confirmed, and starts in a
-# set. Confirmation ends with a set that needs nothing restored. If 32 starts show no failure, at
-# least 91 % of all such starts have none (95 % confidence). Sets are smaller if each start is
-# expensive.
-SETS, CONFIRMED_ON = 4, 32
-# Limit on the cost of all runs of the sets, in steps × (dofs + 2).
-SETS_BUDGET = 6e6
-# Above this cost of all single removals, each feature first runs from SCREENED starts. Only
-# features within the tolerance there run from the others.
-FEATURES_BUDGET, SCREENED = 1.2e7, 2
-# Limit on the cost of the reference, in steps × (dofs + 2).
-BUDGET = 3e6
+# Readings of contacts and limits in a start, at most.
+READINGS = 500
+# Every feature first runs from so many starts; only features within the tolerance run from the
+# others.
+SCREENED = 2
+# How often starts that refuse the smallest model may join the choice, and how many at a time.
+ROUNDS, JOIN = 8, 3
 # The shares of the time (`seconds`) at which the converged motion, the features alone, the choice
 # and the tests on other starts end.
-CONVERGED, ALONE, CHOSEN, CONFIRMED = 0.4, 0.7, 0.8, 0.95
+CONVERGED, ALONE, CHOSEN, PROVEN = 0.4, 0.7, 0.85, 0.95
 
 
 @measurement()
@@ -60,13 +47,15 @@ def ablate(
     motion: Motion | str | None = None,
     *,
     added: float | str = 1e-3,
+    further: int = 32,
+    engine: str = "stepcore",
     **fields: Unpack[MeasurementFields],
 ) -> Ablation:
     """Remove one modelled feature at a time, and measure the work saved and the error added.
 
-    Then `ablate` removes as many features together as possible within `added`. This smallest model
-    is chosen on some starts and confirmed on up to 32 others. Features that the other starts need
-    are restored, and the new smallest model is confirmed on further starts.
+    Then `ablate` removes as many features together as possible within `added`. Starts of a second
+    set on which this smallest model adds more join the choice; what is told of it comes from a
+    third set, which no choice has seen.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Every run uses the
         model's own settings.
@@ -74,6 +63,9 @@ def ablate(
     added: the largest RMS position error, over samples and bodies, that the smallest model may add
         to the whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's
         size.
+    further: the number of starts of the second and of the third set; 0 for neither.
+    engine: "stepcore", or "mujoco", whose flags are then the features. It also runs files that
+        stepcore cannot load.
     threads, executor, progress, seconds: see `stepcore.experiment.arguments.Workers`.
 
     Raises ValueError for an argument outside its limits, or if the whole model fails.
@@ -82,187 +74,251 @@ def ablate(
     >>> result = ablate(loads('''<mujoco><worldbody><body><joint axis="0 1 0" range="-90 90"/>
     ...   <geom type="capsule" size=".02" fromto="0 0 0 .3 0 -.1"/></body></worldbody></mujoco>'''),
     ...   horizon=0.2, starts=2)
-    >>> [row.outcome.worst for row in result.rows if row.removal.kind == "limits"]
+    >>> [row.trial.error for row in result.rows if row.removal.kind == "limits"]
     [0.0]
     >>> result.smallest.joints[0].range is None
     True
     """
     # Check the tolerance before minutes of work; the scene's size is known later.
     units.length("ablate", "added", added, 1.0)
-    setup = set_up(ablate, model, motion, fields, missing="no motion to keep")
-    model, (_, motion, workers) = setup.model, setup
-    starts, dt = motion.starts or STARTS, model.settings.dt
-    _, period = time_steps(dt, None, motion.period(dt), motion.horizon or HORIZON)
-    first = Runner(model, scheduled(motion, model, period, starts=1))
-    first.check_repeatable()
-    work = _work(model, motion.horizon or HORIZON, heaviness(first, model.settings))
-    # The number of starts in a set to confirm on.
-    more = max(starts, min(CONFIRMED_ON, int(SETS_BUDGET / (2 * SETS * work))))
-    schedule = scheduled(motion, model, period, starts=starts + SETS * more)
-    experiment = Experiment(model, schedule.part(0, starts), workers)
-    time = workers.deadline
-    reference, notes = None, list[str]()
+    further = checks.count("further", further, least=0)
+    setup = set_up(ablate, model, motion, fields, missing="no motion to keep", engine=engine)
+    study = Study(motion=setup.motion, engine=setup.engine, workers=setup.workers)
+    time, known = setup.workers.deadline, setup.engine.known
+    tolerance = units.length("ablate", "added", added, study.size)
+    truth, notes = None, list[str]()
     with time.stage("the converged motion, and errors against it", CONVERGED):
-        reference, notes = _reference(experiment)
-    baseline = _baseline(experiment, reference)
-    tolerance = units.length("ablate", "added", added, baseline.size)
-    if reference:
-        notes += [*_poor(reference, tolerance), *reference.notes]
-    features = RemovableFeatures(model)
-    selection = Selection(baseline, features, tolerance, workers)
-    removals = features.removals(usage_of(experiment.runner, workers), model.settings)
-    dear = (1 + len(removals)) * starts * work > FEATURES_BUDGET
-    few = SCREENED if dear and starts > SCREENED else starts
-    whole, alone, cut = _alone(baseline, removals, few, tolerance, workers)
-    removals = list(alone)
-    time.so_far(_so_far(whole, alone, tolerance))
-    selection.known = alone
+        truth, notes = _truth(study, tolerance)
+    choice = Choice(study, tolerance, truth)
     complete = False
-    with (
-        time.stage("the whole search for the smallest model", CHOSEN),
-        workers.bar("smallest", len(removals)) as bar,
-    ):
-        selection.choose(removals, whole, bar)
+    with time.stage("some of the features", ALONE):
+        choice.begin()
+    with time.stage("the whole search for the smallest model", CHOSEN):
+        choice.choose()
+        choice.settle(further)
         complete = True
-    sets = (schedule.part(k, k + more) for k in range(starts, starts + SETS * more, more))
-    with time.stage("all tests of the smallest model on other starts", CONFIRMED):
-        selection.confirm(_baseline(Experiment(model, part, workers)) for part in sets)
-    removed = selection.removed
-    removals += [removal for removal in removed if removal not in removals]
-    with time.closing():
-        runs = timed_runs(baseline, [(), *((removal,) for removal in removals), removed])
+    proof = None
+    with time.stage(f"the test on {further} untouched starts", PROVEN):
+        if further and choice.removed:
+            trial = choice.trial(choice.removed, study.fresh(further))
+            proof = Proof(trial, tolerance, len(trial.misses(tolerance)))
+    every = [Change(without=[one]) for one in choice.alone]
+    smallest = Change(without=choice.removed)
+    with time.closing(), time.stage("all timing"):
+        times = study.times([SHIPPED, *every, smallest])
+    cut = [one for one in choice.alone.values() if len(one.starts) < len(choice.starts)]
+    if cut:
+        notes.append(_screened(len(cut), len(choice.starts)))
 
-    def effect(removal: Removal, outcome: VariantOutcome, run: TimedRun) -> FeatureEffect:
-        return FeatureEffect(removal, outcome, run.cost, time_saved(runs[0], run))
+    def effect(removal: Removal, trial: Trial) -> FeatureEffect:
+        off = None if truth is None else choice.off(trial.change, truth)
+        return FeatureEffect(removal, trial, off, times.get(trial.change, math.nan))
 
+    scene = None
+    if engine == "stepcore":
+        own = setup.model.scene.with_settings(setup.model.settings)
+        scene = without(own, choice.removed)
+    ran = f"{study.schedule.drive or 'the controls given'}; in MuJoCo alone"
+    if known:
+        ran = motion_in_words(setup.model, setup.motion, study.schedule.part(0, len(study.starts)))
     return Ablation(
         name=setup.name,
-        settings=model.settings,
-        motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=starts),
-        horizon=schedule.horizon,
-        starts=starts,
+        settings=study.engine.settings(SHIPPED),
+        motion=dataclasses.replace(
+            setup.motion, horizon=study.schedule.horizon, starts=len(study.starts)
+        ),
+        horizon=study.schedule.horizon,
+        starts=len(choice.starts),
         tolerance=tolerance,
-        whole=FeatureEffect(Removal("whole model", "", ()), whole, runs[0].cost),
-        rows=[
-            effect(removal, selection.alone(removal), run)
-            for removal, run in zip(removals, runs[1:-1], strict=True)
-        ],
-        removed=removed,
-        best=effect(Removal("smallest model", "", ()), selection.chosen_on, runs[-1]),
-        confirmed=selection.confirmed_on,
-        restored=selection.restored,
-        restored_on=selection.restored_on,
-        smallest=without(model.scene.with_settings(model.settings), removed),
-        reference=reference.high if reference else None,
-        notes=[*notes, *schedule.notes, *_screened(cut, few, starts)],
-        batches=workers.speedup.sentences,
-        ran=motion_in_words(model, motion, experiment.schedule),
+        whole=effect(Removal("whole model", "", ()), choice.whole),
+        rows=[effect(removal, trial) for removal, trial in choice.alone.items()],
+        removed=choice.removed,
+        best=effect(Removal("smallest model", "", ()), choice.best),
+        proof=proof,
+        smallest=scene,
+        reference=None if truth is None else truth.error,
+        notes=[*notes, *study.schedule.notes],
+        ran=ran,
         complete=complete,
     )
 
 
-def _work(model: Model, horizon: float, weight: float) -> float:
-    """Return the cost of one run, in steps × (dofs + 2); weight: of a step (`heaviness`)."""
-    return horizon / model.settings.dt * (model.nv + 2) * weight
-
-
-def _alone(
-    baseline: Baseline, removals: list[Removal], few: int, tolerance: float, workers: Workers
-) -> tuple[VariantOutcome, dict[Removal, VariantOutcome], int]:
-    """Run the whole model and every feature removed alone.
-
-    Return both outcomes, and the number of features that ran from few starts only. If the time is
-    over, some features have no outcome.
-
-    few: the number of starts that all features run from. A feature that adds more than `tolerance`
-        [m] there does not run from the other starts.
-    """
-    points = [(), *((removal,) for removal in removals)]
-    job = partial(outcome_of, baseline.first(few), workers=workers.inside)
-    outcomes: list[VariantOutcome | None] = []
-    with workers.deadline.stage(lambda: _not_run(outcomes, "feature"), ALONE):
-        workers.each(job, points, "features", outcomes)
-    whole, cut = outcomes[0] if outcomes else None, 0
-    if whole is None:
-        # The answer needs the whole model, whose runs may therefore take all the time.
-        whole = job(points[0])
-        outcomes[:1] = [whole]
-    if few < len(baseline.runs):
-        again = [i for i, one in enumerate(outcomes) if one is not None and one.worst <= tolerance]
-        job = partial(outcome_of, baseline, workers=workers.inside)
-        full: list[VariantOutcome | None] = []
-        with workers.deadline.stage(lambda: _not_run(full, "feature") + " from all starts", ALONE):
-            workers.each(job, [points[i] for i in again], "features from all starts", full)
-        for i, outcome in zip(again, full, strict=True):
-            outcomes[i] = outcome or outcomes[i]
-        cut = len(points) - len(again)
-        whole = outcomes[0] or whole
-    known = zip(removals, outcomes[1:], strict=True)
-    return whole, {removal: one for removal, one in known if one is not None}, cut
-
-
-def _so_far(whole: VariantOutcome, alone: dict[Removal, VariantOutcome], tolerance: float) -> str:
-    """Return what features save that are removed alone, in words."""
-    within = {one: outcome for one, outcome in alone.items() if outcome.worst <= tolerance}
-    said = f"{len(within)} of {units.counted(len(alone), 'feature')} add at most "
-    said += f"{metres(tolerance)} when removed alone"
-    if within:
-        best = max(within, key=lambda one: within[one].saved(whole))
-        share = units.percent(within[best].saved(whole))
-        said += f"; most is saved without {best.label}: {share} of the work"
-    return f"{said}; the search for the smallest model goes on"
-
-
-def _not_run(outcomes: Sequence[VariantOutcome | None], what: str) -> str:
-    """Return how many features, of how many, the deadline left out."""
-    left = sum(outcome is None for outcome in outcomes)
-    return f"{left} of {units.counted(len(outcomes), what)}"
-
-
-def _reference(experiment: Experiment) -> tuple[Reference | None, list[str]]:
-    """Return the converged motion, or None and a note with the reason."""
+def _truth(study: Study, tolerance: float) -> tuple[Truth | None, list[str]]:
+    """Return the converged motion of the whole model, or None and a note with the reason."""
     try:
-        return experiment.reference(experiment.model.settings.dt, BUDGET), []
+        truth = study.truth(tolerance)
     except ValueError as error:
         return None, [f"no converged motion to compare with: {checks.one_line(error)}"]
+    if truth.error <= tolerance:
+        return truth, []
+    return truth, [
+        f'column "error" is uncertain by {metres(truth.error)}, the uncertainty of the converged '
+        'motion, which is more than the tolerance; column "added" is not affected'
+    ]
 
 
-def _baseline(experiment: Experiment, reference: Reference | None = None) -> Baseline:
-    """Run the whole model at its own settings; raise ValueError if a run fails."""
-    model, schedule = experiment.model, experiment.schedule
-    starts = len(schedule.starts)
-    runs = experiment.run(model.settings)
-    if runs[-1].failure:
-        raise ValueError(f"the whole model fails from start {len(runs) - 1}: {runs[-1].failure}")
-    explodes = runaway(model, schedule, runs)
-    if explodes:
-        raise ValueError(explodes)
-    if reference is None:
-        scored = np.ones((starts, len(schedule.times)), bool)
-        return Baseline(model, schedule, tuple(runs), None, scored, scene_size(model.scene, runs))
-    wrong = experiment.failure(runs, reference)
-    if wrong:
-        dt = seconds(model.settings.dt)
-        raise ValueError(f"the whole model fails at its dt of {dt}: {wrong}; see stepcore diagnose")
-    truth, scored = tuple(reference.runs), reference.scored
-    return Baseline(model, schedule, tuple(runs), truth, scored, experiment.size)
+class Choice:
+    """The features that can be removed one at a time, and together.
 
+    starts: from which the choice is made. whole: the whole model there.
+    alone: every feature removed alone. removed, best: the smallest model, and its trial.
+    """
 
-def _poor(reference: Reference, tolerance: float) -> Iterator[str]:
-    """Yield a note if the reference is less accurate than the tolerance."""
-    if reference.high > tolerance:
-        yield (
-            f'column "error" is uncertain by {metres(reference.high)}, the uncertainty of the '
-            'reference, which is more than the tolerance; column "added" is not affected'
+    def __init__(self, study: Study, tolerance: float, truth: Truth | None) -> None:
+        self.study, self.tolerance, self.truth = study, tolerance, truth
+        self.starts = study.starts
+        self.alone: dict[Removal, Trial] = {}
+        self.removed: list[Removal] = []
+        self.whole = self.best = self.trial([], self.starts)
+        if self.whole.failure:
+            raise ValueError(f"the whole model fails from {self.whole.failure}; see diagnose")
+
+    def trial(self, removals: Sequence[Removal], starts: Sequence[int]) -> Trial:
+        """Run the model without some features, and compare it with the whole model's motion."""
+        study, change = self.study, Change(without=removals)
+        whole, tracks = study.tracks([SHIPPED, change], starts)
+        far = apart(tracks, whole, study.engine.matter)
+        scored = self.scored(starts)
+        return Trial(
+            change=change,
+            settings=study.engine.settings(SHIPPED),
+            starts=tuple(starts),
+            errors=rms(far, scored),
+            unsure=np.zeros(len(starts)),
+            largest=largest(far, scored),
+            work=study.engine.work(change, study.schedule),
+            cost=study.cost(change),
+            failure=tracks.failure,
         )
 
+    def scored(self, starts: Sequence[int]) -> np.ndarray:
+        """Return the samples that count: those that can be predicted."""
+        truth = self.truth
+        if truth is None or math.isinf(truth.growth.overall):
+            return np.ones((len(starts), len(self.study.schedule.times)), bool)
+        return self.study.truth(self.tolerance, starts).scored
 
-def _screened(cut: int, few: int, starts: int) -> list[str]:
+    def off(self, change: Change, truth: Truth) -> float | None:
+        """Return how far a change is from the whole model's converged motion [m], if known."""
+        known = [start for start in truth.starts if self.study.ran(change, start)]
+        if not known:
+            return None
+        some, own = truth.part(known), self.study.tracks([change], known)[0]
+        far = rms(apart(own, some.tracks, self.study.engine.matter), some.scored)
+        return None if own.failure else float(far.max())
+
+    def begin(self) -> None:
+        """Run every feature removed alone; those within the tolerance in two starts from all."""
+        removals = self.removals()
+        few = self.starts[:SCREENED]
+        self.study.tracks([Change(without=[one]) for one in removals], few, "features")
+        self.alone = {one: self.trial([one], few) for one in removals}
+        good = [one for one, trial in self.alone.items() if trial.error <= self.tolerance]
+        self.study.tracks([Change(without=[one]) for one in good], self.starts, "smallest")
+        self.alone |= {one: self.trial([one], self.starts) for one in good}
+        self.study.workers.deadline.so_far(self.so_far())
+
+    def removals(self) -> list[Removal]:
+        """Return all features, grouped by what the motion from these starts uses."""
+        engine = self.study.engine
+        if engine.name == "mujoco":
+            return [Removal(flag, "", (("feature", flag),)) for flag in FLAGS if _acts(flag)]
+        features = RemovableFeatures(engine.model)
+        return features.removals(usage_of(self.study, self.starts), engine.model.settings)
+
+    def choose(self) -> None:
+        """Remove as many features together as the tolerance allows; the largest saving first.
+
+        Features stay removed if that saves work, or if the motion is bit-identical without them and
+        no work is added. Those of one kind, such as the limits of joints, do not exclude each other
+        and are tried at once, then in halves.
+        """
+        self.removed, self.best = [], self.whole
+        kinds: dict[str, list[Removal]] = {}
+        for one in sorted(self.alone, key=lambda one: self.alone[one].cost):
+            if self.saves([one], self.alone[one], self.whole):
+                kinds.setdefault(one.kind, []).append(one)
+        for group in kinds.values():
+            greedy(group, self.holds)
+
+    def holds(self, some: Sequence[Removal]) -> bool:
+        """Return whether features can go besides those removed; if so, remove them."""
+        more = [one for one in some if one not in self.removed]
+        tried = self.trial([*self.removed, *more], self.starts)
+        if not self.saves(more, tried, self.best):
+            return False
+        self.removed, self.best = [*self.removed, *more], tried
+        return True
+
+    def saves(self, more: Sequence[Removal], tried: Trial, before: Trial) -> bool:
+        unused = all(self.alone[one].error == 0.0 for one in more)
+        less = tried.work < before.work or (unused and tried.work == before.work)
+        return tried.error <= self.tolerance and less
+
+    def settle(self, further: int) -> None:
+        """Test the choice on a second set of starts; those that it fails join, and it is repeated.
+
+        Pairs that touch and limits that are reached there are then features of their own.
+        """
+        second = self.study.fresh(further) if further and self.removed else ()
+        for _ in range(ROUNDS if second else 0):
+            over = self.trial(self.removed, second).misses(self.tolerance)
+            new = [start for start in over if start not in self.starts][:JOIN]
+            if not new or not self.removed:
+                return
+            self.starts = (*self.starts, *new)
+            self.whole = self.trial([], self.starts)
+            self.begin()
+            self.choose()
+
+    def so_far(self) -> str:
+        """Return what features save that are removed alone, in words."""
+        within = {one: t for one, t in self.alone.items() if t.error <= self.tolerance}
+        said = f"{len(within)} of {units.counted(len(self.alone), 'feature')} add at most "
+        said += f"{metres(self.tolerance)} when removed alone"
+        if within:
+            best = min(within, key=lambda one: within[one].work)
+            share = units.percent(1 - within[best].work / self.whole.work)
+            said += f"; most is saved without {best.label}: {share} of the work"
+        return f"{said}; the search for the smallest model goes on"
+
+
+def _acts(flag: str) -> bool:
+    """Return whether a flag of MJCF stands for what is modelled, not for how it is computed."""
+    return flag not in ("clampctrl", "filterparent", "eulerdamp")
+
+
+def usage_of(study: Study, starts: Sequence[int]) -> MotionUsage:
+    """Return which pairs of bodies touch and which joints reach a limit in the whole model."""
+    own = study.schedule
+    parts = [n for n in range(1, own.every + 1) if own.every % n == 0]
+    often = next((n for n in parts if own.periods // n <= READINGS), own.every)
+    schedule = dataclasses.replace(own, every=often)
+    model = study.engine.model
+    names = ("qpos", "qvel", "act", "ctrl")
+    seen = run(model, schedule, starts, record=names)
+    sim, owner = unwatched(Sim(model)), model.geom_body.tolist()
+    touched, limited = set[tuple[int, int]](), set[int]()
+    for place, start in enumerate(starts):
+        own.starts[start].put(sim)
+        for states in zip(*(seen[name][place] for name in names), strict=True):
+            if not np.isfinite(states[0]).all():
+                break
+            for name, values in zip(names, states, strict=True):
+                getattr(sim, name)[:] = values
+            sim.forward()
+            contacts, rows = sim.contacts, sim.rows
+            pairs = zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True)
+            for bodies in ((owner[a], owner[b]) for a, b in pairs):
+                touched.add((min(bodies), max(bodies)))
+            limited.update(rows["index"][rows["kind"] == "limit"].tolist())
+    return MotionUsage(frozenset(touched), frozenset(limited))
+
+
+def _screened(cut: int, starts: int) -> str:
     """Return a note on features that ran from few starts."""
-    if not cut:
-        return []
     exceeds, were = ("exceeds", "was") if cut == 1 else ("exceed", "were")
-    return [
-        f"{units.counted(cut, 'feature')} {exceeds} the tolerance in the first {few} of {starts} "
-        f"starts and {were} not run from the others: errors there are of {few} starts"
-    ]
+    return (
+        f"{units.counted(cut, 'feature')} {exceeds} the tolerance in the first {SCREENED} of "
+        f"{starts} starts and {were} not run from the others: errors there are of {SCREENED} starts"
+    )

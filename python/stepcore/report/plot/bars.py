@@ -173,28 +173,27 @@ SMALL = 1e-3
 
 def ablation(result: Ablation) -> Any:
     """Draw the work saved (left) and the error added (right) by removing each feature."""
-    rows = [row for row in result.sorted() if not row.outcome.failure][:FEATURES]
+    rows = [row for row in result.sorted() if not row.trial.failure][:FEATURES]
     rows = [result.best, *rows]
     figure = new_figure(9.0, 2.0 + 0.27 * (len(rows) + 1))
     work, error = figure.subplots(1, 2, sharey=True)
     places = list(range(len(rows)))[::-1]
-    measured = [row.outcome.worst for row in rows if result.measurable(row)]
+    measured = [row.trial.error for row in rows if result.measurable(row)]
     low = _floor([*measured, result.tolerance], result.tolerance)
     for place, row in zip(places, rows, strict=True):
-        share, added, colour = 100 * result.saved(row), row.outcome.worst, _colour(result, row)
+        share, added, colour = 100 * result.saved(row), row.trial.error, _colour(result, row)
         bar(work, place, share, colour, f"{share:.1f}" if abs(share) < 10 else f"{share:.0f}")
         text = metres(added) if result.measurable(row) else "none"
         bar(error, place, added, colour, text, left=low)
     error.set_xscale("log")
-    error.set_xlim(low, 40 * max(*(row.outcome.worst for row in rows), result.tolerance))
+    error.set_xlim(low, 40 * max(*(row.trial.error for row in rows), result.tolerance))
     log_ticks(error.xaxis)
     error.axvline(result.tolerance, color=GREY, ls="--", lw=1)
     names = [f"all {len(result.removed)} that are not needed"]
     names += [row.removal.label for row in rows[1:]]
     name_places(work, names, places, FEATURE_LETTERS)
     work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
-    kind = "operations" if result.by_flops else "row updates"
-    work.set_xlabel(f"work saved [% of {kind}]")
+    work.set_xlabel("work saved [% of operations]")
     error.set_xlabel("RMS position error added [m]")
     error.tick_params(axis="y", length=0)
     frame(work, f"{result.name}: without …")
