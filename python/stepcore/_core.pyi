@@ -2,7 +2,7 @@
 only `Settings` and `SimulationError` are meant to be used directly (as `stepcore.Settings`)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, Unpack, final
+from typing import Any, Literal, TypedDict, Unpack, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -372,10 +372,24 @@ class _World:
     def site_jacobian(self, site: int) -> _Floats: ...
     def point_jacobian(self, body: int, point: Sequence[float]) -> _Floats: ...
 
+class _Asked(TypedDict):
+    """A motion: `steps` steps, with samples of what `names` says (of the start, if `first`, and
+    after each `every` steps), under rows of controls that are held for `hold` steps each. A world
+    of a batch fails where a body is further than `bound` from its start [m]."""
+
+    names: list[str]
+    steps: int
+    every: int
+    hold: int
+    first: bool
+    bound: float
+
 @final
 class Sim(_World):
     """One world. Its arrays are views of memory that belongs to it."""
     def __new__(cls, model: Model, settings: Settings, threads: int | None = None) -> Sim: ...
+    def follow(self, asked: _Asked, ctrl: _Floats | None = None) -> tuple[list[_Floats], list[int]]:
+        """See `Batch.follow`; ctrl: shape (1, rows, nu)."""
     def balance(self) -> None:
         """Balances the ledger at the present state."""
     def unwatch(self) -> None:
@@ -475,6 +489,14 @@ class Batch(_World):
     def rollout(
         self, ctrl: _Floats, told: Callable[[int], object] | None = None
     ) -> list[_Floats]: ...
+    def follow(
+        self,
+        asked: _Asked,
+        ctrl: _Floats | None = None,
+        told: Callable[[int], object] | None = None,
+    ) -> tuple[list[_Floats], list[int]]:
+        """Steps under controls, (n or 1, rows, nu), or those at hand. Returns the samples by name,
+        (n, samples, …), and how often forces were evaluated in each world."""
     def unwatch(self) -> None:
         """Energies are not looked at, but by the ledger of the settings."""
     def failures(self, known: list[int]) -> tuple[list[int], list[SimulationError]]:

@@ -99,18 +99,70 @@ def test_the_failure_of_one_start_does_not_end_the_others(n):
     assert np.isfinite(run["qpos"][1:]).all()
 
 
-def test_a_run_ends_beyond_its_bound():
+@pytest.mark.parametrize("n", [2, 11])
+@pytest.mark.parametrize("record", [("xpos", "qpos"), ("xpos", "overlap")])
+def test_a_run_ends_beyond_its_bound(n, record):
     model = ball(solver="pgs").compile()
     slow, fast = (Start(model.qpos0, np.array([v, 0, 0, 0, 0, 0.0])) for v in (0.1, 100.0))
-    run = follow(model, [slow, fast], 100, 10, bound=1.0)
+    run = follow(model, [slow, fast, *[slow] * (n - 2)], 100, 10, bound=1.0, record=record)
     assert list(run.failures) == [1]
-    assert "beyond 1 m" in str(run.failures[1])
-    assert run.made.tolist() == [100, run.failures[1].step]
+    assert "beyond the bound of 1" in str(run.failures[1])
+    assert run.made.tolist() == [100, run.failures[1].step, *[100] * (n - 2)]
     ended = run.made[1] // 10
     far = np.linalg.norm(run["xpos"][1] - run["xpos"][1, 0], axis=-1).max(axis=-1)
     assert (far[:ended] <= 1.0).all()
     assert far[ended] > 1.0
-    assert np.isnan(far[ended + 1 :]).all()
+    for name in record:
+        assert np.isnan(run[name][1, ended + 1 :]).all()
+        assert (run[name][[0, *range(2, n)]] == run[name][0]).all()
+    assert (follow(model, [slow], 100, 10)["xpos"][0] == run["xpos"][0]).all()
+
+
+def test_a_run_ends_beyond_its_bound_at_its_last_sample():
+    model = ball(solver="pgs").compile()
+    fast = Start(model.qpos0, np.array([100.0, 0, 0, 0, 0, 0]))
+    run = follow(model, [fast], 10, 10, bound=1.0)
+    assert (list(run.failures), run.made.tolist()) == ([0], [10])
+    assert np.isfinite(run["xpos"]).all()
+
+
+def test_a_second_call_begins_anew(hopper):
+    """A batch is kept between calls, with failures, impulses and mocap poses of the last one."""
+    starts = [*drawn(hopper, 8), Start(hopper.qpos0, np.full(hopper.nv, 1e160))]
+    ctrl = np.random.default_rng(4).uniform(-1, 1, (1, 30, 3))
+    runs = [follow(hopper, starts, 60, 20, ctrl=ctrl, hold=2, record=RECORD) for _ in range(3)]
+    assert [list(run.failures) for run in runs] == [[8]] * 3
+    for name in RECORD:
+        assert len({run[name].tobytes() for run in runs}) == 1
+    assert (follow(hopper, starts[::-1], 20, record=("ctrl",))["ctrl"][-1] == 0).all()
+
+
+def test_what_is_read_between_calls_is_what_is_sampled_within(hopper):
+    starts, ctrl = drawn(hopper, 9), np.random.default_rng(4).uniform(-1, 1, (9, 7, 3))
+    for settings in ({}, {"accuracy": 1e-3}, {"integrator": "implicitfast"}):
+        model = hopper.with_settings(**settings)
+        within = follow(model, starts, 20, 5, ctrl=ctrl, hold=2, record=("qpos", "energy"))
+        between = follow(
+            model, starts, 20, 5, ctrl=ctrl, hold=2, record=("qpos", "energy", "sensordata", "qacc")
+        )
+        assert within["qpos"].tobytes() == between["qpos"].tobytes()
+        assert within["energy"].tobytes() == between["energy"].tobytes()
+
+
+def test_the_operations_are_those_of_the_steps(hopper):
+    starts, ctrl = drawn(hopper, 2), np.random.default_rng(4).uniform(-1, 1, (2, 50, 3))
+    run = follow(hopper, starts, 200, 50, ctrl=ctrl, hold=4)
+    for k, start in enumerate(starts):
+        sim, whole = sc.Sim(hopper), 0
+        start.put(sim)
+        for step in range(200):
+            sim.ctrl = ctrl[k, min(step // 4, 49)]
+            whole += sim.count_flops()
+            sim.step()
+        assert run.operations[k] == pytest.approx(whole, rel=0.25)
+    assert np.isnan(
+        follow(hopper, starts, 4, control=lambda time, sim: np.zeros(3)).operations
+    ).all()
 
 
 def test_a_control_function_is_called_at_its_period_with_each_starts_own_sim(hopper):

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use stepcore::arrays::{Array, Given, Givens};
-use stepcore::batch::{kinds, Rollout};
+use stepcore::batch::{kinds, Motion};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::WIDEST;
@@ -218,10 +218,10 @@ impl Worlds for Auto {
         self.fixed = self.fixed || outcome.is_err();
         outcome
     }
-    fn roll_out(&mut self, rollout: &mut Rollout, from: usize, n: usize) -> Result<()> {
+    fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()> {
         let mut from = from;
         self.advance(n as u64, |worlds, n| {
-            worlds.roll_out(rollout, from, n as usize)?;
+            worlds.follow(motion, from, n as usize)?;
             from += n as usize;
             Ok(())
         })

@@ -8,7 +8,7 @@ use pyo3::exceptions::{
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use stepcore::arrays::{Array, Given};
-use stepcore::elements::Mention;
+use stepcore::elements::{Mention, Named};
 use stepcore::error::{Divergence, Error, Fault};
 use stepcore::post_mortem::{Held, PostMortem, Stable};
 
@@ -118,18 +118,27 @@ fn attach(error: &Bound<'_, PyBaseException>, divergence: &Divergence) -> PyResu
     error.setattr("time", divergence.time)?;
     error.setattr("world", divergence.world)?;
     error.setattr("gained", matches!(divergence.fault, Fault::Energy { .. }))?;
+    if let Fault::Far { body, .. } = &divergence.fault {
+        error.setattr("shares", PyDict::new(error.py()))?;
+        error.setattr("share_ids", Vec::<u32>::new())?;
+        for unknown in ["growth", "stable_dt"] {
+            error.setattr(unknown, error.py().None())?;
+        }
+        return attach_element(error, Some(body));
+    }
     divergence.post.as_ref().map_or(Ok(()), |post| attach_post_mortem(error, post))
+}
+
+fn attach_element(error: &Bound<'_, PyBaseException>, element: Option<&Named>) -> PyResult<()> {
+    error.setattr("element_id", element.map(|named| id(named.element)))?;
+    let name = element.map_or_else(|| NONE.to_owned(), |named| printable(&named.name));
+    error.setattr("element", name)
 }
 
 /// What a post-mortem found, and from where its failure comes again.
 fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
     let py = error.py();
-    let element = post.element.as_ref();
-    error.setattr("element_id", element.map(|named| id(named.element)))?;
-    error.setattr(
-        "element",
-        element.map_or_else(|| NONE.to_owned(), |named| printable(&named.name)),
-    )?;
+    attach_element(error, post.element.as_ref())?;
     let shares = PyDict::new(py);
     for (named, share) in &post.shares {
         shares.set_item(printable(&named.name), share)?;

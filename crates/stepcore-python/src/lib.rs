@@ -19,6 +19,7 @@ mod memo;
 #[allow(unsafe_code)]
 mod memory;
 mod model;
+mod motion;
 mod nearest;
 mod noise;
 mod readings;

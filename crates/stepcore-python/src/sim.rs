@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use numpy::PyArrayDyn;
+use numpy::{PyArrayDyn, PyReadonlyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
+use stepcore::batch::Motion;
 use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
@@ -20,6 +21,7 @@ use crate::linearizers::{neighbourhood, Parameters};
 use crate::memo::Memo;
 use crate::memory::{Arrays, Named};
 use crate::model::{result, shaped, Model};
+use crate::motion::{Asked, Play, Samples};
 use crate::readings::TendonPath;
 use crate::readout::Readout;
 use crate::settings::Settings;
@@ -42,7 +44,7 @@ pub struct Sim {
     arrays: Arrays,
     world: Mutex<Box<dyn World>>,
     singles: gil::Singles,
-    /// Of linearisations.
+    /// Of linearisations and motions.
     pace: gil::Pace,
 }
 
@@ -144,6 +146,31 @@ impl Sim {
         self.store(py, world);
         outcome?;
         world.take_warning().map_or(Ok(()), |text| warn(py, &text))
+    }
+
+    /// Steps under controls, (1, rows, nu); returns what is asked for.
+    #[pyo3(signature = (asked, ctrl = None))]
+    fn follow<'py>(
+        &self,
+        py: Python<'py>,
+        asked: Asked,
+        ctrl: Option<PyReadonlyArray3<'py, f64>>,
+    ) -> PyResult<Samples<'py>> {
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        let play = Play::new(self.model.clone(), world.settings(), 1, asked, ctrl.as_ref())?;
+        if play.steps() == 0 {
+            self.load_beside(py, world)?;
+        } else {
+            self.load(py, world)?;
+        }
+        let run = |motion: &mut Motion, from, n| world.follow(motion, from, n);
+        let (done, samples) = play.run(py, &self.pace, None, run)?;
+        self.store(py, world);
+        play.write_last(py, done, &self.arrays);
+        let samples = samples?;
+        world.take_warning().map_or(Ok(()), |text| warn(py, &text))?;
+        Ok(samples)
     }
 
     /// Energies are not looked at, but by the ledger of the settings.

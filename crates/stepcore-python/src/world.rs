@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, ArraySet, Given};
-use stepcore::batch::Last;
+use stepcore::batch::{Last, Motion};
 use stepcore::elements::Element;
 use stepcore::error::Result;
 use stepcore::model::Model;
@@ -97,6 +97,8 @@ pub trait World: Send {
     /// Lets so many threads share the work of each step.
     fn use_threads(&mut self, threads: usize) -> Result<()>;
     fn step(&mut self, n: u64) -> Result<()>;
+    /// Steps `from..from + n` of a motion.
+    fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()>;
     /// A call of so many steps ends: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
@@ -109,6 +111,7 @@ pub trait World: Send {
     /// Time of the state, and time step [s].
     fn time(&self) -> f64;
     fn dt(&self) -> f64;
+    fn settings(&self) -> &Settings;
     fn memo(&self) -> Memo;
     fn set_memo(&mut self, memo: &Memo);
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>>;
@@ -209,6 +212,16 @@ impl<R: Real> One<R> {
         outcome
     }
 
+    /// So many steps were taken.
+    fn stepped(&mut self, n: u64, mut outcome: Result<()>) -> Result<()> {
+        if n > 0 && self.sim().settings().accuracy.0.is_some() {
+            // What was solved last belongs to a part of a step: what is read is that of the state.
+            outcome = outcome.and_then(|()| self.watched.forward());
+            self.stayed();
+        }
+        self.noted(outcome)
+    }
+
     /// A `Sim` at the present state.
     fn present(&mut self, given: &Given) -> Result<&mut Sim<R>> {
         self.check(given)?;
@@ -244,13 +257,16 @@ impl<R: Real> World for One<R> {
             self.solves(Last::Step);
             self.last.stepped();
         }
-        let mut outcome = self.watched.step(n);
-        if n > 0 && self.sim().settings().accuracy.0.is_some() {
-            // What was solved last belongs to a part of a step: what is read is that of the state.
-            outcome = outcome.and_then(|()| self.watched.forward());
-            self.stayed();
+        let outcome = self.watched.step(n);
+        self.stepped(n, outcome)
+    }
+    fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()> {
+        if n > 0 {
+            self.solves(Last::Step);
+            self.last.stepped();
         }
-        self.noted(outcome)
+        let outcome = motion.alone(&mut self.watched, from, n);
+        self.stepped(n as u64, outcome)
     }
     fn balance_at_end(&mut self, n: u64) -> Result<()> {
         let outcome = self.watched.balance_at_end(n);
@@ -283,6 +299,9 @@ impl<R: Real> World for One<R> {
     }
     fn dt(&self) -> f64 {
         self.sim().period()
+    }
+    fn settings(&self) -> &Settings {
+        self.sim().settings()
     }
     fn memo(&self) -> Memo {
         Memo::of(&self.sim().state, 0)

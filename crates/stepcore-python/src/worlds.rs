@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given, Givens};
-use stepcore::batch::{fills_lanes, gains_by_lanes, kinds, Batch, Last, Rollout};
+use stepcore::batch::{fills_lanes, gains_by_lanes, kinds, Batch, Last, Motion};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::Real;
@@ -33,7 +33,7 @@ pub trait Worlds: Send + Sync {
     fn store(&self, array: Array, numbers: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
-    fn roll_out(&mut self, rollout: &mut Rollout, from: usize, n: usize) -> Result<()>;
+    fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()>;
     /// The error of a world that failed while the others went on.
     fn failed(&self, world: usize) -> Option<&Error>;
     fn time(&self) -> f64;
@@ -183,8 +183,8 @@ impl<R: Real> Worlds for Batch<R> {
     fn forward(&mut self) -> Result<()> {
         Batch::forward(self)
     }
-    fn roll_out(&mut self, rollout: &mut Rollout, from: usize, n: usize) -> Result<()> {
-        Batch::roll_out(self, rollout, from, n)
+    fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()> {
+        Batch::follow(self, motion, from, n)
     }
     fn failed(&self, world: usize) -> Option<&Error> {
         Batch::failed(self, world).map(|failed| &failed.error)

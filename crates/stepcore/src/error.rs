@@ -44,6 +44,8 @@ pub enum Fault {
     /// No stretch of a step is short enough for an accuracy [m/s]: the shortest [s] adds an error [m], which
     /// is largest of this body.
     Rough { error: f64, length: f64, asked: f64, body: Named },
+    /// A body is further from where it began [m] than the bound of a motion.
+    Far { body: Named, far: f64, bound: f64 },
     /// More energy of motion and springs than a passive scene can have [J].
     Energy { has: f64, allowed: f64 },
 }
@@ -141,6 +143,12 @@ impl fmt::Display for Fault {
                 short(*asked),
                 short(*length),
                 short(*error)
+            ),
+            Self::Far { body, far, bound } => write!(
+                f,
+                "{body} is {} m from where it began, beyond the bound of {} m",
+                short(*far),
+                short(*bound)
             ),
             Self::Energy { has, allowed } => write!(
                 f,

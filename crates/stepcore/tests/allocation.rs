@@ -11,7 +11,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;
 
-use stepcore::batch::Batch;
+use stepcore::batch::{Batch, Motion, Record, Sampled};
 use stepcore::integrator::Stages;
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
@@ -154,6 +154,37 @@ fn no_number_allocates() {
     let settings = settings(Law::SolRef, Integrator::Euler);
     check::<f32>(&settings);
     check::<Lanes>(&settings);
+}
+
+/// What a motion allocates does not depend on how long it is, nor on how often it is sampled.
+#[test]
+fn a_motion_allocates_once() {
+    let model = Arc::new(Model::compile(&scenes::runner()).unwrap());
+    let settings = settings(Law::SolRef, Integrator::Euler);
+    let mut batch = Batch::<Lanes>::new(model.clone(), &settings, 8, 1).unwrap();
+    let counts = [4 * STEPS, STEPS, 2 * STEPS].map(|steps| {
+        let samples = steps as usize + 1;
+        let size = |what: &Sampled| what.shape(&model).iter().product::<usize>();
+        let mut lists = Sampled::ALL.map(|what| vec![0.0; 8 * samples * size(&what)]);
+        let both = Sampled::ALL.into_iter().zip(&mut lists);
+        let mut motion = Motion {
+            every: 1,
+            samples,
+            first: true,
+            ctrl: &[],
+            rows: 0,
+            hold: 1,
+            bound: 1e3,
+            home: vec![0.0; 8 * size(&Sampled::Position)],
+            records: both.map(|(what, numbers)| Record { what, numbers }).collect(),
+            evaluations: vec![0; 8],
+        };
+        let before = COUNT.with(Cell::get);
+        batch.follow(&mut motion, 0, steps as usize).unwrap();
+        COUNT.with(Cell::get) - before
+    });
+    // The first makes room.
+    assert_eq!(counts[1], counts[2]);
 }
 
 /// `Batch::bytes` is too, but for what threads need among themselves.

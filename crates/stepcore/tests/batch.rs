@@ -7,7 +7,7 @@ use std::panic::{catch_unwind, AssertUnwindSafe};
 use std::sync::Arc;
 
 use stepcore::arrays::{Array, Given};
-use stepcore::batch::{Batch, Rollout};
+use stepcore::batch::{Batch, Motion, Record, Sampled};
 use stepcore::error::Error;
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
@@ -145,6 +145,28 @@ fn worlds_of_several_models_are_worlds_of_each() {
     }
 }
 
+/// A motion with a sample of the state after each step.
+fn motion<'a>(
+    worlds: usize,
+    samples: usize,
+    qpos: &'a mut [f64],
+    qvel: &'a mut [f64],
+) -> Motion<'a> {
+    let record = |array, numbers| Record { what: Sampled::Array(array), numbers };
+    Motion {
+        every: 1,
+        samples,
+        first: false,
+        ctrl: &[],
+        rows: 0,
+        hold: 1,
+        bound: f64::INFINITY,
+        home: Vec::new(),
+        records: vec![record(Array::Qpos, qpos), record(Array::Qvel, qvel)],
+        evaluations: vec![0; worlds],
+    }
+}
+
 #[test]
 fn a_play_in_portions_is_steps_with_its_controls() {
     let scene = scenes::runner();
@@ -156,10 +178,10 @@ fn a_play_in_portions_is_steps_with_its_controls() {
     let (mut qpos, mut qvel) =
         (vec![0.0; worlds.len() * steps * nq], vec![0.0; worlds.len() * steps * nv]);
     let mut pack = batch_of::<Lanes>(&scene, &Settings::default(), &worlds, 2);
-    let kept = [&mut qpos[..], &mut qvel[..], &mut [], &mut []];
-    let mut rollout = Rollout { steps, ctrl: &ctrl, states: kept };
-    pack.roll_out(&mut rollout, 0, 13).unwrap();
-    pack.roll_out(&mut rollout, 13, steps - 13).unwrap();
+    let mut motion = motion(worlds.len(), steps, &mut qpos, &mut qvel);
+    (motion.ctrl, motion.rows) = (&ctrl, steps);
+    pack.follow(&mut motion, 0, 13).unwrap();
+    pack.follow(&mut motion, 13, steps - 13).unwrap();
     let mut alone = batch_of::<f64>(&scene, &Settings::default(), &worlds, 1);
     for step in 0..steps {
         for (index, world) in worlds.iter_mut().enumerate() {
@@ -219,10 +241,9 @@ fn after_a_panic_the_worlds_are_still_there() {
     let mut batch = batch_of::<Lanes>(&scene, &settings, &worlds, 1);
     let (mut qpos, mut qvel) = (vec![0.0; n * nq], vec![0.0; n * nv]);
     batch.step(70).unwrap();
-    let mut rollout =
-        Rollout { steps: 1, ctrl: &[], states: [&mut qpos, &mut qvel, &mut [], &mut []] };
-    let outcome = catch_unwind(AssertUnwindSafe(|| batch.roll_out(&mut rollout, 0, 1)));
-    assert!(outcome.is_err(), "a rollout without its controls must not pass");
+    let mut motion = motion(n, 1, &mut qpos, &mut qvel);
+    let outcome = catch_unwind(AssertUnwindSafe(|| batch.follow(&mut motion, 1, 1)));
+    assert!(outcome.is_err(), "a sample without room must not pass");
     batch.step(70).unwrap();
     assert_eq!(batch.time(), 140.0 * settings.dt);
     let bits = states(&batch, &mut worlds);

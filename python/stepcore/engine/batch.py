@@ -23,7 +23,7 @@ from stepcore.engine.parameters import Parameters, columns
 from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
 from stepcore.engine.rollout_steps import X
 from stepcore.engine.tables import Momentum, contact_table, contacts_of_body, row_table
-from stepcore.engine.trajectory import recordable
+from stepcore.engine.trajectory import every_step, recordable, sampled
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
 from stepcore.engine.world import World, compiled
 from stepcore.signatures import refuse_unknown_settings, takes_settings
@@ -187,12 +187,17 @@ class Batch(World):
             limit = f"({len(self)}, steps, {self._model.nu})"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
         steps = table.shape[1]
+        # A world that failed is read where it stands.
+        whole = sampled(names, self.settings) and not (names and self._on_failure == "go on")
         with self._long(steps, progress) as told:
-            if names:
-                roll = partial(self._core.rollout, told=None)
-                states = recorded_rollout(self, roll, table, names, told)
+            if whole:
+                asked = every_step(["qpos", "qvel", "act", *names], steps)
+                made, _ = self._core.follow(asked, table, told)
+                qpos, qvel, act, *more = made
+                states = Rollout(qpos, qvel, act, dict(zip(names, more, strict=True)))
             else:
-                states = Rollout(*self._core.rollout(table, told)[:3])
+                roll = partial(self._core.follow, every_step([], 1))
+                states = recorded_rollout(self, roll, table, names, told)
         self._told(steps)
         return states
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import process_time, thread_time
 from typing import Any
@@ -10,18 +12,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stepcore import checks
-from stepcore._core import SimulationError
+from stepcore import _core, checks
+from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, numbers
 from stepcore.engine.batch import Batch
 from stepcore.engine.batch import unwatched as unwatched_batch
 from stepcore.engine.control import Control, ControlError, controls, finite_controls, fresh
 from stepcore.engine.model import Model
+from stepcore.engine.replay import attach
 from stepcore.engine.rollout import NAMES
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
-from stepcore.engine.trajectory import recordable
+from stepcore.engine.trajectory import recordable, sampled, sampled_steps
 from stepcore.executors import checkpoint
+
+# The states of a run at which operations are counted.
+COUNTED = 8
+# Batches that are kept for the next call with the same model, settings and number of starts: a
+# search goes through a few settings again and again.
+KEPT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +41,9 @@ class Followed:
     data: what was recorded, by name, (starts, n + 1, …); NaN after a run has ended.
     failures: why runs ended early, by the index of the start.
     made: steps that each start made, (starts,).
-    inner: steps that these were made of, (starts,): more under a setting `accuracy`.
-    operations: floating-point operations of each start, (starts,); NaN where they were not counted.
+    inner: evaluations of the forces under a setting `accuracy`, whose steps are made of several;
+        else as `made`; (starts,).
+    counted: the operations, or a function that counts them.
     seconds: processor time of the call [s].
     """
 
@@ -42,16 +52,25 @@ class Followed:
     failures: dict[int, SimulationError]
     made: np.ndarray
     inner: np.ndarray
-    operations: Floats
+    counted: Floats | Callable[[], Floats]
     seconds: float
 
     def __getitem__(self, name: str) -> Floats:
         """Return what was recorded under a name; KeyError, with the nearest, if it was not."""
         if name not in self.data:
-            raise KeyError(
-                f"{checks.shown(name)} was not recorded{checks.nearest(name, self.data)}"
-            )
+            near = checks.nearest(name, self.data)
+            raise KeyError(f"{checks.shown(name)} was not recorded{near}")
         return self.data[name]
+
+    @functools.cached_property
+    def operations(self) -> Floats:
+        """Floating-point operations of each start, (starts,); NaN where they were not counted.
+
+        They are counted when they are read first: the run is made again, and eight of its steps are
+        counted by `Sim.count_flops`. The count of all steps was within 5 % of that on four robots,
+        and within 16 % on a walking Go2.
+        """
+        return self.counted() if callable(self.counted) else self.counted
 
 
 def follow(
@@ -96,13 +115,17 @@ def follow(
     ([0.0, 0.1, 0.2], (2, 3, 1))
     """
     run = _Run(model, starts, steps, every, ctrl, hold, control, record, bound)
+    threads = checks.threads(threads)
     clock = thread_time if threads == 1 else process_time
     begun = clock()
-    if control is not None or model.settings.accuracy is not None:
+    checkpoint()
+    if control is not None:
         for start in range(len(starts)):
             run.alone(start)
+    elif run.steps and sampled(run.names, model.settings):
+        run.whole(threads)
     else:
-        run.together(checks.threads(threads))
+        run.together(threads)
     return run.followed(clock() - begun)
 
 
@@ -182,8 +205,9 @@ class _Run:
     def beyond(self, start: int, sample: int, far: float) -> SimulationError:
         step = sample * self.every
         time = step * self.model.settings.dt
-        text = f"a body is {far:.3g} m from its place at the start at {time:.4g} s"
-        error = SimulationError(f"{text}, which is beyond {self.bound:.3g} m")
+        far_off = f"a body is {far:.4g} m from where it began"
+        text = f"diverged in step {step} at time {time:.6f} s: {far_off}, beyond the bound of"
+        error = SimulationError(f"{text} {self.bound:.4g} m.")
         error.step, error.time, error.world, error.gained = step, time, start, False
         return error
 
@@ -194,8 +218,41 @@ class _Run:
             for values in self.data.values():
                 values[start, error.step // self.every + 1 :] = np.nan
 
+    def whole(self, threads: int) -> None:
+        """Run all starts in one call of the engine."""
+        key = (self.model.core, self.model.settings, len(self.starts), threads)
+        kept = core, arrays, initial = _kept_batch(key)
+        for name, values in initial.items():
+            arrays[name][...] = values
+        for world, start in enumerate(self.starts):
+            start.write(arrays, world)
+        asked: _core._Asked = {
+            "names": list(self.names),
+            "steps": self.steps,
+            "every": self.every,
+            "hold": self.hold,
+            "first": True,
+            "bound": self.bound,
+        }
+        given = {name: arrays[name].copy() for name in self.names if name in arrays}
+        samples, evaluations = core.follow(asked, self.ctrl, lambda count: checkpoint())
+        self.data = dict(zip(self.names, samples, strict=True))
+        for name, values in given.items():
+            # As they were given, not as single precision has them.
+            self.data[name][:, 0] = values
+            if name == "ctrl" and self.ctrl is None:
+                self.data[name][:] = values[:, None]
+        for error in core.failures([])[1]:
+            world = error.world
+            if "_start" in error.__dict__:
+                attach(error, self.model, arrays["qpos"][world], arrays["qvel"][world])
+            self.end(world, error)
+        if self.model.settings.accuracy is not None:
+            self.inner[:] = evaluations
+        _keep_batch(key, kept)
+
     def together(self, threads: int) -> None:
-        """Run all starts as the worlds of a batch."""
+        """Run all starts as the worlds of a batch, which is read at each sample."""
         n = len(self.starts)
         batch = unwatched_batch(Batch(self.model, n, threads=threads, on_failure="go on"))
         for world, start in enumerate(self.starts):
@@ -221,19 +278,16 @@ class _Run:
         self.keep([start], 0, sim, None)
         function = None if self.control is None else fresh(self.control)
         try:
-            for done in range(self.steps):
-                if done % self.every == 0:
+            done = 0
+            while done < self.steps and start not in self.failures:
+                if done % self.hold == 0 and function is not None:
                     checkpoint()
-                if done % self.hold == 0:
-                    if function is not None:
-                        sim.ctrl = controls(function, sim)
-                    elif self.ctrl is not None:
-                        sim.ctrl[:] = self.rows(done, 1)[start, 0]
-                sim.step()
-                if (done + 1) % self.every == 0:
-                    self.keep([start], (done + 1) // self.every, sim, None)
-                if start in self.failures:
-                    break
+                    sim.ctrl = controls(function, sim)
+                ends = (step - done % step for step in (self.hold, self.every))
+                done += (count := min(ends))
+                sim.step(count)
+                if done % self.every == 0:
+                    self.keep([start], done // self.every, sim, None)
         except SimulationError as error:
             self.end(start, error)
         except ControlError:
@@ -251,6 +305,56 @@ class _Run:
     def followed(self, seconds: float) -> Followed:
         made = np.arange(0, self.steps + 1, self.every, dtype=np.float64)
         times = made * self.model.settings.dt
+        return Followed(
+            times, self.data, self.failures, self.made, self.inner, self.operations, seconds
+        )
+
+    def operations(self) -> Floats:
+        """Count the operations of each start: those of some of its steps, for each step."""
         operations = np.full(len(self.starts), np.nan)
-        data = self.data
-        return Followed(times, data, self.failures, self.made, self.inner, operations, seconds)
+        if self.control is not None:
+            return operations
+        for start in range(len(self.starts)):
+            checkpoint()
+            sim, made = unwatched(Sim(self.model)), int(self.made[start])
+            self.starts[start].put(sim)
+            counts = []
+            middles = (np.arange(COUNTED) + 0.5) / COUNTED * made
+            for done in np.unique(middles.astype(int)) if made else []:
+                before = round(sim.time / self.model.settings.dt)
+                rows = None if self.ctrl is None else self.rows(before, done + 1 - before)[start]
+                if done > before:
+                    sampled_steps(sim, done - before, None if rows is None else rows[:-1])
+                if rows is not None:
+                    sim.ctrl[:] = rows[-1]
+                counts.append(sim.count_flops())
+            operations[start] = np.mean(counts) * made if made else 0.0
+        return operations
+
+
+# A core batch, its arrays, and what these hold initially; by what it is of.
+_Key = tuple[_core.Model, Settings, int, int]
+_Kept = tuple[_core.Batch, dict[str, Floats], dict[str, Floats]]
+_batches: list[tuple[_Key, _Kept]] = []
+_lock = threading.Lock()
+
+
+def _kept_batch(key: _Key) -> _Kept:
+    """Return a batch at time 0 whose worlds begin anew; it is the caller's until it is kept."""
+    with _lock:
+        for place, (other, kept) in enumerate(_batches):
+            if other[0] is key[0] and other[1:] == key[1:]:
+                del _batches[place]
+                kept[0].restart(0.0)
+                kept[0].forget(list(range(key[2])))
+                return kept
+    core = _core.Batch(*key[:2], key[2], key[3], None, True)
+    core.unwatch()
+    arrays = dict(core.arrays())
+    return core, arrays, {name: array.copy() for name, array in arrays.items()}
+
+
+def _keep_batch(key: _Key, kept: _Kept) -> None:
+    with _lock:
+        _batches.append((key, kept))
+        del _batches[:-KEPT]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +27,11 @@ class Start:
 
     def put(self, sim: World, world: Any = ...) -> None:
         """Set a Sim, or a world of a Batch, to this state; time and controls do not change."""
-        sim.qpos[world], sim.qvel[world] = self.qpos, self.qvel
-        sim.act[world] = 0.0 if self.act is None else self.act
+        self.write(sim._arrays, world)
+
+    def write(self, arrays: Mapping[str, np.ndarray], world: Any) -> None:
+        """Write this state into the arrays of a world."""
+        arrays["qpos"][world], arrays["qvel"][world] = self.qpos, self.qvel
+        arrays["act"][world] = 0.0 if self.act is None else self.act
         if self.mocap is not None:
-            sim.mocap_pos[world], sim.mocap_quat[world] = self.mocap
+            arrays["mocap_pos"][world], arrays["mocap_quat"][world] = self.mocap

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
+from stepcore._core import Settings, SimulationError
 from stepcore.engine import trajectory_file
-from stepcore.engine.arrays import numbers
+from stepcore.engine.arrays import Floats, numbers
 from stepcore.engine.axes import Axis, axes_of
 from stepcore.engine.control import controls, finite_controls
 from stepcore.engine.error_bar import driven, judged
@@ -21,6 +22,7 @@ from stepcore.engine.snapshots import Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
 
 if TYPE_CHECKING:
+    from stepcore import _core
     from stepcore.engine.world import World
     from stepcore.viewing.frames import Replayed
     from stepcore.viewing.live import View
@@ -33,6 +35,11 @@ UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run`
 # With more snapshots than this (20 s of motion) a notebook shows no page.
 INLINE = 1200
 
+# What the engine samples within a run, see `sampled`; the rest is read between its calls.
+SAMPLED = {
+    *("time", "qpos", "qvel", "act", "ctrl_history", "ctrl", "xpos", "xquat", "energy"),
+    *("qacc", "actuator_force"),
+}
 RECORDED = (
     *("qpos", "qvel", "act", "ctrl_history", "ctrl", "qfrc_applied", "xfrc_applied"),
     *("eq_active", "mocap_pos", "mocap_quat"),
@@ -301,7 +308,10 @@ def record_run(
     dt = sim.settings.dt
     steps = whole_steps("duration", duration, dt)
     period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
-    ctrl_of = _ctrl_of(sim, control)
+    function = control if callable(control) else None
+    if function is not None:
+        checks.function("time", "sim")("run", "control", function)
+    table = None if callable(control) or control is None else _table(sim, control)
     names = judged(sim, recordable(record))
     data = {}
     try:
@@ -313,20 +323,35 @@ def record_run(
         what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
         raise ValueError(f"{what}; run shorter pieces, or record less") from None
     residuals, stride = Residuals(sim), max(1, steps // LOOKS)
-    snapshots = Taking(sim, steps)
+    snapshots, finer = Taking(sim, steps), getattr(sim, "_finer", None)
+    whole = finer is None and sampled(names, sim.settings)
+    arrays, done = {"time": time, **data}, 0
+    for name, values in arrays.items():
+        values[0] = getattr(sim, name)
+    # Until somebody looks at the Sim it runs in one call.
+    looks = (stride, snapshots.stride, steps if function is None else period) if whole else (1,)
     with driven(sim, control) as beside:
-        for step in range(steps + 1):
-            time[step] = sim.time
-            if step > 0 and step % stride == 0:
-                residuals.look(sim)
-            for name in names:
-                data[name][step] = getattr(sim, name)
-            if step < steps:
-                if ctrl_of is not None and step % period == 0:
-                    beside()
-                    sim.ctrl = ctrl_of(step // period)
-                snapshots.look(step)
+        while done < steps:
+            if function is not None and done % period == 0:
+                beside()
+                sim.ctrl = controls(function, sim)
+            snapshots.look(done)
+            count = min(steps - done, *(each - done % each for each in looks))
+            rows = None
+            if table is not None:
+                periods = np.arange(done, done + count) // period
+                rows = table[np.minimum(periods, len(table) - 1)]
+            if whole:
+                sampled_steps(sim, count, rows, arrays, done + 1)
+            else:
+                if rows is not None:
+                    sim.ctrl = rows[0]
                 sim.step()
+                for name, values in arrays.items():
+                    values[done + 1] = getattr(sim, name)
+            done += count
+            if done % stride == 0:
+                residuals.look(sim)
     snapshots.look(steps)
     return Trajectory(time, data, residuals.sentence(sim.settings), snapshots.kept())
 
@@ -346,19 +371,54 @@ def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
     return steps
 
 
-def _ctrl_of(sim: SomeWorld, control: Driven[SomeWorld]) -> Callable[[int], ArrayLike] | None:
-    """Return a function from the index of a control period to its ctrl."""
-    if control is None:
-        return None
-    if callable(control):
-        checks.function("time", "sim")("run", "control", control)
-        return lambda period: controls(control, sim)
+def _table(sim: SomeWorld, control: ArrayLike) -> Floats:
+    """Return a table of controls, with a row for each period."""
     table = numbers("control", control)
     if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):
         limit = f"of shape (n, {sim.model.nu}) with n > 0"
         raise ValueError(f"control has shape {table.shape}: must be {limit}")
     _check_finite(sim, table)
-    return lambda period: table[min(period, len(table) - 1)]
+    return table
+
+
+def sampled(names: Collection[str], settings: Settings) -> bool:
+    """Return whether the engine samples all of these quantities within a run."""
+    # What was solved last within an accuracy belongs to a part of a step.
+    solved = {"qacc", "actuator_force"} if settings.accuracy is not None else set()
+    return set(names) <= SAMPLED - solved
+
+
+def every_step(names: list[str], steps: int) -> _core._Asked:
+    """Return what the engine is asked for by who wants a sample of each step, and gives its row."""
+    return {
+        "names": names,
+        "steps": steps,
+        "every": 1,
+        "hold": 1,
+        "first": False,
+        "bound": np.inf,
+    }
+
+
+def sampled_steps(
+    sim: World,
+    count: int,
+    rows: Floats | None,
+    arrays: Mapping[str, Floats] = {},
+    place: int = 0,
+) -> None:
+    """Take steps of a Sim, each with its row of controls, and write what comes of them.
+
+    arrays: by name; the first step is written at `place`.
+    """
+    own = None if rows is None else rows[None]
+    try:
+        samples, _ = sim._core.follow(every_step(list(arrays), count), own)
+    except SimulationError as error:
+        sim._explain(error)
+        raise
+    for (name, values), sample in zip(arrays.items(), samples, strict=True):
+        values[place : place + count] = sim.ctrl if name == "ctrl" and rows is None else sample[0]
 
 
 def _check_finite(sim: World, table: NDArray[np.float64]) -> None:

@@ -1,18 +1,17 @@
 //! `Batch` as Python sees it: many worlds, their arrays, and what can be read of them.
 
 mod each;
-mod rollout;
 
 use std::collections::HashMap;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
-use numpy::{PyArrayDyn, PyReadonlyArray3};
+use numpy::{PyArrayDyn, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use stepcore::arrays::{Array as EngineArray, Given};
-use stepcore::batch::of_one_model;
+use stepcore::batch::{of_one_model, Motion};
 use stepcore::model::Model as EngineModel;
 use stepcore::settings::Settings as EngineSettings;
 
@@ -23,6 +22,7 @@ use crate::gil;
 use crate::memo::{Memo, Solve};
 use crate::memory::{Arrays, Named};
 use crate::model::{result, Model};
+use crate::motion::{Asked, Play, Samples};
 use crate::readout::Readout;
 use crate::settings::Settings;
 use crate::snapshot::{decode, decode_last, encode, encode_last, Clock, Snapshot};
@@ -143,7 +143,50 @@ impl Batch {
         ctrl: PyReadonlyArray3<'py, f64>,
         told: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Vec<Array<'py>>> {
-        self.roll_out(py, &ctrl, told)
+        let nu = self.model.actuators.len();
+        let shape = ctrl.shape();
+        if shape[0] != self.arrays.worlds || shape[2] != nu {
+            let n = self.arrays.worlds;
+            let text = format!("ctrl has shape {shape:?}: must be [{n}, steps, {nu}]");
+            return Err(PyValueError::new_err(text));
+        }
+        let names = ["qpos", "qvel", "act", "ctrl_history"].map(String::from).to_vec();
+        let asked = Asked::every_step(names, shape[1]);
+        Ok(self.follow(py, asked, Some(ctrl), told)?.0)
+    }
+
+    /// Steps under controls, (n or 1, rows, nu); returns what is asked for.
+    #[pyo3(signature = (asked, ctrl = None, told = None))]
+    fn follow<'py>(
+        &self,
+        py: Python<'py>,
+        asked: Asked,
+        ctrl: Option<PyReadonlyArray3<'py, f64>>,
+        told: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Samples<'py>> {
+        let mut guard = self.lock()?;
+        let worlds = &mut **guard;
+        let play = Play::new(
+            self.model.clone(),
+            &self.settings,
+            self.arrays.worlds,
+            asked,
+            ctrl.as_ref(),
+        )?;
+        if play.steps() == 0 {
+            self.check(py, worlds)?;
+        } else {
+            self.load(py, worlds)?;
+        }
+        let run = |motion: &mut Motion, from, n| worlds.follow(motion, from, n);
+        let (done, samples) = play.run(py, &self.pace, told, run)?;
+        if done > 0 {
+            self.store(py, worlds);
+            play.write_last(py, done, &self.arrays);
+        }
+        let samples = samples?;
+        self.warn(py, worlds)?;
+        Ok(samples)
     }
 
     /// The errors of the worlds that failed while the others went on; `known` are left out.

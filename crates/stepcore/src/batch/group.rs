@@ -177,8 +177,20 @@ impl<R: Real> Group<R> {
         self.ledger.iter_mut().for_each(|ledger| ledger.forget());
     }
 
+    /// Lets `look` see its worlds in a thread's working space.
+    pub fn look<T>(
+        &mut self,
+        watched: &mut Watched<R>,
+        look: impl FnOnce(&mut Watched<R>) -> T,
+    ) -> T {
+        let Self { models, mirrored, state, inputs, ledger, standing, .. } = self;
+        watched.sim.take_models(mirrored.of(models, standing));
+        look(Guest::new(watched, state, inputs, ledger, standing.mask::<R>()).watched)
+    }
+
     /// Runs `one` up to `n` times on this group's state in a thread's working space; `worlds`: whose
-    /// the lanes are.
+    /// the lanes are. After each, worlds may fail in `check` as they do in `one`.
+    #[allow(clippy::too_many_arguments)]
     pub fn run(
         &mut self,
         watched: &mut Watched<R>,
@@ -187,6 +199,7 @@ impl<R: Real> Group<R> {
         last: Last,
         goes_on: bool,
         one: impl Fn(u64, &mut Watched<R>) -> Result<()>,
+        check: impl Fn(u64, &mut Watched<R>) -> Result<()>,
     ) {
         let Self { models, mirrored, state, inputs, ledger, standing, before, qacc, .. } = self;
         let steps = last == Last::Step;
@@ -212,19 +225,27 @@ impl<R: Real> Group<R> {
             if k + 1 == n {
                 guest.watched.sim.state.copy_to(before);
             }
+            let mut stepped = false;
             loop {
-                let mut outcome = one(k, guest.watched);
-                if solves && k + 1 == n && outcome.is_ok() {
+                let mut outcome =
+                    if stepped { check(k, guest.watched) } else { one(k, guest.watched) };
+                if solves && k + 1 == n && outcome.is_ok() && !stepped {
                     guest.watched.sim.state.copy_to(before);
                     outcome = guest.watched.forward();
                 }
-                let error = outcome.err()?;
-                if !(goes_on && set_aside(standing, guest.watched, worlds, k, &error)) {
-                    return Some((k, error));
+                let Err(error) = outcome else {
+                    if std::mem::replace(&mut stepped, true) {
+                        return None;
+                    }
+                    continue;
+                };
+                let done = k + u64::from(stepped);
+                if !(goes_on && set_aside(standing, guest.watched, worlds, done, &error)) {
+                    return Some((done, error));
                 }
                 guest.watched.sim.take_models(mirrored.of(models, standing));
                 if standing.healthy().is_none() {
-                    guest.watched.sim.state.steps += if steps { n - k } else { 0 };
+                    guest.watched.sim.state.steps += if steps { n - done } else { 0 };
                     return Some((u64::MAX, error));
                 }
             }

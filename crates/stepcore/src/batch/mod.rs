@@ -8,20 +8,20 @@
 mod failed;
 mod group;
 mod lane_layout;
-mod rollout;
+mod motion;
 mod transfer;
 mod workers;
 
 pub use failed::Failed;
 pub use group::Last;
-pub use rollout::Rollout;
+pub use motion::{Motion, Record, Sampled};
 
 use std::sync::{Arc, Mutex};
 
 use group::{in_batch, Group};
 use lane_layout::LaneLayout;
 pub use lane_layout::{fills_lanes, gains_by_lanes, kinds};
-use rollout::Part;
+use motion::Part;
 use workers::{Workers, Workspace};
 
 use crate::arrays::{Array, Given as Arrays};
@@ -357,49 +357,60 @@ impl<R: Real> Batch<R> {
         workers.share(groups, 1, |workspace, index, group| {
             let forward = |_, watched: &mut Watched<R>| watched.forward();
             let watched = workspace.space(layout.kind(index));
-            group.run(watched, layout.worlds(index), 1, Last::Forward, *goes_on, forward)
+            let none = |_, _: &mut Watched<R>| Ok(());
+            group.run(watched, layout.worlds(index), 1, Last::Forward, *goes_on, forward, none)
         });
         first_failure(groups, layout).map_or(Ok(()), |(_, error)| Err(error))
     }
 
-    /// Steps `from..from + n` of a rollout.
-    pub fn roll_out(&mut self, rollout: &mut Rollout, from: usize, n: usize) -> Result<()> {
-        let parts = rollout.parts(&self.layout, Array::counts(&self.models[0]));
+    /// Steps `from..from + n` of a motion.
+    pub fn follow(&mut self, motion: &mut Motion, from: usize, n: usize) -> Result<()> {
+        let begins = from == 0 && motion.first;
+        let parts = motion.parts(&self.layout, &self.models[0]);
         let parts: Vec<Mutex<Part>> = parts.into_iter().map(Mutex::new).collect();
+        if begins {
+            self.begin_motion(&parts)?;
+        }
         self.advance(n as u64, Some((&parts, from)))?;
         drop(parts);
-        self.stand(rollout, from, n);
+        for world in 0..self.worlds {
+            if let Some(failed) = self.failed(world) {
+                motion.stand(world, &failed.state, from + failed.done as usize, from + n);
+            }
+        }
         Ok(())
     }
 
-    /// In a rollout's states, worlds that failed stand where they failed.
-    fn stand(&self, rollout: &mut Rollout, from: usize, n: usize) {
-        for world in 0..self.worlds {
-            let Some(failed) = self.failed(world) else { continue };
-            for step in from + failed.done as usize..from + n {
-                let at = world * rollout.steps + step;
-                for (list, own) in rollout.states.iter_mut().zip(&failed.state) {
-                    list[at * own.len()..(at + 1) * own.len()].copy_from_slice(own);
-                }
+    /// Samples the start.
+    fn begin_motion(&mut self, parts: &[Mutex<Part>]) -> Result<()> {
+        let Self { workers, groups, layout, .. } = self;
+        let refused = Mutex::new(None);
+        workers.share(groups, 1, |workspace, index, group| {
+            let watched = workspace.space(layout.kind(index));
+            let outcome = group.look(watched, |watched| lock(&parts[index]).begin(watched));
+            if let Err(error) = outcome {
+                *lock(&refused) = Some(error);
             }
-        }
+        });
+        let refused = lock(&refused).take();
+        refused.map_or(Ok(()), Err)
     }
 
-    /// Does `n` steps in every world; of a rollout from this one on.
-    fn advance(&mut self, n: u64, rollout: Option<(&[Mutex<Part>], usize)>) -> Result<()> {
+    /// Does `n` steps in every world; of a motion from this one on.
+    fn advance(&mut self, n: u64, motion: Option<(&[Mutex<Part>], usize)>) -> Result<()> {
         let Self { workers, groups, layout, goes_on, .. } = self;
         let run = |workspace: &mut Workspace<R>, index: usize, group: &mut Group<R>, n| {
-            let part = rollout.map(|(parts, start)| (&parts[index], start));
-            let one = |k, watched: &mut Watched<R>| {
-                let Some((part, start)) = part else { return watched.step(1) };
-                let (mut part, step) = (lock(part), start + k as usize);
-                part.control(step, watched);
-                watched.step(1)?;
-                part.record(step, &watched.sim.state);
-                Ok(())
+            let part = motion.map(|(parts, start)| (&parts[index], start));
+            let one = |k: u64, watched: &mut Watched<R>| match part {
+                None => watched.step(1),
+                Some((part, start)) => lock(part).step(start + k as usize, k == 0, watched),
+            };
+            let check = |k: u64, watched: &mut Watched<R>| match part {
+                None => Ok(()),
+                Some((part, start)) => lock(part).check(start + k as usize, watched),
             };
             let watched = workspace.space(layout.kind(index));
-            group.run(watched, layout.worlds(index), n, Last::Step, *goes_on, one);
+            group.run(watched, layout.worlds(index), n, Last::Step, *goes_on, one, check);
         };
         workers.share(groups, n, |workspace, index, group| {
             group.state.copy_to(&mut group.start);

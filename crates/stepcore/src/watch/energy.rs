@@ -91,15 +91,19 @@ impl<R: Real> Sim<R> {
         sum
     }
 
+    /// Poses of bodies and geoms at the present state.
+    pub(crate) fn place_poses(&mut self) {
+        self.placed.carry(&self.inputs);
+        self.placed.positions(&self.model, &self.state.qpos);
+    }
+
     /// Poses, inertias, the mass matrix and the forces at the present state, but for those that act
     /// through contacts.
     pub fn refresh(&mut self) {
-        let model = self.model.clone();
-        self.placed.carry(&self.inputs);
-        self.placed.positions(&model, &self.state.qpos);
+        self.place_poses();
         let (qpos, qvel) = At::State.of(&self.state, &self.next);
         let act = self.state.activations(self.clock);
-        self.placed.dynamics(&model, qpos, qvel, act, &self.inputs);
+        self.placed.dynamics(&self.model, qpos, qvel, act, &self.inputs);
     }
 
     /// Adds these forces, for which contacts are detected.

@@ -199,7 +199,7 @@ impl<R: Real> LastSolve<R> {
 }
 
 /// Nobody sleeps in it.
-fn sim_aside<'a, R: Real>(
+pub(super) fn sim_aside<'a, R: Real>(
     aside: &'a mut Option<Box<Sim<R>>>,
     sim: &Sim<R>,
 ) -> Result<&'a mut Sim<R>> {

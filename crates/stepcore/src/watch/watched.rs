@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::last_solve::sim_aside;
 use super::ledger::{Care, Ledger};
 use super::past::Past;
 use super::post_mortem::{look_into, Run};
@@ -9,6 +10,7 @@ use super::tape::{taped, StepGains, Tape};
 use crate::arrays::{ArraySet, Given, Plain};
 use crate::error::{Error, Result};
 use crate::model::Model;
+use crate::place::Placed;
 use crate::real::Real;
 use crate::room::Room;
 use crate::settings::Settings;
@@ -22,6 +24,8 @@ pub struct Watched<R: Real> {
     past: Past<R>,
     ledger: Option<Box<Ledger<R>>>,
     others: Others,
+    /// For what is computed beside the last solve.
+    aside: Option<Box<Sim<R>>>,
     /// The last step failed: its impulses are no start for another state.
     failed: bool,
 }
@@ -54,6 +58,7 @@ impl<R: Real> Watched<R> {
             past: Past::new(&sim.model),
             ledger: fixed.then(|| Box::new(Ledger::new(&sim.model, care))),
             others: Others { copies: 0, worlds: 1 },
+            aside: None,
             failed: false,
             sim,
         }
@@ -205,7 +210,7 @@ impl<R: Real> Watched<R> {
     /// model is not in it.
     pub fn bytes(&self) -> usize {
         let ledger = self.ledger.as_ref().map_or(0, Room::room);
-        size_of::<Self>() + self.sim.room() + self.past.room() + ledger
+        size_of::<Self>() + self.sim.room() + self.aside.room() + self.past.room() + ledger
     }
 }
 
@@ -228,6 +233,20 @@ impl<R: Real> Watched<R> {
                 .for_each(|lane| ledger.repeat(lane, from));
             ledger.go_on(&self.sim.state);
         }
+    }
+
+    /// A `Sim` beside, with the state and the inputs at hand: what is computed there leaves what was
+    /// solved last as it is.
+    pub(crate) fn aside(&mut self) -> Result<&mut Sim<R>> {
+        let aside = sim_aside(&mut self.aside, &self.sim)?;
+        self.sim.state.copy_to(&mut aside.state);
+        self.sim.inputs.copy_to(&mut aside.inputs);
+        Ok(aside)
+    }
+
+    /// Where bodies were placed last in the `Sim` beside; before that, where they are in steps.
+    pub(crate) fn placed(&self) -> &Placed<R> {
+        self.aside.as_ref().map_or(&self.sim.placed, |aside| &aside.placed)
     }
 
     /// A lane that stands for a world of its own.
