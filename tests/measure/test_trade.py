@@ -234,7 +234,7 @@ def test_a_run_that_is_nowhere_near_is_a_failure_with_its_reason():
     scene = lesson.spring(k=1e6, dt=1e-3, integrator="rk4")
     result = few(scene, dts=[1e-3, 1e-4], integrators=["explicit"], starts=2, horizon=0.1)
     bad = by(result, integrator="explicit", dt=1e-3, sweeps=1)
-    assert "m from its place" in bad.failure and bad in result.rows
+    assert "m from where it began, beyond the bound" in bad.failure and bad in result.rows
     assert not result.shipped.failure
 
 
