@@ -241,9 +241,11 @@ fn after_a_panic_the_worlds_are_still_there() {
     let mut batch = batch_of::<Lanes>(&scene, &settings, &worlds, 1);
     let (mut qpos, mut qvel) = (vec![0.0; n * nq], vec![0.0; n * nv]);
     batch.step(70).unwrap();
+    let ctrl = vec![0.0; model.actuators.len()];
     let mut motion = motion(n, 1, &mut qpos, &mut qvel);
-    let outcome = catch_unwind(AssertUnwindSafe(|| batch.follow(&mut motion, 1, 1)));
-    assert!(outcome.is_err(), "a sample without room must not pass");
+    (motion.ctrl, motion.rows, motion.hold) = (&ctrl, 1, 0);
+    let outcome = catch_unwind(AssertUnwindSafe(|| batch.follow(&mut motion, 0, 1)));
+    assert!(outcome.is_err(), "a row that is held for no step must not pass");
     batch.step(70).unwrap();
     assert_eq!(batch.time(), 140.0 * settings.dt);
     let bits = states(&batch, &mut worlds);
