@@ -3,7 +3,7 @@
     python benches/cost_of_work.py             # stepcore; a minute
     python benches/cost_of_work.py --mujoco    # how well MuJoCo's estimated work fits its times
 
-Each scene runs its default motion under every method that a trade tries. Processor time per step is
+Each scene runs random controls under every method that a trade tries. Processor time per step is
 fitted by STEP + OPERATION × operations, at equal relative weight; the last columns tell how far the
 fit is off. `stepcore.experiment.price` holds the two numbers; only their ratio decides a choice.
 """
@@ -15,7 +15,7 @@ import argparse
 import numpy as np
 
 from stepcore import lesson
-from stepcore.experiment import Change, Study
+from stepcore.experiment import Change, Motion, Study
 from stepcore.experiment.price import OPERATION, STEP
 
 SCENES = (
@@ -44,7 +44,9 @@ def main() -> None:
     sources = [*SCENES] if engine == "mujoco" else [*SCENES, *(make() for make in LESSON)]
     rows = []
     for source in sources:
-        study = Study(source, starts=1, engine=engine)
+        # A control function in Python would be timed too.
+        kind = "sines" if isinstance(source, str) else "fall"
+        study = Study(source, Motion(kind=kind, starts=1), engine=engine)
         rows += [(study.engine.title, *row) for row in measured(study)]
     work, took = (np.array([row[k] for row in rows]) for k in (2, 3))
     terms = np.stack([np.ones(len(work)), work], axis=1) / took[:, None]

@@ -463,8 +463,7 @@ def operations(model: Any, data: Any) -> float:
     """Estimate the operations of the step that was just made, in the unit of `price.OPERATION`.
 
     The terms are what MuJoCo counts; nnz are the non-zeros of Newton's factor or of the matrix of
-    PGS. The factors fit times that `python benches/cost_of_work.py --mujoco` measures on 11 scenes under
-    20 settings each: the estimate is off by 20 % (standard deviation), and by 2.1 times at most.
+    PGS. `python benches/cost_of_work.py --mujoco` compares them with times.
     """
     solver, nefc = SOLVERS[model.opt.solver], data.nefc
     islands = max(1, data.nisland)
