@@ -86,8 +86,13 @@ class Engine(Protocol):
     def settings(self, change: Change) -> Any:
         """Return all settings of a change."""
 
-    def follow(self, change: Change, schedule: Schedule, starts: Sequence[int]) -> Tracks:
-        """Run a change from some starts. A run that fails, or is refused, is one of `failures`."""
+    def follow(
+        self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
+    ) -> Tracks:
+        """Run a change from some starts. A run that fails, or is refused, is one of `failures`.
+
+        first: 0 for tracks that have the start itself before the samples of the schedule.
+        """
 
     def work(self, change: Change, schedule: Schedule) -> float:
         """Count the floating-point operations of a simulated second; inf where none can be run."""
@@ -138,18 +143,20 @@ class Stepcore:
     def settings(self, change: Change) -> Any:
         return self.model.settings.replace(**dict(change.settings))
 
-    def follow(self, change: Change, schedule: Schedule, starts: Sequence[int]) -> Tracks:
+    def follow(
+        self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
+    ) -> Tracks:
         try:
             model = self.of(change)
             ran = run(model, schedule, starts, bound=FAR * self.size)
         except ControlError:
             raise
         except (ValueError, SimulationError) as error:
-            shape = (len(starts), len(schedule.times), len(self.matter.moving))
+            shape = (len(starts), len(schedule.times) + 1 - first, len(self.matter.moving))
             why = dict.fromkeys(range(len(starts)), one_line(error))
             return Tracks(np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan), why)
         failures = {k: one_line(error) for k, error in ran.failures.items()}
-        return self.matter.tracks(ran["xpos"][:, 1:], ran["xquat"][:, 1:], failures)
+        return self.matter.tracks(ran["xpos"][:, first:], ran["xquat"][:, first:], failures)
 
     def work(self, change: Change, schedule: Schedule) -> float:
         """Count the operations of a simulated second, at the same states for all changes.

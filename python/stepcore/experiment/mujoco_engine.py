@@ -246,13 +246,15 @@ class MuJoCo:
             self._free.append(world)
             del self._free[:-KEPT]
 
-    def follow(self, change: Change, schedule: Schedule, starts: Sequence[int]) -> Tracks:
+    def follow(
+        self, change: Change, schedule: Schedule, starts: Sequence[int], first: int = 1
+    ) -> Tracks:
         if schedule.control is not None and self._model is None:
             raise ValueError(
                 "control: the function gets a Sim of stepcore, which cannot load this scene "
                 f"({self.refusal}); give rows of controls in its place"
             )
-        shape = (len(starts), len(schedule.times), self.scene.nbody)
+        shape = (len(starts), len(schedule.times) + 1 - first, self.scene.nbody)
         xpos, xquat = np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan)
         failures = dict[int, str]()
         try:
@@ -265,7 +267,7 @@ class MuJoCo:
                         away, time = far[sample], schedule.times[sample - 1]
                         failure = f"a body is {away:.3g} m from its start at {time:.4g} s"
                         places[sample:] = turns[sample:] = np.nan
-                    xpos[k], xquat[k] = places[1:], turns[1:]
+                    xpos[k], xquat[k] = places[first:], turns[first:]
                     failures |= {k: failure} if failure else {}
         except ControlError:
             raise

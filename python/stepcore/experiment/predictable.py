@@ -102,14 +102,15 @@ def growth(
         for start in (schedule.starts[k] for k in starts)
     ]
     both = dataclasses.replace(own.picked([*starts] * len(nudges)), starts=tuple(begin))
-    # The first sample is that at the start, where the runs are a nudge apart.
-    runs = engine.follow(change, both, both.indices)
+    runs = engine.follow(change, both, both.indices, first=0)
     base = runs.some(range(count))
     factor = np.ones((count, len(own.times)))
     for k in range(1, len(nudges)):
         far = apart(base, runs.some(range(k * count, (k + 1) * count)), engine.matter)
-        near = NEARBY * max(size, 1e-300)
-        factor = np.maximum(factor, np.nan_to_num(far.max(axis=2) / near, nan=np.inf))
+        # A turn by the nudge moves a body by more or less than that, so growth is relative to how
+        # far the runs are apart at the start.
+        away = far.max(axis=2)
+        factor = np.maximum(factor, away[:, 1:] / np.maximum(away[:, :1], 1e-300))
     ends = np.array([_end(own.times, growing) for growing in factor])
     return Growth(own.times, factor, ends, base.failure)
 
@@ -128,6 +129,7 @@ def _end(times: np.ndarray, factor: np.ndarray) -> float:
     square root of the limit is not for good: in a scene that dissipates, runs with an impact in
     different steps are far apart only for a moment.
     """
+    factor = np.where(np.isnan(factor), np.inf, factor)
     later = np.minimum.accumulate(factor[::-1])[::-1]
     over = np.flatnonzero((factor > GROWTH) & (later >= np.sqrt(GROWTH)))
     if not len(over):
