@@ -104,6 +104,7 @@ def ablate(
             proof = Proof(trial, tolerance, len(trial.misses(tolerance)))
     every = [Change(without=[one]) for one in choice.alone]
     smallest = Change(without=choice.removed)
+    times = dict[Change, float]()
     with time.closing(), time.stage("all timing"):
         times = study.times([SHIPPED, *every, smallest])
     cut = [one for one in choice.alone.values() if len(one.starts) < len(choice.starts)]
