@@ -319,9 +319,10 @@ class Sim(World):
     def error(self) -> ErrorBar:
         """The estimated error in position [m] since the state was last written: RMS and largest.
 
-        A body's error is the RMS displacement of its mass: the distance between centres of mass,
-        and the turn times the radius of gyration. It is the distance from a finer run under the
-        same inputs, from `error_bar=True`. inf: it is not known, see `predictable_until`.
+        It is the distance from a finer run under the same inputs, from `error_bar=True`, in the
+        norm of all measurements (`stepcore.engine.norm`): of a body, the distance between centres
+        of mass, and the turn times the radius of gyration. inf: it is not known, see
+        `predictable_until`.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.spring(), dt=0.01, error_bar=True)
@@ -330,11 +331,7 @@ class Sim(World):
         >>> 0.01 < sim.error.largest < 0.1
         True
         """
-        finer = self._judge()
-        each = finer.errors()[finer.moving]
-        if not len(each):
-            return ErrorBar(0.0, 0.0)
-        return ErrorBar(float(np.sqrt(np.mean(each**2))), float(each.max()))
+        return self._judge().error
 
     @property
     def body_error(self) -> Floats:
