@@ -14,7 +14,7 @@ import numpy as np
 
 from stepcore import checks, files
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, digest
+from stepcore.engine.arrays import INPUTS, Floats, digest
 from stepcore.engine.postmortem import PostMortem, run_again
 
 if TYPE_CHECKING:
@@ -203,14 +203,8 @@ def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
 MOST_STEPS = 100_000
 # Array types in a scene: numbers, and indices of vertices.
 ARRAYS = ("<f8", "<i8", "<u8", "<i4", "<u4")
-# The length of an input: the step, then the input arrays of a step.
-INPUT = 7
 
 whole = checks.whole(0, 2**63 - 1)
-
-
-def _maybe(check: checks.Check) -> checks.Check:
-    return lambda owner, name, value: None if value is None else check(owner, name, value)
 
 
 def _float(owner: Any, name: str, value: object) -> float:
@@ -263,8 +257,8 @@ def _state(owner: Any, name: str, value: object) -> bytes:
 
 def _input(owner: Any, name: str, value: object) -> tuple[Any, ...]:
     entries = _list(owner, name, value)
-    if len(entries) != INPUT:
-        raise checks.refuse(owner, name, value, f"a list of {INPUT} entries")
+    if len(entries) != 1 + len(INPUTS):
+        raise checks.refuse(owner, name, value, f"a list of {1 + len(INPUTS)} entries")
     arrays = [
         list(checks.numbers(owner, f"{name}[{k + 1}]", array))
         for k, array in enumerate(entries[1:])
@@ -285,10 +279,10 @@ ATTRIBUTES: dict[str, checks.Check] = {
     "time": _float,
     "world": whole,
     "gained": checks.flag,
-    "growth": _maybe(_float),
-    "stable_dt": _maybe(_float),
+    "growth": checks.optional(_float),
+    "stable_dt": checks.optional(_float),
     "element": checks.text,
-    "element_id": _maybe(_id),
+    "element_id": checks.optional(_id),
     "shares": _shares,
     "share_ids": _each(_id),
 }
