@@ -97,6 +97,9 @@ class Engine(Protocol):
     def work(self, change: Change, schedule: Schedule) -> float:
         """Count the floating-point operations of a simulated second; inf where none can be run."""
 
+    def evaluation(self, change: Change, schedule: Schedule) -> float:
+        """Count the operations of an evaluation of the forces, in steps within an accuracy."""
+
     def ways(self, schedule: Schedule, goal: float) -> list[Way]:
         """Return ways to the converged motion; goal: how exact it should be [m]."""
 
@@ -122,6 +125,7 @@ class Stepcore:
         self._models: dict[Change, Model] = {}
         self._looks: list[tuple[np.ndarray, ...]] = []
         self._counts: dict[Change, float] = {}
+        self._evaluations: dict[Change, float] = {}
         self._rows: bool | None = None
 
     @property
@@ -156,7 +160,9 @@ class Stepcore:
             why = dict.fromkeys(range(len(starts)), one_line(error))
             return Tracks(np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan), why)
         failures = {k: one_line(error) for k, error in ran.failures.items()}
-        return self.matter.tracks(ran["xpos"][:, first:], ran["xquat"][:, first:], failures)
+        tracks = self.matter.tracks(ran["xpos"][:, first:], ran["xquat"][:, first:], failures)
+        within = model.settings.accuracy is not None
+        return dataclasses.replace(tracks, evaluations=ran.inner) if within else tracks
 
     def work(self, change: Change, schedule: Schedule) -> float:
         """Count the operations of a simulated second, at the same states for all changes.
@@ -170,6 +176,10 @@ class Stepcore:
         if change not in self._counts:
             self._counts[change] = self._counted(change, schedule)
         return self._counts[change] / settings.dt
+
+    def evaluation(self, change: Change, schedule: Schedule) -> float:
+        self.work(change, schedule)
+        return self._evaluations.get(change, math.inf)
 
     def seconds(self, change: Change, schedule: Schedule) -> float:
         try:
@@ -186,7 +196,7 @@ class Stepcore:
             whole = np.flatnonzero(np.isfinite(seen["qpos"][0]).all(axis=-1))
             some = whole[np.unique(np.linspace(0, len(whole) - 1, LOOKS).astype(int))]
             self._looks = [tuple(seen[name][0, k] for name in names) for k in some]
-        total = 0
+        total = evaluations = 0
         try:
             sim = unwatched(Sim(self.of(change)))
             for qpos, qvel, act, ctrl in self._looks:
@@ -195,8 +205,13 @@ class Stepcore:
                 # The second step has impulses to begin from.
                 sim.step(1)
                 total += sim.count_flops()
+                if sim.settings.accuracy is not None:
+                    before = sim._core.evaluations
+                    sim.step(1)
+                    evaluations += sim._core.evaluations - before
         except (ValueError, SimulationError):
             return math.inf
+        self._evaluations[change] = total / max(1, evaluations)
         return total / len(self._looks)
 
     def has_rows(self, schedule: Schedule) -> bool:

@@ -315,6 +315,9 @@ class MuJoCo:
             state = made[-1]
         return states, played, ""
 
+    def evaluation(self, change: Change, schedule: Schedule) -> float:
+        return math.nan  # MuJoCo's steps have a fixed length.
+
     def work(self, change: Change, schedule: Schedule) -> float:
         """Estimate the operations of a simulated second, at the same states for all changes.
 

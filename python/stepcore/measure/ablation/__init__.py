@@ -101,7 +101,7 @@ def ablate(
     with time.stage(f"the test on {further} untouched starts", PROVEN):
         if further and choice.removed:
             trial = choice.trial(choice.removed, study.fresh(further))
-            proof = Proof(trial, tolerance, len(trial.misses(tolerance)))
+            proof = Proof.of(trial, tolerance)
     every = [Change(without=[one]) for one in choice.alone]
     smallest = Change(without=choice.removed)
     times = dict[Change, float]()
