@@ -23,7 +23,7 @@ from stepcore.scene import hfield_files, mesh_files
 from stepcore.scene.elements import HField, Mesh
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 # The placeholder until an asset is read.
 _UNREAD = np.zeros((4, 3))
@@ -71,7 +71,7 @@ class Assets:
         rgba = values.get("rgba", ())
         return len(rgba) > 3 and rgba[3] == 0
 
-    def of(self, scene: Contents, node: Node, kind: str, name: str) -> Any:
+    def of(self, scene: Scene, node: Node, kind: str, name: str) -> Any:
         """Return the mesh or height field that a geom names; its data is read later."""
         if name not in self.nodes[kind]:
             near = nearest(name, sorted(self.nodes[kind]))
@@ -86,7 +86,7 @@ class Assets:
                 scene.hfields.append(hfield)
         return self.known[kind, name]
 
-    def read_used(self, scene: Contents) -> None:
+    def read_used(self, scene: Scene) -> None:
         """Read the assets that geoms use, in document order; list the others as ignored."""
         used = {id(asset) for geom in scene.geoms for asset in (geom.mesh, geom.hfield)}
         scene.meshes, scene.hfields = [], []
@@ -100,7 +100,7 @@ class Assets:
                 self._fill(scene, node, asset)
         self._record(scene)
 
-    def _fill(self, scene: Contents, node: Node, asset: Mesh | HField) -> None:
+    def _fill(self, scene: Scene, node: Node, asset: Mesh | HField) -> None:
         """Fill an asset; errors of its file name the line of the asset."""
         try:
             if isinstance(asset, Mesh):
@@ -116,7 +116,7 @@ class Assets:
         except (IsADirectoryError, ValueError) as error:
             raise node.error(str(error)) from None
 
-    def _mesh(self, scene: Contents, node: Node, mesh: Mesh) -> None:
+    def _mesh(self, scene: Scene, node: Node, mesh: Mesh) -> None:
         values = self.defaults.of(node)
         for field in _FIELDS:
             if field in values:
@@ -143,7 +143,7 @@ class Assets:
         if mesh.faces is not None and len(mesh.faces) and mesh.faces.max() >= count:
             raise node.error(f"<mesh> has a face with vertex {mesh.faces.max()}, of {count}")
 
-    def _hfield(self, scene: Contents, node: Node, hfield: HField) -> None:
+    def _hfield(self, scene: Scene, node: Node, hfield: HField) -> None:
         values = node.values
         counts = nrow, ncol = values.get("nrow", 0), values.get("ncol", 0)
         hfield.size = values["size"]
@@ -164,7 +164,7 @@ class Assets:
         hfield.elevation = np.asarray(heights).reshape(nrow, ncol)
 
     def _from_file(
-        self, scene: Contents, node: Node, asset: Mesh | HField, values: Mapping[str, Any]
+        self, scene: Scene, node: Node, asset: Mesh | HField, values: Mapping[str, Any]
     ) -> None:
         """Read the file of an asset; assets of the same file share its read-only arrays."""
         path = self._path(scene, node, values["file"])
@@ -186,7 +186,7 @@ class Assets:
         self.sizes.setdefault(path, os.path.getsize(path))
         self.named.add(node.attrs["file"])
 
-    def _path(self, scene: Contents, node: Node, name: str) -> str:
+    def _path(self, scene: Scene, node: Node, name: str) -> str:
         """Return the path of a file; add a note if it is outside the folder of the main file."""
         if not name or "\0" in name:
             raise bad(node, "file", name, "the name of a file")
@@ -219,7 +219,7 @@ class Assets:
         path = os.path.join(directory or "", within, name)
         return os.path.normpath(path if stripped else compiler.path(node, name, within))
 
-    def _record(self, scene: Contents) -> None:
+    def _record(self, scene: Scene) -> None:
         """Record which files were read in the scene's source."""
         files = [
             node for nodes in self.nodes.values() for node in nodes.values() if "file" in node.attrs

@@ -16,20 +16,11 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.schema import OWN_FEATURES
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 NAME = "stepcore"
-# Kinds of elements that references can name, and the scene's lists of them.
-KINDS = {
-    "geom": "geoms",
-    "site": "sites",
-    "body": "bodies",
-    "joint": "joints",
-    "tendon": "tendons",
-    "actuator": "actuators",
-    "mesh": "meshes",
-    "hfield": "hfields",
-}
+# Kinds of elements that references can name.
+KINDS = ("geom", "site", "body", "joint", "tendon", "actuator", "mesh", "hfield")
 _WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -72,7 +63,7 @@ def own_texts(nodes: Iterable[Node]) -> list[Node]:
     return texts
 
 
-def read(scene: Contents, node: Node) -> None:
+def read(scene: Scene, node: Node) -> None:
     """Read stepcore's own text into a scene that is otherwise complete."""
     from stepcore._core import Settings
 
@@ -99,7 +90,7 @@ def read(scene: Contents, node: Node) -> None:
     scene.options.update({name: whole[name] for name in settings})
 
 
-def _unname(scene: Contents, node: Node, text: str) -> None:
+def _unname(scene: Scene, node: Node, text: str) -> None:
     for word in text.split(","):
         kind, _, name = word.partition("/")
         if kind not in KINDS:

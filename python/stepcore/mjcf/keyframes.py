@@ -12,7 +12,7 @@ from stepcore.scene.elements import Actuator
 from stepcore.scene.layout import DOFS, QPOS, Layout
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 # The number of values per mocap body.
 MOCAP = {"mpos": 3, "mquat": 4}
@@ -98,7 +98,7 @@ def _assembled(
     return numbers
 
 
-def add_empty_keys(scene: Contents, sizes: Iterable[Node]) -> None:
+def add_empty_keys(scene: Scene, sizes: Iterable[Node]) -> None:
     """Add default states until there are ``<size nkey>`` keyframes."""
     count = 0
     for node in sizes:

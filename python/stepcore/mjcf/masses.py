@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from stepcore import _core
 from stepcore.scene import frames
-from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Body, MassRules
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
@@ -20,6 +19,7 @@ from stepcore.scene.records import plain
 
 if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import WorldReader
+    from stepcore.scene.scene import Scene
 
 # Sensors whose readings depend on masses, even of bodies that cannot move.
 OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
@@ -81,14 +81,14 @@ class Weight:
 
 
 def weights(
-    scene: Contents, bodies: Iterable[Body], rules: MassRules | None = None
+    scene: Scene, bodies: Iterable[Body], rules: MassRules | None = None
 ) -> dict[int, Weight]:
     """Return the mass properties of bodies by ``id``, before scaling to a total mass.
 
     Only these bodies and the geoms that give them mass are compiled.
     rules: mass rules to use instead of the scene's.
     """
-    part = Contents()
+    part = type(scene)()
     part.mass_rules = MassRules(**((rules or scene.mass_rules).values() | {"settotalmass": -1.0}))
     twins = {id(body): copy.copy(body) for body in bodies}
     for twin in twins.values():
@@ -136,7 +136,7 @@ def place_weightless(world: WorldReader) -> None:
                 Weight(0.0, np.array(pos), np.zeros((3, 3)), quat).give(body)
 
 
-def _senses_mass(scene: Contents) -> bool:
+def _senses_mass(scene: Scene) -> bool:
     """Return whether a sensor depends on masses or centres of mass of bodies that cannot move."""
     kinds = {(sensor.type, sensor.objtype, sensor.reftype) for sensor in scene.sensors}
     centred = any(kind != "contact" and "body" in ends for kind, *ends in kinds)
@@ -179,7 +179,7 @@ def _for_one_body(rules: MassRules) -> tuple[object, ...]:
     return tuple((rules.values() | {"settotalmass": None}).values())
 
 
-def _weights_if(rules: MassRules, scene: Contents, bodies: list[Body]) -> dict[int, Weight]:
+def _weights_if(rules: MassRules, scene: Scene, bodies: list[Body]) -> dict[int, Weight]:
     """Return the mass properties by ``id`` of the bodies that these rules accept."""
     try:
         return weights(scene, bodies, rules)

@@ -10,7 +10,7 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 # MJCF's names of integrators, and stepcore's.
 INTEGRATORS = {
@@ -55,7 +55,7 @@ FLAGS_UNBUILT = ("diagexact", "ipc", "speculative")
 SLOW_STEPS = 10
 
 
-def read(scene: Contents, node: Node) -> None:
+def read(scene: Scene, node: Node) -> None:
     """Read an option section into `scene`; a later section overrides an earlier one."""
     values, options = node.values, scene.options
     if "timestep" in values:
@@ -105,7 +105,7 @@ def read(scene: Contents, node: Node) -> None:
         _flags(scene, child)
 
 
-def settle(scene: Contents, nodes: list[Node]) -> None:
+def settle(scene: Scene, nodes: list[Node]) -> None:
     """Convert what depends on several options after all sections are read.
 
     These are what MuJoCo's PGS and noslip have by default, and its sleep rule, which counts steps.
@@ -139,7 +139,7 @@ def sleep_time(dt: float) -> float:
     return SLOW_STEPS * dt
 
 
-def _override(scene: Contents, values: Mapping[str, Any]) -> None:
+def _override(scene: Scene, values: Mapping[str, Any]) -> None:
     """Read the parameters that replace those of every contact if the flag "override" is on."""
     for name in OVERRIDES:
         if f"o_{name}" in values:
@@ -156,7 +156,7 @@ def _refuse(node: Node) -> None:
             raise bad(node, "actuatorgroupdisable", group, "groups from 0 to 30")
 
 
-def _flags(scene: Contents, node: Node) -> None:
+def _flags(scene: Scene, node: Node) -> None:
     for name, word in node.values.items():
         on = word == "enable"
         if name == "warmstart":
@@ -177,7 +177,7 @@ def _flags(scene: Contents, node: Node) -> None:
             setattr(scene.features, name, on)
 
 
-def _note(scene: Contents, node: Node, text: str) -> None:
+def _note(scene: Scene, node: Node, text: str) -> None:
     scene.notes.append(f"{node.file}:{node.line}: {text}")
 
 

@@ -45,7 +45,7 @@ from stepcore.scene.layout import Layout, named
 from stepcore.urdf import translate
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 # The sections read after the tree, each after the sections that it refers to.
 SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
@@ -64,7 +64,7 @@ MOST_NESTED = 50
 class Models:
     """The models of one load; `prepared` validates one and expands <attach> and <replicate>."""
 
-    def __init__(self, scene: Contents, refusals: Refusals, exclusions: Exclusions) -> None:
+    def __init__(self, scene: Scene, refusals: Refusals, exclusions: Exclusions) -> None:
         self.scene = scene
         self.refusals = refusals
         self.exclusions = exclusions
@@ -113,7 +113,7 @@ class Models:
 
 @gc_pause.paused()
 def read_file(
-    scene: Contents,
+    scene: Scene,
     path: str | os.PathLike[str],
     without: Iterable[str] = (),
     fuse: bool | None = None,
@@ -129,7 +129,7 @@ def read_file(
 
 @gc_pause.paused()
 def read_text(
-    scene: Contents,
+    scene: Scene,
     text: str | bytes,
     *,
     base: str | os.PathLike[str] | None = None,
@@ -149,7 +149,7 @@ def read_text(
     _fill(scene, root, Source(data, directory, fuse=fuse), without)
 
 
-def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -> None:
+def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> None:
     """Fill the scene from a model whose includes are expanded."""
     if source.fuse is not None:
         flag("load", "fuse", source.fuse)
@@ -188,7 +188,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
 
 
 def read_sections(
-    scene: Contents, model: Model, refusals: Refusals, kind: type[Assets] = Assets
+    scene: Scene, model: Model, refusals: Refusals, kind: type[Assets] = Assets
 ) -> WorldReader:
     """Read all sections without opening asset files; collect errors in `refusals`."""
     root, compiler, defaults = model.root, model.compiler, model.defaults

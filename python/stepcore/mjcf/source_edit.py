@@ -23,20 +23,20 @@ from stepcore.mjcf.writer import written
 
 if TYPE_CHECKING:
     from stepcore.mjcf.nodes import Source
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 # The first byte, the byte after the last, and the replacement.
 _Edit = tuple[int, int, bytes]
 
 
-def save(scene: Contents, path: str | os.PathLike[str]) -> None:
+def save(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write the scene to a file; see `Scene.save`."""
     target = Path(files.path("path", path))
     data = kept(scene, os.path.abspath(target.parent))
     target.write_bytes(written(scene).encode() if data is None else data)
 
 
-def kept(scene: Contents, directory: str) -> bytes | None:
+def kept(scene: Scene, directory: str) -> bytes | None:
     """Return the text of the scene's file with the current settings; None if not possible.
 
     directory: the folder in which the text will be saved.
@@ -64,7 +64,7 @@ def kept(scene: Contents, directory: str) -> bytes | None:
     return None
 
 
-def _read(scene: Contents, data: bytes, source: Source) -> Contents | None:
+def _read(scene: Scene, data: bytes, source: Source) -> Scene | None:
     """Fill an empty scene from a text and return it; None if the text cannot be read."""
     try:
         read_text(scene, data, base=source.directory)
@@ -120,7 +120,7 @@ class _Tags:
 
 
 def _edited(
-    data: bytes, tags: _Tags, in_place: bool, original: Contents, scene: Contents
+    data: bytes, tags: _Tags, in_place: bool, original: Scene, scene: Scene
 ) -> bytes | None:
     """Return the text with the settings of `scene`, or None if the root has no end tag.
 

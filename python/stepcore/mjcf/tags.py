@@ -82,9 +82,9 @@ class Names:
         wanted = {id(element) for element in referred}
         # In MJCF every asset needs a name.
         wanted |= {id(asset) for asset in (*scene.meshes, *scene.hfields)}
-        for kind, where in KINDS.items():
+        for kind in KINDS:
             # Elements inside bodies are numbered in document order.
-            self._name(kind, getattr(layout, where, None) or getattr(scene, where), wanted)
+            self._name(kind, layout.elements(kind), wanted)
 
     def _name(self, kind: str, elements: Iterable[Any], wanted: set[int]) -> None:
         elements = list(elements)

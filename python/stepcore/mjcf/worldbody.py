@@ -21,7 +21,7 @@ from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.frames import Vec
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 T = TypeVar("T")
 # Fields of a joint and of a geom that are not copied from attributes.
@@ -91,7 +91,7 @@ class WorldReader:
 
     def __init__(
         self,
-        scene: Contents,
+        scene: Scene,
         root: Node,
         compiler: Compiler,
         defaults: Defaults,

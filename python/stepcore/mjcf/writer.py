@@ -18,6 +18,7 @@ from stepcore.scene import frames
 from stepcore.scene.consistency import check
 from stepcore.scene.elements import (
     GRAVITY,
+    MAGNETIC,
     Actuator,
     Body,
     Element,
@@ -38,11 +39,10 @@ from stepcore.scene.elements.sensor import OF_ACCELERATION, OF_FRAME
 from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import ORIGIN, Vec
-from stepcore.scene.holdings import MAGNETIC
 from stepcore.scene.layout import SIZES, Layout
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 # MuJoCo's grey with opacity 0.
 UNSEEN = (0.5, 0.5, 0.5, 0.0)
@@ -54,7 +54,7 @@ GENERAL = {"actearly": (), "actrange": ("intvelocity",)}
 TYPED = (*OF_FRAME, *OF_ACCELERATION, "insidesite", "user")
 
 
-def written(scene: Contents) -> str:
+def written(scene: Scene) -> str:
     """Return the scene as an MJCF text; see `Scene.to_mjcf`."""
     layout = Layout(scene)
     check(layout)
@@ -81,7 +81,7 @@ def written(scene: Contents) -> str:
     return printed(root, _left_out(scene))
 
 
-def _referred(scene: Contents) -> list[Element]:
+def _referred(scene: Scene) -> list[Element]:
     """Return the elements that others refer to by name."""
     holders: list[tuple[Element, Iterable[str]]] = [
         *((pair, ("geom1", "geom2")) for pair in scene.pairs),
@@ -109,7 +109,7 @@ def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
         root.add(Tag(name)).inside = tags
 
 
-def _left_out(scene: Contents) -> str:
+def _left_out(scene: Scene) -> str:
     """Return the comment about elements of the scene's file that the text leaves out, or ""."""
     count = len(scene.ignored)
     if not count:
@@ -118,14 +118,14 @@ def _left_out(scene: Contents) -> str:
     return f"<!-- Left out: {what} of the scene's file that cannot change the motion. -->\n"
 
 
-def _add_compiler(root: Tag, scene: Contents) -> None:
+def _add_compiler(root: Tag, scene: Scene) -> None:
     """Add the compiler section."""
     compiler = root.add(Tag("compiler", angle="radian", **changed(scene.mass_rules)))
     if ranges := changed(scene.lengthrange):
         compiler.add(Tag("lengthrange", **ranges))
 
 
-def _add_option(root: Tag, scene: Contents) -> dict[str, Any]:
+def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
     """Add the option section; return the settings that MJCF lacks."""
     attributes, flags, rest = said(to_say(scene.settings))
     whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
