@@ -17,12 +17,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from stepcore import checks, files
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attach import Model
-from stepcore.mjcf.exclusions import Exclusions
-from stepcore.mjcf.include import expand
-from stepcore.mjcf.nodes import MJCFError, Node, inside, parse, sections
+from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, inside, parse, sections
 from stepcore.mjcf.reader import Models, finish, read_sections
-from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.validation import seen_values
+from stepcore.mjcf.validation import Exclusions, seen_values
 from stepcore.mjcf.worldbody import AT_ORIGIN
 from stepcore.scene import frames
 from stepcore.scene.elements import Geom, Mesh

@@ -17,27 +17,32 @@ from typing import TYPE_CHECKING
 
 from stepcore import checks, files
 from stepcore.checks import ElementError, flag, nearest
-from stepcore.mjcf import (
-    actuators,
-    custom,
-    keyframes,
-    option,
-    section_readers,
-)
+from stepcore.mjcf import option
+from stepcore.mjcf import sections as of_section
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.attach import Attacher, Model
-from stepcore.mjcf.body_frames import align, fuse
-from stepcore.mjcf.compiler import Compiler
-from stepcore.mjcf.copies import REFERENCES, Copies
-from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.exclusions import Exclusions
-from stepcore.mjcf.include import expand, read_main, read_named
-from stepcore.mjcf.masses import place_weightless, settle_masses
-from stepcore.mjcf.nodes import MJCFError, Node, Source, inside, parse, sections
-from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.replicate import expand_replicates
-from stepcore.mjcf.validation import validate
-from stepcore.mjcf.visual_geoms import discard_visual, leave_out_visual_geoms
+from stepcore.mjcf.attach import Attacher, Copies, Model, expand_replicates
+from stepcore.mjcf.bodies import (
+    align,
+    discard_visual,
+    fuse,
+    leave_out_visual_geoms,
+    place_weightless,
+    settle_masses,
+)
+from stepcore.mjcf.defaults import Compiler, Defaults
+from stepcore.mjcf.nodes import (
+    MJCFError,
+    Node,
+    Refusals,
+    Source,
+    expand,
+    inside,
+    parse,
+    read_main,
+    read_named,
+    sections,
+)
+from stepcore.mjcf.validation import REFERENCES, Exclusions, validate
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import gc_pause
 from stepcore.scene.consistency import check
@@ -49,14 +54,12 @@ if TYPE_CHECKING:
 
 # The sections read after the tree, each after the sections that it refers to.
 SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
-    "contact": section_readers.contact,
-    "tendon": section_readers.tendon,
-    "equality": section_readers.equality,
-    "actuator": actuators.read,
-    "sensor": section_readers.sensor,
+    "contact": of_section.contact,
+    "tendon": of_section.tendon,
+    "equality": of_section.equality,
+    "actuator": of_section.actuator,
+    "sensor": of_section.sensor,
 }
-
-
 # The maximum nesting depth of attached models.
 MOST_NESTED = 50
 
@@ -221,11 +224,11 @@ def finish(world: WorldReader, chosen: bool | None) -> None:
 
 def _read_keyframes(world: WorldReader) -> None:
     layout = Layout(world.scene)
-    rest = keyframes.default_state(layout)
+    rest = of_section.default_state(layout)
     for node in inside(world.root, "keyframe"):
-        world.refusals.at(node, partial(keyframes.read, world, layout, rest))
+        world.refusals.at(node, partial(of_section.keyframe, world, layout, rest))
     world.refusals.raise_all()
-    keyframes.add_empty_keys(world.scene, sections(world.root, "size"))
+    of_section.add_empty_keys(world.scene, sections(world.root, "size"))
 
 
 def _check_references(world: WorldReader) -> None:
@@ -268,8 +271,8 @@ def _fuse(world: WorldReader) -> None:
 
 
 def _read_own_text(world: WorldReader) -> None:
-    for node in custom.own_texts(inside(world.root, "custom")):
-        world.refusals.at(node, partial(custom.read, world.scene))
+    for node in option.own_texts(inside(world.root, "custom")):
+        world.refusals.at(node, partial(option.read_own_text, world.scene))
 
 
 def _check(world: WorldReader) -> None:
@@ -297,7 +300,7 @@ PASSES: tuple[Callable[[WorldReader], None], ...] = (
     # A free body is aligned with its inertia after fusing.
     align,
     # Free joints that a keyframe of an attached model omits take the final poses of their bodies.
-    keyframes.follow_bodies,
+    of_section.follow_bodies,
     # This pass removes names by which the passes above find elements.
     _read_own_text,
     # The check comes last, because nothing may change after it.

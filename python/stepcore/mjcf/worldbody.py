@@ -8,12 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.attributes import given
-from stepcore.mjcf.compiler import Compiler
-from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.nodes import Node, inside, sections
-from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.schema import NOT_IN_WORLD
+from stepcore.mjcf.defaults import Compiler, Defaults
+from stepcore.mjcf.nodes import Node, Refusals, inside, sections
+from stepcore.mjcf.schema import NOT_IN_WORLD, given
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import Body, Element, Geom, Joint, Key, MassRules

@@ -752,7 +752,7 @@ class Scene(checks.KnownNames):
 
         Raises the errors of `to_mjcf`, and OSError.
         """
-        from stepcore.mjcf.source_edit import save
+        from stepcore.mjcf.writer import save
 
         save(self, path)
 
