@@ -25,7 +25,7 @@ from stepcore.report.plot.style import (
 from stepcore.report.units import joules, metres, seconds
 
 if TYPE_CHECKING:
-    from stepcore.engine.postmortem import PostMortem
+    from stepcore.engine.replay import PostMortem
     from stepcore.engine.trajectory import Trajectory
     from stepcore.measure.convergence.result import Convergence
     from stepcore.measure.predictability import Predictability
