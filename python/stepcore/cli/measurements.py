@@ -284,8 +284,9 @@ MEASUREMENTS = {
     "predict": Measurement(
         "stepcore.measure.predictability",
         "gymnasium:ant --horizon 5 --plot growth.png",
-        {},
+        {"engine": ENGINE},
         motion={},
+        source=True,
     ),
     "diagnose": Measurement(
         "stepcore.measure.diagnosis",

@@ -19,6 +19,7 @@ from stepcore.experiment.arguments import Workers
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, check_repeatable
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import engine_of
 from stepcore.experiment.norm import Tracks, apart, largest, rms
 from stepcore.experiment.price import OVERHEAD, computing_time
@@ -102,6 +103,14 @@ class Study:
     def model(self) -> Model:
         """stepcore's model of the scene; ValueError if MuJoCo alone can load the scene."""
         return self.engine.model
+
+    @property
+    def motion_ran(self) -> str:
+        """The motion of the search in words."""
+        if not self.engine.known:
+            return f"{self.schedule.drive or 'the controls given'}; in MuJoCo alone"
+        schedule = self.schedule.part(0, len(self.starts))
+        return motion_in_words(self.model, self.motion, schedule)
 
     def fresh(self, count: int) -> tuple[int, ...]:
         """Return the indices of further starts, from which nothing has been run."""
