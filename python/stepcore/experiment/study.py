@@ -156,11 +156,17 @@ class Study:
             todo = [s for s, own in zip(starts, known, strict=True) if own is None]
             jobs += [(change, todo[k : k + TOGETHER]) for k in range(0, len(todo), TOGETHER)]
         follow = partial(_followed, self.engine, self.schedule)
-        for (change, some), made in zip(jobs, self.workers.each(follow, jobs, bar), strict=True):
+
+        def took(indices: range, made: list[Tracks]) -> None:
+            """Remember runs as they come: a deadline may end the others."""
+            for (change, some), own in zip(jobs[indices.start : indices.stop], made, strict=True):
+                for k, start in enumerate(some):
+                    self._tracks[change, start] = own.some([k])
+
+        self.workers.each(follow, jobs, bar, took=took)
+        for change, some in jobs:
             self.spent += self.price(change, len(some))
             self.runs += len(some)
-            for k, start in enumerate(some):
-                self._tracks[change, start] = made.some([k])
         return [self._together(change, starts) for change in changes]
 
     def ran(self, change: Change, start: int) -> bool:
