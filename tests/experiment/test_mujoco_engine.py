@@ -231,3 +231,10 @@ def test_a_file_that_stepcore_refuses_can_be_predicted():
     result = sc.predict(JELLY, engine="mujoco", horizon=0.3, starts=2, progress=False)
     assert result.time > 0 and result.integrator in ("rk4", "implicitfast", "discrete")
     assert result.ran.endswith("in MuJoCo alone")
+
+
+def test_a_file_that_stepcore_refuses_has_sweeps_and_steps():
+    result = sc.converge(JELLY, engine="mujoco", horizon=0.3, starts=1, progress=False)
+    assert result.verdict == "solved" and result.better == "smaller steps"
+    errors = [trial.error for trial in result.dts]
+    assert errors == sorted(errors, reverse=True) and len(result.table) == 0

@@ -320,9 +320,10 @@ MEASUREMENTS = {
     "converge": Measurement(
         "stepcore.measure.convergence",
         "lesson:stack --plot residual.png",
-        {"states": COUNT},
+        {"states": COUNT, "engine": ENGINE},
         full="print every row, all runs of equal work, the residual by sweeps",
         motion={},
+        source=True,
     ),
     "identify": Measurement(
         "stepcore.measure.identification",

@@ -103,6 +103,9 @@ class Engine(Protocol):
     def families(self, schedule: Schedule) -> list[Change]:
         """Return the settings to try, all but the time step."""
 
+    def has_rows(self, schedule: Schedule) -> bool:
+        """Return whether a contact, limit or other row acts at a sample of the shipped motion."""
+
     def seconds(self, change: Change, schedule: Schedule) -> float:
         """Return the processor time of a run from the first start [s]; NaN if it fails."""
 
@@ -200,7 +203,6 @@ class Stepcore:
         return total / len(self._looks)
 
     def has_rows(self, schedule: Schedule) -> bool:
-        """Return whether a contact, limit or other row acts at a sample of the shipped motion."""
         if self._rows is None:
             some = visits(self.model, schedule, schedule.indices[:8], schedule.every)
             self._rows = any(len(sim.rows) > 0 for _, _, sim in some)
