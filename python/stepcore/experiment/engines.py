@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -105,6 +105,9 @@ class Engine(Protocol):
 
     def families(self, schedule: Schedule) -> list[Change]:
         """Return the settings to try, all but the time step."""
+
+    def has_rows(self, schedule: Schedule) -> bool:
+        """Return whether a contact, limit or other row acts at a sample of the shipped motion."""
 
     def seconds(self, change: Change, schedule: Schedule) -> float:
         """Return the processor time of a run from the first start [s]; NaN if it fails."""
@@ -215,16 +218,9 @@ class Stepcore:
         return total / len(self._looks)
 
     def has_rows(self, schedule: Schedule) -> bool:
-        """Return whether a contact, limit or other row acts at a sample of the shipped motion."""
         if self._rows is None:
-            seen = run(self.model, schedule, schedule.indices[:8], record=("qpos", "qvel"))
-            sim, self._rows = unwatched(Sim(self.model)), False
-            flat = (seen[name].reshape(-1, seen[name].shape[-1]) for name in ("qpos", "qvel"))
-            for qpos, qvel in zip(*flat, strict=True):
-                if not (self._rows or np.isnan(qvel).any()):
-                    sim.qpos[:], sim.qvel[:] = qpos, qvel
-                    sim.forward()
-                    self._rows = len(sim.rows) > 0
+            some = visits(self.model, schedule, schedule.indices[:8], schedule.every)
+            self._rows = any(len(sim.rows) > 0 for _, _, sim in some)
         return bool(self._rows)
 
     def families(self, schedule: Schedule) -> list[Change]:
@@ -300,6 +296,27 @@ def run(
     )
     seconds = sum(part.seconds for part in parts)
     return Followed(parts[0].times, data, failures, made, inner, operations, seconds)
+
+
+def visits(
+    model: Model, schedule: Schedule, starts: Sequence[int], every: int
+) -> Iterator[tuple[int, float, Sim]]:
+    """Yield a Sim at states of a motion, after `forward`, with its start and its time [s].
+
+    every: control periods between two states, a divisor of the periods. A run that fails ends.
+    """
+    names = ("qpos", "qvel", "act", "ctrl")
+    often = dataclasses.replace(schedule, every=every)
+    seen, sim = run(model, often, starts, record=names), unwatched(Sim(model))
+    for place, start in enumerate(starts):
+        schedule.starts[start].put(sim)
+        for time, *state in zip(seen.times, *(seen[name][place] for name in names), strict=True):
+            if not np.isfinite(state[0]).all():
+                break
+            for name, values in zip(names, state, strict=True):
+                getattr(sim, name)[:] = values
+            sim.forward()
+            yield start, float(time), sim
 
 
 def check_repeatable(model: Model, schedule: Schedule) -> None:

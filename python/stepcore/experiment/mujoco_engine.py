@@ -379,6 +379,10 @@ class MuJoCo:
         ]
         return list(dict.fromkeys([Change(), *made]))
 
+    def has_rows(self, schedule: Schedule) -> bool:
+        # Counting the work looks at states of the motion.
+        return math.isfinite(self.work(Change(), schedule)) and self._rows
+
     def seconds(self, change: Change, schedule: Schedule) -> float:
         with self._world(change) as world:
             begun = time.thread_time()

@@ -19,6 +19,7 @@ from stepcore.experiment.arguments import Workers
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, check_repeatable
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.mujoco_engine import engine_of
 from stepcore.experiment.norm import Tracks, apart, largest, rms
 from stepcore.experiment.price import OPERATION, OVERHEAD, computing_time
@@ -105,6 +106,14 @@ class Study:
         """stepcore's model of the scene; ValueError if MuJoCo alone can load the scene."""
         return self.engine.model
 
+    @property
+    def motion_ran(self) -> str:
+        """The motion of the search in words."""
+        if not self.engine.known:
+            return f"{self.schedule.drive or 'the controls given'}; in MuJoCo alone"
+        schedule = self.schedule.part(0, len(self.starts))
+        return motion_in_words(self.model, self.motion, schedule)
+
     def fresh(self, count: int) -> tuple[int, ...]:
         """Return the indices of further starts, from which nothing has been run."""
         self._blocks += 1
@@ -173,12 +182,17 @@ class Study:
             todo = [s for s, own in zip(starts, known, strict=True) if own is None]
             jobs += [(change, todo[k : k + TOGETHER]) for k in range(0, len(todo), TOGETHER)]
         follow = partial(_followed, self.engine, self.schedule)
-        for (change, some), made in zip(jobs, self.workers.each(follow, jobs, bar), strict=True):
-            self.runs += len(some)
-            for k, start in enumerate(some):
-                self._tracks[change, start] = made.some([k])
-            # A run that fails costs its steps until then.
-            self.spent += self.price(change, len(some)) * float(np.isfinite(made.com).mean())
+
+        def took(indices: range, made: list[Tracks]) -> None:
+            """Remember runs as they come: a deadline may end the others."""
+            for (change, some), own in zip(jobs[indices.start : indices.stop], made, strict=True):
+                for k, start in enumerate(some):
+                    self._tracks[change, start] = own.some([k])
+                self.runs += len(some)
+                # A run that fails costs its steps until then.
+                self.spent += self.price(change, len(some)) * float(np.isfinite(own.com).mean())
+
+        self.workers.each(follow, jobs, bar, took=took)
         return [self._together(change, starts) for change in changes]
 
     def ran(self, change: Change, start: int) -> bool:

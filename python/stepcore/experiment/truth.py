@@ -12,7 +12,7 @@ than the rung before, all starts are taken to be as much less sure.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -21,7 +21,7 @@ import numpy as np
 from stepcore.experiment.change import Change
 from stepcore.experiment.engines import Engine, Way
 from stepcore.experiment.norm import Tracks, apart, rms
-from stepcore.experiment.predictable import Growth, growth
+from stepcore.experiment.predictable import Growth, settled
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds
@@ -37,8 +37,8 @@ LEAST_GAIN = 1.1
 RUNGS, HOPELESS = 20, 5
 # The share of a study's effort that finding the method may take.
 FINDING = 0.25
-# Where growth ends within the horizon it is measured at finer rungs too, until two agree so well.
-AGREE, FINER = 0.2, 3
+# Where growth ends within the horizon it is measured at so many finer rungs too, until two agree.
+FINER = 3
 # Nudges that grow less than this from all starts of a search are not measured from further ones.
 TAME = 30.0
 SHIPPED = Change()
@@ -337,18 +337,18 @@ class Converging:
         Steps within an accuracy differ from run to run, so growth is measured at fixed ones there.
         Where it ends, finer rungs must show the same end: a coarse motion may be unstable itself.
         """
-        study, last = self.study, None
+        study = self.study
         way = self.way if self.way.fixed else study.engine.ways(study.schedule, 1.0)[0]
         first = max(1, rung - 1) if self.way.fixed else 2
-        for finer in range(FINER + 1):
-            change = self.physics.also(way.at(first + finer))
-            now = growth(study.engine, change, study.schedule, starts, study.size)
-            study.spent += study.price(change, 2 * len(starts))
-            ends = now.failure or np.isfinite(now.ends).any()
-            if not ends or (last is not None and now.agrees(last, AGREE)):
-                break
-            if not study.affords(change, 4 * len(starts)):
-                break
-            last = now
+
+        def changes() -> Iterator[Change]:
+            for finer in range(FINER + 1):
+                change = self.physics.also(way.at(first + finer))
+                if finer and not study.affords(change, 2 * len(starts)):
+                    return
+                study.spent += study.price(change, 2 * len(starts))
+                yield change
+
+        now, _ = settled(study.engine, changes(), study.schedule, starts, study.size)
         for k, start in enumerate(starts):
             self.grown[start] = now.some([k])
