@@ -16,6 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stepcore.engine.actuator import actuators, inertias, loads
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
@@ -46,29 +47,27 @@ def gains_of(
     contacts: the Jacobian of its contacts, (3 contacts, nv). period: the control period [s].
     fixed: whether the gains are those of the inertia with the contact points fixed.
     """
-    joints = model.actuator_joint[motors]
-    dofs, at = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+    every = actuators(model)
+    chosen = [every[k] for k in motors]
+    dofs, at = (np.array([getattr(a, name) for a in chosen]) for name in ("dof", "qposadr"))
     sim = Sim(model)
     stands.put(sim)
     mass = sim.mass_matrix()
     if fixed and len(contacts):
         mass = mass + FIXED * mass.max() * contacts.T @ contacts
-    inverse = np.linalg.inv(mass)
-    inertia = 1.0 / np.diag(inverse)[dofs]
-    largest = float(np.abs(np.linalg.eigvals(inverse[np.ix_(dofs, dofs)] * inertia)).max())
+    inertia = inertias(mass)[dofs]
+    inverse = np.linalg.inv(mass)[np.ix_(dofs, dofs)]
+    largest = float(np.abs(np.linalg.eigvals(inverse * inertia)).max())
     sampled = max(period, LONGEST * model.settings.dt)
     omega = min(OMEGA, SAMPLED / (2 * largest * sampled))
-    unit = model.actuator_gear[motors, 0] * model.actuator_gain[motors]
-    low, high = model.actuator_ctrlrange[motors].T
-    if not model.scene.features.clampctrl:
-        low, high = np.full(len(motors), -np.inf), np.full(len(motors), np.inf)
+    low, high = np.array([actuator.ctrlrange for actuator in chosen]).T
     # Several motors on a joint share its force.
     shared = np.array([list(dofs).count(dof) for dof in dofs])
     return JointGains(
         tuple(motors),
         at,
         dofs,
-        unit,
+        np.array([actuator.gear * actuator.gain for actuator in chosen]),
         pose[at],
         load(sim, dofs, contacts) / shared,
         omega**2 * inertia / shared,
@@ -80,7 +79,7 @@ def gains_of(
 
 def load(sim: Sim, dofs: np.ndarray, contacts: np.ndarray) -> np.ndarray:
     """Return the force on each of some dofs that a Sim's pose needs at rest [N or N·m]."""
-    need = np.array(sim.bias) - np.array(sim.passive)
+    need = loads(sim)
     if len(contacts):
         others = np.setdiff1d(np.arange(sim.model.nv), dofs)
         push = np.linalg.lstsq(contacts[:, others].T, need[others], rcond=1e-8)[0]
