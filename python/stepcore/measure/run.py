@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -17,12 +17,11 @@ from stepcore.engine.control import Control, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced, refsafe_note
 from stepcore.engine.sim import Sim
-from stepcore.engine.start import Start
 from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
-from stepcore.experiment.control_table import control_table
+from stepcore.experiment.change import Change, Servo
+from stepcore.experiment.control_table import PositionTable
 from stepcore.experiment.default_motion import default_motion
-from stepcore.experiment.followed import PositionTable
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import (
     begin_in_words,
@@ -31,7 +30,7 @@ from stepcore.experiment.motion_words import (
     scene_in_words,
 )
 from stepcore.experiment.run import Probe
-from stepcore.experiment.schedule import home, played
+from stepcore.experiment.schedule import given_controls, home
 from stepcore.experiment.single_run import LOOKS, Pace, Push, SingleRun
 from stepcore.loading import find_model
 from stepcore.measure.monitors import Finding, Monitor, verified
@@ -270,6 +269,18 @@ class Bars(Probe):
         return f"{said}, from a finer run{against}."
 
 
+class Driven(NamedTuple):
+    """What drives a run: a control function, its period [s], words, and servos of ours.
+
+    Without a function, controls are constant.
+    """
+
+    control: Control | None
+    period: float | None
+    words: str
+    servos: tuple[Servo, ...] = ()
+
+
 def simulated(
     sim: Sim,
     settings: Settings,
@@ -303,7 +314,12 @@ def simulated(
         )
     if motion.control_dt is not None:
         whole_steps("control_dt", motion.control_dt, dt, least=1)
-    control, period, drive = _driven(sim, motion, horizon)
+    control, period, drive, servos = _driven(sim, motion, horizon)
+    if servos:
+        # The servos obey the controls in place of the motors.
+        state, driven, finer = sim.state(), Change(servos=servos).of(model), sim._finer is not None
+        sim = Sim(driven, sim.settings, threads=sim._threads, error_bar=finer)
+        sim.restore(state)
     shoved = [Push.of(push) for push in pushes]
     begin = begin_in_words(model, motion)
     parts = [drive, *(f"push {push}" for push in shoved), scene_in_words(model)]
@@ -322,7 +338,7 @@ def simulated(
 
     def again(cured: Model) -> Monitor:
         """Return the monitor of the same run with another model."""
-        other, watching = Sim(cured), Monitor(cured)
+        other, watching = Sim(Change(servos=servos).of(cured)), Monitor(cured)
         other.reset(key=0 if motion.key is None and cured.keys else motion.key)
         other.ctrl = held
         function = None if unused is None else fresh(unused)
@@ -360,43 +376,29 @@ def simulated(
     )
 
 
-def _driven(sim: Sim, motion: Motion, horizon: float) -> tuple[Control | None, float | None, str]:
-    """Return the control function, its period [s], and the drive of the actuators in words.
-
-    Constant controls are written to the Sim; the function is then None.
-    """
+def _driven(sim: Sim, motion: Motion, horizon: float) -> Driven:
+    """Return what drives a run. Constant controls are written to the Sim."""
     model, dt, held = sim.model, sim.settings.dt, np.array(sim.ctrl)
-    period = motion.control_dt or dt
-    if motion.kind is not None and model.nu:
-        begin, held = home(model, motion.key)
-        periods = int(np.ceil(horizon / period)) + 1
-        made = default_motion(
-            *(model, motion.kind, begin, held, [begin], motion.seed, period, periods)
-        )
-        if made.control is not None:
-            return replace(made.control, begin=sim.time), motion.control_dt, made.words
-        assert made.ctrl is not None
-        return _player(made.ctrl[0], period, sim), motion.control_dt, made.words
-    if not motion.is_users:
-        return None, motion.control_dt, held_in_words(model, held)
-    if motion.control is not None:
-        said = drive_in_words(model, motion, "", f"every {seconds(period)}")
-        return motion.control, motion.control_dt, said
-    if isinstance(motion.ctrl, PositionTable):
-        start = Start(np.array(sim.qpos), np.array(sim.qvel), np.array(sim.act))
-        following = motion.ctrl.control(model, start, held, period)
-        if following is not None:
-            said = drive_in_words(model, motion, "", f"every {seconds(period)}")
-            return replace(following, begin=sim.time), motion.control_dt, said
-    changes = control_table(motion.ctrl).changes
-    periods = int(np.ceil(horizon / period)) + 1 if changes else 1
+    period, every = motion.control_dt or dt, motion.control_dt
+    if not motion.is_users and (motion.kind is None or not model.nu):
+        return Driven(None, every, held_in_words(model, held))
+    begin, periods = home(model, motion.key)[0], int(np.ceil(horizon / period)) + 1
+    begin = replace(begin, qpos=np.array(sim.qpos))
+    controls = given_controls(motion, model, begin, held, period)
+    if controls is None:
+        how = (motion.kind, begin, held, [begin], motion.seed, period, periods)
+        controls = default_motion(model, *how)
+    said = controls.words or drive_in_words(model, motion, "", f"every {seconds(period)}")
+    if controls.function is not None:
+        return Driven(controls.function, every, said)
+    log = controls.log
+    assert log is not None
+    if len(log.times) == 1:
+        sim.ctrl = log.rows.reshape(-1)
+        return Driven(None, every, said, controls.servos)
     # Without a period of its own, each row of controls is that of a step.
-    rows, _ = played(motion, model, held, periods, period)
-    said = drive_in_words(model, motion, "", f"every {seconds(period)}")
-    if changes:
-        return _player(rows, period, sim), period, said
-    sim.ctrl = rows[0]
-    return None, motion.control_dt, said
+    rows = log.steps(0.0, period, periods).reshape(periods, -1)
+    return Driven(_player(rows, period, sim), period, said, controls.servos)
 
 
 def _player(rows: np.ndarray, period: float, sim: Sim) -> Callable[[float, Sim], np.ndarray]:

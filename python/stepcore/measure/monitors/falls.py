@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from stepcore.engine.actuator import SERVO, actuators
 from stepcore.engine.model import Model
-from stepcore.experiment.attempt import Upright
-from stepcore.experiment.drives import SERVO, Drives
+from stepcore.experiment.moves import Upright, moves_about, roots
 from stepcore.measure.monitors.finding import Finding, named
 from stepcore.report.units import seconds
 
@@ -20,15 +20,18 @@ class FallMonitor:
     """
 
     def __init__(self, model: Model) -> None:
-        self.model, self.drives = model, Drives(model)
+        self.model, self.drives = model, actuators(model)
         self.upright: Upright | None = None
         self.begun = 0.0
         self.fell: tuple[int, float] | None = None
 
     def begin(self, sim: Any) -> None:
         """Record how the robot stands."""
-        if self.drives.of(SERVO):
-            self.upright, self.begun = Upright(sim, self.drives), sim.time
+        if any(drive.kind == SERVO for drive in self.drives):
+            sim.forward()
+            about = moves_about(self.model, self.drives)
+            bodies = roots(self.model, self.drives) if about else set()
+            self.upright, self.begun = Upright(sim, bodies), sim.time
 
     def look(self, sim: Any) -> None:
         """Record the first time at which the robot has fallen."""
