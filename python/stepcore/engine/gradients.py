@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from stepcore import checks
 from stepcore.engine.arrays import STATE, Floats, numbers, refuse_late
 from stepcore.engine.parameters import split_entry
-from stepcore.engine.rollout import Rollout
 from stepcore.engine.rollout_steps import Steps, rows_of
 from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.trajectory import Rollout
 
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch

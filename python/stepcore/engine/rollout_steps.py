@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from stepcore.engine.arrays import INPUTS, STATE, Floats, numbers
 from stepcore.engine.linearization import LinearSteps, LinearWorlds
 from stepcore.engine.parameters import columns
-from stepcore.engine.rollout import Rollout
+from stepcore.engine.trajectory import Rollout
 
 if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
