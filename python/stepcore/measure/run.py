@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from time import process_time
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -14,10 +15,12 @@ from stepcore import checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.axes import axes_of
 from stepcore.engine.control import Control, fresh
+from stepcore.engine.error_bar import judged
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced, refsafe_note
-from stepcore.engine.sim import Sim
-from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
+from stepcore.engine.sim import Sim, unwatched
+from stepcore.engine.snapshots import Taking
+from stepcore.engine.trajectory import Trajectory, pieces, recordable, whole_steps
 from stepcore.experiment.arguments import Source
 from stepcore.experiment.change import Change, Servo
 from stepcore.experiment.control_table import PositionTable
@@ -29,12 +32,12 @@ from stepcore.experiment.motion_words import (
     held_in_words,
     scene_in_words,
 )
-from stepcore.experiment.run import Probe
+from stepcore.experiment.push import Push
 from stepcore.experiment.schedule import given_controls, home
-from stepcore.experiment.single_run import LOOKS, Pace, Push, SingleRun
 from stepcore.loading import find_model
-from stepcore.measure.monitors import Finding, Monitor, verified
-from stepcore.report.progress import Choice
+from stepcore.measure.monitors import Finding, Recording, shown, verified
+from stepcore.measure.monitors.recording import READINGS, RECORDED, whole
+from stepcore.report.progress import Choice, Progress
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import computing, counted, metres, seconds, times
@@ -48,6 +51,8 @@ HORIZON = 1.0
 MOST_STEPS = 2.0**64
 # The number of rows of the final state that are printed by default.
 ROWS = 36
+# The number of progress reports of a run.
+TOLD = 100
 CLEAN = "Nothing found: no contact creeps or sinks in, and limits and servos hold."
 
 
@@ -238,16 +243,27 @@ def sim_of(
     return Sim(model, settings, threads=threads, error_bar=judged)
 
 
-class Bars(Probe):
-    """A probe that keeps the largest estimated error of a run.
+class Driven(NamedTuple):
+    """What drives a run: a control function or rows, their period [s], words, and servos of ours.
 
-    error: [m]. body: which body's. time: when [s].
+    Without control, the controls are constant.
     """
 
-    def __init__(self) -> None:
-        self.error, self.body, self.time = 0.0, 0, 0.0
+    control: Control | np.ndarray | None
+    period: float | None
+    words: str
+    servos: tuple[Servo, ...] = ()
 
-    def step(self, sim: Any) -> None:
+
+@dataclass
+class _Bar:
+    """The largest estimated error of a run [m], of which body, and when [s]."""
+
+    error: float = 0.0
+    body: int = 0
+    time: float = 0.0
+
+    def look(self, sim: Sim) -> None:
         each = sim.body_error
         body = int(each.argmax())
         if each[body] > self.error:
@@ -269,16 +285,87 @@ class Bars(Probe):
         return f"{said}, from a finer run{against}."
 
 
-class Driven(NamedTuple):
-    """What drives a run: a control function, its period [s], words, and servos of ours.
+class _Watched:
+    """One run of a Sim under controls and pushes, with what is recorded of it.
 
-    Without a function, controls are constant.
+    model: with the settings of the run, without servos of ours. key: of the start.
+    drive, pushes: see `Driven` and `Push`. record: the arrays to record at every step.
+    trajectory: what was recorded; None without `record`. seconds: computing time of the steps.
+    error: why the run failed. bar: of a run with a finer one beside it.
     """
 
-    control: Control | None
-    period: float | None
-    words: str
-    servos: tuple[Servo, ...] = ()
+    def __init__(
+        self,
+        sim: Sim,
+        model: Model,
+        key: str | int | None,
+        drive: Driven,
+        pushes: Sequence[Push],
+        record: Sequence[str] = (),
+    ) -> None:
+        self.sim, self.model, self.key, self.drive, self.pushes = sim, model, key, drive, pushes
+        self.record = ("time", *judged(sim, record)) if record else ()
+        self.bar = None if sim._finer is None else _Bar()
+        self.trajectory: Trajectory | None = None
+        self.error: SimulationError | None = None
+        self.seconds, self.done = 0.0, 0
+        self.readings: dict[str, list[np.ndarray]] = {name: [] for name in ("time", *RECORDED)}
+
+    def run(self, steps: int, progress: Choice = False) -> None:
+        """Make steps. A run that fails ends, and what was recorded up to there is kept."""
+        sim, dt = self.sim, self.sim.settings.dt
+        hold = round(self.drive.period / dt) if self.drive.period else 1
+        applied = np.array(sim.xfrc_applied)
+        spans = [(push.on(sim.model), push.force, push.span(dt)) for push in self.pushes]
+        edges = {edge for *_, span in spans for edge in (span.start, span.stop)}
+        every = max(1, steps // READINGS)
+        often = [every, max(1, steps // TOLD), *([math.gcd(*edges) or steps] if edges else [])]
+        arrays, taking = self._arrays(steps), Taking(sim, steps) if self.record else None
+        begun = process_time()
+        try:
+            with Progress("steps", steps, progress) as shown:
+                for done in pieces(sim, steps, self.drive.control, hold, arrays, often, taking):
+                    self.seconds += process_time() - begun
+                    self.done = done
+                    if done in edges:
+                        sim.xfrc_applied[:] = applied
+                        for body, force, span in spans:
+                            sim.xfrc_applied[body, :3] += np.multiply(force, done in span)
+                    if done % every == 0:
+                        self._read()
+                    shown.advance(done - shown.done)
+                    begun = process_time()
+            sim.balance()
+        except SimulationError as error:
+            self.error = error
+        finally:
+            sim.xfrc_applied[:] = applied
+            if taking is not None:
+                kept = {name: values[: self.done + 1] for name, values in arrays.items()}
+                self.trajectory = Trajectory(kept.pop("time"), kept, snapshots=taking.kept())
+
+    def _arrays(self, steps: int) -> dict[str, np.ndarray]:
+        """Return arrays for what is recorded at every step, which begin with the present state."""
+        arrays = {}
+        for name in self.record:
+            value = np.asarray(getattr(self.sim, name))
+            arrays[name] = np.empty((steps + 1, *value.shape), value.dtype)
+            arrays[name][0] = value
+        return arrays
+
+    def _read(self) -> None:
+        for name, values in self.readings.items():
+            values.append(np.array(getattr(self.sim, name)))
+        if self.bar is not None:
+            self.bar.look(self.sim)
+
+    def recording(self) -> Recording:
+        """Return the run as findings see it."""
+        data = {name: np.array(values) for name, values in self.readings.items()}
+        failure = None if self.error is None else checks.one_line(self.error)
+        times, key = data.pop("time"), self.key
+        found = whole(self.sim.model, times, data, lambda sim: sim.reset(key=key), failure)
+        return replace(found, model=self.model)
 
 
 def simulated(
@@ -298,67 +385,59 @@ def simulated(
     interruptible: whether Ctrl-C ends the run with a result, and not with KeyboardInterrupt.
     """
     model, dt = sim.model, sim.settings.dt
-    sim.reset(key=0 if motion.key is None and model.keys else motion.key)
+    key = 0 if motion.key is None and model.keys else motion.key
+    sim.reset(key=key)
     if isinstance(motion.ctrl, PositionTable):
         sim.qpos = motion.ctrl.begin(model, sim.qpos)
     if not horizon / dt < MOST_STEPS:
         limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s (2^64 steps)"
         raise ValueError(f"horizon = {horizon:g}: must be {limit}")
-    harder = refsafe_note(model.scene, sim.settings)
-    steps, notes = round(horizon / dt), [*filter(None, [harder]), *model.scene.notes]
-    bars = None if sim._finer is None else Bars()
+    steps, notes = round(horizon / dt), list(model.scene.notes)
     if motion.horizon is not None and abs(steps * dt - horizon) > 1e-6 * dt:
-        notes.append(
+        notes.insert(
+            0,
             f"{horizon:g} s is not a whole number of steps of {dt:g} s: the run is "
-            f"{steps * dt:g} s long"
+            f"{steps * dt:g} s long",
         )
+    if harder := refsafe_note(model.scene, sim.settings):
+        notes.insert(0, harder)
     if motion.control_dt is not None:
         whole_steps("control_dt", motion.control_dt, dt, least=1)
-    control, period, drive, servos = _driven(sim, motion, horizon)
-    if servos:
+    drive, shoved = _driven(sim, motion, horizon), [Push.of(push) for push in pushes]
+    if drive.servos:
         # The servos obey the controls in place of the motors.
-        state, driven, finer = sim.state(), Change(servos=servos).of(model), sim._finer is not None
+        state, finer = sim.state(), sim._finer is not None
+        driven = Change(servos=drive.servos).of(model)
         sim = Sim(driven, sim.settings, threads=sim._threads, error_bar=finer)
         sim.restore(state)
-    shoved = [Push.of(push) for push in pushes]
     begin = begin_in_words(model, motion)
-    parts = [drive, *(f"push {push}" for push in shoved), scene_in_words(model)]
-    monitor, pace = Monitor(model), Pace(min(steps, LOOKS))
-    single = SingleRun(
-        sim,
-        control=control,
-        control_dt=period,
-        pushes=shoved,
-        probes=[monitor, pace, *([bars] if bars is not None else [])] if steps else [],
-        record=recordable(record),
-        progress=progress,
-    )
-    error, interrupted, begun = None, False, sim.time
-    held, unused = np.array(sim.ctrl), None if control is None else fresh(control)
+    parts = [drive.words, *(f"push {push}" for push in shoved), scene_in_words(model)]
+    plain = model.with_settings(sim.settings.replace(ledger=False))
+    held, unused, qpos = np.array(sim.ctrl), _fresh(drive), np.array(sim.qpos)
+    watched = _Watched(sim, plain, key, drive, shoved, recordable(record))
 
-    def again(cured: Model) -> Monitor:
-        """Return the monitor of the same run with another model."""
-        other, watching = Sim(Change(servos=servos).of(cured)), Monitor(cured)
-        other.reset(key=0 if motion.key is None and cured.keys else motion.key)
-        other.ctrl = held
-        function = None if unused is None else fresh(unused)
-        repeated = SingleRun(other, function, period or dt, shoved, [watching])
+    def again(cured: Model) -> Recording:
+        """Return the recording of the same run with another model."""
+        other = Sim(Change(servos=drive.servos).of(cured))
+        other.reset(key=key)
+        other.qpos, other.ctrl = qpos, held
+        repeated = _Watched(unwatched(other), cured, key, _fresh(unused), shoved)
         repeated.run(round(steps * dt / other.settings.dt))
-        return watching
+        if repeated.error is not None:
+            raise repeated.error
+        return repeated.recording()
 
+    begun, interrupted = sim.time, False
     try:
-        single.run(steps)
-        sim.balance()
-    except SimulationError as failure:
-        error, steps = failure, failure.step
+        watched.run(steps, progress)
     except KeyboardInterrupt:
         if not interruptible:
             raise
         interrupted, steps = True, round((sim.time - begun) / dt)
-    found = monitor.findings(failed=error is not None) if steps else []
-    plain = model.with_settings(settings.replace(ledger=False))
-    timed = steps and error is None
-    cost = pace.seconds(Sim(model, sim.settings)) if timed else 0.0
+    error = watched.error
+    steps = steps if error is None else error.step
+    found = shown(watched.recording()) if steps else []
+    timed = error is None and not interrupted and steps
     return SimulationRun(
         name=model.scene.name or "scene",
         motion=motion,
@@ -367,13 +446,18 @@ def simulated(
         steps=steps,
         sim=sim,
         findings=verified(found, plain, again, steps),
-        us_per_step=1e6 * cost or None,
+        us_per_step=1e6 * watched.seconds / steps if timed else None,
         notes=notes,
-        trajectory=single.trajectory,
+        trajectory=watched.trajectory,
         error=error,
         interrupted=interrupted,
-        judged="" if bars is None or error else bars.words(sim, settings.accuracy),
+        judged="" if watched.bar is None or error else watched.bar.words(sim, settings.accuracy),
     )
+
+
+def _fresh(drive: Driven) -> Driven:
+    """Return the same drive with a new copy of a control object."""
+    return drive._replace(control=fresh(drive.control)) if callable(drive.control) else drive
 
 
 def _driven(sim: Sim, motion: Motion, horizon: float) -> Driven:
@@ -398,15 +482,4 @@ def _driven(sim: Sim, motion: Motion, horizon: float) -> Driven:
         return Driven(None, every, said, controls.servos)
     # Without a period of its own, each row of controls is that of a step.
     rows = log.steps(0.0, period, periods).reshape(periods, -1)
-    return Driven(_player(rows, period, sim), period, said, controls.servos)
-
-
-def _player(rows: np.ndarray, period: float, sim: Sim) -> Callable[[float, Sim], np.ndarray]:
-    """Return a control function that plays one row per period [s], and then keeps the last row."""
-    begin = sim.time
-
-    def control(time: float, sim: Sim) -> np.ndarray:
-        row: np.ndarray = rows[min(round((time - begin) / period), len(rows) - 1)]
-        return row
-
-    return control
+    return Driven(rows, period, said, controls.servos)

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from stepcore._core import Settings
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
+from stepcore.experiment.change import Change
 from stepcore.measure.monitors.cures import assigned, finer
 from stepcore.measure.monitors.finding import Cure, named
 from stepcore.report.units import seconds
@@ -152,12 +153,12 @@ def _stiffened(
         values[f"solimp{suffix}"] = HARD
         words += f' with solimp{suffix}="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
     words += where
-    sets = {}
+    change = Change(assigned(model, elements, values))
     if not _resolved(new, settings):
         # A longer step would soften the row: refsafe raises its time constant to 2 dt.
-        sets = {"dt": finer(settings, new[0] / 2)}
-        words += f" at a dt of {seconds(sets['dt'])}"
-    return Cure(words, assigned(model, elements, values), sets)
+        dt = finer(settings, new[0] / 2)
+        change, words = change.also(Change(dt=dt)), f"{words} at a dt of {seconds(dt)}"
+    return Cure(words, change)
 
 
 def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
@@ -165,11 +166,11 @@ def hardest(model: Model, pairs: Sequence[int], dt: float) -> Cure:
     contacts = named(model, "contact", pairs)
     constant = float(f"{2 * dt:.3g}")
     words = f'solref="{constant:g} 1" with solimp="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
-    changes = assigned(model, contacts, {"solref": (constant, 1.0), "solimp": HARD})
+    change = Change(assigned(model, contacts, {"solref": (constant, 1.0), "solimp": HARD}))
     words += " on these geoms and what they touch"
     if dt == model.settings.dt:
-        return Cure(words, changes)
-    return Cure(f"{words} at a dt of {seconds(dt)}", changes, {"dt": dt})
+        return Cure(words, change)
+    return Cure(f"{words} at a dt of {seconds(dt)}", change.also(Change(dt=dt)))
 
 
 def _resolved(solref: Sequence[float], settings: Settings) -> bool:
