@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from stepcore.engine.postmortem import PostMortem as PostMortem
     from stepcore.engine.replay import Replay as Replay
     from stepcore.engine.replay import replay as replay
-    from stepcore.engine.rollout import Rollout as Rollout
     from stepcore.engine.sim import Sim as Sim
     from stepcore.engine.tables import Keyframe as Keyframe
+    from stepcore.engine.trajectory import Rollout as Rollout
     from stepcore.engine.trajectory import Trajectory as Trajectory
     from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
     from stepcore.experiment.motion import Motion as Motion
@@ -107,10 +107,9 @@ _MODULES = {
     "stepcore.engine.plan": "Plan",
     "stepcore.engine.postmortem": "PostMortem",
     "stepcore.engine.replay": "Replay replay",
-    "stepcore.engine.rollout": "Rollout",
     "stepcore.engine.sim": "Sim",
     "stepcore.engine.tables": "Keyframe",
-    "stepcore.engine.trajectory": "Trajectory",
+    "stepcore.engine.trajectory": "Rollout Trajectory",
     "stepcore.engine.unsolved": "UnsolvedWarning",
     "stepcore.experiment.motion": "Motion",
     "stepcore.experiment.policy": "policy",

@@ -1,22 +1,23 @@
-"""`Trajectory`: the record of a run by `Sim.run`, and the loop that records the run."""
+"""`Trajectory` and `Rollout`: recorded runs, and the loop in which worlds are stepped."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
-from stepcore._core import Settings, SimulationError
+from stepcore._core import Settings
 from stepcore.engine import trajectory_file
-from stepcore.engine.arrays import Floats, numbers
+from stepcore.engine.arrays import STATE, Floats, numbers
 from stepcore.engine.axes import Axis, axes_of
-from stepcore.engine.control import controls, finite_controls
+from stepcore.engine.control import controls, not_finite
 from stepcore.engine.error_bar import driven, judged
 from stepcore.engine.snapshots import Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
@@ -54,6 +55,24 @@ RECORDED = (
     "unrecovered_overlap",
     *("error", "body_error"),
 )
+# Counts of a single Sim's solve, its error bar; and momentum, which is a pair of arrays.
+ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum", "error", "body_error")
+OF_WORLDS = tuple(name for name in RECORDED if name not in ONLY_OF_ONE_WORLD)
+
+
+class Rollout(NamedTuple):
+    """The states of a batch after every step.
+
+    qpos: shape (n, steps, nq).
+    qvel: shape (n, steps, nv).
+    act: shape (n, steps, na).
+    recorded: further recorded quantities by name, each of shape (n, steps, …).
+    """
+
+    qpos: Floats
+    qvel: Floats
+    act: Floats
+    recorded: Mapping[str, NDArray[Any]] = {}
 
 
 @dataclass(repr=False)
@@ -308,52 +327,125 @@ def record_run(
     dt = sim.settings.dt
     steps = whole_steps("duration", duration, dt)
     period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
-    function = control if callable(control) else None
-    if function is not None:
-        checks.function("time", "sim")("run", "control", function)
-    table = None if callable(control) or control is None else _table(sim, control)
-    names = judged(sim, recordable(record))
-    data = {}
+    if callable(control):
+        checks.function("time", "sim")("run", "control", control)
+    elif control is not None:
+        control = _table(sim, control)
+    names, arrays = judged(sim, recordable(record)), dict[str, NDArray[Any]]()
     try:
-        time = np.empty(steps + 1)
-        for name in names:
+        for name in ("time", *names):
             value = np.asarray(getattr(sim, name))
-            data[name] = np.empty((steps + 1, *value.shape), dtype=value.dtype)
+            arrays[name] = np.empty((steps + 1, *value.shape), dtype=value.dtype)
+            arrays[name][0] = value
     except MemoryError:
         what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
         raise ValueError(f"{what}; run shorter pieces, or record less") from None
-    residuals, stride = Residuals(sim), max(1, steps // LOOKS)
-    snapshots, finer = Taking(sim, steps), getattr(sim, "_finer", None)
-    whole = finer is None and sampled(names, sim.settings)
-    arrays, done = {"time": time, **data}, 0
-    for name, values in arrays.items():
-        values[0] = getattr(sim, name)
-    # Until somebody looks at the Sim it runs in one call.
-    looks = (stride, snapshots.stride, steps if function is None else period) if whole else (1,)
-    with driven(sim, control) as beside:
+    residuals, stride, snapshots = Residuals(sim), max(1, steps // LOOKS), Taking(sim, steps)
+    for done in pieces(sim, steps, control, period, arrays, (stride,), snapshots):
+        if done and done % stride == 0:
+            residuals.look(sim)
+    time = arrays.pop("time")
+    return Trajectory(time, arrays, residuals.sentence(sim.settings), snapshots.kept())
+
+
+def pieces(
+    sim: SomeWorld,
+    steps: int,
+    control: Driven[SomeWorld] = None,
+    hold: int = 1,
+    arrays: Mapping[str, NDArray[Any]] = MappingProxyType({}),
+    pauses: Sequence[int] = (),
+    snapshots: Taking | None = None,
+) -> Iterator[int]:
+    """Run a Sim under controls, and yield how many steps were made wherever the caller looks.
+
+    This is the one loop over control periods: between two looks the engine runs on its own.
+
+    control: a function of (time, sim), or a table of controls; of a period of `hold` steps each.
+    arrays: by name; what comes of a step is written behind the numbers that it came from.
+    pauses: numbers of steps, after each multiple of which the caller looks; also at both ends.
+    snapshots: are taken with the controls of the step that follows.
+    """
+    function = control if callable(control) else None
+    table = None if function is not None or control is None else np.asarray(control)
+    looks = [*pauses, *([] if function is None else [hold])]
+    looks += [] if snapshots is None else [snapshots.stride]
+    done, names = 0, tuple(arrays)
+    with driven(sim, function) as beside:
         while done < steps:
-            if function is not None and done % period == 0:
+            yield done
+            count, rows = min([steps - done, *(each - done % each for each in looks)]), None
+            if function is not None and done % hold == 0:
                 beside()
                 sim.ctrl = controls(function, sim)
-            snapshots.look(done)
-            count = min(steps - done, *(each - done % each for each in looks))
-            rows = None
-            if table is not None:
-                periods = np.arange(done, done + count) // period
+            elif table is not None:
+                periods = np.arange(done, done + count) // hold
                 rows = table[np.minimum(periods, len(table) - 1)]
-            if whole:
-                sampled_steps(sim, count, rows, arrays, done + 1)
-            else:
-                if rows is not None:
-                    sim.ctrl = rows[0]
-                sim.step()
-                for name, values in arrays.items():
-                    values[done + 1] = getattr(sim, name)
+                sim.ctrl = rows[0]
+            if snapshots is not None:
+                snapshots.look(done)
+            made = samples(sim, names, count, None if rows is None else rows[None])
+            for name, values in zip(names, made, strict=True):
+                arrays[name][done + 1 : done + 1 + count] = values[0]
             done += count
-            if done % stride == 0:
-                residuals.look(sim)
-    snapshots.look(steps)
-    return Trajectory(time, data, residuals.sentence(sim.settings), snapshots.kept())
+    if snapshots is not None:
+        snapshots.look(steps)
+    yield steps
+
+
+def samples(
+    world: World,
+    names: Sequence[str],
+    steps: int,
+    ctrl: Floats | None = None,
+    told: Callable[[int], object] | None = None,
+) -> list[NDArray[Any]]:
+    """Take steps, and return quantities after each of them, (worlds, steps, …).
+
+    The engine makes all steps in one call, if it samples all of these quantities; what it does not
+    is read between its calls.
+
+    ctrl: a row for each step, (worlds, steps, nu); None leaves the controls at hand.
+    told: of a `Batch`: is told how many steps were made.
+    """
+    own = () if told is None else (told,)
+    if _sampled(world, names):
+        made, _ = world._call(world._core.follow, every_step(names, steps), ctrl, *own)
+        if ctrl is None and "ctrl" in names:
+            # As they were given, not as single precision has them.
+            made[names.index("ctrl")][:] = world._arrays["ctrl"].reshape(len(made[0]), 1, -1)
+        return list(made)
+    if ctrl is not None and (bad := not_finite(world, ctrl)):
+        raise ValueError(f"ctrl{list(bad)} = {ctrl[bad]}: must be finite; nothing was stepped")
+    lead = (None,) if world._arrays["qpos"].ndim == 1 else ()
+
+    def read(name: str) -> NDArray[Any]:
+        return np.array(getattr(world, name))[lead]
+
+    seen = []
+    for step in range(steps):
+        rows = None if ctrl is None else ctrl[:, step : step + 1]
+        if getattr(world, "_finer", None) is None:
+            world._call(world._core.follow, every_step((), 1), rows)
+        else:
+            if rows is not None:
+                world.ctrl = rows[0, 0]
+            world.step()
+        seen.append([read(name) for name in names])
+        if told is not None:
+            told(1)
+    if not seen:
+        return [read(name)[:, None][:, :0] for name in names]
+    return [np.stack(values, axis=1) for values in zip(*seen, strict=True)]
+
+
+def _sampled(world: World, names: Sequence[str]) -> bool:
+    """Return whether the engine samples all of these quantities within its steps."""
+    if getattr(world, "_finer", None) is not None:
+        return False
+    # A world that failed while others go on is read where it stands.
+    stands = getattr(world, "_on_failure", "stop") == "go on" and not set(names) <= set(STATE)
+    return not stands and sampled(names, world.settings)
 
 
 def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
@@ -377,7 +469,15 @@ def _table(sim: SomeWorld, control: ArrayLike) -> Floats:
     if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):
         limit = f"of shape (n, {sim.model.nu}) with n > 0"
         raise ValueError(f"control has shape {table.shape}: must be {limit}")
-    _check_finite(sim, table)
+    if bad := not_finite(sim, table):
+        (row, k), value = bad, table[bad]
+        name = sim.model.actuator_names[k]
+        where = (
+            f'actuator "{name}", in row {row} of control' if name else f"in row {row} of control"
+        )
+        limit = "finite in single precision" if sim.settings.precision == "f32" else "finite"
+        said = f"ctrl[{k}] = {'NaN' if np.isnan(value) else value}: must be {limit} ({where})"
+        raise ValueError(f"{said}; the state was left as it is")
     return table
 
 
@@ -388,50 +488,16 @@ def sampled(names: Collection[str], settings: Settings) -> bool:
     return set(names) <= SAMPLED - solved
 
 
-def every_step(names: list[str], steps: int) -> _core._Asked:
-    """Return what the engine is asked for by who wants a sample of each step, and gives its row."""
+def every_step(names: Sequence[str], steps: int) -> _core._Asked:
+    """Return what the engine is asked for: a sample of each step, under a row of controls each."""
     return {
-        "names": names,
+        "names": list(names),
         "steps": steps,
         "every": 1,
         "hold": 1,
         "first": False,
         "bound": np.inf,
     }
-
-
-def sampled_steps(
-    sim: World,
-    count: int,
-    rows: Floats | None,
-    arrays: Mapping[str, Floats] = {},
-    place: int = 0,
-) -> None:
-    """Take steps of a Sim, each with its row of controls, and write what comes of them.
-
-    arrays: by name; the first step is written at `place`.
-    """
-    own = None if rows is None else rows[None]
-    try:
-        samples, _ = sim._core.follow(every_step(list(arrays), count), own)
-    except SimulationError as error:
-        sim._explain(error)
-        raise
-    for (name, values), sample in zip(arrays.items(), samples, strict=True):
-        values[place : place + count] = sim.ctrl if name == "ctrl" and rows is None else sample[0]
-
-
-def _check_finite(sim: World, table: NDArray[np.float64]) -> None:
-    """Check rows of controls before the run, so that an error leaves the Sim unchanged."""
-    finite = finite_controls(sim, table)
-    if not finite.all():
-        row, k = np.argwhere(~finite)[0]
-        name = sim.model.actuator_names[k]
-        of = f'actuator "{name}", ' if name else ""
-        limit = "finite in single precision" if sim.settings.precision == "f32" else "finite"
-        value = f"ctrl[{k}] = {'NaN' if np.isnan(table[row, k]) else table[row, k]}"
-        where = f"{of}in row {row} of control"
-        raise ValueError(f"{value}: must be {limit} ({where}); the state was left as it is")
 
 
 def recordable(record: Sequence[str], known: Sequence[str] = RECORDED) -> tuple[str, ...]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import importlib
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import _core, checks
+from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats, Readout, StateArray, numbers
 from stepcore.engine.rays import RayHits, ray_hits
 from stepcore.engine.views import (
@@ -25,7 +26,7 @@ from stepcore.engine.views import (
 )
 
 if TYPE_CHECKING:
-    from stepcore._core import Settings, SimulationError
+    from stepcore._core import Settings
     from stepcore.engine.model import Model
 
 
@@ -350,8 +351,15 @@ class World(checks.KnownNames, ABC):
             if len(row):
                 self._arrays[name].reshape(-1, len(row))[worlds] = row
 
+    def _call(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Call the engine; a SimulationError gets its `replay`, which can be run again."""
+        try:
+            return call(*arguments)
+        except SimulationError as error:
+            self._explain(error)
+            raise
+
     def _explain(self, error: SimulationError) -> None:
-        """Attach a `replay`, which can be saved and run again, to an error."""
         # Imported here because only failures need the post-mortem.
         from stepcore.engine.replay import attach
 
