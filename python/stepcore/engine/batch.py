@@ -25,10 +25,9 @@ from stepcore.engine.arrays import (
     numbers,
     snapshot,
 )
-from stepcore.engine.gradients import Gradients
+from stepcore.engine.gradients import Gradients, X
 from stepcore.engine.linearization import Linearizations, LinearWorlds
 from stepcore.engine.parameters import Parameters, columns
-from stepcore.engine.rollout_steps import X
 from stepcore.engine.tables import Momentum, contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import OF_WORLDS, Rollout, recordable, samples
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from stepcore.engine.arrays import Floats
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
@@ -100,6 +101,53 @@ class Coordinates:
             back = before[..., q : q + 4] * np.array([1.0, -1.0, -1.0, -1.0])
             result[..., v : v + 3] = turned(product(back, after[..., q : q + 4]))
         return result
+
+    # To first order, by derivatives.
+
+    def _turns(self, qpos: Floats, q: int, inverse: bool) -> Floats:
+        """Return the change of a quaternion by a turn about each body axis, (…, 3, 4).
+
+        inverse: its pseudo-inverse, transposed. The rows are at right angles, each |q|/2 long.
+        """
+        quat = qpos[..., q : q + 4]
+        w, x, y, z = np.moveaxis(quat, -1, 0)
+        rows = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]
+        turns: Floats = np.moveaxis(np.array(rows), (0, 1), (-2, -1)) / 2
+        return turns * (4 / (quat**2).sum(-1))[..., None, None] if inverse else turns
+
+    def of_dofs(self, qpos: Floats, change: Floats, inverse: bool = False) -> Floats:
+        """Return a change of dofs as one of qpos; (…, nv) to (…, nq)."""
+        out = np.zeros(qpos.shape)
+        out[..., self._numbers[0]] = change[..., self._numbers[1]]
+        for q, v in self._quaternions:
+            turns = self._turns(qpos, q, inverse)
+            out[..., q : q + 4] = np.einsum("...a,...ak->...k", change[..., v : v + 3], turns)
+        return out
+
+    def gradient(self, qpos: Floats, change: Floats) -> Floats:
+        """Return a gradient by the dofs as one by qpos, of which quaternions are made unit."""
+        return self.of_dofs(qpos, change, inverse=True)
+
+    def to_dofs(self, qpos: Floats, gradient: Floats, inverse: bool = False) -> Floats:
+        """Return a gradient by qpos as one by the dofs; (…, nq) to (…, nv)."""
+        out = np.zeros((*qpos.shape[:-1], self.nv))
+        out[..., self._numbers[1]] = gradient[..., self._numbers[0]]
+        for q, v in self._quaternions:
+            own, turns = gradient[..., q : q + 4], self._turns(qpos, q, inverse)
+            out[..., v : v + 3] = np.einsum("...k,...ak->...a", own, turns)
+        return out
+
+    def changed(self, qpos: Floats, change: Floats) -> Floats:
+        """Return a change of qpos as one of the dofs; (…, nq) to (…, nv)."""
+        return self.to_dofs(qpos, change, inverse=True)
+
+    def nudged(self, qpos: Floats, change: Floats) -> Floats:
+        """Return qpos moved to first order by a change of dofs; quaternions keep their length."""
+        out: Floats = qpos + self.of_dofs(qpos, change)
+        for q, _ in self._quaternions:
+            before, after = qpos[..., q : q + 4], out[..., q : q + 4]
+            after *= np.sqrt((before**2).sum(-1, keepdims=True) / (after**2).sum(-1, keepdims=True))
+        return out
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
