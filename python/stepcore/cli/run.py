@@ -24,7 +24,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.replay import replay
 from stepcore.engine.trajectory import RECORDED, Trajectory, whole_steps
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.push import PUSH, PUSH_FORM, Push
+from stepcore.experiment.single_run import PUSH, PUSH_FORM, Push
 from stepcore.measure.run import HORIZON, MOST_STEPS, sim_of, simulated
 from stepcore.report.outputs import is_replaceable
 from stepcore.report.result import Result

@@ -2,45 +2,36 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from time import process_time
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.axes import axes_of
-from stepcore.engine.control import Control, fresh
-from stepcore.engine.error_bar import judged
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced, refsafe_note
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.engine.snapshots import Taking
-from stepcore.engine.trajectory import Trajectory, pieces, recordable, whole_steps
+from stepcore.engine.trajectory import Trajectory, recordable, whole_steps
 from stepcore.experiment.arguments import Source
-from stepcore.experiment.change import Change, Servo
+from stepcore.experiment.change import Change
 from stepcore.experiment.control_table import PositionTable
-from stepcore.experiment.default_motion import default_motion
 from stepcore.experiment.motion import Motion, MotionFields, takes_motion
 from stepcore.experiment.motion_words import (
     begin_in_words,
-    drive_in_words,
-    held_in_words,
     scene_in_words,
 )
-from stepcore.experiment.push import Push
-from stepcore.experiment.schedule import given_controls, home
+from stepcore.experiment.single_run import Push, SingleRun, drive_of
 from stepcore.loading import find_model
 from stepcore.measure.monitors import Finding, Recording, shown, verified
-from stepcore.measure.monitors.recording import READINGS, RECORDED, whole
-from stepcore.report.progress import Choice, Progress
+from stepcore.measure.monitors.recording import RECORDED, whole
+from stepcore.report.progress import Choice
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import computing, counted, metres, seconds, times
+from stepcore.report.units import computing, counted, seconds, times
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -51,8 +42,6 @@ HORIZON = 1.0
 MOST_STEPS = 2.0**64
 # The number of rows of the final state that are printed by default.
 ROWS = 36
-# The number of progress reports of a run.
-TOLD = 100
 CLEAN = "Nothing found: no contact creeps or sinks in, and limits and servos hold."
 
 
@@ -243,131 +232,6 @@ def sim_of(
     return Sim(model, settings, threads=threads, error_bar=judged)
 
 
-class Driven(NamedTuple):
-    """What drives a run: a control function or rows, their period [s], words, and servos of ours.
-
-    Without control, the controls are constant.
-    """
-
-    control: Control | np.ndarray | None
-    period: float | None
-    words: str
-    servos: tuple[Servo, ...] = ()
-
-
-@dataclass
-class _Bar:
-    """The largest estimated error of a run [m], of which body, and when [s]."""
-
-    error: float = 0.0
-    body: int = 0
-    time: float = 0.0
-
-    def look(self, sim: Sim) -> None:
-        each = sim.body_error
-        body = int(each.argmax())
-        if each[body] > self.error:
-            self.error, self.body, self.time = float(each[body]), body, sim.time
-
-    def words(self, sim: Sim, asked: float | None) -> str:
-        """Return what the finer run says, after the last step; asked: the accuracy [m]."""
-        until = sim.predictable_until
-        if math.isfinite(until):
-            return (
-                f"From {seconds(until)} on no error is known: a finer run is elsewhere. Take "
-                "shorter steps; stepcore predict says whether any can tell."
-            )
-        said = f"The error is estimated as {metres(sim.error.largest)} at the end"
-        if self.error > 0:
-            body = sim.model.element_name("body", self.body)
-            said += f" and at most {metres(self.error)} ({body} at {seconds(self.time)})"
-        against = "" if asked is None else f"; asked for {metres(asked)}"
-        return f"{said}, from a finer run{against}."
-
-
-class _Watched:
-    """One run of a Sim under controls and pushes, with what is recorded of it.
-
-    model: with the settings of the run, without servos of ours. key: of the start.
-    drive, pushes: see `Driven` and `Push`. record: the arrays to record at every step.
-    trajectory: what was recorded; None without `record`. seconds: computing time of the steps.
-    error: why the run failed. bar: of a run with a finer one beside it.
-    """
-
-    def __init__(
-        self,
-        sim: Sim,
-        model: Model,
-        key: str | int | None,
-        drive: Driven,
-        pushes: Sequence[Push],
-        record: Sequence[str] = (),
-    ) -> None:
-        self.sim, self.model, self.key, self.drive, self.pushes = sim, model, key, drive, pushes
-        self.record = ("time", *judged(sim, record)) if record else ()
-        self.bar = None if sim._finer is None else _Bar()
-        self.trajectory: Trajectory | None = None
-        self.error: SimulationError | None = None
-        self.seconds, self.done = 0.0, 0
-        self.readings: dict[str, list[np.ndarray]] = {name: [] for name in ("time", *RECORDED)}
-
-    def run(self, steps: int, progress: Choice = False) -> None:
-        """Make steps. A run that fails ends, and what was recorded up to there is kept."""
-        sim, dt = self.sim, self.sim.settings.dt
-        hold = round(self.drive.period / dt) if self.drive.period else 1
-        applied = np.array(sim.xfrc_applied)
-        spans = [(push.on(sim.model), push.force, push.span(dt)) for push in self.pushes]
-        edges = {edge for *_, span in spans for edge in (span.start, span.stop)}
-        every = max(1, steps // READINGS)
-        often = [every, max(1, steps // TOLD), *([math.gcd(*edges) or steps] if edges else [])]
-        arrays, taking = self._arrays(steps), Taking(sim, steps) if self.record else None
-        begun = process_time()
-        try:
-            with Progress("steps", steps, progress) as shown:
-                for done in pieces(sim, steps, self.drive.control, hold, arrays, often, taking):
-                    self.seconds += process_time() - begun
-                    self.done = done
-                    if done in edges:
-                        sim.xfrc_applied[:] = applied
-                        for body, force, span in spans:
-                            sim.xfrc_applied[body, :3] += np.multiply(force, done in span)
-                    if done % every == 0:
-                        self._read()
-                    shown.advance(done - shown.done)
-                    begun = process_time()
-            sim.balance()
-        except SimulationError as error:
-            self.error = error
-        finally:
-            sim.xfrc_applied[:] = applied
-            if taking is not None:
-                kept = {name: values[: self.done + 1] for name, values in arrays.items()}
-                self.trajectory = Trajectory(kept.pop("time"), kept, snapshots=taking.kept())
-
-    def _arrays(self, steps: int) -> dict[str, np.ndarray]:
-        """Return arrays for what is recorded at every step, which begin with the present state."""
-        arrays = {}
-        for name in self.record:
-            value = np.asarray(getattr(self.sim, name))
-            arrays[name] = np.empty((steps + 1, *value.shape), value.dtype)
-            arrays[name][0] = value
-        return arrays
-
-    def _read(self) -> None:
-        for name, values in self.readings.items():
-            values.append(np.array(getattr(self.sim, name)))
-        if self.bar is not None:
-            self.bar.look(self.sim)
-
-    def recording(self) -> Recording:
-        """Return the run as findings see it."""
-        data = {name: np.array(values) for name, values in self.readings.items()}
-        failure = None if self.error is None else checks.one_line(self.error)
-        times, key = data.pop("time"), self.key
-        found = whole(self.sim.model, times, data, lambda sim: sim.reset(key=key), failure)
-        return replace(found, model=self.model)
-
-
 def simulated(
     sim: Sim,
     settings: Settings,
@@ -392,94 +256,67 @@ def simulated(
     if not horizon / dt < MOST_STEPS:
         limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s (2^64 steps)"
         raise ValueError(f"horizon = {horizon:g}: must be {limit}")
-    steps, notes = round(horizon / dt), list(model.scene.notes)
+    steps, notes = round(horizon / dt), [refsafe_note(model.scene, sim.settings)]
     if motion.horizon is not None and abs(steps * dt - horizon) > 1e-6 * dt:
-        notes.insert(
-            0,
-            f"{horizon:g} s is not a whole number of steps of {dt:g} s: the run is "
-            f"{steps * dt:g} s long",
-        )
-    if harder := refsafe_note(model.scene, sim.settings):
-        notes.insert(0, harder)
+        whole = f"is not a whole number of steps of {dt:g} s: the run is {steps * dt:g} s long"
+        notes.append(f"{horizon:g} s {whole}")
     if motion.control_dt is not None:
         whole_steps("control_dt", motion.control_dt, dt, least=1)
-    drive, shoved = _driven(sim, motion, horizon), [Push.of(push) for push in pushes]
+    drive, shoved = drive_of(sim, motion, horizon), [Push.of(push) for push in pushes]
     if drive.servos:
         # The servos obey the controls in place of the motors.
         state, finer = sim.state(), sim._finer is not None
         driven = Change(servos=drive.servos).of(model)
         sim = Sim(driven, sim.settings, threads=sim._threads, error_bar=finer)
         sim.restore(state)
-    begin = begin_in_words(model, motion)
     parts = [drive.words, *(f"push {push}" for push in shoved), scene_in_words(model)]
     plain = model.with_settings(sim.settings.replace(ledger=False))
-    held, unused, qpos = np.array(sim.ctrl), _fresh(drive), np.array(sim.qpos)
-    watched = _Watched(sim, plain, key, drive, shoved, recordable(record))
+    held, unused, qpos = np.array(sim.ctrl), drive.fresh(), np.array(sim.qpos)
+    single = SingleRun(sim, drive, shoved, RECORDED, recordable(record))
 
     def again(cured: Model) -> Recording:
         """Return the recording of the same run with another model."""
-        other = Sim(Change(servos=drive.servos).of(cured))
+        other = unwatched(Sim(Change(servos=drive.servos).of(cured)))
         other.reset(key=key)
         other.qpos, other.ctrl = qpos, held
-        repeated = _Watched(unwatched(other), cured, key, _fresh(unused), shoved)
+        repeated = SingleRun(other, unused.fresh(), shoved, RECORDED)
         repeated.run(round(steps * dt / other.settings.dt))
         if repeated.error is not None:
             raise repeated.error
-        return repeated.recording()
+        return _recording(repeated, cured, key)
 
     begun, interrupted = sim.time, False
     try:
-        watched.run(steps, progress)
+        single.run(steps, progress)
     except KeyboardInterrupt:
         if not interruptible:
             raise
         interrupted, steps = True, round((sim.time - begun) / dt)
-    error = watched.error
+    error, bar = single.error, single.bar
     steps = steps if error is None else error.step
-    found = shown(watched.recording()) if steps else []
+    found = shown(_recording(single, plain, key)) if steps else []
     timed = error is None and not interrupted and steps
     return SimulationRun(
         name=model.scene.name or "scene",
         motion=motion,
-        ran=f"{seconds(steps * dt)} from {begin}; {'; '.join(parts)}",
+        ran=f"{seconds(steps * dt)} from {begin_in_words(model, motion)}; {'; '.join(parts)}",
         settings=settings,
         steps=steps,
         sim=sim,
         findings=verified(found, plain, again, steps),
-        us_per_step=1e6 * watched.seconds / steps if timed else None,
-        notes=notes,
-        trajectory=watched.trajectory,
+        us_per_step=1e6 * single.seconds / steps if timed else None,
+        notes=[*filter(None, notes), *model.scene.notes],
+        trajectory=single.trajectory,
         error=error,
         interrupted=interrupted,
-        judged="" if watched.bar is None or error else watched.bar.words(sim, settings.accuracy),
+        judged="" if bar is None or error else bar.words(sim, settings.accuracy),
     )
 
 
-def _fresh(drive: Driven) -> Driven:
-    """Return the same drive with a new copy of a control object."""
-    return drive._replace(control=fresh(drive.control)) if callable(drive.control) else drive
-
-
-def _driven(sim: Sim, motion: Motion, horizon: float) -> Driven:
-    """Return what drives a run. Constant controls are written to the Sim."""
-    model, dt, held = sim.model, sim.settings.dt, np.array(sim.ctrl)
-    period, every = motion.control_dt or dt, motion.control_dt
-    if not motion.is_users and (motion.kind is None or not model.nu):
-        return Driven(None, every, held_in_words(model, held))
-    begin, periods = home(model, motion.key)[0], int(np.ceil(horizon / period)) + 1
-    begin = replace(begin, qpos=np.array(sim.qpos))
-    controls = given_controls(motion, model, begin, held, period)
-    if controls is None:
-        how = (motion.kind, begin, held, [begin], motion.seed, period, periods)
-        controls = default_motion(model, *how)
-    said = controls.words or drive_in_words(model, motion, "", f"every {seconds(period)}")
-    if controls.function is not None:
-        return Driven(controls.function, every, said)
-    log = controls.log
-    assert log is not None
-    if len(log.times) == 1:
-        sim.ctrl = log.rows.reshape(-1)
-        return Driven(None, every, said, controls.servos)
-    # Without a period of its own, each row of controls is that of a step.
-    rows = log.steps(0.0, period, periods).reshape(periods, -1)
-    return Driven(rows, period, said, controls.servos)
+def _recording(single: SingleRun, model: Model, key: str | int | None) -> Recording:
+    """Return a run as findings see it; model: with its settings, without servos of ours."""
+    data = {name: np.array(values) for name, values in single.readings.items()}
+    failure = None if single.error is None else checks.one_line(single.error)
+    times = data.pop("time")
+    found = whole(single.sim.model, times, data, lambda sim: sim.reset(key=key), failure)
+    return replace(found, model=model)

@@ -26,12 +26,12 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
 from stepcore.executors import checkpoint
 from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.single_run import READINGS
 from stepcore.experiment.sizes import Sizes
 from stepcore.scene.softness import UNKNOWN
 
-# What is recorded of a run, and the approximate number of readings.
+# What is recorded of a run.
 RECORDED = ("qpos", "qvel", "act", "ctrl", "xpos", "xquat", "actuator_force")
-READINGS = 400
 # The last share of a run, in which rest is judged; the largest relative variation of a quantity at
 # rest; and the fewest readings from which rest or creep is judged.
 REST, STEADY, FEWEST = 0.25, 0.2, 8
