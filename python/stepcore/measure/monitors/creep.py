@@ -10,20 +10,22 @@ is a damper, and moves at v = f R/b under a load f.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from stepcore.engine.actuator import actuators
+from stepcore.engine.arrays import Floats
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.measure.monitors.contacts import LEFT
 from stepcore.measure.monitors.cures import assigned
 from stepcore.measure.monitors.finding import Cure, Finding, Remedy, listed, named
-from stepcore.measure.monitors.recording import FEWEST, Contacts, Recording
+from stepcore.measure.monitors.recording import FEWEST, Recording
 from stepcore.measure.monitors.soft_rows import impedance
 from stepcore.report.units import (
     FORCES,
@@ -74,45 +76,85 @@ class Creep:
     end: float
 
 
+# Returns the velocities of a pair or a joint in a run: readings, and (m, 3) or (m, 1).
+Series = Callable[[Recording, int], Iterator[tuple[np.ndarray, Floats]]]
+
+
 def creep_findings(run: Recording) -> Iterator[Finding]:
     """Yield a finding on contacts that creep, and one on joints that do."""
     settings = run.model.settings
-    if settings.law == "solref" and not settings.stiction and run.spacing:
-        yield from _contacts(run)
     if settings.law == "solref" and run.spacing:
+        if not settings.stiction:
+            yield from _contacts(run)
         yield from _joints(run)
 
 
-def _window(run: Recording, constant: float) -> int:
-    """Return the readings in which a speed must be steady: `WINDOW` time constants, or a tenth.
+def _fastest(
+    run: Recording,
+    of: int,
+    constant: float,
+    readings: np.ndarray,
+    velocity: Floats,
+    share: Floats,
+    rolls: Floats,
+) -> Creep | None:
+    """Return the fastest steady slip of one contact or joint in readings in which friction holds.
 
-    The initial speed decays within the time constant [s], and under a load a speed remains.
+    It must be steady over a window of `WINDOW` time constants, or a tenth of the run: the initial
+    speed decays within the time constant [s], and under a load a speed remains.
+
+    velocity: (m, k). share: of the friction, (m,). rolls: at which the surfaces turn, (m,) [m/s].
     """
-    return math.ceil(max(FEWEST, WINDOW * max(constant, 0.0) / run.spacing, 0.1 * len(run)))
+    best: Creep | None = None
+    count = math.ceil(max(FEWEST, WINDOW * max(constant, 0.0) / run.spacing, 0.1 * len(run)))
+    spells = np.split(np.arange(len(readings)), np.flatnonzero(np.diff(readings) > 1) + 1)
+    for spell in spells:
+        for first in range(0, len(spell) - count + 1, max(1, count // 2)):
+            window = spell[first : first + count]
+            drift, used = velocity[window].mean(axis=0), float(share[window].mean())
+            mean = float(np.linalg.norm(drift))
+            unsteady = np.linalg.norm(velocity[window] - drift, axis=1).max() > UNSTEADY * mean
+            turns = mean < RESTS * rolls[window].mean()
+            if used >= RUBS and not unsteady and not turns and (not best or mean > best.speed):
+                begin, end = run.times[readings[window[[0, -1]]]].tolist()
+                best = Creep(of, mean, used, begin, end)
+    return best
+
+
+def _left(found: Sequence[Creep], series: Series, run: Recording) -> float | None:
+    """Return the largest mean velocity of what crept, each in its time; None if one is not seen."""
+    worst = 0.0
+    for creep in found:
+        means = []
+        for readings, velocity in series(run, creep.of):
+            times = run.times[readings]
+            within = (times >= creep.begin) & (times <= creep.end)
+            if within.sum() >= FEWEST:
+                means.append(float(np.linalg.norm(velocity[within].mean(axis=0))))
+        if not means:
+            return None
+        worst = max(worst, *means)
+    return worst
 
 
 # Contacts.
 
 
 def creeps(run: Recording) -> Iterator[Creep]:
-    """Yield contacts that should rest and slip steadily for a while although friction holds.
-
-    Of all windows in which the friction holds, the fastest steady slip counts.
-    """
-    seen = run.contacts
-    held = _held(run)
+    """Yield contacts that should rest and slip steadily for a while although friction holds."""
+    seen, held = run.contacts, _held(run)
     for (pair, _), places in seen.groups.items():
-        if seen.friction(pair) <= 0:
-            continue
-        count = _window(run, run.model.contact_pair(pair).solref[0])
-        best: Creep | None = None
-        for spell in _spells(seen, places[held[places]]):
-            for first in range(0, len(spell) - count + 1, max(1, count // 2)):
-                creep = _steady(run, pair, spell[first : first + count])
-                if creep is not None and (best is None or creep.speed > best.speed):
-                    best = creep
-        if best is not None:
-            yield best
+        if seen.friction(pair) > 0:
+            some, constant = places[held[places]], run.model.contact_pair(pair).solref[0]
+            series = seen.reading[some], seen.past[some], seen.share[some], seen.rolls[some]
+            if creep := _fastest(run, pair, constant, *series):
+                yield creep
+
+
+def _slips(run: Recording, pair: int) -> Iterator[tuple[np.ndarray, Floats]]:
+    for (of, _), places in run.contacts.groups.items():
+        if of == pair:
+            yield run.contacts.reading[places], run.contacts.past[places]
 
 
 def _held(run: Recording) -> np.ndarray:
@@ -124,77 +166,40 @@ def _held(run: Recording) -> np.ndarray:
     seen, settings = run.contacts, run.model.settings
     held: np.ndarray = seen.share < STICKS[settings.cone]
     if settings.cone == "pyramidal":
-        frictions = np.array([seen.friction(int(pair)) for pair in seen.pair])
-        unsure = np.flatnonzero(~held & (frictions > 0) & (seen.share < 1))
+        unsure = np.flatnonzero(~held & (seen.share < 1))
         for reading in np.unique(seen.reading[unsure]):
             rows = run.at(int(reading)).rows
+            rows = rows[rows["kind"] == "contact"]
             for k in unsure[seen.reading[unsure] == reading]:
                 mine = (rows["index"] == seen.pair[k]) & (rows["part"] == seen.part[k])
-                edges = rows["force"][mine & (rows["kind"] == "contact")]
+                edges = rows["force"][mine]
                 # A force of rounding is none.
                 held[k] = edges.min(initial=np.inf) > 1e-6 * edges.max(initial=0.0)
     return held
 
 
-def _spells(seen: Contacts, places: np.ndarray) -> list[np.ndarray]:
-    """Return the places of one contact in stretches of successive readings."""
-    return np.split(places, np.flatnonzero(np.diff(seen.reading[places]) > 1) + 1)
-
-
-def _steady(run: Recording, pair: int, window: np.ndarray) -> Creep | None:
-    """Return the creep in a window.
-
-    None if the slip changes, without enough friction, or if the surfaces turn on each other.
-    """
-    seen = run.contacts
-    past = seen.past[window]
-    drift, share = past.mean(axis=0), float(seen.share[window].mean())
-    mean = float(np.linalg.norm(drift))
-    unsteady = np.linalg.norm(past - drift, axis=1).max() > UNSTEADY * mean
-    if share < RUBS or unsteady or mean < RESTS * seen.rolls[window].mean():
-        return None
-    begin, end = run.times[seen.reading[window[[0, -1]]]].tolist()
-    return Creep(pair, mean, share, begin, end)
-
-
-def _slip(run: Recording, found: Collection[Creep]) -> float | None:
-    """Return the largest mean slip of some pairs, each in its time [m/s].
-
-    None if one does not touch.
-    """
-    seen, slips = run.contacts, dict[int, float]()
-    times = run.times[seen.reading]
-    for creep in found:
-        for (pair, _), places in seen.groups.items():
-            within = places[(times[places] >= creep.begin) & (times[places] <= creep.end)]
-            if pair == creep.of and len(within) >= FEWEST:
-                mean = float(np.linalg.norm(seen.past[within].mean(axis=0)))
-                slips[pair] = max(mean, slips.get(pair, 0.0))
-    return max(slips.values()) if slips.keys() == {creep.of for creep in found} else None
-
-
 def _contacts(run: Recording) -> Iterator[Finding]:
     model, seen = run.model, run.contacts
-    notable = [
-        (ratio, creep)
-        for creep in creeps(run)
-        if (ratio := creep.speed / (CREEP * seen.thick(creep.of))) > 1
-    ]
-    if not notable:
+
+    def over(creep: Creep) -> float:
+        return creep.speed / (CREEP * seen.thick(creep.of))
+
+    found = sorted((creep for creep in creeps(run) if over(creep) > 1), key=over, reverse=True)
+    if not found:
         return
-    notable.sort(key=lambda entry: -entry[0])
-    ratio, worst = notable[0]
-    found = [creep for _, creep in notable]
-    elements = named(model, "contact", [creep.of for creep in found])
-    cures = []
-    for factor in (1, 10):
-        impratio = round_number(model.settings.impratio * ratio / LEFT, up=True) * factor
-        if impratio <= IMPRATIO:
-            words = f'cone="elliptic" with impratio="{impratio:g}"'
-            cures.append(Cure(words, Change(cone="elliptic", impratio=impratio)))
+    worst, elements = found[0], named(model, "contact", [creep.of for creep in found])
+    least = round_number(model.settings.impratio * over(worst) / LEFT, up=True)
+    cures = tuple(
+        Cure(
+            f'cone="elliptic" with impratio="{impratio:g}"',
+            Change(cone="elliptic", impratio=impratio),
+        )
+        for impratio in (least, 10 * least)
+        if impratio <= IMPRATIO
+    )
     remedy = Remedy(
-        (tuple(cures), (Cure("stiction=True", Change(stiction=True)),)),
-        lambda other: _slip(other, found),
+        (cures, (Cure("stiction=True", Change(stiction=True)),)),
+        functools.partial(_left, found, _slips),
         CREEP * seen.thick(worst.of),
         # Below a nanometre in a second it is rounding.
         lambda left: speed(left) if left > 1e-9 else "none",
@@ -220,28 +225,23 @@ def drifts(run: Recording) -> Iterator[Creep]:
     is what a tendon's actuator moves not told.
     """
     model, features = run.model, run.model.scene.features
-    joints = _losses(model)
-    if not (features.constraint and features.frictionloss and joints):
-        return
     changing = np.ptp(run["ctrl"], axis=0) > 0
-    moving = [a.index for a in actuators(model) if a.kp > 0 or changing[a.index]]
+    moving = [a.index for a in actuators(model) if a.holds or changing[a.index]]
     moved = set(model.actuator_joint[moving].tolist())
-    for joint, of in joints.items() if -1 not in moved else ():
-        count = _window(run, of.solreffriction[0])
-        dof = int(model.jnt_dofadr[joint])
-        velocity = run["qvel"][:, dof]
-        share = np.abs(velocity) * _damping(model, joint, of) / of.frictionloss
-        best: Creep | None = None
-        for first in range(0, len(run) - count + 1, max(1, count // 2)):
-            window = slice(first, first + count)
-            mean, used = float(velocity[window].mean()), float(share[window].mean())
-            held = share[window].max() < SLIDES and used > RUBS
-            steady = np.abs(velocity[window] - mean).max() <= UNSTEADY * abs(mean)
-            if held and steady and (best is None or abs(mean) > best.speed):
-                begin, end = run.times[[first, first + count - 1]].tolist()
-                best = Creep(joint, abs(mean), used, begin, end)
-        if joint not in moved and best is not None:
-            yield best
+    losses = _losses(model) if features.constraint and features.frictionloss else {}
+    for joint, of in losses.items():
+        if joint in moved or -1 in moved:
+            continue
+        velocity = run["qvel"][:, [int(model.jnt_dofadr[joint])]]
+        share = np.abs(velocity[:, 0]) * _damping(model, joint, of) / of.frictionloss
+        held = np.flatnonzero(share < SLIDES)
+        series = held, velocity[held], share[held], np.zeros(len(held))
+        if creep := _fastest(run, joint, of.solreffriction[0], *series):
+            yield creep
+
+
+def _velocities(run: Recording, joint: int) -> Iterator[tuple[np.ndarray, Floats]]:
+    yield np.arange(len(run)), run["qvel"][:, [int(run.model.jnt_dofadr[joint])]]
 
 
 def _losses(model: Model) -> dict[int, Joint]:
@@ -253,53 +253,42 @@ def _losses(model: Model) -> dict[int, Joint]:
 def _damping(model: Model, joint: int, of: Joint) -> float:
     """Return b/R of a joint's row of friction loss [N·m·s/rad or N·s/m]."""
     settings, (constant, ratio) = model.settings, of.solreffriction
-    d = impedance(of.solimpfriction, 0.0)
-    most = impedance(of.solimpfriction, math.inf)
-    if constant > 0:
-        constant = max(constant, 2 * settings.dt) if settings.refsafe else constant
-        b = 2 / (most * constant)
-    else:
-        b = -ratio / most
+    d, most = (impedance(of.solimpfriction, violation) for violation in (0.0, math.inf))
+    least = 2 * settings.dt if settings.refsafe else 0.0
+    b = 2 / (most * max(constant, least)) if constant > 0 else -ratio / most
     inverse = float(model.dof_invweight0[model.jnt_dofadr[joint]])
     return b * d / ((1 - d) * inverse)
-
-
-def _drift(run: Recording, found: Collection[Creep]) -> float | None:
-    """Return the fastest mean velocity of some joints, each in its time; None without readings."""
-    means = []
-    for drift in found:
-        within = (run.times >= drift.begin) & (run.times <= drift.end)
-        dof = int(run.model.jnt_dofadr[drift.of])
-        means.append(abs(float(run["qvel"][within, dof].mean())) if within.any() else None)
-    return None if None in means else max(mean for mean in means if mean is not None)
 
 
 def _joints(run: Recording) -> Iterator[Finding]:
     model = run.model
 
-    def scale(joint: int) -> float:
-        """Return the unit of a velocity: 1 rad, or the size of the body that slides [m]."""
-        slides = model.jnt_type[joint] == "slide"
-        return run.sizes.bodies[int(model.jnt_body[joint])] if slides else 1.0
+    def over(drift: Creep) -> float:
+        slides = model.jnt_type[drift.of] == "slide"
+        size = run.sizes.bodies[int(model.jnt_body[drift.of])] if slides else 1.0
+        return drift.speed / (CREEPS * size)
 
-    found = ((drift.speed / (CREEPS * scale(drift.of)), drift) for drift in drifts(run))
-    notable = sorted((entry for entry in found if entry[0] > 1), key=lambda entry: -entry[0])
-    if not notable:
+    found = sorted((drift for drift in drifts(run) if over(drift) > 1), key=over, reverse=True)
+    if not found:
         return
-    worst, some = notable[0][1], [drift for _, drift in notable]
-    elements = tuple(Element.of(model, "friction loss", drift.of) for drift in some)
-    angular = model.jnt_type[worst.of] != "slide"
+    worst, angular = found[0], model.jnt_type[found[0].of] != "slide"
+    elements = tuple(Element.of(model, "friction loss", drift.of) for drift in found)
     loss = quantity(_losses(model)[worst.of].frictionloss, TORQUES if angular else FORCES)
     constant = float(f"{2 * model.settings.dt:.3g}")
-    cures = tuple(_harder(model, elements, constant, *ends) for ends in IMPEDANCES)
 
     def rate(value: float) -> str:
         return f"{radians(value)}/s" if angular else speed(value)
 
+    def harder(low: float, high: float) -> Cure:
+        solimp = (low, high, 0.001, 0.5, 2.0)
+        values = {"solreffriction": (constant, 1.0), "solimpfriction": solimp}
+        words = f'solreffriction="{constant:g} 1" with solimpfriction="{low:g} {high:g}"'
+        return Cure(words, Change(assigned(model, elements, values)))
+
     remedy = Remedy(
-        (cures,),
-        lambda other: _drift(other, some),
-        CREEPS * scale(worst.of),
+        (tuple(harder(*ends) for ends in IMPEDANCES),),
+        functools.partial(_left, found, _velocities),
+        worst.speed / over(worst),
         rate,
         # A motion that harder friction does not end is no creep.
         needed=True,
@@ -310,12 +299,3 @@ def _joints(run: Recording) -> Iterator[Finding]:
     )
     unit = "rad/s" if angular else "m/s"
     yield Finding("creep", "warning", problem, "", elements, worst.speed, unit, remedy=remedy)
-
-
-def _harder(
-    model: Model, elements: tuple[Element, ...], constant: float, low: float, high: float
-) -> Cure:
-    """Return the cure by a time constant [s] and two impedances."""
-    values = {"solreffriction": (constant, 1.0), "solimpfriction": (low, high, 0.001, 0.5, 2.0)}
-    words = f'solreffriction="{constant:g} 1" with solimpfriction="{low:g} {high:g}"'
-    return Cure(words, Change(assigned(model, elements, values)))
