@@ -15,12 +15,13 @@ rows without times, are not tried. A log with times is run to its end, within th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.control import ControlError
+from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.engine.norm import Matter
 from stepcore.engine.sim import Sim, unwatched
@@ -57,11 +58,12 @@ class Horizon:
     """The horizon of a motion.
 
     length: the simulated time [s]. words: why it is not the default, as a sentence without a full
-    stop; "" for the default.
+    stop; "" for the default. ran: the pilot run, which is as long or longer; None without one.
     """
 
     length: float
     words: str = ""
+    ran: Followed | None = field(default=None, repr=False, compare=False)
 
     def after(self, motion: str) -> str:
         """Return a motion in words, with the reason for its horizon."""
@@ -83,7 +85,8 @@ def horizon_of(
         return _whole(model, motion, default, cost)
     if not _is_tried(model, motion) or dt > LOOK or min(LONGEST, STEPS * dt) <= default:
         return Horizon(default)
-    return _Pilot(model, motion, default, cost).horizon()
+    pilot = _Pilot(model, motion, default, cost)
+    return replace(pilot.horizon(), ran=pilot.ran)
 
 
 def _whole(model: Model, motion: Motion, default: float, cost: float) -> Horizon:
@@ -128,6 +131,7 @@ class _Pilot:
         self.every = self.count * period
         self.schedule = replace(scheduled(whole, model, period), every=self.count)
         self.matter, self.size = Matter.of(model), scene_size(model.scene)
+        self.ran: Followed | None = None
 
     def horizon(self) -> Horizon:
         """Run until the motion is at rest, and return the horizon."""
@@ -135,11 +139,13 @@ class _Pilot:
         places, paid, failed = self._places(first)
         if not failed and (self._rests(places) or self._repeats(places)):
             return Horizon(self.default)
-        whole = self.schedule.periods // self.count
-        most = min(whole, math.ceil(paid / self.every))
+        whole, look = self.schedule.periods // self.count, max(1, round(LOOK / self.every))
+        most = min(whole, look * math.ceil(paid / self.every / look))
         if not failed and first < most:
             places, paid, failed = self._places(most)
-        look = max(1, round(LOOK / self.every))
+            # What came later may cost more than the beginning.
+            most = max(first + 1, min(most, look * math.ceil(paid / self.every / look)))
+            places = places[: most + 1]
         for end in range(look * math.ceil((first + 1) / look), len(places), look):
             time = round(end * self.every, 9)
             at, late = seconds(time), f"not at rest after {seconds(self.default)}"
@@ -164,9 +170,11 @@ class _Pilot:
         may be run for its cost [s], and whether the run failed.
         """
         part = replace(self.schedule, periods=samples * self.count)
-        record = ("qpos", "qvel", "act", "ctrl", "xpos", "xquat")
+        record = ["qpos", "qvel", "act", "ctrl", "xpos", "xquat"]
+        if self.model.settings.accuracy is None:
+            record.append("actuator_force")
         try:
-            ran = run(self.model, part, [0], record=record)
+            ran = self.ran = run(self.model, part, [0], record=record)
         except ControlError:
             raise
         except (SimulationError, ValueError):

@@ -16,6 +16,7 @@ from stepcore._core import Settings
 from stepcore.checks import one_line
 from stepcore.deadline import OutOfTime
 from stepcore.engine.control import control_option
+from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import balanced
 from stepcore.engine.start import Start
@@ -227,7 +228,7 @@ def check(
     schedule = _schedule(compiled, motion, far.length)
     failure, seen = list[Finding](), list[Finding]()
     with workers.deadline.stage(AS_SHIPPED, MONITORED):
-        failure, seen = _monitored(compiled, schedule, wanted)
+        failure, seen = _monitored(compiled, schedule, wanted, far.ran)
         workers.deadline.so_far(_first([*failure, *_merged(read, seen)], "the file and its run"))
     with workers.deadline.stage("runs of the cures that the scene alone suggests", MONITORED):
         read = verified(read, compiled)
@@ -275,11 +276,11 @@ def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
 
 
 def _monitored(
-    model: Model, schedule: Schedule, depth: float | None
+    model: Model, schedule: Schedule, depth: float | None, ran: Followed | None
 ) -> tuple[list[Finding], list[Finding]]:
     """Return the failure of the run, if any, and the findings that the run shows."""
     shipped = model.with_settings(balanced(model.settings))
-    seen, failure = monitored(shipped, schedule, depth)
+    seen, failure = monitored(shipped, schedule, depth, ran)
     if failure is None:
         return [], seen
     replay = Next("run", "writes a replay of the failure for `stepcore replay`")

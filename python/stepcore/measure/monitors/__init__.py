@@ -6,6 +6,7 @@ look at a run of the scene as shipped.
 
 from __future__ import annotations
 
+from stepcore.engine.follow import Followed
 from stepcore.engine.model import Model
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.monitors.actuators import actuator_findings, fall_findings
@@ -15,7 +16,7 @@ from stepcore.measure.monitors.cures import verified
 from stepcore.measure.monitors.finding import Finding, Next, ordered
 from stepcore.measure.monitors.joints import joint_findings
 from stepcore.measure.monitors.noise import noise_findings
-from stepcore.measure.monitors.recording import Recording, recorded
+from stepcore.measure.monitors.recording import Recording, cut, recorded
 from stepcore.measure.monitors.tunnelling import passages, tunnelling_findings
 
 __all__ = ["Finding", "Next", "Recording", "monitored", "ordered", "shown", "verified"]
@@ -46,18 +47,19 @@ def shown(run: Recording, depth: float | None = None) -> list[Finding]:
 
 
 def monitored(
-    model: Model, schedule: Schedule, depth: float | None = None
+    model: Model, schedule: Schedule, depth: float | None = None, ran: Followed | None = None
 ) -> tuple[list[Finding], str | None]:
     """Run a schedule from its first start, and return the findings and any failure.
 
-    Their cures are seen to hold in this motion. depth: see `shown`.
+    Their cures are seen to hold in this motion. depth: see `shown`. ran: a run of the motion that
+    was made already, and may be longer.
     """
 
     def again(other: Model) -> Recording | None:
         run = recorded(other, schedule)
         return run if run.failure is None else None
 
-    run = recorded(model, schedule)
+    run = (ran and cut(model, schedule, ran)) or recorded(model, schedule)
     plain = model.with_settings(model.settings.replace(ledger=False))
     steps = schedule.periods * schedule.steps(model.settings.dt)
     return verified(shown(run, depth), plain, again, steps), run.failure

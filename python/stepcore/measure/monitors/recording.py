@@ -19,7 +19,7 @@ from stepcore._core import Settings
 from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import cross, rotated
-from stepcore.engine.follow import follow
+from stepcore.engine.follow import Followed, follow
 from stepcore.engine.model import Model
 from stepcore.engine.run_settings import converged_settings
 from stepcore.engine.sim import Sim, unwatched
@@ -128,6 +128,16 @@ def recorded(model: Model, schedule: Schedule) -> Recording:
         rows, hold = schedule.rows([0], model.settings.dt)
         how = {"ctrl": rows, "hold": hold}
     return dataclasses.replace(followed(driven, start, steps, **how), model=model)
+
+
+def cut(model: Model, schedule: Schedule, ran: Followed) -> Recording | None:
+    """Return the recording of a longer run of the same motion; None if it has too few readings."""
+    count = int(np.searchsorted(ran.times, schedule.horizon * (1 + 1e-9)))
+    if ran.failures or count < READINGS / 2 or not set(RECORDED) <= set(ran.data):
+        return None
+    data = {name: ran[name][0, :count] for name in RECORDED}
+    run = whole(schedule.on(model), ran.times[:count], data, schedule.starts[0].put)
+    return dataclasses.replace(run, model=model)
 
 
 def followed(model: Model, start: Start, steps: int, **controls: Any) -> Recording:
