@@ -180,6 +180,12 @@ def test_a_keyframe_outside_of_a_limit():
     assert "Keyframe `home` has joint `knee` at 1.2 rad" in one.text
 
 
+def test_a_keyframe_whose_control_is_clamped():
+    text = arm(rest=servo('ctrlrange="-1 1"') + key(0.5, 2))
+    assert set(kinds(text)) == {"clamped control"}
+    assert "Keyframe `home` has a control of 2 for servo `servo`" in str(checked(text))
+
+
 # Servos.
 
 

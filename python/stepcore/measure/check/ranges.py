@@ -50,8 +50,8 @@ def about_ranges(
     """
     features = model.scene.features
     states = [(start.qpos, "The start", False)] if key is None else []
-    keys = [(f"eyframe `{frame.name or k}`", frame) for k, frame in enumerate(model.keys)]
-    states += [(frame.qpos, f"K{name}", True) for name, frame in keys]
+    keys = [(f"Keyframe `{frame.name or k}`", frame) for k, frame in enumerate(model.keys)]
+    states += [(frame.qpos, name, True) for name, frame in keys]
     if features.limit:
         known: set[Element] = set()
         for qpos, where, keyed in states:
@@ -61,9 +61,11 @@ def about_ranges(
                     known.update(finding.elements)
                     yield finding
     direct = [of for of in actuators(model) if of.direct] if features.actuation else []
+    for name, frame in keys:
+        yield from _clamped(model, frame.ctrl, name)
     if features.limit:
         for name, frame in keys:
-            yield from _asked_beyond(model, direct, frame.ctrl, f"K{name}")
+            yield from _asked_beyond(model, direct, frame.ctrl, name)
         yield from _overpowered(model, direct, start)
     yield from _saturated(model, direct, start, ctrl)
     yield from _without_armature(model, direct)
@@ -106,6 +108,24 @@ def _coordinate(qpos: np.ndarray, at: int, kind: str) -> float:
     if kind == "ball":
         return float(np.linalg.norm(turned(qpos[None, at : at + 4])))
     return float(qpos[at])
+
+
+def _clamped(model: Model, ctrl: np.ndarray, where: str) -> Iterator[Finding]:
+    """Yield controls of a keyframe that will be clamped."""
+    if not model.nu or not model.scene.features.clampctrl:
+        return
+    bounds = model.actuator_ctrlrange
+    over = np.maximum(bounds[:, 0] - ctrl, ctrl - bounds[:, 1])
+    outside = np.flatnonzero(over > 1e-9 * np.maximum(1.0, np.abs(ctrl)))
+    if len(outside):
+        k = int(outside[np.argmax(over[outside])])
+        elements, (low, high) = named(model, "actuator", (k, *outside)), bounds[k]
+        problem = (
+            f"{where} has a control of {ctrl[k]:.4g} for {listed(elements, 'actuators')}, clamped "
+            f"to its ctrlrange of {low:.4g} to {high:.4g}"
+        )
+        cure, value = "correct its ctrl, or widen the ctrlrange", float(ctrl[k])
+        yield Finding("clamped control", "warning", problem, cure, elements, value, "", PLOT)
 
 
 def _asked_beyond(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import rotated
-from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy, listed, named, others
@@ -77,7 +76,7 @@ def contact_findings(
     if run.model.settings.law == "solref":
         deep = [*rest, *_sunk(run)]
         yield from _depths(run, deep, depth)
-        known = {at.pair for at in (*starts, *deep) if at.depth > DEEP * _thick(run, at.pair)}
+        known = {at.pair for at in (*starts, *deep) if at.depth > DEEP * run.thick(at.pair)}
         yield from _impacts(run, known | _with_geoms_of(run, passed))
     yield from _slides(run, rest)
 
@@ -109,16 +108,8 @@ def _sunk(run: Recording) -> Iterator[Contact]:
     rest = {(at.pair, at.part) for at in resting(run)}
     for key, late in run.contacts.late():
         depth = run.contacts.depth[late]
-        if key not in rest and depth.min() > DEEP * _thick(run, key[0]):
+        if key not in rest and depth.min() > DEEP * run.thick(key[0]):
             yield Contact(*key, float(depth.max()), settled=False)
-
-
-def _thick(run: Recording, pair: int) -> float:
-    return run.contacts.thick(pair)
-
-
-def _named(run: Recording, pairs: Iterable[int]) -> tuple[Element, ...]:
-    return named(run.model, "contact", pairs)
 
 
 def _gravity(model: Model) -> float:
@@ -195,14 +186,14 @@ def _jammed(run: Recording, starts: list[Contact], rest: list[Contact]) -> dict[
     for start in starts:
         at, geoms = at_rest.get(start.pair), run.model.contact_pair(start.pair).geoms
         roots = {run.model.root(int(run.model.geom_body[g])) for g in geoms}
-        deep = JAMMED * _thick(run, start.pair)
+        deep = JAMMED * run.thick(start.pair)
         if at is not None and len(roots) == 1 and min(start.depth, at.depth) > deep:
             jammed.setdefault(at.pair, at)
     return jammed
 
 
 def _jam(run: Recording, jammed: list[Contact]) -> Finding:
-    worst, contacts = jammed[0], _named(run, (at.pair for at in jammed))
+    worst, contacts = jammed[0], named(run.model, "contact", (at.pair for at in jammed))
     also = others([contact.name for contact in contacts[1:]], "pairs")
     problem = (
         f"{_geoms(run.model, worst.pair)} overlap by {metres(worst.depth)}{also}, as their joints "
@@ -218,16 +209,15 @@ def _overlaps(run: Recording, starts: list[Contact], rest: list[Contact]) -> Ite
     for at in rest:
         at_rest[at.pair] = max(at_rest.get(at.pair, 0.0), at.depth)
     deep: dict[int, Contact] = {}
-    sizes = {at.pair: run.sizes.contact(*run.model.contact_pair(at.pair).geoms) for at in starts}
     for start in starts:
-        notable = OVERLAP * sizes[start.pair]
+        notable = OVERLAP * run.thick(start.pair)
         known = RESTS * at_rest.get(start.pair, 0.0)
         if start.depth > (max(notable, known) if start.movable else LEFT * notable):
             deep.setdefault(start.pair, start)
     if not deep:
         return
-    worst, contacts = next(iter(deep.values())), _named(run, deep)
-    share = worst.depth / sizes[worst.pair]
+    worst, contacts = next(iter(deep.values())), named(run.model, "contact", deep)
+    share = worst.depth / run.thick(worst.pair)
     # Thrown further apart than they overlapped: v²/2g > depth.
     thrown = worst.speed > (2 * _gravity(run.model) * worst.depth) ** 0.5
     becomes = f" and are thrown apart at {speed(worst.speed)}" if thrown else ""
@@ -272,7 +262,7 @@ def _depths(run: Recording, rest: list[Contact], asked: float | None) -> Iterato
     """Yield how deep contacts rest, with the solref that reduces the depth."""
     notable = []
     for at in rest:
-        thick = _thick(run, at.pair)
+        thick = run.thick(at.pair)
         ratio = at.depth / (DEEP * thick)
         if ratio > 1 or (asked is not None and at.depth > asked):
             notable.append((ratio, thick, at))
@@ -280,7 +270,7 @@ def _depths(run: Recording, rest: list[Contact], asked: float | None) -> Iterato
         return
     notable.sort(key=lambda entry: -entry[2].depth if asked is not None else -entry[0])
     (ratio, thick, worst), model = notable[0], run.model
-    contacts = _named(run, (at.pair for _, _, at in notable))
+    contacts = named(run.model, "contact", (at.pair for _, _, at in notable))
     pair = model.contact_pair(worst.pair)
     wanted = asked if asked is not None else LEFT * DEEP * thick
     verb = "rests" if worst.settled else "has not come to rest and stays up to"
@@ -309,24 +299,24 @@ def _impacts(run: Recording, known: Collection[int]) -> Iterator[Finding]:
     """Yield pairs that an impact or a load pressed deep into each other for a while."""
     notable = sorted(
         (
-            (depth / (PRESSED * _thick(run, pair)), depth, pair)
+            (depth / (PRESSED * run.thick(pair)), depth, pair)
             for pair, depth in _deepest(run).items()
-            if pair not in known and depth > PRESSED * _thick(run, pair)
+            if pair not in known and depth > PRESSED * run.thick(pair)
         ),
         reverse=True,
     )
     if not notable:
         return
     model, pairs = run.model, [pair for *_, pair in notable]
-    (_, depth, worst), contacts = notable[0], _named(run, pairs)
+    (_, depth, worst), contacts = notable[0], named(run.model, "contact", pairs)
     solref = model.contact_pair(worst).solref
     problem = (
         f"{listed(contacts, 'contacts')} is pressed {metres(depth)} deep, "
-        f"{percent(depth / _thick(run, worst))} of the thinner geom's half "
+        f"{percent(depth / run.thick(worst))} of the thinner geom's half "
         f'thickness, under solref="{solref[0]:g} {solref[1]:g}"'
     )
     ways = (tuple(hardest(model, pairs, model.settings.dt / part) for part in (1, 2, 4)),)
-    enough = PRESSED * _thick(run, worst)
+    enough = PRESSED * run.thick(worst)
     remedy = Remedy(ways, lambda other: _pressed(other, pairs), enough, metres, needed=True)
     finding = Finding("depth under load", "remark", problem, "", contacts, depth, "m")
     yield replace(finding, commands=TEST_CONTACTS, remedy=remedy)
@@ -364,17 +354,17 @@ def _slides(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
         if seen.friction(pair) > 0 or len(places) < max(FEWEST, 0.2 * len(run)):
             continue
         mean = float(np.linalg.norm(seen.past[places], axis=1).mean())
-        if mean > SLIDES * _thick(run, pair):
+        if mean > SLIDES * run.thick(pair):
             fast.append(Contact(pair, part, speed=mean))
     model, remark = run.model, "remark"
     if fast:
         fast.sort(key=lambda slide: -slide.speed)
-        contacts = _named(run, (slide.pair for slide in fast))
+        contacts = named(run.model, "contact", (slide.pair for slide in fast))
         frictionless = model.contact_pair(fast[0].pair).condim == 1
         cure = 'condim="3"' if frictionless else 'friction="0.8"'
         problem = (
             f"{listed(contacts, 'contacts')} slides at {speed(fast[0].speed)} without friction, "
-            f"because {_why(model, fast[0].pair)}"
+            f"because {'condim is 1' if frictionless else 'its friction is 0'}"
         )
         cure = f"{cure} on one of the two geoms gives it friction"
         yield Finding("no friction", remark, problem, cure, contacts, fast[0].speed, "m/s")
@@ -383,17 +373,18 @@ def _slides(run: Recording, rest: list[Contact]) -> Iterator[Finding]:
     without = [at for at in rest if seen.friction(at.pair) == 0 and _carries(model, at, free)]
     carrying = sorted(without, key=lambda at: -at.force)
     if carrying:
-        force, contacts = carrying[0].force, _named(run, (at.pair for at in carrying))
+        frictionless = model.contact_pair(carrying[0].pair).condim == 1
+        force, contacts = (
+            carrying[0].force,
+            named(model, "contact", (at.pair for at in carrying)),
+        )
         problem = (
             f"{listed(contacts, 'contacts')} carries {newtons(force)} without friction, because "
-            f"{_why(model, carrying[0].pair)}, so a slight push lets the body slide or topple"
+            f"{'condim is 1' if frictionless else 'its friction is 0'}, so a slight push lets the "
+            "body slide or topple"
         )
         cure = 'condim="3" on one of the two geoms gives it friction'
         yield Finding("no friction", remark, problem, cure, contacts, force, "N")
-
-
-def _why(model: Model, pair: int) -> str:
-    return "condim is 1" if model.contact_pair(pair).condim == 1 else "its friction is 0"
 
 
 def _carries(model: Model, at: Contact, free: set[int]) -> bool:

@@ -179,10 +179,10 @@ def _held(run: Recording) -> np.ndarray:
 
 
 def _contacts(run: Recording) -> Iterator[Finding]:
-    model, seen = run.model, run.contacts
+    model = run.model
 
     def over(creep: Creep) -> float:
-        return creep.speed / (CREEP * seen.thick(creep.of))
+        return creep.speed / (CREEP * run.thick(creep.of))
 
     found = sorted((creep for creep in creeps(run) if over(creep) > 1), key=over, reverse=True)
     if not found:
@@ -200,7 +200,7 @@ def _contacts(run: Recording) -> Iterator[Finding]:
     remedy = Remedy(
         (cures, (Cure("stiction=True", Change(stiction=True)),)),
         functools.partial(_left, found, _slips),
-        CREEP * seen.thick(worst.of),
+        CREEP * run.thick(worst.of),
         # Below a nanometre in a second it is rounding.
         lambda left: speed(left) if left > 1e-9 else "none",
         most=2,
@@ -221,8 +221,8 @@ def _contacts(run: Recording) -> Iterator[Finding]:
 def drifts(run: Recording) -> Iterator[Creep]:
     """Yield joints that move steadily under less than their friction loss, at their fastest.
 
-    A joint whose own controls change is meant to move, and one with a servo ends at its target. So
-    is what a tendon's actuator moves not told.
+    A joint whose own controls change is meant to move, and one with a servo ends at its target.
+    Nothing is told where an actuator drives no single joint.
     """
     model, features = run.model, run.model.scene.features
     changing = np.ptp(run["ctrl"], axis=0) > 0

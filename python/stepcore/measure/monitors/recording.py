@@ -80,6 +80,10 @@ class Recording:
     def sizes(self) -> Sizes:
         return Sizes(self.model)
 
+    def thick(self, pair: int) -> float:
+        """Return the half thickness of the thinner geom of a pair [m]."""
+        return self.sizes.contact(*self.model.contact_pair(pair).geoms)
+
     @functools.cached_property
     def contacts(self) -> Contacts:
         """The contacts that push, at all readings."""
@@ -243,10 +247,6 @@ class Contacts:
             of = self.model.contact_pair(pair)
             self._frictions[pair] = of.friction if of.condim > 1 else 0.0
         return self._frictions[pair]
-
-    def thick(self, pair: int) -> float:
-        """Return the half thickness of the thinner geom of a pair [m]."""
-        return self.run.sizes.contact(*self.model.contact_pair(pair).geoms)
 
     def _lever(self, pair: int) -> float:
         """Return the radius on which the smaller geom of a pair rolls [m]."""
