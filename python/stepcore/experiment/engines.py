@@ -201,7 +201,7 @@ class Stepcore:
             self._looks = [tuple(seen[name][0, k] for name in names) for k in some]
         total = evaluations = 0
         try:
-            sim = unwatched(Sim(self.of(change)))
+            sim = unwatched(Sim(schedule.on(self.of(change))))
             for qpos, qvel, act, ctrl in self._looks:
                 sim.reset()
                 sim.qpos[:], sim.qvel[:], sim.act[:], sim.ctrl[:] = qpos, qvel, act, ctrl
@@ -275,27 +275,15 @@ def run(
 
     Samples are those of the schedule, after the start itself.
     """
-    dt = model.settings.dt
+    dt, model = model.settings.dt, schedule.on(model)
     count = schedule.steps(dt)
     begin = [schedule.starts[k] for k in starts]
     how: dict[str, Any] = {"record": record, "bound": bound, "threads": threads}
     steps, every = schedule.periods * count, schedule.every * count
-    if schedule.control is None:
-        ctrl, hold = schedule.rows(starts, dt)
-        return follow(model, begin, steps, every, ctrl=ctrl, hold=hold, **how)
-    own = [schedule.function(k) for k in starts]
-    parts = [
-        follow(model, [start], steps, every, control=function, hold=count, **how)
-        for start, function in zip(begin, own, strict=True)
-    ]
-    failures = {k: part.failures[0] for k, part in enumerate(parts) if part.failures}
-    data = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].data}
-    made, inner, operations = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("made", "inner", "operations")
-    )
-    seconds = sum(part.seconds for part in parts)
-    return Followed(parts[0].times, data, failures, made, inner, operations, seconds)
+    if schedule.control is not None:
+        return follow(model, begin, steps, every, control=schedule.control, hold=count, **how)
+    ctrl, hold = schedule.rows(starts, dt)
+    return follow(model, begin, steps, every, ctrl=ctrl, hold=hold, **how)
 
 
 def visits(

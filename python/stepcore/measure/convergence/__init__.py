@@ -17,7 +17,6 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import Horizon, affordable, horizon_of
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.norm import apart, rms
-from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, divides
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.experiment.trial import Trial
@@ -120,7 +119,7 @@ def converge(
             job = partial(residual_history, setup.model, shipped)
             histories = workers.each(job, chosen, "sweeps")
         with workers.deadline.stage("the findings on the shipped settings"):
-            found = monitored(Runner(setup.model, study.schedule), shipped)[0]
+            found = monitored(setup.model, study.schedule)[0]
             # The residual is already reported by this measurement.
             findings = [one for one in found if one.kind != "residual"]
     return Convergence(

@@ -142,7 +142,8 @@ class Trade(Result):
         state = dict(self.__dict__)
         if self.schedule.control is not None:
             control = picklable(self.schedule.control)
-            state["schedule"] = dataclasses.replace(self.schedule, control=control)
+            controls = dataclasses.replace(self.schedule.controls, function=control)
+            state["schedule"] = dataclasses.replace(self.schedule, controls=controls)
         return state
 
     # Rows and recommendations.
@@ -608,9 +609,10 @@ class Trade(Result):
     def _again(self, change: Change, start: int) -> Trajectory:
         if self.engine != "stepcore" or self.model is None:
             raise ValueError("the motions of MuJoCo's settings are not kept: run them in MuJoCo")
-        sim, schedule = Sim(change.of(self.model)), self.schedule
+        schedule = self.schedule
+        sim = Sim(schedule.on(change.of(self.model)))
         schedule.starts[start].put(sim)
-        control: Any = schedule.function(start)
+        control: Any = schedule.function()
         held = schedule.period
         if control is None:
             rows, hold = schedule.rows([start], sim.settings.dt)

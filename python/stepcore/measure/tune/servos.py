@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepcore._core import SimulationError
+from stepcore.engine.actuator import actuators
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
 from stepcore.measure.diagnosis.limits import step_stability
 from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
 from stepcore.measure.diagnosis.stiffness_warning import MARGIN
-from stepcore.measure.monitors.actuators import on_one_dof
 from stepcore.measure.tune.goal import PASSES, RISES, SETTLES, WITHIN, Goal, Tuned
 from stepcore.report.units import rounded, seconds
 from stepcore.scene.layout import Layout
@@ -86,7 +86,7 @@ def servos_of(model: Model, start: Start, names: Sequence[str] | None) -> list[S
     mass, need = sim.mass_matrix(), np.array(sim.bias) - np.array(sim.passive)
     layout, called = Layout(model.scene), model.called("actuator")
     found = []
-    for k in on_one_dof(model):
+    for k in (of.index for of in actuators(model) if of.direct):
         joint, gear = int(model.actuator_joint[k]), float(model.actuator_gear[k, 0])
         bias, law = model.actuator_bias[k], model.scene.actuators[k].law
         if law.gaintype != "fixed" or not (bias[1] < 0 < model.actuator_gain[k]) or not gear:
