@@ -128,8 +128,7 @@ def converge(
         histories = _histories(runner, some, states, workers)
     findings: list[Finding] = []
     with workers.deadline.stage("the findings on the shipped settings"):
-        # The residual is already reported by this measurement.
-        findings = [one for one in monitored(runner, shipped)[0] if one.kind != "residual"]
+        findings = monitored(model, schedule)[0]
     return Convergence(
         name=setup.name,
         settings=shipped,

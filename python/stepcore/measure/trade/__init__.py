@@ -14,7 +14,6 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.horizon import Horizon, affordable, horizon_of
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.motion_words import motion_in_words
-from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, STARTS, time_steps
 from stepcore.experiment.study import EFFORT, SHIPPED, Study
 from stepcore.measure.monitors import monitored
@@ -167,7 +166,7 @@ def trade(
             result.times = study.times([trial.change for trial in named if not trial.failure])
     if engine == "stepcore":
         with workers.deadline.stage("the findings on the shipped settings"):
-            result.findings = monitored(Runner(setup.model, study.schedule), shipped)[0]
+            result.findings = monitored(setup.model, study.schedule)[0]
     if mujoco:
         with workers.deadline.stage("the same trade in MuJoCo"):
             own: Any = {"threads": fields.get("threads"), "executor": fields.get("executor")}
