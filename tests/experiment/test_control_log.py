@@ -8,7 +8,7 @@ from covering import every_pair
 
 import stepcore as sc
 from stepcore.experiment.batched_runs import batched
-from stepcore.experiment.control_log import ControlLog
+from stepcore.experiment.controls import ControlLog, Controls
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 
@@ -94,7 +94,8 @@ def test_the_error_of_sampling_a_log_falls_as_the_square_of_the_step(linear):
         schedule = own
         if at_beginning:
             rows = [own.log.steps(k * dt, 1e-6, 1) for k in range(round(0.4 / dt))]
-            schedule = replace(own, log=ControlLog(dt * np.arange(len(rows)), np.concatenate(rows)))
+            log = ControlLog(dt * np.arange(len(rows)), np.concatenate(rows))
+            schedule = replace(own, controls=Controls(log))
         runner = Runner(model, schedule)
         run = runner.screen(model.settings.replace(dt=dt, integrator="rk4"), 0)
         return run.com[:, 0, 2]

@@ -115,8 +115,9 @@ def test_part_of_a_schedule_keeps_its_starts_and_their_controls():
     assert part.starts == whole.starts[1:3] and len(part.ctrl) == 2
     assert (part.ctrl == whole.ctrl[1:3]).all() and part.horizon == whole.horizon
     moved = scheduled(Motion(horizon=0.4, starts=5), scene.compile(), 0.1)
-    assert (moved.part(1, 3).control.changes == moved.control.changes[1:3]).all()
-    assert (moved.part(0, 1).joined(moved.part(1)).control.changes == moved.control.changes).all()
+    rows = moved.controls.log.rows
+    assert (moved.part(1, 3).controls.log.rows == rows[1:3]).all()
+    assert (moved.part(0, 1).joined(moved.part(1)).controls.log.rows == rows).all()
 
 
 def test_times_are_texts_with_units_too():

@@ -30,7 +30,8 @@ def driven():
     scene.add_actuator(scene.add_joint(cart, "slide", axis=(1, 0, 0)), ctrlrange=(-1, 1))
     scene.options = {"dt": 0.01, "integrator": "semi-implicit", "solver": "pgs"}
     model = scene.compile()
-    return Runner(model, scheduled(Motion(horizon=PERIODS * 0.04, starts=2), model, 0.04))
+    motion = Motion(horizon=PERIODS * 0.04, starts=2, kind="random")
+    return Runner(model, scheduled(motion, model, 0.04))
 
 
 def stiff_spring():

@@ -20,9 +20,8 @@ from stepcore._core import SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.terminal import Usage
 from stepcore.engine.model import Model
-from stepcore.experiment.control_table import control_table
+from stepcore.experiment.control_table import PositionTable, control_table
 from stepcore.experiment.default_motion import KINDS
-from stepcore.experiment.followed import PositionTable
 from stepcore.experiment.motion import INTERPOLATIONS
 from stepcore.experiment.policy import ENDINGS as ENDINGS_OF_POLICIES
 from stepcore.experiment.policy import Policy

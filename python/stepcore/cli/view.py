@@ -102,5 +102,5 @@ def _live(args: Any, sim: Sim) -> None:
         raise Usage("--motion drives the run that --html writes")
     if args.ctrl is not None:
         table = control_table(controls_of(args.ctrl, sim.model))
-        sim.ctrl = table.over(sim.model, np.array(sim.ctrl), 1, sim.settings.dt)[0]
+        sim.ctrl = table.log(sim.model, np.array(sim.ctrl), sim.settings.dt).rows[0]
     sim.view(host=args.host, port=args.port, wait=True)

@@ -18,7 +18,6 @@ from stepcore._core import Settings
 from stepcore.engine.batch import Batch, unwatched
 from stepcore.executors import checkpoint
 from stepcore.experiment.arguments import Bar, BatchSpeedup, Timed, Workers
-from stepcore.experiment.point_to_point import PointToPoint
 from stepcore.experiment.recorder import Positions
 from stepcore.experiment.run import Run
 from stepcore.experiment.runner import Clock, Runner
@@ -35,8 +34,7 @@ GAIN = 1.75
 
 def can(runner: Runner) -> bool:
     """Return whether runs can be batched: not if the user's own function controls them."""
-    control = runner.schedule.control
-    return control is None or isinstance(control, PointToPoint)
+    return runner.schedule.control is None
 
 
 def helps(runs: int, threads: int, speedup: BatchSpeedup) -> bool:
@@ -90,7 +88,8 @@ class BatchRun:
         on_failure: str = "go on",
     ) -> None:
         self.runner, self.starts = runner, starts
-        batch = Batch(runner.model, len(starts), settings, threads=1, on_failure=on_failure)
+        model = runner.schedule.on(runner.model)
+        batch = Batch(model, len(starts), settings, threads=1, on_failure=on_failure)
         self.batch = unwatched(batch)
         # The reasons of worlds that exploded; the worlds that failed otherwise.
         self.exploded: dict[int, str] = {}
@@ -125,10 +124,8 @@ class BatchRun:
             done = 0
             if schedule.ctrl is not None:
                 batch.ctrl[:] = schedule.ctrl[list(self.starts), period]
-            elif isinstance(schedule.control, PointToPoint):
-                batch.ctrl[:] = schedule.control.controls(batch.time, batch, list(self.starts))
             for end, row in schedule.stretches(
-                self.starts, period * count, batch.settings.dt, count
+                list(self.starts), period * count, batch.settings.dt, count
             ):
                 if row is not None:
                     batch.ctrl[:] = row

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from stepcore.engine.model import Model
 from stepcore.mjcf.option import said, shortest
 from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds
+from stepcore.scene.elements.actuator_laws import ALL_LAW_FIELDS
 
 if TYPE_CHECKING:
     from stepcore._core import Settings
@@ -24,12 +26,26 @@ if TYPE_CHECKING:
 MODELLING = ("cone", "impratio", "stiction", "softness", "beta", "restitution", "slop")
 
 
+class Servo(NamedTuple):
+    """A position servo in place of an actuator: force = kp × (control − length) − kv × velocity.
+
+    actuator: its name or index. kp, kv: the gains, before the gear. forcerange: bounds of the
+    force, before the gear.
+    """
+
+    actuator: str | int
+    kp: float
+    kv: float
+    forcerange: tuple[float, float] = (-np.inf, np.inf)
+
+
 class Change:
-    """Settings, values of the model, and features left out.
+    """Settings, values of the model, features left out, and servos in place of actuators.
 
     values: new values by path, as in `Model.with_values`: ``{"actuator/knee/kp": 80.0}``.
     without: features to leave out: names of flags of the scene ("gravity", "contact", "limit", …),
         or `Removal`s.
+    servos: `Servo`s that take the place of actuators.
     settings: fields of `Settings`, such as ``dt=0.001, integrator="rk4"``.
 
     Changes are constant, can be compared, hashed and pickled. An empty one is the scene as shipped.
@@ -43,17 +59,19 @@ class Change:
     (0.001, 20.0)
     """
 
-    __slots__ = ("_hash", "settings", "values", "without")
+    __slots__ = ("_hash", "servos", "settings", "values", "without")
 
     settings: tuple[tuple[str, Any], ...]
     values: tuple[tuple[str, Any], ...]
     without: tuple[Removal, ...]
+    servos: tuple[Servo, ...]
     _hash: int
 
     def __init__(
         self,
         values: Mapping[str, Any] | None = None,
         without: Iterable[str | Removal] = (),
+        servos: Iterable[Servo] = (),
         **settings: Unpack[SettingsFields],
     ) -> None:
         removed = (_removal(one) if isinstance(one, str) else one for one in without)
@@ -62,7 +80,12 @@ class Change:
         object.__setattr__(self, "settings", tuple(sorted(fields.items())))
         object.__setattr__(self, "values", tuple(sorted(own.items())))
         object.__setattr__(self, "without", tuple(sorted(set(removed), key=lambda r: r.label)))
-        object.__setattr__(self, "_hash", hash((self.settings, self.values, self.without)))
+        object.__setattr__(self, "servos", tuple(servos))
+        object.__setattr__(self, "_hash", hash(self._parts))
+
+    @property
+    def _parts(self) -> tuple[Any, ...]:
+        return self.settings, self.values, self.without, self.servos
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"a Change is constant: make another one to change {name}")
@@ -70,14 +93,13 @@ class Change:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Change):
             return NotImplemented
-        mine, theirs = (self.settings, self.values), (other.settings, other.values)
-        return mine == theirs and self.without == other.without
+        return self._parts == other._parts
 
     def __hash__(self) -> int:
         return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _made, (dict(self.settings), dict(self.values), self.without)
+        return _made, (dict(self.settings), dict(self.values), self.without, self.servos)
 
     def __repr__(self) -> str:
         return f"<Change: {self.words}>"
@@ -95,21 +117,22 @@ class Change:
         """Return both changes; of a setting or value in both, that of `other`."""
         settings = {**dict(self.settings), **dict(other.settings)}
         values = {**dict(self.values), **dict(other.values)}
-        return Change(values, (*self.without, *other.without), **settings)
+        servos = {servo.actuator: servo for servo in (*self.servos, *other.servos)}
+        return Change(values, (*self.without, *other.without), servos.values(), **settings)
 
     @property
     def physics(self) -> Change:
-        """What changes the model: values, features left out, and settings such as the cone."""
+        """What changes the model: all but settings, and of these such as the cone."""
         model = {name: value for name, value in self.settings if name in MODELLING}
-        return Change(dict(self.values), self.without, **model)
+        return Change(dict(self.values), self.without, self.servos, **model)
 
     @property
     def size(self) -> int:
-        """How much of the model is changed: the number of values and of features left out.
+        """How much of the model is changed: the number of values, features left out and servos.
 
         Settings do not count, because the model stays what it is.
         """
-        return len(self.values) + len(self.without)
+        return len(self.values) + len(self.without) + len(self.servos)
 
     @property
     def models(self) -> bool:
@@ -125,6 +148,8 @@ class Change:
             model = Model(without(model.scene, self.without), model.settings)
         if self.values:
             model = model.with_values(dict(self.values))
+        if self.servos:
+            model = _with_servos(model, self.servos)
         return self.with_settings(model)
 
     def with_settings(self, model: Model) -> Model:
@@ -137,6 +162,7 @@ class Change:
         parts = [_setting(name, value) for name, value in sorted(self.settings, key=_order)]
         parts += [f"{path} {_number(value)}" for path, value in self.values]
         parts += [f"without {removal.label}" for removal in self.without]
+        parts += [f"servo {s.actuator} (kp {s.kp:g}, kv {s.kv:g})" for s in self.servos]
         return ", ".join(parts) or "as shipped"
 
     def label(self, shipped: Settings) -> str:
@@ -168,13 +194,47 @@ class Change:
             kind, _, name = element.partition("/")
             head = f'{kind} name="{name}"' if name else "option"
             lines.append(f"<{head} {_attributes(fields)}/>")
+        lines += [f"<general {_attributes(_of_servo(servo))}/>" for servo in self.servos]
         lines += [f"<!-- without {removal.label} -->" for removal in self.without]
         lines += [f"<!-- {name} = {value} -->" for name, value in rest.items()]
         return "\n".join(lines)
 
 
-def _made(settings: dict[str, Any], values: dict[str, Any], without: tuple[Removal, ...]) -> Change:
-    return Change(values, without, **settings)
+def _made(
+    settings: dict[str, Any],
+    values: dict[str, Any],
+    without: tuple[Removal, ...],
+    servos: tuple[Servo, ...],
+) -> Change:
+    return Change(values, without, servos, **settings)
+
+
+def _of_servo(servo: Servo) -> dict[str, str]:
+    """Return the attributes of a servo."""
+    fields = {
+        "name": str(servo.actuator),
+        "gainprm": _number(servo.kp),
+        "biastype": "affine",
+        "biasprm": _number((0.0, -servo.kp, -servo.kv)),
+    }
+    bounded = bool(np.isfinite(servo.forcerange).all())
+    return fields | ({"forcerange": _number(servo.forcerange)} if bounded else {})
+
+
+def _with_servos(model: Model, servos: Iterable[Servo]) -> Model:
+    """Return the model with servos in place of actuators; filters of controls stay."""
+    scene = copy.deepcopy(model.scene)
+    for servo in servos:
+        actuator = scene.actuators[model.index("actuator", servo.actuator)]
+        law = actuator.law
+        for field in ALL_LAW_FIELDS:
+            setattr(actuator, field, None)
+        actuator.type, actuator.gaintype, actuator.biastype = "general", "fixed", "affine"
+        actuator.gainprm, actuator.biasprm = (servo.kp,), (0.0, -servo.kp, -servo.kv)
+        actuator.dyntype, actuator.dynprm = law.dyntype, law.dynprm
+        bounded = bool(np.isfinite(servo.forcerange).all())
+        actuator.ctrlrange, actuator.forcerange = None, servo.forcerange if bounded else None
+    return Model(scene, model.settings)
 
 
 def _removal(feature: str) -> Removal:

@@ -79,7 +79,8 @@ def closed(runner: Runner, runs: Sequence[Run]) -> Exact | None:
     runs: the converged runs.
     """
     schedule = runner.schedule
-    if schedule.control is not None or schedule.log or any(run.rows for run in runs):
+    servos = schedule.controls.servos
+    if servos or schedule.control or schedule.log or any(run.rows for run in runs):
         return None
     if any(joint[0] == "ball" for joint in runner.coordinates.joints):
         return None

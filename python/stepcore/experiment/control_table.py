@@ -1,19 +1,28 @@
-"""`ControlTable`: a user's controls in rows, from an array, a file, a DataFrame or a dict."""
+"""`ControlTable`: a user's controls in rows, from an array, a file, a DataFrame or a dict.
+
+`PositionTable`: recorded positions of joints, which servos follow.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from stepcore import checks
+from stepcore.engine.actuator import MOTOR, SERVO
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.engine.start import Start
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.control_files import MCAP, mcap_rows
-from stepcore.experiment.control_log import ControlLog
+from stepcore.experiment.controls import ControlLog, Controls
+from stepcore.experiment.moves import Moves, resting
 from stepcore.experiment.user_table import TIME, Content, numbers, read_table, times_of
 from stepcore.report.units import seconds
 
@@ -99,11 +108,6 @@ class ControlTable:
         return separator.join(values)
 
     @property
-    def interpolated(self) -> bool:
-        """Whether rows are interpolated whatever the motion says."""
-        return False
-
-    @property
     def duration(self) -> float:
         """The time from the first row to the last [s]; 0 without times."""
         return 0.0 if self.times is None else float(self.times[-1] - self.times[0])
@@ -141,36 +145,34 @@ class ControlTable:
         gap = self.gap
         return "rows at their own times" if gap is None else f"a row every {seconds(gap)}"
 
-    def log(self, model: Actuated, held: np.ndarray, linear: bool = False) -> ControlLog | None:
-        """Return the rows at their own times; None for a table without times.
+    def log(
+        self,
+        model: Actuated,
+        held: np.ndarray,
+        period: float,
+        linear: bool = False,
+        sampled: bool = False,
+    ) -> ControlLog:
+        """Return the controls over time.
 
-        held: the controls of actuators without a column, shape (nu,).
-        linear: whether to interpolate the rows.
+        held: the controls of actuators without a column, (nu,). period: of rows without times [s].
+        linear: whether to interpolate the rows. sampled: whether rows that are held take effect at
+        the beginning of a period.
 
         Raises ValueError for a table that does not match the model's actuators.
         """
-        if self.times is None:
-            if linear and self.changes:
-                raise ValueError(f"{self.source}: has no times to interpolate between")
-            return None
+        if self.times is None and linear and self.changes:
+            raise ValueError(f"{self.source}: has no times to interpolate between")
         rows = self._complete(model, held)
-        return ControlLog(self.times - self.times[0], rows, linear)
-
-    def over(self, model: Actuated, held: np.ndarray, periods: int, period: float) -> np.ndarray:
-        """Return the controls in each period, shape (periods, nu); the last row stays to the end.
-
-        held: the controls of actuators without a column, shape (nu,).
-        period: the control period [s].
-
-        Raises ValueError for a table that does not match the model's actuators.
-        """
         if self.times is None:
-            index = np.minimum(np.arange(periods), len(self.rows) - 1)
-        else:
-            now = period * np.arange(periods) + 1e-6 * period
-            index = np.searchsorted(self.times - self.times[0], now, side="right") - 1
-        rows: np.ndarray = self._complete(model, held)[index]
-        return rows
+            return ControlLog(period * np.arange(len(rows)), rows)
+        times = self.times - self.times[0]
+        if sampled and not linear:
+            # A row that is in effect for less than a period, from its beginning on, is not seen.
+            periods = period * np.arange(math.floor(times[-1] / period) + 2)
+            index = np.searchsorted(times, periods + 1e-6 * period, side="right") - 1
+            return ControlLog(periods, rows[index])
+        return ControlLog(times, rows, linear)
 
     def _complete(self, model: Actuated, held: np.ndarray) -> np.ndarray:
         """Return the rows with the controls of all actuators, shape (n, nu)."""
@@ -183,6 +185,88 @@ class ControlTable:
         values = np.tile(held, (len(self.rows), 1))
         values[:, _actuators(self.source, self.columns, model)] = self.rows
         return values
+
+
+@dataclass(frozen=True, eq=False)
+class PositionTable(ControlTable):
+    """Positions of hinges and slides in rows; see `ControlTable`.
+
+    Servos get the controls with which they are without force in the recorded position. Motors get
+    servos in their place, with the gains of the default motion "hold".
+    """
+
+    @classmethod
+    def of(cls, source: Any) -> PositionTable:
+        """Return the table of a user's argument `follow`; see `Motion`."""
+        if isinstance(source, PositionTable):
+            return source
+        table = control_table(source, "qpos")
+        return cls(**{field.name: getattr(table, field.name) for field in fields(table)})
+
+    def period(self, dt: float) -> float | None:
+        return None if self.times is not None else dt
+
+    def begin(self, model: Model, qpos: np.ndarray) -> np.ndarray:
+        """Return the pose of the first row; qpos: that of the keyframe."""
+        return self.poses(model, qpos)[0]
+
+    def poses(self, model: Model, qpos: np.ndarray) -> np.ndarray:
+        """Return a pose for each row, shape (n, nq); qpos: of the joints without a column."""
+        rows = self.rows[:, None] if self.rows.ndim == 1 and model.nq == 1 else self.rows
+        if self.columns is None:
+            if rows.ndim != 2 or rows.shape[1] != model.nq:
+                limit = f"(n, {model.nq}), or have columns by joint"
+                raise ValueError(f"{self.source} has shape {rows.shape}: must be {limit}")
+            return rows
+        poses: np.ndarray = np.tile(np.array(qpos, float), (len(rows), 1))
+        names = model.called("joint")
+        for name, column in zip(self.columns, rows.T, strict=True):
+            joint = name.partition(".")[0]
+            # Joints with several coordinates, of a recorded run, are not followed.
+            if name in names and model.jnt_type[names.index(name)] in ("hinge", "slide"):
+                poses[:, model.jnt_qposadr[names.index(name)]] = column
+            elif joint not in names:
+                near = checks.nearest(name, names)
+                raise ValueError(f"{self.source}: no joint is named {checks.quoted(name)}{near}")
+        return poses
+
+    def followed(self, model: Model, start: Start, held: np.ndarray, period: float) -> Controls:
+        """Return the controls that follow the positions; between rows they are interpolated.
+
+        start: the first pose, for which servos in place of motors are made. held: the controls of
+        the keyframe, (nu,). period: of rows without times [s].
+        """
+        poses = self.poses(model, start.qpos)
+        moves = Moves(model, start, held, keep=True)
+        servos, motors = moves.of(SERVO), moves.of(MOTOR)
+        if not servos and not motors:
+            what = "position servo or motor, which could follow"
+            raise ValueError(f"{self.source}: no actuator is a {what}")
+        times = period * np.arange(len(poses)) if self.times is None else self.times - self.times[0]
+        rates = np.gradient(poses, times, axis=0) if len(poses) > 1 else np.zeros_like(poses)
+        sim, rows = Sim(model), np.tile(moves.hold.ctrl, (len(poses), 1))
+        gains = {servo.actuator: servo.kp for servo in moves.hold.servos}
+        dofs = [motor.dof for motor in motors]
+        first: np.ndarray | None = None
+        for row, pose, rate in zip(rows, poses, rates, strict=True):
+            sim.qpos = pose
+            lengths = sim.actuator_length
+            for servo in servos:
+                row[servo.index] = servo.holding(lengths[servo.index])
+            if not motors:
+                continue
+            # What the pose needs more than the first one, which servos carry.
+            sim.forward()
+            load = resting(sim, dofs, np.zeros((0, model.nv)))
+            first = load if first is None else first
+            for motor, more in zip(motors, load - first, strict=True):
+                k, at = motor.index, motor.qposadr
+                ahead = pose[at] - poses[0, at] + moves.hold.lag[k] * rate[at]
+                kp = gains[model.actuator_names[k] or k]
+                share = more / dofs.count(motor.dof) / motor.gear
+                row[k] += motor.gear * ahead + share / kp
+        log = ControlLog(times, rows, linear=self.times is not None)
+        return Controls(log, servos=moves.hold.servos)
 
 
 def control_table(ctrl: Any, array: str = "ctrl") -> ControlTable:

@@ -7,13 +7,13 @@
   from the start to a random pose near it in 0.8 s (minimum jerk), rest for 0.2 s, and return. A
   joint goes up to a tenth of its range and at most 0.5 rad; each start has a pose of its own.
   Contacts on which the robot stands keep their places. Position servos get these poses as their
-  controls, velocity servos get the velocities. Motors get a PD controller that carries the static
-  load of the start.
+  controls, velocity servos get the velocities. Motors get servos in their place, which carry the
+  static load of the start; see `stepcore.experiment.moves`.
 - Motors with controls within ±1 on a body that moves about (the walkers of gymnasium and
   dm_control), muscles and all else: "sines", which are what policies look like.
 
-A motion is tried by running it under the shipped settings. It is made smaller, from the same random
-numbers, until forces stay below 60 % of their bounds (or half of what holding the start leaves), no
+A motion is tried by running it under the shipped settings, from all starts at once. It is made
+smaller until forces stay below 60 % of their bounds (or half of what holding the start leaves), no
 actuator is at its bound for more than 5 % of the time, and no limit or contact is met that holding
 the start does not meet. What cannot be reached is said.
 
@@ -23,52 +23,39 @@ control period, and "fall" sets all controls to 0.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from stepcore.engine.actuator import MOTOR, OTHER, SERVO, VELOCITY_SERVO, actuators
 from stepcore.engine.model import Model
 from stepcore.engine.start import Start
-from stepcore.experiment.control_log import ControlLog
-from stepcore.experiment.drives import MOTOR, RATE, SERVO, Drives, actuators_in_words
-from stepcore.experiment.move_words import MoveWords
-from stepcore.experiment.moves import Moves
-from stepcore.experiment.point_to_point import PointToPoint
-from stepcore.experiment.sines import control_ranges, sines, sines_in_words, undriven, uniform
-from stepcore.report.units import seconds
+from stepcore.experiment.controls import ControlLog, Controls
+from stepcore.experiment.moves import HELD, MOVE, Chosen, Moves, moves_about
+from stepcore.report.units import counted, metres, percent, radians, seconds
 
 KINDS = ("hold", "move", "sines", "fall", "random")
+# A control range within ±1 has no unit: it is an action, as of gymnasium and dm_control.
+ACTION = 1.0
+# The sines of a control: their number, frequencies [Hz], and amplitude as a share of the control
+# range, and without one of the keyframe's control. They grow over a time [s], because a jump would
+# shock a stiff servo.
+SINES, HERTZ, RANGED, UNRANGED, RAMP = 3, (0.3, 3.0), 0.4, 0.25, 0.25
+# The most names in a list.
+NAMED = 4
 
 
 def kind_of(model: Model) -> str:
     """Return the kind of motion that is chosen for a model."""
-    drives = Drives(model)
     if not model.nu or not model.scene.features.actuation:
         return "fall"
-    if drives.of(SERVO, RATE):
+    drives = actuators(model)
+    if any(drive.kind in (SERVO, VELOCITY_SERVO) for drive in drives):
         return "move"
-    if drives.of(MOTOR) and not (drives.takes_actions and drives.moves_about):
-        return "move"
-    return "sines"
-
-
-@dataclass(frozen=True)
-class DefaultMotion:
-    """Controls that were made for a model.
-
-    ctrl: the controls, (starts, periods, nu), or None with `control`.
-    control: a control function, or None.
-    words: the motion in words.
-    remarks: what could not be reached.
-    log: controls that change within periods; `ctrl` has their means. See `Schedule.log`.
-    """
-
-    ctrl: np.ndarray | None
-    control: PointToPoint | None
-    words: str
-    remarks: tuple[str, ...] = ()
-    log: ControlLog | None = None
+    actions = all(abs(end) <= ACTION for drive in drives for end in drive.ctrlrange)
+    moves = any(drive.kind == MOTOR for drive in drives)
+    return "move" if moves and not (actions and moves_about(model, drives)) else "sines"
 
 
 def default_motion(
@@ -82,7 +69,7 @@ def default_motion(
     periods: int,
     *,
     whole: bool = False,
-) -> DefaultMotion:
+) -> Controls:
     """Return the controls of a motion without controls of its own.
 
     kind: one of `KINDS`; None chooses it. home, ctrl: the state and the controls of the keyframe.
@@ -91,31 +78,178 @@ def default_motion(
     whole: whether controls are constant over each period.
     """
     kind = kind or kind_of(model)
-    what, count = actuators_in_words(model), len(starts)
-    if not model.nu:
-        return DefaultMotion(np.zeros((count, periods, 0)), None, "no motors")
-    if kind == "fall":
-        rows = np.zeros((count, periods, model.nu))
-        return DefaultMotion(rows, None, f"{what} are held at zero")
-    if kind in ("move", "hold"):
-        moves = Moves(model, home, ctrl, period, keep=kind == "hold", whole=whole)
-        chosen = moves.choose(starts, seed)
-        control = PointToPoint.together([move.control for move in chosen])
-        said = MoveWords(moves, chosen)
-        told = said.motion, tuple(said.remarks())
-        if control.gains is not None:
-            return DefaultMotion(None, control, *told)
-        log = control.log(periods, period, whole)
-        means = log.steps(0.0, period, periods).reshape(periods, count, model.nu)
-        return DefaultMotion(means.transpose(1, 0, 2), None, *told, None if whole else log)
-    draws, ranges = [np.random.default_rng([seed, k]) for k in range(count)], control_ranges(model)
+    if kind not in ("move", "hold") or not model.nu:
+        ranges = np.reshape([drive.ctrlrange for drive in actuators(model)], (-1, 2))
+        names = model.called("actuator")
+        what = actuators_in_words(model)
+        return by_rule(kind, what, names, ranges, ctrl, len(starts), seed, period, periods)
+    moves = Moves(model, home, ctrl, keep=kind == "hold")
+    chosen = moves.choose(starts, seed)
+    parts = 1 if whole else 1 << max(0, math.ceil(math.log2(period / HELD)))
+    log = moves.hold.log(chosen.spans, chosen.rates, periods * period, period / parts)
+    said = "; ".join(_said(moves, chosen))
+    return Controls(log, None, said, tuple(_unmoved(moves)), moves.hold.servos)
+
+
+# --- moves in words -------------------------------------------------------------------------------
+
+
+def actuators_in_words(model: Model) -> str:
+    """Return the word for the actuators of a model, in the plural."""
+    words = {"motor": "motor", "muscle": "muscle", "damper": "damper", "cylinder": "cylinder"}
+    words |= dict.fromkeys(("position", "velocity", "intvelocity"), "servo")
+    kinds = {words.get(actuator.type, "actuator") for actuator in model.scene.actuators}
+    return f"{kinds.pop()}s" if len(kinds) == 1 else "motors and servos"
+
+
+def _said(moves: Moves, chosen: Chosen) -> Iterator[str]:
+    """Yield the motion, its loads, and why the machine, or some starts, do not move."""
+    far, motors = _far(moves, chosen), bool(moves.hold.servos)
+    path = f"point to point over {seconds(MOVE)} to poses {far} away and back (minimum jerk)"
+    if far:
+        said = f"a PD controller drives the joints {path}" if motors else f"servos move {path}"
+    else:
+        said = f"{'a PD controller holds' if motors else 'servos hold'} the start"
+    yield f"test motion: {said}"
+    yield ", ".join(_loads(moves, chosen))
+    if moves.held.failure:
+        yield f"it only holds the start, and that fails: {moves.held.failure}"
+    elif moves.held.fell is not None:
+        after = seconds(moves.held.fell)
+        yield f"nothing holds this pose: the robot falls over within {after}"
+    elif not moves.keep and chosen.still:
+        yield (
+            f"{chosen.still} of {counted(len(chosen.spans), 'start')} only hold their pose, "
+            "because even small moves meet contacts, limits or the bounds of forces"
+        )
+
+
+def _far(moves: Moves, chosen: Chosen) -> str:
+    """Return how far joints go: "up to 0.35 rad and 5 mm", or "" if none moves."""
+    slides = np.array([moves.model.jnt_type[joint] == "slide" for joint in moves.joints], bool)
+    parts = [radians(float(chosen.far[~slides].max(initial=0.0)))] * bool(chosen.far[~slides].any())
+    parts += [metres(float(chosen.far[slides].max(initial=0.0)))] * bool(chosen.far[slides].any())
+    most = float(np.abs(chosen.spans).max(initial=0.0))
+    if not parts and most:
+        return f"up to {most:.2g} of control"
+    return f"up to {' and '.join(parts)}" if parts else ""
+
+
+def _loads(moves: Moves, chosen: Chosen) -> Iterator[str]:
+    """Yield the top speed of a joint, the largest force, and what is saturated."""
+    model = moves.model
+    speed = np.max([seen.speed[moves.dofs] for seen in chosen.seen], axis=0)
+    turns = [model.jnt_type[joint] == "hinge" for joint in moves.joints]
+    # Below 1 mrad/s or 1 mm/s it settles.
+    if len(speed) and speed.max() > 1e-3:
+        fast = int(np.where(turns, speed, 0).argmax()) if any(turns) else int(speed.argmax())
+        joint = _name(model, "joint", moves.joints[fast])
+        yield f"top speed {speed[fast]:.2g} {'rad/s' if turns[fast] else 'm/s'} ({joint})"
+    force = np.max([seen.force for seen in chosen.seen], axis=0)
+    full = np.max([seen.full for seen in chosen.seen], axis=0)
+    most = int(full.argmax() if full.any() else force.argmax())
+    name = _name(model, "actuator", most)
+    if full.any():
+        yield f"{name} saturated {percent(float(full[most]))} of the time"
+    else:
+        if force.any():
+            yield f"largest force {percent(float(force[most]))} of its bound ({name})"
+        yield "never saturated"
+
+
+def _unmoved(moves: Moves) -> Iterator[str]:
+    """Yield which actuators do not move."""
+    others = [_name(moves.model, "actuator", drive.index) for drive in moves.of(OTHER)]
+    if others:
+        more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
+        yield (
+            "actuators that are no servos, and no motors of a joint, keep their controls: "
+            f"{', '.join(others[:NAMED])}{more}"
+        )
+
+
+def _name(model: Model, kind: str, index: int) -> str:
+    """Return the name of an element in backticks, or what describes it."""
+    name = model.names[kind][index]
+    return f"`{name}`" if name else model.called(kind)[index]
+
+
+# --- controls by a rule ---------------------------------------------------------------------------
+
+
+def by_rule(
+    kind: str,
+    what: str,
+    names: Sequence[str],
+    ranges: np.ndarray,
+    held: np.ndarray,
+    starts: int,
+    seed: int,
+    period: float,
+    periods: int,
+) -> Controls:
+    """Return controls that follow from their ranges alone: "hold", "fall", "random" or "sines".
+
+    what: the actuators in words; names: of each. ranges: of the controls, (nu, 2), infinite without
+    one. held: the keyframe's controls, (nu,). The rest is as in `default_motion`.
+    """
+    times = period * np.arange(periods)
+    if not len(names):
+        return Controls(ControlLog(times[:1], np.zeros((1, 0))), words="no motors")
+    if kind in ("hold", "fall"):
+        row = held if kind == "hold" else np.zeros(len(names))
+        said = "at the keyframe's controls" if kind == "hold" else "at zero"
+        return Controls(ControlLog(times[:1], row[None]), words=f"{what} are held {said}")
+    draws = [np.random.default_rng([seed, k]) for k in range(starts)]
     if kind == "random":
-        rows = np.stack([uniform(ranges, ctrl, periods, rng) for rng in draws])
-        words = f"{what} get new random controls within their range every {seconds(period)}"
-        return DefaultMotion(rows, None, words)
-    rows = np.stack([sines(ranges, ctrl, periods, period, rng) for rng in draws])
-    still = undriven(model.called("actuator"), ranges, ctrl)
-    remarks = (
-        [f"actuators without a control range are not driven: {', '.join(still)}"] if still else []
-    )
-    return DefaultMotion(rows, None, sines_in_words(ranges, what, still), tuple(remarks))
+        ranged = np.isfinite(ranges).all(axis=1)
+        rows = np.tile(held, (starts, periods, 1))
+        for own, rng in zip(rows, draws, strict=True):
+            low, high = ranges[ranged].T
+            own[:, ranged] = rng.uniform(low, high, (periods, len(low)))
+        said = f"{what} get new random controls within their range every {seconds(period)}"
+        return Controls(ControlLog(times, rows), words=said)
+    rows = np.stack([_sines(ranges, held, times, rng) for rng in draws])
+    free = ~np.isfinite(ranges).all(axis=1)
+    still = [name for name, own, at in zip(names, free, held, strict=True) if own and not at]
+    remark = f"actuators without a control range are not driven: {', '.join(still)}"
+    said = _sines_in_words(what, len(names), int(free.sum()), still)
+    return Controls(ControlLog(times, rows), None, said, (remark,) if still else ())
+
+
+def _sines(
+    ranges: np.ndarray, held: np.ndarray, times: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Return smooth controls: random sines around the keyframe's, within their ranges."""
+    ramp, values = np.minimum(1.0, times / RAMP), np.empty((len(times), len(ranges)))
+    for k, (low, high) in enumerate(ranges):
+        hertz, phase = rng.uniform(*HERTZ, SINES), rng.uniform(0.0, 2 * math.pi, SINES)
+        share = rng.dirichlet(np.ones(SINES))
+        wave = ramp * (np.sin(2 * math.pi * np.outer(times, hertz) + phase) @ share)
+        if math.isfinite(high - low):
+            centre = held[k] if held[k] else (low + high) / 2
+            begun = np.clip(held[k], low, high)
+            middle = begun + ramp * (centre - begun)
+            values[:, k] = np.clip(middle + RANGED * (high - low) * wave, low, high)
+        else:
+            values[:, k] = held[k] + UNRANGED * abs(held[k]) * wave
+    return values
+
+
+def _sines_in_words(what: str, nu: int, free: int, still: list[str]) -> str:
+    """Describe sines; free: how many have no range; still: those of them that are constant."""
+    if len(still) == nu:
+        return f"{what} are held at zero, because nothing gives their range"
+    low, high = HERTZ
+    said = f"test motion: random sines of {low:g} to {high:g} Hz, "
+    if free == nu:
+        said += f"±{UNRANGED:.0%} of the keyframe's controls"
+    else:
+        said += f"±{RANGED:.0%} of the control range, as policies look"
+        if free > len(still):
+            swings = free - len(still)
+            said += f" ({swings} without a range: ±{UNRANGED:.0%} of the keyframe's control)"
+    if still:
+        names = still[0] if len(still) == 1 else f"{len(still)} of them"
+        said += f"; {names} without a range held at zero"
+    return said.replace("%", " %")

@@ -143,15 +143,15 @@ def sampled(schedule: Schedule, dt: float) -> Schedule:
 
     Without controls a period is one time step `dt` [s], so that all horizons have the same samples.
     """
-    period, periods, ctrl = schedule.period, schedule.periods, schedule.ctrl
-    if schedule.control is None and (ctrl is None or not ctrl.size):
-        period, periods, ctrl = dt, round(schedule.horizon / dt), None
+    period, periods = schedule.period, schedule.periods
+    if schedule.control is None and not schedule.controls.nu:
+        period, periods = dt, round(schedule.horizon / dt)
     every = max(1, round(APART / period))
     while periods > MOST * every:
         every *= 2
     every = min(every, periods)
     periods -= periods % every
-    return dataclasses.replace(schedule, period=period, periods=periods, every=every, ctrl=ctrl)
+    return dataclasses.replace(schedule, period=period, periods=periods, every=every)
 
 
 def perturbed(runner: Runner, size: float) -> Schedule:

@@ -15,9 +15,8 @@ from stepcore import checks
 from stepcore.engine.control import Control
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory
-from stepcore.experiment.control_table import ControlTable, control_table
+from stepcore.experiment.control_table import ControlTable, PositionTable, control_table
 from stepcore.experiment.default_motion import KINDS
-from stepcore.experiment.followed import PositionTable
 from stepcore.report import units
 from stepcore.signatures import F, keyword, refuse_unknown, spell_out
 
@@ -193,8 +192,7 @@ class Motion:
         except ValueError:
             # The error is raised later, where the controls are matched to a model.
             return None
-        interpolated = table.interpolated or self.interpolation == "linear"
-        linear = table.times is not None and interpolated
+        linear = table.times is not None and self.interpolation == "linear"
         return table.period(dt) if table.changes and not linear else None
 
     @classmethod

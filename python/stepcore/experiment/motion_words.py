@@ -7,7 +7,7 @@ import numpy as np
 from stepcore.engine.control import control_name
 from stepcore.engine.model import Model
 from stepcore.experiment.control_table import control_table
-from stepcore.experiment.drives import actuators_in_words
+from stepcore.experiment.default_motion import actuators_in_words
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import counted, seconds

@@ -1,244 +1,485 @@
-"""`Moves`: moves of a model's joints that its actuators can make, chosen by trials."""
+"""`Moves`: moves from pose to pose that a machine could make, found by trials.
+
+The path is q(t) = q₀ + s(t) d with s = 10x³ − 15x⁴ + 6x⁵, x = t/T: of all paths that begin and end
+at rest, the one with the least squared jerk (Flash and Hogan, 1985). Where the start has contacts,
+d keeps their places, to first order.
+
+Motors get servos in their place. The gains of joint j are kp = ω² I and kv = 2 ω I, where 1/I is
+entry jj of the inverse mass matrix; for a robot that stands, of the mass matrix with its contacts
+fixed. ω is at most 30 rad/s, and small enough for the longest time step T that is tried by default,
+four shipped ones: with μ the largest eigenvalue of M⁻¹I, an explicit step changes a velocity by the
+factor 1 − 2 ω μ T, and ω ≤ 0.35/(μT) leaves a stability margin of 3. Their targets carry the load
+of the start: bias − passive − Jᵀf, where f are the contact forces of least norm that balance the
+dofs without a motor.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stepcore._core import SimulationError
+from stepcore.checks import one_line
+from stepcore.engine.actuator import MOTOR, SERVO, VELOCITY_SERVO, Actuator, actuators, loads
+from stepcore.engine.follow import Followed, follow
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
-from stepcore.experiment.attempt import Attempt, attempt
-from stepcore.experiment.drives import MOTOR, RATE, SERVO, Drives
-from stepcore.experiment.joint_gains import gains_of
-from stepcore.experiment.point_to_point import MOVE, REST, JointGains, PointToPoint
-from stepcore.experiment.poses import Poses, contact_jacobian
+from stepcore.experiment.change import Change, Servo
+from stepcore.experiment.controls import ControlLog, Controls
+from stepcore.experiment.coordinates import Coordinates, rotated
 
-# The largest force, as a share of its bound, and of what holding the start leaves of it.
-FORCE, LEFT = 0.6, 0.5
-# The largest share of a run in which an actuator is at its bound.
-SATURATED = 0.05
-# The least share of its way that a joint goes.
-LEAST = 1 / 16
-# The group of the joints on which the machine stands.
-STANCE = 0
-# The most operations of all trials of moves, and their least number.
-BUDGET, LEAST_TRIALS = 2.5e8, 8
-# The length of the trial that holds the start [s]; that of a move is there, and the rest.
-HOLD = 2 * (MOVE + REST)
+# The duration of a move, and of the rest after it [s].
+MOVE, REST = 0.8, 0.2
+# The longest time for which a target is held [s]. In 8 ms, a pose that moves at 1 rad/s would jump
+# by 8 mrad, which a stiff servo answers with its whole force.
+HELD = 1e-3
+# How far a joint goes: this share of its range, and at most this far [rad], [m]. A base that stands
+# on contacts goes as far as a fifth of that lets it.
+SHARE, TURN, SLIDE, BASE = 0.1, 0.5, 0.05, 0.2
+# The share of a joint's range, at each end, into which no target leads.
+MARGIN = 0.05
+# The largest bandwidth of our servos [rad/s], the largest 2 ω μ T, and T in shipped steps.
+OMEGA, SAMPLED, LONGEST = 30.0, 0.7, 4
+# The largest force, as a share of its bound, and of what holding the start leaves of it; the
+# largest share of a run in which an actuator is at its bound.
+FORCE, LEFT, FULL = 0.6, 0.5, 0.05
+# The parts of a move that are tried, also the opposite way, before the start is held.
+FACTORS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25, 0.125, -0.125)
+# Speeds and forces of this time [s] belong to the start: it may jump to its servos' targets, or
+# out of an overlap.
+SHOCK = 0.1
+# The time between samples of a trial, and between looks at its contacts [s].
+SAMPLE, LOOK = 0.008, 0.1
+# A robot falls if it tilts by more than this [rad], or the height of its centre of mass above the
+# lowest of its geoms shrinks by this share. What sinks into the floor as a whole has not fallen.
+TILT, SINKS = 0.35, 0.25
+
+
+def profile(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of the way s and its rate ds/dt [1/s]: there, a rest, back, a rest, ….
+
+    times: since the beginning [s].
+    """
+    turn, within = np.divmod(times, MOVE + REST)
+    x = np.minimum(within / MOVE, 1.0)
+    way = x**3 * (10 + x * (6 * x - 15))
+    rate = 30 * x**2 * (1 - x) ** 2 / MOVE
+    back = turn % 2 == 1
+    return np.where(back, 1 - way, way), np.where(back, -rate, rate)
+
+
+@dataclass
+class Seen:
+    """What a trial shows.
+
+    force: the largest force of each actuator as a share of its bound, (nu,); 0 without a bound.
+    full: the share of the run in which it was at its bound, (nu,).
+    speed: the largest speed of each dof [rad/s or m/s], (nv,).
+    met: the bodies in contact at some time, and the joints at a limit.
+    ends_on: the bodies in contact at the end. points: both bodies and the place of each contact.
+    end: the state at the end. fell: when the robot fell [s], or None. failure: why the run failed.
+    """
+
+    force: np.ndarray
+    full: np.ndarray
+    speed: np.ndarray
+    met: set[frozenset[int] | int] = field(default_factory=set)
+    ends_on: set[frozenset[int]] = field(default_factory=set)
+    points: list[tuple[int, int, np.ndarray]] = field(default_factory=list)
+    end: Start | None = None
+    fell: float | None = None
+    failure: str = ""
+
+    @property
+    def bad(self) -> tuple[bool, float, float]:
+        """How badly a trial holds the start, for comparison."""
+        standing = math.inf if self.fell is None else self.fell
+        return bool(self.failure), -standing, float(max(0.0, (self.full - FULL).max(initial=0.0)))
 
 
 @dataclass(frozen=True)
-class Move:
-    """A move of one start; far: the way of each joint, (joints,). An untried one has no trial."""
+class Hold:
+    """Controls that hold a start.
 
-    control: PointToPoint
-    trial: Attempt | None
-    far: np.ndarray
+    ctrl: the controls, (nu,). servos: in place of motors. lag: kv/kp of these, by which their
+    targets go ahead of the path [s], (nu,).
+    """
 
-    @property
-    def moves(self) -> bool:
-        """Whether anything moves."""
-        control = self.control
-        return bool(control.spans.any() or control.rates.any() or control.changes.any())
+    ctrl: np.ndarray
+    servos: tuple[Servo, ...]
+    lag: np.ndarray
+
+    def log(self, spans: np.ndarray, rates: np.ndarray, end: float, period: float) -> ControlLog:
+        """Return the controls of moves, a row for each period, until a time [s].
+
+        spans: the change of the controls from the start to the target, (starts, nu).
+        rates: the controls per 1/s of ds/dt, (starts, nu).
+        """
+        times = period * np.arange(max(1, round(end / period)))
+        way, rate = profile(times + period / 2)
+        moved = way[:, None] * spans[:, None] + rate[:, None] * rates[:, None]
+        return ControlLog(times, self.ctrl + moved)
 
 
 class Moves:
-    """Chooses the move of each start of a model, by trials."""
+    """Moves of a model from starts near one home.
 
-    def __init__(
-        self,
-        model: Model,
-        home: Start,
-        ctrl: np.ndarray,
-        period: float,
-        *,
-        keep: bool,
-        whole: bool,
-    ) -> None:
-        """home, ctrl: the state and the controls of the keyframe. period: the control period [s].
+    drives: the actuators. joints: the hinges and slides that they drive. others: actuators of other
+    things. about: whether the machine moves about. hold: the controls at home. held: their trial.
+    """
+
+    def __init__(self, model: Model, home: Start, ctrl: np.ndarray, *, keep: bool) -> None:
+        """home, ctrl: the state and the controls of the keyframe.
 
         keep: whether to hold the start, under the keyframe's controls even where these are 0.
-        whole: whether controls are constant over each period.
         """
-        self.model, self.home, self.drives = model, home, Drives(model)
-        self.period, self.keep, self.whole = period, keep, whole
-        clamped, free = model.scene.features.clampctrl, np.array([[-np.inf, np.inf]])
-        self.ranges = model.actuator_ctrlrange if clamped else np.repeat(free, model.nu, 0)
-        self.poses = Poses(model, self.drives, home)
-        held = self._clamped(np.array(ctrl, float)) if keep else self._held(ctrl)
-        nothing = np.zeros((1, model.nu))
-        motors = self.drives.of(MOTOR)
-        none = np.zeros((1, len(motors)))
-        self.control = PointToPoint(held, nothing, nothing, None, none)
-        self.hold = self._balanced(motors) if motors else self._trial(home, self.control, HOLD)
-        if not self.hold.fell and self.hold.end is not None:
-            self.poses = self.poses.standing(self.hold.end, self.hold.points)
-        # Joints on which the machine stands go equally far; all others have a share of their own.
-        self.groups = np.where(self.poses.stance, STANCE, 1 + np.arange(len(self.poses.stance)))
-        self.shares = np.ones(1 + len(self.groups))
-        self.shares[STANCE] = bool(self.poses.stance.any())
-        self.trials = max(LEAST_TRIALS, int(BUDGET / max(1.0, self.hold.flops)))
-        self.found = False
-        # What the machine touches when it holds still, it may touch in other places.
-        pairs = {self.poses.trees_of(pair) for pair in self.hold.met if not isinstance(pair, int)}
-        self.handled = {trees for trees in pairs if 0 not in trees and len(trees) == 2}
+        self.model, self.home, self.keep = model, home, keep
+        self.drives, self.coordinates = actuators(model), Coordinates(model)
+        driven = self.of(SERVO, VELOCITY_SERVO, MOTOR)
+        self.joints = sorted({drive.joint for drive in driven if drive.joint is not None})
+        self.others = [drive for drive in driven if drive.joint is None]
+        self.dofs = model.jnt_dofadr[self.joints]
+        self.about, self.roots = moves_about(model, self.drives), roots(model, self.drives)
+        self.kept = self._jacobian(home, touching(_put(Sim(model), home)))
+        self.hold, self.held = self._balanced(np.array(ctrl, float))
+        if self.held.fell is None and self.held.end is not None:
+            self.kept = self._jacobian(self.held.end, self.held.points)
 
-    @property
-    def still(self) -> Move:
-        return Move(self.control, self.hold, np.zeros(len(self.poses.joints)))
+    def of(self, *kinds: str) -> list[Actuator]:
+        """Return the actuators of some kinds."""
+        return [drive for drive in self.drives if drive.kind in kinds]
 
-    def _held(self, ctrl: np.ndarray) -> np.ndarray:
-        """Return the controls that hold the start: the keyframe's, or those of its pose."""
-        held = np.array(ctrl, float)
-        servos = self.drives.of(SERVO)
-        if servos and not ctrl[servos].any():
-            lengths = self.poses.lengths_at(self.home.qpos)[servos]
-            offset = self.model.actuator_bias[servos, 0] / self.model.actuator_gain[servos]
-            held[servos] = lengths / self.drives.lengths[servos] - offset
-        held[self.drives.of(RATE)] = 0.0
-        return self._clamped(held)
+    def _balanced(self, ctrl: np.ndarray) -> tuple[Hold, Seen]:
+        """Return the controls that hold the start, and their trial.
 
-    def _clamped(self, ctrl: np.ndarray) -> np.ndarray:
-        clamped: np.ndarray = np.clip(ctrl, *self.ranges.T)
-        return clamped
-
-    def _balanced(self, motors: list[int]) -> Attempt:
-        """Choose the gains and the load of the motors, and return the trial that holds the start.
-
-        The first trial shows the contacts on which the machine comes to stand.
+        Of motors, the first trial shows the contacts on which the machine comes to stand.
         """
-        tried = self._holding(motors, self.home, self.poses.kept, fixed=False)
-        held = tried[1]
-        if held.end is not None and held.points and not _holds(held):
-            contacts = contact_jacobian(self.model, self.poses.trees, held.end, held.points)
-            others = (self._holding(motors, held.end, contacts, fixed) for fixed in (True, False))
-            tried = min((tried, *others), key=lambda pair: _rank(pair[1]))
-        self.control, seen = tried
+        held, servos = np.array(ctrl), [servo.index for servo in self.of(SERVO)]
+        if not self.keep:
+            if not ctrl[servos].any():
+                lengths = self.lengths(self.home.qpos)
+                held[servos] = [self.drives[k].holding(lengths[k]) for k in servos]
+            held[[drive.index for drive in self.of(VELOCITY_SERVO)]] = 0.0
+        held = np.clip(held, *np.reshape([drive.ctrlrange for drive in self.drives], (-1, 2)).T)
+
+        def tried(stands: Start, contacts: np.ndarray, fixed: bool) -> tuple[Hold, Seen]:
+            hold = self._hold(held, stands, contacts, fixed)
+            still = np.zeros((1, self.model.nu))
+            return hold, self.trials(hold, [self.home], still, still, 2 * (MOVE + REST))[0]
+
+        first = tried(self.home, self.kept, False)
+        seen = first[1]
+        if seen.bad <= (False, -math.inf, 0.0) or not seen.points or not self.of(MOTOR):
+            return first
+        assert seen.end is not None
+        contacts = self._jacobian(seen.end, seen.points)
+        others = (tried(seen.end, contacts, fixed) for fixed in (True, False))
+        return min((first, *others), key=lambda pair: pair[1].bad)
+
+    def _hold(self, held: np.ndarray, stands: Start, contacts: np.ndarray, fixed: bool) -> Hold:
+        """Return the controls at home, with servos in place of motors.
+
+        stands: the state in which the machine stands. contacts: the Jacobian of its contacts.
+        fixed: whether the gains are those of the inertia with the contact points fixed.
+        """
+        motors, ctrl, lag = self.of(MOTOR), np.array(held), np.zeros(self.model.nu)
+        sim, dofs, servos = _put(Sim(self.model), stands), [m.dof for m in motors], []
+        if not motors:
+            return Hold(ctrl, (), lag)
+        mass = sim.mass_matrix()
+        if fixed and len(contacts):
+            # A million times the largest inertia is as good as fixed, and far above rounding.
+            mass = mass + 1e6 * mass.max() * contacts.T @ contacts
+        inverse = np.linalg.inv(mass)
+        inertia = 1.0 / np.diag(inverse)[dofs]
+        largest = float(np.abs(np.linalg.eigvals(inverse[np.ix_(dofs, dofs)] * inertia)).max())
+        omega = min(OMEGA, SAMPLED / (2 * largest * LONGEST * self.model.settings.dt))
+        load = resting(sim, dofs, contacts)
+        for motor, own, force in zip(motors, inertia.tolist(), load.tolist(), strict=True):
+            # Several motors on a joint share its force.
+            k, share = motor.index, 1 / dofs.count(motor.dof)
+            kp, kv = (gain * own * share / motor.gear**2 for gain in (omega**2, 2 * omega))
+            servos.append(Servo(self.model.actuator_names[k] or k, kp, kv, motor.forces))
+            target = self.home.qpos[motor.qposadr]
+            ctrl[k], lag[k] = motor.gear * target + force * share / motor.gear / kp, kv / kp
+        return Hold(ctrl, tuple(servos), lag)
+
+    def _jacobian(self, state: Start, points: Sequence[tuple[int, int, np.ndarray]]) -> np.ndarray:
+        """Return the Jacobian of the contacts of the driven trees, (3 contacts, nv)."""
+        sim, rows = Sim(self.model), [np.zeros((0, self.model.nv))]
+        state.put(sim)
+        for first, second, place in points:
+            if {self.model.root(first), self.model.root(second)} & self.roots:
+                ends = [sim.jacobian(body, place)[:3] for body in (second, first) if body]
+                rows.append(ends[0] - ends[1] if len(ends) == 2 else ends[0])
+        return np.vstack(rows)
+
+    def lengths(self, qpos: np.ndarray) -> np.ndarray:
+        """Return the lengths of the actuators at a pose, (nu,)."""
+        sim = Sim(self.model)
+        self.home.put(sim)
+        sim.qpos[:] = qpos
+        return np.array(sim.actuator_length)
+
+    def _drawn(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw a change of the pose, (nv,), of the joints that actuators drive."""
+        model, q = self.model, self.home.qpos[self.model.jnt_qposadr[self.joints]]
+        low, high = model.jnt_range[self.joints].reshape(-1, 2).T
+        far = [TURN if model.jnt_type[joint] == "hinge" else SLIDE for joint in self.joints]
+        weights = np.zeros(model.nv)
+        for kind, _, v, _ in self.coordinates.joints if len(self.kept) else ():
+            if kind == "free":
+                weights[v : v + 6] = np.repeat((SLIDE, BASE * TURN), 3)
+        weights[self.dofs] = np.minimum(far, SHARE * (high - low))
+        change = rng.uniform(0.5, 1.0, model.nv) * rng.choice([-1.0, 1.0], model.nv) * weights
+        with np.errstate(invalid="ignore"):
+            short = np.where(np.isfinite(high - low), MARGIN * (high - low), 0.0)
+        low, high = np.minimum(q, low + short), np.maximum(q, high - short)
+        if len(self.kept):
+            spread = (self.kept * weights**2).T
+            back = np.linalg.pinv(self.kept @ spread, 1e-6) @ self.kept @ change
+            change = change - spread @ back
+            # A random change has little in common with those that keep contacts, so joints that
+            # move contacts go as far as a share allows.
+            moved = (np.abs(self.kept).max(axis=0) > 1e-9) & (weights > 0)
+            most = float((np.abs(change[moved]) / weights[moved]).max(initial=0.0))
+            if most > 1e-6:
+                change[moved] *= rng.uniform(0.5, 1.0) / most
+        else:
+            # A joint near a limit turns round.
+            d = change[self.dofs]
+            change[self.dofs] = np.where((q + d < low) | (q + d > high), -d, d)
+        joints = np.zeros(model.nv)
+        joints[self.dofs] = np.clip(q + change[self.dofs], low, high) - q
+        return joints
+
+    def _toward(self, change: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the spans and the rates of the controls for a change of the pose.
+
+        share: of its range that each actuator goes that drives no joint.
+        """
+        after = self.lengths(self.coordinates.moved(self.home.qpos, change))
+        ways = after - self.lengths(self.home.qpos)
+        for drive in self.others:
+            wide = np.ptp(drive.ctrlrange) * (drive.gain / drive.kp if drive.kp else math.inf)
+            ways[drive.index] = share * (SHARE * wide if math.isfinite(wide) else SLIDE)
+        spans, rates = np.zeros(self.model.nu), np.zeros(self.model.nu)
+        for drive in self.of(SERVO, VELOCITY_SERVO, MOTOR):
+            k = drive.index
+            if drive.kind == MOTOR:
+                spans[k], rates[k] = ways[k], ways[k] * self.hold.lag[k]
+            elif drive.kind == VELOCITY_SERVO:
+                rates[k] = ways[k] * (drive.kp if drive.integrates else drive.kv) / drive.gain
+            else:
+                spans[k] = ways[k] * drive.kp / drive.gain
+        return spans, rates
+
+    def trials(
+        self,
+        hold: Hold,
+        starts: Sequence[Start],
+        spans: np.ndarray,
+        rates: np.ndarray,
+        horizon: float = MOVE + REST,
+    ) -> list[Seen]:
+        """Run moves of some starts under the model's settings, all at once; see `Hold.log`."""
+        model, dt = self.model, self.model.settings.dt
+        every = max(1, round(SAMPLE / dt))
+        steps = every * max(1, round(horizon / (every * dt)))
+        log = hold.log(spans, rates, steps * dt, min(HELD, dt))
+        rows, held = Controls(log).rows(range(len(starts)), dt, steps)
+        record = ("qpos", "qvel", "act", "actuator_force")
+        driven = Change(servos=hold.servos).of(model)
+        try:
+            ran = follow(driven, starts, steps, every, ctrl=rows, hold=held, record=record)
+        except (SimulationError, ValueError) as error:
+            nothing = Seen(np.zeros(model.nu), np.zeros(model.nu), np.zeros(model.nv))
+            return [replace(nothing, failure=one_line(error)) for _ in starts]
+        # Only where bodies are is asked of it.
+        sim = Sim(model, solver="pgs", sweeps=1)
+        return [self._seen(sim, ran, k, start) for k, start in enumerate(starts)]
+
+    def _seen(self, sim: Sim, ran: Followed, k: int, start: Start) -> Seen:
+        """Return what a run shows: forces and speeds at its samples, contacts at some of them."""
+        model, made = self.model, np.isfinite(ran["qvel"][k]).all(axis=-1)
+        qpos, qvel, act, force = (ran[name][k][made] for name in ran.data)
+        times, bounds = ran.times[made], np.array([drive.bound for drive in self.drives])
+        bounds = np.where(np.isfinite(bounds) & (bounds > 0), bounds, np.inf)
+        late = times > SHOCK if times[-1] > SHOCK else times > 0
+        shares = np.abs(force[late]) / bounds
+        seen = Seen(
+            force=shares.max(axis=0, initial=0.0),
+            full=(shares > 1 - 1e-9).sum(axis=0) / max(1, len(shares)),
+            speed=np.abs(qvel[late]).max(axis=0, initial=0.0),
+            failure=one_line(ran.failures[k]) if k in ran.failures else "",
+        )
+        if model.scene.features.limit:
+            for joint, (kind, q) in enumerate(zip(model.jnt_type, model.jnt_qposadr, strict=True)):
+                low, high = model.jnt_range[joint]
+                if kind in ("hinge", "slide") and ((qpos[:, q] < low) | (qpos[:, q] > high)).any():
+                    seen.met.add(joint)
+        upright = Upright(_put(sim, start), self.roots if self.about else ())
+        stride = max(1, round(LOOK / times[1])) if len(times) > 1 else 1
+        looks = dict.fromkeys([*range(stride, len(times), stride), len(times) - 1])
+        for place in () if seen.failure else looks:
+            sim.qpos[:], sim.qvel[:] = qpos[place], qvel[place]
+            sim.forward()
+            seen.points = touching(sim) if sim.overlap > 0 else []
+            seen.ends_on = {self._touch(*point[:2]) for point in seen.points}
+            seen.met |= seen.ends_on
+            if seen.fell is None and upright.lost(sim) is not None:
+                seen.fell = float(times[place])
+        if not seen.failure:
+            seen.end = Start(qpos[-1], qvel[-1], act[-1], start.mocap)
         return seen
 
-    def _holding(
-        self, motors: list[int], stands: Start, contacts: np.ndarray, fixed: bool
-    ) -> tuple[PointToPoint, Attempt]:
-        gains = gains_of(
-            *(self.model, self.drives, motors, self.home.qpos, stands, contacts),
-            period=self.period,
-            fixed=fixed,
-        )
-        control = replace(self.control, gains=gains)
-        return control, self._trial(self.home, control, HOLD)
+    def _touch(self, first: int, second: int) -> frozenset[int]:
+        """Return two bodies in contact; of a thing that a machine handles, the roots of both."""
+        pair = frozenset((self.model.root(first), self.model.root(second)))
+        return pair if len(pair) == 2 and 0 not in pair else frozenset((first, second))
 
-    def _trial(self, start: Start, control: PointToPoint, horizon: float) -> Attempt:
-        return attempt(self.model, self.drives, start, control, self.period, horizon, self.whole)
+    def choose(self, starts: Sequence[Start], seed: int) -> Chosen:
+        """Return a move for each start: the largest part of a random one that shows no trouble.
 
-    def choose(self, starts: Sequence[Start], seed: int) -> list[Move]:
-        """Return a move for each start."""
-        return [self._move(k, start, seed) for k, start in enumerate(starts)]
-
-    def _move(self, index: int, start: Start, seed: int) -> Move:
-        """Return the move of a start: the first attempt without trouble, or none.
-
-        Joints that cause trouble go half as far in the next attempt, and in all later starts.
+        What a start does by itself, without a move, is no trouble.
         """
-        if self.keep or self.hold.failure or self.hold.fell is not None:
-            return self.still
-        hold = self.hold
-        drawn = self.poses.drawn(np.random.default_rng([seed, index]))
-        while self.shares.any():
-            control, far = self._control(*drawn)
-            if self.trials <= 0:
-                return Move(control, None, far) if self.found else self.still
-            self.trials -= 1
-            seen = self._trial(start, control, MOVE + REST)
-            causes = self.causes(seen, hold)
-            if causes and hold is self.hold:
-                # Some of it may be the start's own doing.
-                hold = hold.beside(self._trial(start, self.control, MOVE + REST))
-                causes = self.causes(seen, hold)
-            if not causes:
-                self.found = True
-                return Move(control, seen, far)
-            moving = [group for group in sorted(causes) if self.shares[group]]
-            # A joint that is moved by the others alone blames all of them.
-            self.shares[moving or slice(None)] /= 2
-            self.shares[self.shares < LEAST] = 0.0
-        return self.still
+        count, joints, nu = len(starts), len(self.joints), self.model.nu
+        spans, rates, far = (np.zeros((count, size)) for size in (nu, nu, joints))
+        seen, alone = [self.held] * count, dict[int, Seen]()
+        todo: list[int] = []
+        if not (self.keep or self.held.failure or self.held.fell is not None):
+            todo = list(range(count))
+        ways, speeds, reach = spans.copy(), rates.copy(), far.copy()
+        for k in todo:
+            rng = np.random.default_rng([seed, k])
+            change = self._drawn(rng)
+            ways[k], speeds[k] = self._toward(change, float(rng.uniform(-1.0, 1.0)))
+            reach[k] = np.abs(change[self.dofs])
 
-    def _control(self, change: np.ndarray, others: np.ndarray) -> tuple[PointToPoint, np.ndarray]:
-        """Return the controls of a move, and the way of each joint; see `Poses.drawn`."""
-        model, drives, poses = self.model, self.drives, self.poses
-        shares, count = self.shares[self.groups], len(poses.joints)
-        change = np.array(change)
-        change[poses.dofs] *= shares[:count]
-        others = others * shares[count:]
-        ways = poses.lengths(change)
-        for k, share in zip(poses.others, others, strict=True):
-            ways[k] = share * poses.span(k)
-        spans, rates = np.zeros(model.nu), np.zeros(model.nu)
-        for k in drives.of(SERVO):
-            target = self.control.held[k] + ways[k] / drives.lengths[k]
-            back = self.control.held[k] - ways[k] / drives.lengths[k]
-            low, high = self.ranges[k]
-            if not low <= target <= high and low <= back <= high:
-                target = back
-            spans[k] = np.clip(target, low, high) - self.control.held[k]
-        for k in drives.of(RATE):
-            per = drives.lengths[k] if drives.integrates(k) else drives.speeds[k]
-            rates[k] = ways[k] / per
-        gains = self.control.gains
-        changes = np.zeros((1, 0)) if gains is None else change[None, gains.dofs]
-        control = replace(self.control, spans=spans[None], rates=rates[None], changes=changes)
-        return control, np.abs(change[poses.dofs])
+        def pick(some: Sequence[int]) -> list[Start]:
+            return [starts[k] for k in some]
 
-    def causes(self, seen: Attempt, hold: Attempt) -> set[int]:
-        """Return the groups of joints that cause trouble in a trial; empty if there is none.
+        room = [d.ctrlrange if d.kind == SERVO else (-math.inf, math.inf) for d in self.drives]
+        low, high = np.reshape(room, (-1, 2)).T - self.hold.ctrl
+        for factor in FACTORS:
+            if not todo:
+                break
+            part = np.clip(factor * ways[todo], low, high), factor * speeds[todo]
+            spans[todo], rates[todo] = part
+            far[todo] = abs(factor) * reach[todo]
+            for k, made in zip(todo, self.trials(self.hold, pick(todo), *part), strict=True):
+                seen[k] = made
+            bad = [k for k in todo if self._trouble(seen[k], self.held)]
+            new = [k for k in bad if k not in alone]
+            if new:
+                still = np.zeros((len(new), nu))
+                rest = self.trials(self.hold, pick(new), still, still)
+                alone |= dict(zip(new, rest, strict=True))
+            todo = [k for k in bad if self._trouble(seen[k], alone[k])]
+        for k in todo:
+            spans[k], rates[k], far[k], seen[k] = 0.0, 0.0, 0.0, alone[k]
+        return Chosen(spans, rates, far.max(axis=0, initial=0.0), seen)
 
-        hold: what happens without moves, which the moves do not cause.
-        """
-        every = set(self.groups.tolist())
-        if seen.failure:
-            return every
-        allowed = np.maximum(FORCE, hold.force + LEFT * (1 - hold.force))
-        over = (seen.force > allowed) | (seen.saturated > hold.saturated + SATURATED)
-        joints, causes = set[int](), set[int]()
-        for k in np.flatnonzero(over).tolist():
-            if k in self.poses.others:
-                at = len(self.poses.joints) + self.poses.others.index(k)
-                causes.add(int(self.groups[at]))
-            elif (joint := self.drives.joint(k)) is not None:
-                joints.add(joint)
-        for met in seen.met - hold.met:
-            if isinstance(met, int):
-                joints |= {met} - self.poses.at_limit
-            elif self.poses.trees_of(met) not in self.handled:
-                joints |= self.poses.between(met)
-        places = {joint: at for at, joint in enumerate(self.poses.joints)}
-        causes |= {int(self.groups[places[joint]]) for joint in joints if joint in places}
-        falls = seen.fell is not None and hold.fell is None
-        if self.poses.stance.any() and (falls or hold.ends_on - seen.ends_on):
-            causes |= {STANCE} & every or every
-        return causes
+    def _trouble(self, seen: Seen, alone: Seen) -> bool:
+        """Return whether a move asks too much; alone: what happens without it."""
+        allowed = np.maximum(FORCE, alone.force + LEFT * (1 - alone.force))
+        over = (seen.force > allowed) | (seen.full > alone.full + FULL)
+        met = seen.met - alone.met - self.held.met
+        left = self.about and bool(alone.ends_on - seen.ends_on)
+        falls = seen.fell is not None and alone.fell is None
+        return bool(seen.failure or over.any() or met or left or falls)
 
 
-def _holds(seen: Attempt) -> bool:
-    """Return whether a trial holds the start."""
-    return not (seen.failure or seen.fell is not None or (seen.saturated > SATURATED).any())
+@dataclass
+class Chosen:
+    """The moves of some starts; see `Hold.log`.
 
-
-def _rank(seen: Attempt) -> tuple[bool, float, float]:
-    """Return how badly a trial holds the start, for comparison."""
-    standing = math.inf if seen.fell is None else seen.fell
-    return bool(seen.failure), -standing, float(seen.saturated.max(initial=0.0))
-
-
-def holding(
-    model: Model, home: Start, ctrl: np.ndarray, period: float
-) -> tuple[np.ndarray, JointGains | None]:
-    """Return the controls that hold a start, (nu,), and the PD control of its motors, if any.
-
-    ctrl: the controls of the keyframe. period: the control period [s].
+    far: the longest way of each joint, (joints,). seen: the trial of each start.
     """
-    control = Moves(model, home, ctrl, period, keep=True, whole=False).control
-    return control.held, control.gains
+
+    spans: np.ndarray
+    rates: np.ndarray
+    far: np.ndarray
+    seen: list[Seen]
+
+    @property
+    def still(self) -> int:
+        """The number of starts that only hold their pose."""
+        return int((~self.spans.any(axis=1) & ~self.rates.any(axis=1)).sum())
+
+
+def roots(model: Model, drives: Sequence[Actuator]) -> set[int]:
+    """Return the roots of the trees whose joints actuators drive."""
+    joints = {drive.joint for drive in drives if drive.joint is not None}
+    return {model.root(int(model.jnt_body[joint])) for joint in joints}
+
+
+def moves_about(model: Model, drives: Sequence[Actuator]) -> bool:
+    """Return whether the actuators are on a body that nothing fixes: free, or on its own slides."""
+    driven, trees = {drive.joint for drive in drives}, roots(model, drives)
+    return any(
+        body in trees and model.jnt_type[joint] in ("free", "slide") and joint not in driven
+        for joint, body in enumerate(model.jnt_body.tolist())
+    )
+
+
+def resting(sim: Sim, dofs: Sequence[int], contacts: np.ndarray) -> np.ndarray:
+    """Return the force on each of some dofs that a Sim's pose needs at rest [N or N·m]."""
+    need = loads(sim)
+    if len(contacts):
+        others = np.setdiff1d(np.arange(sim.model.nv), dofs)
+        push = np.linalg.lstsq(contacts[:, others].T, need[others], rcond=1e-8)[0]
+        need = need - contacts.T @ push
+    return need[list(dofs)]
+
+
+def touching(sim: Sim) -> list[tuple[int, int, np.ndarray]]:
+    """Return the contacts of the last solve: both bodies, and the place."""
+    body, table = sim.model.geom_body, sim.contacts
+    table = table[table["dist"] < 0]
+    return [(int(body[c["geom1"]]), int(body[c["geom2"]]), np.array(c["pos"])) for c in table]
+
+
+class Upright:
+    """Tells when a robot falls over. bodies: the roots of robots that nothing fixes."""
+
+    def __init__(self, sim: Sim, bodies: Collection[int]) -> None:
+        self.bodies = sorted(bodies)
+        own = [sim.model.root(body) for body in sim.model.geom_body.tolist()]
+        self.geoms = [[k for k, root in enumerate(own) if root == body] for body in self.bodies]
+        self.axes = [self._axis(sim, body) for body in self.bodies]
+        self.heights = [self._height(sim, k) for k in range(len(self.bodies))]
+
+    def lost(self, sim: Sim) -> int | None:
+        """Return the base of a robot that has fallen, or None."""
+        for k, body in enumerate(self.bodies):
+            tilted = self._axis(sim, body) @ self.axes[k] < np.cos(TILT)
+            if tilted or self._height(sim, k) < (1 - SINKS) * self.heights[k]:
+                return body
+        return None
+
+    @staticmethod
+    def _axis(sim: Sim, body: int) -> np.ndarray:
+        """Return the vertical of the world in the body's frame."""
+        back = np.array(sim.xquat[body]) * (1.0, -1.0, -1.0, -1.0)
+        return rotated(back, np.array([0.0, 0.0, 1.0]))
+
+    def _height(self, sim: Sim, k: int) -> float:
+        """Return the height of the centre of mass above the lowest geom of a robot."""
+        geoms = self.geoms[k]
+        if not geoms:
+            return math.inf
+        lowest = sim.geom_xpos[geoms, 2] - sim.model.geom_size[geoms].max(axis=1)
+        return float(sim.subtree_com[self.bodies[k], 2] - lowest.min())
+
+
+def _put(sim: Sim, start: Start) -> Sim:
+    """Return a Sim at a start, solved there."""
+    sim.reset()
+    start.put(sim)
+    sim.forward()
+    return sim

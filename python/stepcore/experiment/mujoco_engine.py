@@ -258,7 +258,7 @@ class MuJoCo:
         xpos, xquat = np.full((*shape, 3), np.nan), np.full((*shape, 4), np.nan)
         failures = dict[int, str]()
         try:
-            with self._world(change) as world:
+            with self._world(schedule.change.also(change)) as world:
                 for k, start in enumerate(starts):
                     states, _, failure = self._run(world, schedule, start)
                     places, turns = world.frames(states)
@@ -282,7 +282,7 @@ class MuJoCo:
 
         Both are NaN after a failure. Its reason is returned too; "" for none.
         """
-        dt, function = float(world.model.opt.timestep), schedule.function(start)
+        dt, function = float(world.model.opt.timestep), schedule.function()
         steps, nu = schedule.steps(dt), self.scene.nu
         sample, state = schedule.every * steps, world.begin(schedule.starts[start])
         states = np.full((len(schedule.times) + 1, len(state)), np.nan)
@@ -300,8 +300,7 @@ class MuJoCo:
             ctrl = np.zeros((min(once, whole - done), nu))
             if function is not None:
                 shown.qpos, shown.qvel, shown.time = world.data.qpos, world.data.qvel, done * dt
-                if schedule.calls_user:
-                    shown.forward()
+                shown.forward()
                 ctrl[:] = controls(function, shown)
             elif rows is not None:
                 held = np.arange(done, done + len(ctrl)) // hold
@@ -314,6 +313,9 @@ class MuJoCo:
                 return states, played, f"{failure} at {(done + len(made)) * dt:.4g} s"
             state = made[-1]
         return states, played, ""
+
+    def evaluation(self, change: Change, schedule: Schedule) -> float:
+        return math.nan  # MuJoCo's steps have a fixed length.
 
     def work(self, change: Change, schedule: Schedule) -> float:
         """Estimate the operations of a simulated second, at the same states for all changes.
@@ -333,12 +335,12 @@ class MuJoCo:
     def _counted(self, change: Change, schedule: Schedule) -> float:
         """Return the operations of a step: the mean over states of the shipped motion."""
         if not self._looks:
-            with self._world(Change()) as world:
+            with self._world(schedule.change) as world:
                 states, played, _ = self._run(world, schedule, 0)
             whole = np.flatnonzero(np.isfinite(states).all(axis=-1))
             some = whole[np.unique(np.linspace(0, len(whole) - 1, LOOKS).astype(int))]
             self._looks = [(states[k], played[k]) for k in some]
-        with self._world(change) as world:
+        with self._world(schedule.change.also(change)) as world:
             world.begin(schedule.starts[0])
             total = 0.0
             for state, ctrl in self._looks:
@@ -376,8 +378,12 @@ class MuJoCo:
         ]
         return list(dict.fromkeys([Change(), *made]))
 
+    def has_rows(self, schedule: Schedule) -> bool:
+        # Counting the work looks at states of the motion.
+        return math.isfinite(self.work(Change(), schedule)) and self._rows
+
     def seconds(self, change: Change, schedule: Schedule) -> float:
-        with self._world(change) as world:
+        with self._world(schedule.change.also(change)) as world:
             begun = time.thread_time()
             failure = self._run(world, schedule, 0)[2]
             return math.nan if failure else time.thread_time() - begun
@@ -542,6 +548,16 @@ def _changed(scene: Any, physics: Change) -> Any:
                 raise ValueError(f"without {removal.label}: MuJoCo has no flag for it")
     for path, value in physics.values:
         _assign(model, path, value)
+    for servo in physics.servos:
+        k = servo.actuator
+        k = k if isinstance(k, int) else mj.mj_name2id(model, mj.mjtObj.mjOBJ_ACTUATOR, k)
+        model.actuator_gaintype[k] = mj.mjtGain.mjGAIN_FIXED
+        model.actuator_biastype[k] = mj.mjtBias.mjBIAS_AFFINE
+        model.actuator_gainprm[k, 0] = servo.kp
+        model.actuator_biasprm[k, :3] = 0.0, -servo.kp, -servo.kv
+        model.actuator_ctrllimited[k] = False
+        model.actuator_forcelimited[k] = bool(np.isfinite(servo.forcerange).all())
+        model.actuator_forcerange[k] = servo.forcerange
     if physics.values:
         mj.mj_setConst(model, mj.MjData(model))
     return model

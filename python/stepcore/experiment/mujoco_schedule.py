@@ -8,19 +8,19 @@ controls to 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from stepcore import checks
 from stepcore.engine.start import Start
+from stepcore.experiment.control_table import PositionTable
+from stepcore.experiment.controls import Controls
 from stepcore.experiment.coordinates import Coordinates
-from stepcore.experiment.followed import PositionTable
+from stepcore.experiment.default_motion import by_rule
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.schedule import HORIZON, STARTS, Schedule, grid, near, played
-from stepcore.experiment.sines import sines, sines_in_words, undriven, uniform
-from stepcore.report.units import seconds
+from stepcore.experiment.schedule import HORIZON, Schedule, laid_out, played
 
 KINDS = ("hold", "sines", "random", "fall")
 # MuJoCo's flag against clamping (mjDSBL_CLAMPCTRL), and its transmissions to a joint.
@@ -58,41 +58,19 @@ def scheduled_by_mujoco(
         raise ValueError(f"{given}: needs stepcore's model of the scene; give rows of controls")
     if motion.kind is not None and motion.kind not in KINDS:
         checks.one_of(*KINDS)("a motion by MuJoCo alone", "kind", motion.kind)
-    count = starts or motion.starts or STARTS
-    periods, every = grid(motion, float(scene.opt.timestep), period, count, horizon)
     first, held = _home(scene, motion.key)
-    rng, overlap = np.random.default_rng(motion.seed), _overlaps(scene)
-    begin = [first, *(near(coordinates, first, rng, overlap, 1e-4) for _ in range(count - 1))]
-    if motion.ctrl is not None:
-        rows, log = played(motion, Actuators(scene), held, periods, period)
-        ctrl = np.broadcast_to(rows, (count, periods, scene.nu))
-        return Schedule(period, periods, every, tuple(begin), ctrl, None, log=log)
-    rows, words, remarks = _driven(scene, motion, held, count, periods, period)
-    return Schedule(period, periods, every, tuple(begin), rows, None, remarks, words)
+    drives = Actuators(scene)
 
+    def drive(begin: Sequence[Start], periods: int) -> Controls:
+        if motion.ctrl is not None:
+            return Controls(played(motion, drives, held, period))
+        clamped = scene.actuator_ctrllimited & (not scene.opt.disableflags & CLAMPCTRL)
+        ranges = np.where(clamped[:, None], scene.actuator_ctrlrange, (-np.inf, np.inf))
+        how = (ranges, held, len(begin), motion.seed, period, periods)
+        return by_rule(motion.kind or "sines", "actuators", drives.called("actuator"), *how)
 
-def _driven(
-    scene: Any, motion: Motion, held: np.ndarray, starts: int, periods: int, period: float
-) -> tuple[np.ndarray, str, tuple[str, ...]]:
-    """Return the controls of a motion without controls of its own, their words, and remarks."""
-    nu, kind = int(scene.nu), motion.kind or "sines"
-    if not nu:
-        return np.zeros((starts, periods, 0)), "no motors", ()
-    if kind in ("hold", "fall"):
-        row = held if kind == "hold" else np.zeros(nu)
-        said = "at the keyframe's controls" if kind == "hold" else "at zero"
-        return np.tile(row, (starts, periods, 1)), f"actuators are held {said}", ()
-    clamped = scene.actuator_ctrllimited & (not scene.opt.disableflags & CLAMPCTRL)
-    ranges = np.where(clamped[:, None], scene.actuator_ctrlrange, (-np.inf, np.inf))
-    draws = [np.random.default_rng([motion.seed, k]) for k in range(starts)]
-    if kind == "random":
-        rows = np.stack([uniform(ranges, held, periods, rng) for rng in draws])
-        words = f"actuators get new random controls within their range every {seconds(period)}"
-        return rows, words, ()
-    still = undriven(Actuators(scene).called("actuator"), ranges, held)
-    remark = f"actuators without a control range are not driven: {', '.join(still)}"
-    rows = np.stack([sines(ranges, held, periods, period, rng) for rng in draws])
-    return rows, sines_in_words(ranges, "actuators", still), (remark,) if still else ()
+    where = coordinates, first, _overlaps(scene), 1e-4
+    return laid_out(motion, float(scene.opt.timestep), *where, drive, period, starts, horizon)
 
 
 def _home(scene: Any, key: str | int | None) -> tuple[Start, np.ndarray]:

@@ -146,7 +146,7 @@ class Runner:
         """
         schedule = self.schedule
         blocks: Iterable[tuple[int, int]] = schedule.blocks(sim.settings.dt, steps)
-        function = schedule.function(start)
+        function = schedule.function()
         self.place(sim, start)
         for probe in probes:
             probe.begin(sim)
@@ -181,7 +181,7 @@ class Runner:
 
     def sim(self, settings: Settings) -> Any:
         """Return a Sim of the model under some settings."""
-        return unwatched(Sim(self.model, settings))
+        return unwatched(Sim(self.schedule.on(self.model), settings))
 
     def place(self, sim: Any, start: int) -> None:
         """Reset a Sim (time 0, no warm start), and set it to a start of the schedule."""

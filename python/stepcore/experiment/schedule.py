@@ -1,8 +1,7 @@
 """The schedule of a motion for one model: starts, controls and a common time grid.
 
-Controls are constant over a control period, which is a multiple of every time step. Coarse and fine
-runs therefore get the same controls at the same times. A log has times of its own: see
-`ControlLog`.
+A control period is a multiple of every time step. Coarse and fine runs therefore get the same
+controls at the same times. A log has times of its own: see `stepcore.experiment.controls`.
 """
 
 from __future__ import annotations
@@ -12,6 +11,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -20,13 +21,12 @@ from stepcore.engine.control import Control, control_name, fresh
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
-from stepcore.experiment.control_log import ControlLog, changes
-from stepcore.experiment.control_table import Actuated, control_table
+from stepcore.experiment.change import Change
+from stepcore.experiment.control_table import Actuated, PositionTable, control_table
+from stepcore.experiment.controls import ControlLog, Controls, changes
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.default_motion import default_motion
-from stepcore.experiment.followed import Following, PositionTable
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.point_to_point import PointToPoint
 from stepcore.report import units
 from stepcore.report.units import seconds
 
@@ -50,25 +50,14 @@ class Schedule:
     periods: the number of control periods.
     every: the number of periods between two samples.
     starts: the initial states.
-    ctrl: the controls, (starts, periods, nu); None if `control` returns the controls. With a log,
-        the means over the periods.
-    control: the control function, or None.
-    remarks: sentences on what the default controls could not do.
-    drive: the default controls in words; "" if the user gave controls.
-    log: controls that change within periods, at times of their own; None for controls that are
-        constant in each period. Its rows have the controls of one start, nu numbers, for all
-        starts; or those of every start, one start after the other.
+    controls: what drives the motion.
     """
 
     period: float
     periods: int
     every: int
     starts: tuple[Start, ...]
-    ctrl: np.ndarray | None
-    control: Control | None
-    remarks: tuple[str, ...] = ()
-    drive: str = ""
-    log: ControlLog | None = None
+    controls: Controls
 
     @property
     def horizon(self) -> float:
@@ -81,37 +70,103 @@ class Schedule:
         return self.period * np.arange(self.every, self.periods + 1, self.every)
 
     @property
-    def is_users(self) -> bool:
-        """Whether the controls are the user's own."""
-        return not self.drive
+    def indices(self) -> range:
+        """Indices of the starts."""
+        return range(len(self.starts))
+
+    @property
+    def control(self) -> Control | None:
+        """The user's control function, or None."""
+        return self.controls.function
 
     @property
     def calls_user(self) -> bool:
         """Whether a control function of the user is called."""
-        own = isinstance(self.control, Following)
-        return self.control is not None and self.is_users and not own
+        return self.control is not None
 
     @property
     def driven(self) -> str:
         """The user's control function and its sampling period, in words; "" without a function."""
-        if self.control is None or not self.calls_user:
+        if self.control is None:
             return ""
         return f" under {control_name(self.control)}, sampled every {seconds(self.period)}"
 
     @property
-    def notes(self) -> list[str]:
-        """Sentences on what the default controls could not do."""
-        return list(self.remarks)
+    def drive(self) -> str:
+        """Controls that nobody gave, in words; "" if the user gave controls."""
+        return self.controls.words
 
-    def function(self, start: int) -> Control | None:
-        """Return the control function of one run from a start, or None."""
-        if isinstance(self.control, PointToPoint):
-            return self.control.of(start)
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on what controls that nobody gave could not do."""
+        return list(self.controls.remarks)
+
+    @property
+    def change(self) -> Change:
+        """What the controls need of the model: servos in place of its motors."""
+        return Change(servos=self.controls.servos)
+
+    def on(self, model: Model) -> Model:
+        """Return the model that the controls drive: with servos of ours where they need these."""
+        if not self.controls.servos:
+            return model
+        if model.core not in self._driven:
+            self._driven[model.core] = self.change.of(model)
+        return self._driven[model.core].with_settings(model.settings)
+
+    @cached_property
+    def _driven(self) -> dict[Any, Model]:
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_driven"}
+
+    def function(self) -> Control | None:
+        """Return the control function of one run, or None."""
         return None if self.control is None else fresh(self.control)
 
     def steps(self, dt: float) -> int:
         """Return the number of time steps in one control period; dt: [s]."""
         return round(self.period / dt)
+
+    def rows(self, starts: Sequence[int], dt: float) -> tuple[np.ndarray | None, int]:
+        """Return the controls over time from some starts, and for how many steps a row is held.
+
+        dt: time step [s]. See `Controls.rows`.
+        """
+        return self.controls.rows(starts, dt, self.periods * self.steps(dt))
+
+    def part(self, first: int, last: int | None = None) -> Schedule:
+        """Return the schedule with the starts from `first` up to, but not including, `last`."""
+        return self.picked(range(len(self.starts))[first:last])
+
+    def picked(self, indices: Sequence[int]) -> Schedule:
+        """Return the schedule with some of its starts, which may be repeated."""
+        starts = tuple(self.starts[k] for k in indices)
+        return dataclasses.replace(self, starts=starts, controls=self.controls.picked(indices))
+
+    def joined(self, other: Schedule) -> Schedule:
+        """Return the schedule with the starts of another one of the same motion after these."""
+        starts = (*self.starts, *other.starts)
+        return dataclasses.replace(
+            self, starts=starts, controls=self.controls.joined(other.controls)
+        )
+
+    # --- for loops over control periods -----------------------------------------------------------
+
+    @property
+    def log(self) -> ControlLog | None:
+        """Controls that change within periods; None if they are constant in each period."""
+        log = self.controls.log
+        return None if log is None or log.ends_on(self.period) else log
+
+    @cached_property
+    def ctrl(self) -> np.ndarray | None:
+        """The means of the controls over the periods, (starts, periods, nu); None of a function."""
+        if self.controls.log is None:
+            return None
+        rows = self.controls.log.steps(0.0, self.period, self.periods)
+        return np.broadcast_to(rows, (len(self.starts), *rows.shape[-2:]))
 
     def blocks(self, dt: float, count: int | None = None) -> Iterator[tuple[int, int]]:
         """Yield the index of each control period and the number of time steps that begin in it.
@@ -123,7 +178,7 @@ class Schedule:
         if count is None:
             yield from ((period, self.steps(dt)) for period in range(self.periods))
             return
-        if self.control is None and (self.ctrl is None or not self.ctrl.size):
+        if self.control is None and not self.controls.nu:
             yield 0, count
             return
         steps, period, done = self.period / dt, 0, 0
@@ -143,79 +198,14 @@ class Schedule:
         starts: the index of a start, or of several, whose controls have the shape (starts, nu).
         made: the number of time steps before these. dt: time step [s]. count: the number of steps.
         """
-        if self.log is None:
+        log = self.log
+        if log is None:
             yield count, None
             return
-        rows = self.log.steps(made * dt, dt, count)
-        if self._logs_each:
-            rows = rows.reshape(count, -1, self.nu)[:, starts]
+        rows = log.steps(made * dt, dt, count)
+        rows = rows if rows.ndim == 2 else np.moveaxis(rows[starts], -2, 0)
         first = changes(rows)
         yield from ((end, rows[end - 1]) for end in (*first[1:], count))
-
-    @property
-    def nu(self) -> int:
-        """The number of controls in a row."""
-        return 0 if self.ctrl is None else self.ctrl.shape[2]
-
-    @property
-    def _logs_each(self) -> bool:
-        """Whether the log has the controls of every start."""
-        return self.log is not None and self.log.rows.shape[1] != self.nu
-
-    @property
-    def indices(self) -> range:
-        """Indices of the starts."""
-        return range(len(self.starts))
-
-    def rows(self, starts: Sequence[int], dt: float) -> tuple[np.ndarray | None, int]:
-        """Return the controls over time from some starts, and for how many steps a row is held.
-
-        The shape is (starts, rows, nu), or (1, rows, nu) for controls that all starts share; None
-        without controls.
-
-        dt: time step [s].
-        """
-        count = self.steps(dt)
-        if self.log is None:
-            rows = None if self.ctrl is None or not self.nu else self.ctrl[list(starts)]
-            return rows, count
-        # Rows that are held for whole steps are played as they are.
-        gaps = np.diff(self.log.times)
-        held = round(float(gaps[0]) / dt) if len(gaps) and not self.log.linear else 0
-        hold = held if held and np.allclose(gaps, held * dt, rtol=1e-9) else 1
-        rows = self.log.rows if hold > 1 else self.log.steps(0.0, dt, self.periods * count)
-        if self._logs_each:
-            own = rows.reshape(len(rows), -1, self.nu)[:, list(starts)]
-            return own.transpose(1, 0, 2), hold
-        return rows[None], hold
-
-    def part(self, first: int, last: int | None = None) -> Schedule:
-        """Return the schedule with the starts from `first` up to, but not including, `last`."""
-        return self.picked(range(len(self.starts))[first:last])
-
-    def picked(self, indices: Sequence[int]) -> Schedule:
-        """Return the schedule with some of its starts, which may be repeated."""
-        starts, control = tuple(self.starts[k] for k in indices), self.control
-        if isinstance(control, PointToPoint):
-            control = control.picked(indices)
-        ctrl = None if self.ctrl is None else self.ctrl[list(indices)]
-        log = self.log
-        if log is not None and self._logs_each:
-            each = log.rows.reshape(len(log.rows), -1, self.nu)[:, list(indices)]
-            log = dataclasses.replace(log, rows=each.reshape(len(each), -1))
-        return dataclasses.replace(self, starts=starts, ctrl=ctrl, control=control, log=log)
-
-    def joined(self, other: Schedule) -> Schedule:
-        """Return the schedule with the starts of another one of the same motion after these."""
-        control, ctrl, log = self.control, self.ctrl, self.log
-        if isinstance(control, PointToPoint) and isinstance(other.control, PointToPoint):
-            control = PointToPoint.together([control, other.control])
-        if ctrl is not None and other.ctrl is not None:
-            ctrl = np.concatenate([ctrl, other.ctrl])
-        if log is not None and other.log is not None and not self.is_users:
-            log = dataclasses.replace(log, rows=np.hstack([log.rows, other.log.rows]))
-        starts = (*self.starts, *other.starts)
-        return dataclasses.replace(self, starts=starts, ctrl=ctrl, control=control, log=log)
 
 
 def scheduled(
@@ -229,30 +219,58 @@ def scheduled(
 
     Raises ValueError if the horizon is shorter than a period, or the run has too many steps.
     """
-    count = starts or motion.starts or STARTS
-    periods, every = grid(motion, model.settings.dt, period, count, horizon)
-    rng = np.random.default_rng(motion.seed)
-    coordinates = Coordinates(model)
     first, held = home(model, motion.key)
-    first = begun(motion, model, first)
-    slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
-    overlap = overlaps(model)
-    begin = [first, *(near(coordinates, first, rng, overlap, slack) for _ in range(count - 1))]
-    ctrl, control, remarks, drive = None, motion.control, tuple[str, ...](), ""
-    log = None
     if isinstance(motion.ctrl, PositionTable):
-        control = motion.ctrl.control(model, first, held, period)
-    if motion.ctrl is not None and control is None:
-        rows, log = played(motion, model, held, periods, period)
-        ctrl = np.broadcast_to(rows, (count, periods, model.nu))
-    elif control is None:
-        made = default_motion(
-            *(model, motion.kind, first, held, begin, motion.seed, period, periods),
-            whole=motion.control_dt is not None,
-        )
-        ctrl, control, log = made.ctrl, made.control, made.log
-        remarks, drive = made.remarks, made.words
-    return Schedule(period, periods, every, tuple(begin), ctrl, control, remarks, drive, log)
+        # Recorded positions begin at the first of them.
+        first = dataclasses.replace(first, qpos=motion.ctrl.begin(model, first.qpos))
+
+    def drive(begin: Sequence[Start], periods: int) -> Controls:
+        given = given_controls(motion, model, first, held, period)
+        whole = motion.control_dt is not None
+        how = (first, held, begin, motion.seed, period, periods)
+        return given or default_motion(model, motion.kind, *how, whole=whole)
+
+    slack = 1e-4 if model.settings.law in ("solref", "penalty") else 1e-12
+    where = Coordinates(model), first, overlaps(model), slack
+    return laid_out(motion, model.settings.dt, *where, drive, period, starts, horizon)
+
+
+def laid_out(
+    motion: Motion,
+    dt: float,
+    coordinates: Coordinates,
+    first: Start,
+    overlap: Callable[[Start], float],
+    slack: float,
+    drive: Callable[[Sequence[Start], int], Controls],
+    period: float,
+    starts: int | None,
+    horizon: float,
+) -> Schedule:
+    """Return the schedule from a first start and random ones near it; see `near`.
+
+    dt: the shipped time step [s]. drive: returns the controls from the starts and the number of
+    periods. The rest is as in `scheduled`.
+    """
+    count = starts or motion.starts or STARTS
+    periods, every = grid(motion, dt, period, count, horizon)
+    rng = np.random.default_rng(motion.seed)
+    begin = [first, *(near(coordinates, first, rng, overlap, slack) for _ in range(count - 1))]
+    return Schedule(period, periods, every, tuple(begin), drive(begin, periods))
+
+
+def given_controls(
+    motion: Motion, model: Model, first: Start, held: np.ndarray, period: float
+) -> Controls | None:
+    """Return the controls that a user gave; None if nobody gave controls.
+
+    first, held: the first start, and the controls of actuators without a column, (nu,).
+    """
+    if motion.control is not None:
+        return Controls(function=motion.control)
+    if isinstance(motion.ctrl, PositionTable):
+        return motion.ctrl.followed(model, first, held, period)
+    return None if motion.ctrl is None else Controls(played(motion, model, held, period))
 
 
 def grid(
@@ -271,27 +289,12 @@ def grid(
     return periods - periods % every, every
 
 
-def begun(motion: Motion, model: Model, home: Start) -> Start:
-    """Return the first start of a motion: recorded positions begin at the first of them."""
-    if not isinstance(motion.ctrl, PositionTable):
-        return home
-    return dataclasses.replace(home, qpos=motion.ctrl.begin(model, home.qpos))
-
-
-def played(
-    motion: Motion, model: Actuated, held: np.ndarray, periods: int, period: float
-) -> tuple[np.ndarray, ControlLog | None]:
-    """Return the rows of a motion's `ctrl`, (periods, nu), and a log that changes within periods.
-
-    held: the controls of actuators without a column, (nu,). period: the control period [s].
-    """
+def played(motion: Motion, model: Actuated, held: np.ndarray, period: float) -> ControlLog:
+    """Return the rows of a motion's `ctrl` over time; see `given_controls`."""
     table = control_table(motion.ctrl)
-    linear = table.interpolated or motion.interpolation == "linear"
-    log = table.log(model, held, linear)
-    if log is None or (motion.control_dt is not None and not linear):
-        return table.over(model, held, periods, period), None
-    within = motion.control_dt is None and not log.ends_on(period)
-    return log.steps(0.0, period, periods), log if within else None
+    linear = motion.interpolation == "linear"
+    # Without linear rows, a control period takes the row in effect at the beginning of each.
+    return table.log(model, held, period, linear, sampled=motion.control_dt is not None)
 
 
 def time_steps(
@@ -420,8 +423,6 @@ def overlaps(model: Model) -> Callable[[Start], float]:
 
     def overlap(start: Start) -> float:
         start.put(sim)
-        sim.forward()
-        dist = sim.contacts["dist"]
-        return -float(dist.min()) if len(dist) else 0.0
+        return float(sim.overlap)
 
     return overlap

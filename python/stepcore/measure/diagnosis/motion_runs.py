@@ -25,6 +25,7 @@ from stepcore.engine.control import ControlError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
+from stepcore.experiment.controls import ControlLog, Controls
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.passage import Passage, Passages
 from stepcore.experiment.run import Probe
@@ -314,10 +315,10 @@ def largest_speeds(
     """
     start = Start(state.qpos, state.qvel + push, state.act if len(state.act) else None)
     control = None if state.feedback is None else state.feedback.function
-    period, ctrl = count * dt, state.ctrl[None, None, :]
+    period, controls = count * dt, Controls(ControlLog(np.zeros(1), state.ctrl[None]))
     if control is not None:
-        period = steps_held(state, dt)[0] * dt
-    schedule = Schedule(period, 1, 1, (start,), None if control else ctrl, control)
+        period, controls = steps_held(state, dt)[0] * dt, Controls(function=control)
+    schedule = Schedule(period, 1, 1, (start,), controls)
     runner, fastest = Runner(model, schedule), _Fastest(model.nv)
     sim = runner.sim(model.settings.replace(integrator=integrator, dt=dt))
     try:

@@ -20,6 +20,7 @@ from stepcore.engine.control import Control, fresh
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.controls import Controls
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.run import Probe
@@ -82,6 +83,7 @@ def visit(model: Model, motion: Motion, horizon: float) -> Visit:
     controlled = motion.period(settings.dt)
     period = min(horizon, controlled or max(settings.dt, horizon * PERIOD))
     schedule = scheduled(motion, model, period, starts=1)
+    model = schedule.on(model)
     begin = _start(model, schedule)
     if control is not None:
         (begin,) = with_feedback(model, [begin], control, period, horizon)
@@ -135,8 +137,6 @@ def _start(model: Model, schedule: Schedule) -> State:
     ctrl = np.zeros(model.nu) if schedule.ctrl is None else schedule.ctrl[0, 0]
     act = np.zeros(0) if first.act is None else first.act
     sim = sim_at(model, State("the start", 0.0, first.qpos, first.qvel, ctrl, act=act))
-    if schedule.control is not None and not schedule.calls_user:
-        sim.ctrl[:] = schedule.control(0.0, sim)
     sim.forward()
     return state_of(sim, "the start", 0.0)
 
@@ -160,7 +160,7 @@ def _along(
     if schedule.control is not None:
         # The probe copies the object that the run uses; `follow` does not copy a plain function.
         control = fresh(schedule.control)
-        run = replace(run, control=_handed_on(control))
+        run = replace(run, controls=Controls(function=_handed_on(control)))
     runner = Runner(model, run)
     sim = runner.sim(model.settings.replace(integrator="implicitfast", dt=dt))
     sampled, brief, failure = _SampledStates(control), _BriefStates(model, count * periods), ""

@@ -17,8 +17,8 @@ from stepcore.engine.element import listed
 from stepcore.engine.model import Model
 from stepcore.engine.trajectory import Trajectory
 from stepcore.experiment.control_files import LATE, MCAP, OWN, mcap_rows
-from stepcore.experiment.control_log import ControlLog
 from stepcore.experiment.control_table import control_table
+from stepcore.experiment.controls import ControlLog
 from stepcore.experiment.user_table import TIME, read_table
 from stepcore.experiment.user_table import numbers as numbers_of
 from stepcore.report.units import counted, seconds
@@ -194,9 +194,9 @@ def _alone(model: Model, source: Any, name: str, array: str) -> Series:
     """Return an array from a source of its own."""
     if array == "ctrl":
         table = control_table(source)
-        held = table.log(model, np.full(model.nu, np.nan))
-        if held is None or table.times is None:
+        if table.times is None:
             raise ValueError(f"{name}: ctrl: {table.source} has no times")
+        held = table.log(model, np.full(model.nu, np.nan), 1.0)
         return Series(table.times, held.rows)
     if is_messages(source):
         times, rows, columns = mcap_rows(os.fsdecode(source), array)

@@ -14,6 +14,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.plan import makes_rows
 from stepcore.engine.run_settings import converged_settings
 from stepcore.experiment.bodies import Bodies
+from stepcore.experiment.controls import ControlLog, Controls
 from stepcore.experiment.run import Probe, Run
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule, home
@@ -135,7 +136,9 @@ class MapMotion:
         dt = step.dt
         start, ctrl = home(model, self.key)
         steps = max(1, int(np.ceil(times[-1] / dt - 1e-6)))
-        schedule = Schedule(steps * dt, 1, 1, (start,), ctrl[None, None], None)
+        schedule = Schedule(
+            steps * dt, 1, 1, (start,), Controls(ControlLog(np.zeros(1), ctrl[None]))
+        )
         runner = Runner(model, schedule)
         probe = Readings(runner.bodies, times, dt)
         try:

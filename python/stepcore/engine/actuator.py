@@ -1,0 +1,175 @@
+"""`Actuator`: what one actuator of a compiled model does, said once for everything that asks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepcore.engine.arrays import Floats
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.scene.layout import Layout
+
+# What a control sets: a length, a velocity, a force, or something else (muscles, adhesion,
+# controllers with further inputs).
+SERVO, VELOCITY_SERVO, MOTOR, OTHER = "servo", "velocity servo", "motor", "other"
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """One actuator. Its force is gain × control + offset − kp × length − kv × velocity.
+
+    Forces, lengths and gains are those before the gear, unless said otherwise.
+
+    index: in the model. kind: "servo", "velocity servo", "motor" or "other".
+    gain: force per unit of control. offset: force at control 0 [N or N·m].
+    kp, kv: the stiffness and the damping of its feedback. A servo that pushes away from its target
+        has a negative kp.
+    joint: the hinge or slide that it drives; None for tendons, bodies and joints of more dofs.
+    dof, qposadr: where the joint's velocity and position stand; -1 without a joint.
+    gear: the ratio of its length to the joint's coordinate.
+    forcerange, ctrlrange: (low, high), ±inf without a range; the ctrlrange as it is applied.
+    jointrange: the range of the force of all actuators of its joint, before the gear.
+    filtered: whether an activation stands between its control and its force.
+    integrates: whether its control sets the velocity of a servo's target.
+    inertia: the inertia that moves with its joint in the model's initial pose, the other joints
+        free [kg·m² or kg]; inf without a joint. See `inertias` for other poses.
+    """
+
+    index: int
+    kind: str
+    gain: float
+    offset: float
+    kp: float
+    kv: float
+    joint: int | None
+    dof: int
+    qposadr: int
+    gear: float
+    forcerange: tuple[float, float]
+    ctrlrange: tuple[float, float]
+    jointrange: tuple[float, float]
+    filtered: bool
+    integrates: bool
+    inertia: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether its feedback pulls it to a length."""
+        return self.kp > 0
+
+    @property
+    def direct(self) -> bool:
+        """Whether it drives one joint, and its force follows its control at once."""
+        return self.joint is not None and not self.filtered
+
+    @property
+    def stiffness(self) -> float:
+        """The stiffness of its feedback at the joint [N·m/rad or N/m]."""
+        return self.kp * self.gear**2
+
+    @property
+    def damping(self) -> float:
+        """The damping of its feedback at the joint [N·m·s/rad or N·s/m]."""
+        return self.kv * self.gear**2
+
+    @property
+    def forces(self) -> tuple[float, float]:
+        """The least and the greatest force at rest; of a motor, those of its control range."""
+        low, high = self.forcerange
+        if self.kind == MOTOR:
+            ends = sorted(self.gain * end for end in self.ctrlrange)
+            low, high = max(low, ends[0]), min(high, ends[1])
+        return low, high
+
+    @property
+    def bound(self) -> float:
+        """The largest |force|: the nearest end of its ranges, and a motor's largest control."""
+        bound = min(*map(abs, self.forcerange), max(map(abs, self.jointrange)))
+        if self.kind == MOTOR:
+            bound = min(bound, max(abs(self.gain * end) for end in self.ctrlrange))
+        return bound
+
+    def target(self, ctrl: Floats | float) -> Floats:
+        """Return the length that a control asks a servo for."""
+        asked: Floats = (self.gain * np.asarray(ctrl) + self.offset) / self.kp
+        return asked
+
+    def holding(self, length: Floats | float) -> Floats:
+        """Return the control under which a servo is without force at a length."""
+        ctrl: Floats = (self.kp * np.asarray(length) - self.offset) / self.gain
+        return ctrl
+
+    def force(self, ctrl: float, length: float, velocity: float = 0.0) -> float:
+        """Return the force that it asks for, before the force range."""
+        return self.gain * ctrl + self.offset - self.kp * length - self.kv * velocity
+
+
+def actuators(model: Model) -> list[Actuator]:
+    """Return the actuators of a model, in its order."""
+    layout = Layout(model.scene)
+    return [_actuator(model, layout, k) for k in range(model.nu)]
+
+
+def inertias(mass: Floats) -> Floats:
+    """Return the inertia that moves with each dof, the others free, of a mass matrix (nv, nv)."""
+    moved: Floats = 1.0 / np.diag(np.linalg.inv(mass))
+    return moved
+
+
+def loads(sim: Sim) -> Floats:
+    """Return the force on each dof that holds a Sim at rest in its pose, (nv,) [N or N·m].
+
+    It is the bias less the passive forces, of the last `forward` or step; contacts carry none.
+    """
+    need: Floats = np.array(sim.bias) - np.array(sim.passive)
+    return need
+
+
+def _actuator(model: Model, layout: Layout, k: int) -> Actuator:
+    law, (offset, length, velocity) = model.scene.actuators[k].law, model.actuator_bias[k].tolist()
+    joint, gear = int(model.actuator_joint[k]), float(model.actuator_gear[k, 0])
+    single = joint >= 0 and model.jnt_type[joint] in ("hinge", "slide") and gear != 0
+    dof = int(model.jnt_dofadr[joint]) if single else -1
+    whole = layout.joints[joint].actuatorfrcrange if single else None
+    applied = model.scene.features.clampctrl
+    return Actuator(
+        index=k,
+        kind=_kind(model, k, single),
+        gain=float(model.actuator_gain[k]),
+        offset=offset,
+        kp=0.0 - length,
+        kv=0.0 - velocity,
+        joint=joint if single else None,
+        dof=dof,
+        qposadr=int(model.jnt_qposadr[joint]) if single else -1,
+        gear=gear,
+        forcerange=_pair(model.actuator_forcerange[k]),
+        ctrlrange=_pair(model.actuator_ctrlrange[k]) if applied else (-np.inf, np.inf),
+        jointrange=(-np.inf, np.inf) if whole is None else _pair(np.sort(np.array(whole) / gear)),
+        filtered=bool(model.actuator_actadr[k] >= 0),
+        integrates=law.dyntype == "integrator",
+        inertia=1.0 / float(model.dof_invweight0[dof]) if single else np.inf,
+    )
+
+
+def _pair(ends: Floats) -> tuple[float, float]:
+    low, high = ends.tolist()
+    return low, high
+
+
+def _kind(model: Model, k: int, single: bool) -> str:
+    actuator, (_, length, velocity) = model.scene.actuators[k], model.actuator_bias[k].tolist()
+    law = actuator.law
+    plain = law.gaintype == "fixed" and not law.is_muscle and law.controller is None
+    apart = actuator.target[0] == "body" or actuator.feeds is not None or actuator.axis is not None
+    if not plain or apart or not model.actuator_gain[k] or law.dyntype == "muscle":
+        return OTHER
+    if law.dyntype == "integrator":
+        return VELOCITY_SERVO if length < 0 else OTHER
+    if length < 0:
+        return SERVO
+    if length == 0 and velocity < 0:
+        return VELOCITY_SERVO
+    return MOTOR if length == velocity == 0 and single else OTHER
