@@ -15,10 +15,10 @@ from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.engine.start import Start
 from stepcore.measure.monitors.actuators import strength
+from stepcore.measure.monitors.contacts import LEFT
 from stepcore.measure.monitors.finding import PLOT, Finding, listed, named
 from stepcore.measure.monitors.joints import (
     BEYOND,
-    LEFT,
     is_angular,
     length_of,
     limit_remedy,
@@ -35,8 +35,8 @@ OUTSIDE = 0.02
 KEYED = 1e-3
 # A force beyond its range by this factor is more than rounding.
 BEYOND_RANGE = 1.01
-# ω dt, and damping rate × dt, above which a servo without armature is too stiff.
-STIFF, DAMPED = 0.5, 1.0
+# ω dt above which a servo without armature is too stiff; a damping rate × dt may be 1.
+STIFF = 0.5
 # The run in which an actuator pushes against a limit [s], and its steps.
 PUSHED, STEPS = 1.0, 4000
 
@@ -262,9 +262,9 @@ def _without_armature(model: Model, direct: list[Actuator]) -> Iterator[Finding]
             continue
         kp, kv = max(of.stiffness, 0.0), max(of.damping, 0.0)
         omega = math.sqrt(kp / of.inertia)
-        excess = max(omega * dt / STIFF, kv / of.inertia * dt / DAMPED)
+        excess = max(omega * dt / STIFF, kv / of.inertia * dt)
         if excess > 1:
-            needed = max(kp * dt**2 / STIFF**2, kv * dt / DAMPED) - of.inertia
+            needed = max(kp * dt**2 / STIFF**2, kv * dt) - of.inertia
             stiff.append((excess, of.index, omega, needed))
     if not stiff:
         return

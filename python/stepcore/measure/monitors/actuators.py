@@ -18,6 +18,7 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.moves import SINKS, TILT, moves_about, roots
 from stepcore.measure.monitors.contacts import centre_of_mass
 from stepcore.measure.monitors.finding import OTHERS, PLOT, Cure, Finding, Remedy, listed, named
+from stepcore.measure.monitors.joints import width_of
 from stepcore.measure.monitors.recording import FEWEST, REST, Recording
 from stepcore.report.units import (
     FORCES,
@@ -44,7 +45,7 @@ SATURATED = 1 / 3
 ALIKE = 1.1
 # Least sag that is told and that will be noticed, relative to the joint's range (a hinge's, at most
 # 3 rad): 30 mrad move the hand of an arm of 0.8 m by 24 mm. And the share that a cure should leave.
-SAGS, OBVIOUS, WIDEST, LEFT = 0.01, 0.033, 3.0, 1 / 3
+SAGS, OBVIOUS, LEFT = 0.01, 0.033, 1 / 3
 
 
 def actuator_findings(run: Recording) -> Iterator[Finding]:
@@ -201,9 +202,9 @@ def sag_of(run: Recording, indices: Collection[int]) -> float | None:
 
 def _notable(model: Model, of: Actuator) -> float:
     """Return the least sag that is told, before the gear [rad or m]."""
-    low, high = (float(bound) for bound in model.jnt_range[of.joint])
-    widest = WIDEST if _turns(model, of) else 1.0
-    return SAGS * min(high - low, widest) * abs(of.gear)
+    assert of.joint is not None
+    widest = math.inf if _turns(model, of) else 1.0
+    return SAGS * min(width_of(model, of.joint), widest) * abs(of.gear)
 
 
 def _turns(model: Model, of: Actuator) -> bool:

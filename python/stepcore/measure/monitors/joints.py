@@ -19,7 +19,7 @@ from stepcore.engine.coordinates import Coordinates, rotated, turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.contacts import TEST_CONTACTS
+from stepcore.measure.monitors.contacts import LEFT, TEST_CONTACTS
 from stepcore.measure.monitors.finding import (
     OTHERS,
     PLOT,
@@ -39,8 +39,6 @@ from stepcore.scene.layout import QPOS, Layout
 KEPT = 0.05
 # Thresholds of findings: a gap, relative to the smaller body; an excess, relative to the range.
 GAPES, BEYOND = 0.01, 0.05
-# The share of these thresholds that a cure leaves.
-LEFT = 0.1
 # A force overcomes a limit from this share of the limit's own force.
 OVERPOWERS = 0.5
 # Ranges wider than this do not define how exact a limit should be [rad].
