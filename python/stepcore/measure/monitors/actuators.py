@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -80,12 +79,8 @@ def _servos(model: Model) -> list[Actuator]:
 # Saturation.
 
 
-@dataclass(frozen=True)
-class AtEnd:
-    """An actuator whose force was at the end of its range for a share of the run.
-
-    value: the end of the force range [N or N·m].
-    """
+class AtEnd(NamedTuple):
+    """An actuator whose force was at an end [N or N·m] of its range for a share of the run."""
 
     actuator: int
     share: float
@@ -126,14 +121,11 @@ def _saturated(model: Model, full: list[AtEnd]) -> Finding:
 # Sag.
 
 
-@dataclass(frozen=True)
-class Servo:
+class Servo(NamedTuple):
     """A position servo at rest under a constant control.
 
-    error: commanded length minus length [rad or m], before the gear.
-    force: the servo's force [N·m or N].
-    loaded: whether the servo pushes against a weight rather than a limit or an object it grips or
-        presses.
+    error: commanded length minus length [rad or m], before the gear. force: [N·m or N].
+    loaded: whether it pushes against a weight, and not a limit or an object that it presses.
     """
 
     actuator: Actuator
@@ -148,12 +140,10 @@ def at_rest(run: Recording) -> Iterator[Servo]:
         return
     for of in _servos(run.model):
         asked, error = _errors(run, of)
-        if np.ptp(run["ctrl"][run.late :, of.index]) == 0 and float(np.ptp(error)) < STEADY * abs(
-            float(error.mean())
-        ):
+        mean, held = float(error.mean()), np.ptp(run["ctrl"][run.late :, of.index]) == 0
+        if held and float(np.ptp(error)) < STEADY * abs(mean):
             force = float(run["actuator_force"][-1, of.index])
-            loaded = _loaded(run, of, float(asked[-1]), force)
-            yield Servo(of, float(error.mean()), force, loaded)
+            yield Servo(of, mean, force, _loaded(run, of, float(asked[-1]), force))
 
 
 def _errors(run: Recording, of: Actuator) -> tuple[Floats, Floats]:

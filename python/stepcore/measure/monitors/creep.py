@@ -13,7 +13,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,8 +59,7 @@ CREEPS = 1e-3
 IMPEDANCES = ((0.99, 0.999), (0.999, 0.9999), (0.9999, 0.9999))
 
 
-@dataclass(frozen=True)
-class Creep:
+class Creep(NamedTuple):
     """A contact that slips, or a joint that drifts, although its friction holds it.
 
     of: the contact's pair, or the joint. speed: the mean [m/s or rad/s]. share: of its friction.
