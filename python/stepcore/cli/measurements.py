@@ -365,7 +365,7 @@ MEASUREMENTS = {
         },
         excluding=("bandwidth", "settling", "sag", "stiffness", "depth", "noise"),
         warn=False,
-        more=lambda args, model: {"key": key_of(args, model)},
+        motion={},
     ),
     "plan": Measurement(
         "stepcore.measure.plan",

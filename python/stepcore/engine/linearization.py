@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from stepcore import _core
 from stepcore.engine.arrays import Floats
 from stepcore.engine.parameters import Column, columns, models_around
-from stepcore.report.table import jsonable
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -90,6 +89,9 @@ class Linearization:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all fields as plain data."""
+        # Imported here so that the engine alone does not load the reports.
+        from stepcore.report.table import jsonable
+
         plain: dict[str, Any] = jsonable(vars(self) | {"spectral_radius": self.spectral_radius})
         return plain
 

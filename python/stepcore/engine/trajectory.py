@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import importlib
 import math
 import os
+import zipfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -12,11 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepcore import checks
+from stepcore import checks, files
 from stepcore._core import Settings
-from stepcore.engine import trajectory_file
 from stepcore.engine.arrays import STATE, Floats, numbers
-from stepcore.engine.axes import Axis, axes_of
+from stepcore.engine.axes import UNITS, Axis, axes_of
 from stepcore.engine.control import controls, not_finite
 from stepcore.engine.error_bar import driven, judged
 from stepcore.engine.snapshots import Snapshots, Taking
@@ -35,6 +37,11 @@ Driven = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
 # With more snapshots than this (20 s of motion) a notebook shows no page.
 INLINE = 1200
+
+# Files: the version increases when the layout changes; the name of the column of times of a table;
+# and extensions of other formats, with which a file name would be misleading.
+KIND, VERSION, TIME = "stepcore trajectory", 1, "time [s]"
+OTHERS = (".tsv", ".txt", ".json", ".xlsx", ".parquet", ".html", ".mcap", ".mp4", ".gif")
 
 # What the engine samples within a run, see `sampled`; the rest is read between its calls.
 SAMPLED = {
@@ -128,9 +135,6 @@ class Trajectory:
         model = None if self.snapshots is None else self.snapshots.model
         return axes_of(model, name, self[name].shape[1:])
 
-    def _every_axis(self) -> dict[str, tuple[Axis, ...]]:
-        return {name: self.axes(name) for name in self.data}
-
     def __getattr__(self, name: str) -> NDArray[Any]:
         # Called only for missing attributes. `data` is missing too while a copy is constructed.
         data = self.__dict__.get("data", {})
@@ -186,7 +190,31 @@ class Trajectory:
         >>> Trajectory.load("drop.npz")["qpos"].shape
         (251, 1)
         """
-        trajectory_file.write(path, self.time, self.data, self._every_axis(), self.unsolved)
+        target = files.path("path", path)
+        if target.lower().endswith(OTHERS):
+            limit = "must end in .npz or .csv"
+            frame = "to_pandas() has the frame that pandas writes in other formats"
+            raise ValueError(f"path = {checks.shown(target)}: {limit}; {frame}")
+        if target.lower().endswith(".csv"):
+            # All digits, and time from the beginning of the run.
+            columns = {TIME: self.time - self.time[:1]} | self._columns()
+            with open(target, "w", encoding="utf-8", newline="") as file:
+                csv.writer(file).writerow(columns)
+                np.savetxt(file, np.column_stack(list(columns.values())), "%.17g", ",")
+            return
+        arrays = {"kind": np.array(KIND), "version": np.array(VERSION), "time": self.time}
+        arrays["unsolved"] = np.array(self.unsolved)
+        for name, values in self.data.items():
+            arrays[f"data/{name}"] = values
+            for k, axis in enumerate(self.axes(name)):
+                arrays[f"axis/{name}/{k}/{axis.name}"] = np.array(axis.entries, dtype=np.str_)
+        # Imported here so that the engine alone does not load the reports.
+        from stepcore.report.outputs import MARK
+
+        with open(target, "wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        with zipfile.ZipFile(target, "a") as archive:
+            archive.comment = MARK.encode()
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
@@ -197,8 +225,52 @@ class Trajectory:
         Raises ValueError for another or a damaged file, FileNotFoundError for a missing file and
         IsADirectoryError for a folder.
         """
-        time, data, unsolved, axes = trajectory_file.read(path)
-        return cls(time, data, unsolved, _axes=axes)
+        shown = checks.cut(source := files.path("path", path), 300)
+        if os.path.isdir(source):
+            raise IsADirectoryError(f"{shown}: is a folder, not a trajectory")
+        try:
+            with open(source, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+        except FileNotFoundError:
+            raise FileNotFoundError(f"{shown}: no such file") from None
+        except (ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile):
+            raise ValueError(f"{shown}: is no trajectory, or was damaged") from None
+        if "kind" not in arrays or str(arrays["kind"]) != KIND:
+            raise ValueError(f"{shown}: is no trajectory; `Trajectory.save` writes them")
+        if str(arrays.get("version")) != str(VERSION):
+            what = f"version {checks.cut(str(arrays.get('version')), 80)} of a trajectory"
+            raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
+        try:
+            return cls._of(arrays)
+        except (ValueError, TypeError, KeyError, OverflowError):
+            raise ValueError(f"{shown}: is no whole trajectory: it was edited or damaged") from None
+
+    @classmethod
+    def _of(cls, arrays: Mapping[str, NDArray[Any]]) -> Trajectory:
+        """Return the run of a file's arrays; ValueError or KeyError for inconsistent ones."""
+        time = arrays["time"]
+        data = {n.removeprefix("data/"): arrays[n] for n in arrays if n.startswith("data/")}
+        if time.ndim != 1 or time.dtype.kind != "f":
+            raise ValueError("time")
+        axes: dict[str, tuple[Axis, ...]] = dict.fromkeys(data, ())
+        for name, entries in arrays.items():
+            if name.startswith("axis/"):
+                _, array, _, axis = name.split("/")
+                axes[array] += (Axis(axis, tuple(map(str, entries))),)
+        for name, values in data.items():
+            if values.shape != (len(time), *(len(axis.entries) for axis in axes[name])):
+                raise ValueError(name)
+        return cls(time, data, str(arrays["unsolved"]), _axes=axes)
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Return the values over time by names such as "qpos[knee]", each of shape (n,)."""
+        columns: dict[str, NDArray[Any]] = {}
+        for name, values in self.data.items():
+            entries = [axis.entries for axis in self.axes(name)]
+            for index in np.ndindex(*values.shape[1:]):
+                of = ", ".join(names[k] for names, k in zip(entries, index, strict=True))
+                columns[f"{name}[{of}]" if of else name] = values[(slice(None), *index)]
+        return columns
 
     def to_pandas(self) -> Any:
         """Return the run as a pandas DataFrame.
@@ -206,14 +278,23 @@ class Trajectory:
         The frame has a row for each instant and columns such as "qpos[knee]". Needs pandas (the
         extra "data").
         """
-        return trajectory_file.to_pandas(self.time, self.data, self._every_axis())
+        pandas = _needed("pandas", "Trajectory.to_pandas")
+        return pandas.DataFrame(self._columns(), index=pandas.Index(self.time, name=TIME))
 
     def to_xarray(self) -> Any:
         """Return the run as an xarray Dataset: ``dataset.xpos.sel(body="torso", xyz="z")``.
 
         Needs xarray (the extra "data").
         """
-        return trajectory_file.to_xarray(self.time, self.data, self._every_axis())
+        xarray = _needed("xarray", "Trajectory.to_xarray")
+        coordinates: dict[str, Any] = {"time": ("time", self.time, {"units": UNITS["time"]})}
+        variables = {}
+        for name, values in self.data.items():
+            own = self.axes(name)
+            units = {"units": UNITS[name]} if name in UNITS else {}
+            variables[name] = (("time", *(axis.name for axis in own)), values, units)
+            coordinates |= {a.name: (a.name, np.array(a.entries, dtype=np.str_)) for a in own}
+        return xarray.Dataset(variables, coordinates)
 
     def save_mcap(self, path: str | os.PathLike[str]) -> None:
         """Write the run as a log for Foxglove (MCAP, JSON with schemas).
@@ -314,6 +395,13 @@ class Trajectory:
         except ImportError:
             return None
         return framed(text)
+
+
+def _needed(package: str, what: str) -> Any:
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        raise ImportError(f"{what} needs {package}: pip install 'stepcore[data]'") from None
 
 
 def record_run(
