@@ -13,7 +13,7 @@ from stepcore.engine.linearization import Linearizations as Linearizations
 from stepcore.engine.model import Model as Model
 from stepcore.engine.noise import Noise as Noise
 from stepcore.engine.plan import Plan as Plan
-from stepcore.engine.postmortem import PostMortem as PostMortem
+from stepcore.engine.replay import PostMortem as PostMortem
 from stepcore.engine.replay import Replay as Replay
 from stepcore.engine.replay import replay as replay
 from stepcore.engine.sim import Sim as Sim

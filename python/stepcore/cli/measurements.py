@@ -284,8 +284,9 @@ MEASUREMENTS = {
     "predict": Measurement(
         "stepcore.measure.predictability",
         "gymnasium:ant --horizon 5 --plot growth.png",
-        {},
+        {"engine": ENGINE},
         motion={},
+        source=True,
     ),
     "diagnose": Measurement(
         "stepcore.measure.diagnosis",
@@ -319,9 +320,10 @@ MEASUREMENTS = {
     "converge": Measurement(
         "stepcore.measure.convergence",
         "lesson:stack --plot residual.png",
-        {"states": COUNT},
+        {"states": COUNT, "engine": ENGINE},
         full="print every row, all runs of equal work, the residual by sweeps",
         motion={},
+        source=True,
     ),
     "identify": Measurement(
         "stepcore.measure.identification",

@@ -19,12 +19,12 @@ from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
-    from stepcore.scene.contents import Contents
     from stepcore.scene.elements import Geom
+    from stepcore.scene.scene import Scene
 
 # Above this number of body pairs in contact, pairs are removed body by body.
 MAX_PAIRS = 30
-SomeScene = TypeVar("SomeScene", bound="Contents")
+SomeScene = TypeVar("SomeScene", bound="Scene")
 Edit = tuple[str, Any]
 
 
@@ -66,7 +66,7 @@ def without(scene: SomeScene, removals: Iterable[Removal]) -> SomeScene:
     return scene
 
 
-def _change(scene: Contents, edit: str, value: Any) -> None:
+def _change(scene: Scene, edit: str, value: Any) -> None:
     match edit:
         case "feature":
             setattr(scene.features, value, False)

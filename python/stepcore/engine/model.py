@@ -19,8 +19,7 @@ from stepcore._core import Settings
 from stepcore.engine.arrays import Count, Floats, ModelArray, Names, frozen, numbers
 from stepcore.engine.compilation import bare, compiled_once, compiled_scenes
 from stepcore.engine.run_settings import in_metres
-from stepcore.engine.tables import ContactPair, Keyframe, contact_pair, pair_arrays
-from stepcore.engine.touches import Touches, touches
+from stepcore.engine.tables import ContactPair, Keyframe, Touches
 from stepcore.scene import gc_pause
 from stepcore.scene.value_paths import changed
 from stepcore.signatures import refuse_unknown_settings, takes_settings
@@ -114,7 +113,35 @@ class Model:
         >>> touches.dist[:, 0].round(12).tolist()
         [-0.1, 1.5]
         """
-        return touches(self, geom1, geom2, qpos, precision, lanes)
+        first, second = self._geom("geom1", geom1), self._geom("geom2", geom2)
+        positions = numbers("qpos", qpos)
+        if positions.ndim == 0 or positions.shape[-1] != self.nq:
+            raise ValueError(f"qpos has shape {positions.shape}: must be (…, {self.nq})")
+        if not np.isfinite(positions).all():
+            raise ValueError("qpos has entries that are not finite: every entry must be")
+        if precision not in ("f64", "f32"):
+            raise ValueError(f"precision = {checks.shown(precision)}: must be 'f64' or 'f32'")
+        leading = positions.shape[:-1]
+        flat = positions.reshape(math.prod(leading), self.nq)
+        how = precision + " lanes" * checks.flag_of("lanes", lanes)
+        contacts = self._core.touches(first, second, flat, how)
+        return Touches(*(array.reshape(leading + array.shape[1:]) for array in contacts))  # type: ignore[arg-type]
+
+    def _geom(self, field: str, geom: int | str) -> int:
+        names = self.geom_names
+        if isinstance(geom, str):
+            if not geom or geom not in names:
+                near = checks.nearest(geom, names)
+                raise ValueError(f"{field}: no geom {checks.quoted(geom)}{near}")
+            return names.index(geom)
+        try:
+            index = operator.index(geom)
+        except TypeError:
+            index = -1
+        if not 0 <= index < len(names):
+            limit = f"must be a geom's name or an index from 0 to {len(names) - 1}"
+            raise ValueError(f"{field} = {checks.shown(geom)}: {limit}")
+        return index
 
     @property
     def settings(self) -> Settings:
@@ -297,7 +324,14 @@ class Model:
                 f"pairs: this model is a heap, whose {self.npair} pairs of geoms that could meet "
                 "are not listed: contact_pair(index) tells of one, Sim.contacts which touch now"
             )
-        return pair_arrays(self._core)
+        pairs = [self.contact_pair(index) for index in range(len(self._core.pairs()))]
+        arrays: dict[str, NDArray[Any]] = {
+            "pair_geoms": np.array([pair.geoms for pair in pairs], dtype=np.int32).reshape(-1, 2),
+            "pair_solref": np.array([pair.solref for pair in pairs], dtype=float).reshape(-1, 2),
+            "pair_friction": np.array([pair.friction for pair in pairs], dtype=float),
+            "pair_invweight0": np.array([pair.invweight0 for pair in pairs], dtype=float),
+        }
+        return {name: frozen(array) for name, array in arrays.items()}
 
     def contact_pair(self, index: int) -> ContactPair:
         """Return the two geoms of a contact pair, and the parameters that their contacts share.
@@ -306,7 +340,10 @@ class Model:
 
         Raises ValueError if no pair has this index.
         """
-        return contact_pair(self._core, checks.count("index", index, 0))
+        first, second, condim, friction, solref, invweight = self._core.pair(
+            checks.count("index", index, 0)
+        )
+        return ContactPair((first, second), condim, friction, (solref[0], solref[1]), invweight)
 
     qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")
     body_mass = ModelArray("Mass of each body [kg], shape (nbody,).")

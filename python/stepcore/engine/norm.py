@@ -55,11 +55,13 @@ class Tracks:
     com: centres of mass [m], (starts, n, bodies, 3). quat: orientations, (starts, n, bodies, 4).
         Both are NaN after a run has ended.
     failures: why a run ended early, by its place among the starts.
+    evaluations: how often forces were evaluated in steps within an accuracy, (starts,), if counted.
     """
 
     com: np.ndarray
     quat: np.ndarray
     failures: dict[int, str] = field(default_factory=dict)
+    evaluations: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.com)
@@ -73,7 +75,9 @@ class Tracks:
         """Return the tracks of some of the starts, by their places."""
         places = {k: n for n, k in enumerate(indices)}
         failures = {places[k]: why for k, why in self.failures.items() if k in places}
-        return Tracks(self.com[list(indices)], self.quat[list(indices)], failures)
+        own = list(indices)
+        made = None if self.evaluations is None else self.evaluations[own]
+        return Tracks(self.com[own], self.quat[own], failures, made)
 
     @classmethod
     def joined(cls, parts: Sequence[Tracks]) -> Tracks:
@@ -83,7 +87,9 @@ class Tracks:
             failures |= {first + k: why for k, why in part.failures.items()}
             first += len(part)
         com, quat = (np.concatenate([getattr(p, name) for p in parts]) for name in ("com", "quat"))
-        return cls(com, quat, failures)
+        made = [part.evaluations for part in parts]
+        known = [own for own in made if own is not None]
+        return cls(com, quat, failures, np.concatenate(known) if len(known) == len(made) else None)
 
 
 def apart(a: Tracks, b: Tracks, matter: Matter) -> np.ndarray:

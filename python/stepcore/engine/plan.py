@@ -18,6 +18,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.engine.element import NAMES
 from stepcore.engine.features import RemovableFeatures, Removal, is_belt, is_sticky, without
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.report.result import Result
@@ -28,8 +29,6 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
-# The number of elements of an entry that are printed.
-NAMES = 4
 # The number of costliest entries in the answer, and of entries in a table without --all.
 COSTLY, PRINTED = 3, 9
 LEGEND = (

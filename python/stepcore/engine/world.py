@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from stepcore import _core, checks
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats, Readout, StateArray, numbers
-from stepcore.engine.rays import RayHits, ray_hits
+from stepcore.engine.tables import RayHits
 from stepcore.engine.views import (
     ActuatorView,
     BodyView,
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
 
+# Groups of geoms.
+GROUPS = 6
 # The arrays of a keyframe, in the order of its fields.
 OF_KEYS = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat")
 
@@ -272,7 +274,25 @@ class World(checks.KnownNames, ABC):
         """
         worlds = self._arrays["qpos"].shape[:-1]
         excluded = None if exclude is None else self.model.index("body", exclude)
-        return ray_hits(self._core, worlds, origin, direction, excluded, groups, static)
+        ends = [_vectors("origin", origin), _vectors("direction", direction)]
+        if not ends[1].any(axis=-1).all():
+            raise ValueError("direction = (0, 0, 0): must have a length")
+        try:
+            # The axes of rays after that of the worlds.
+            further = (1,) * max(max(end.ndim for end in ends) - 1, 1)
+            shape = np.broadcast_shapes(*(end.shape for end in ends), (*worlds, *further))
+        except ValueError:
+            shapes = " and ".join(str(end.shape) for end in ends)
+            limit = f"shapes that broadcast{f', with {worlds[0]} worlds first' if worlds else ''}"
+            said = f"origin and direction have shapes {shapes}: must have {limit}"
+            raise ValueError(said) from None
+        lead = shape[:-1]
+        rays = np.concatenate([np.broadcast_to(end, (*lead, 3)) for end in ends], axis=-1)
+        fixed = not checks.flag("ray", "static", static)
+        found = self._core.rays(rays.ravel(), excluded, _groups(groups), fixed)
+        distance, geom, normal = found
+        met = np.array(geom, dtype=np.int64).reshape(lead)
+        return RayHits(distance.reshape(lead), met, normal.reshape((*lead, 3)))
 
     # Views by name.
 
@@ -370,3 +390,24 @@ class World(checks.KnownNames, ABC):
 
     def _model_of(self, world: int) -> Model:
         return self._model
+
+
+def _vectors(name: str, value: ArrayLike) -> Floats:
+    table = numbers(name, value)
+    if table.ndim == 0 or table.shape[-1] != 3:
+        raise ValueError(f"{name} has shape {table.shape}: must be (…, 3)")
+    if not np.isfinite(table).all():
+        raise ValueError(f"{name}: must be finite")
+    return table
+
+
+def _groups(groups: Sequence[int] | None) -> list[bool] | None:
+    """Return, for each group of geoms, whether it can be hit; None for all."""
+    if groups is None:
+        return None
+    seen = [False] * GROUPS
+    for group in checks.listed(groups) or [None]:
+        if isinstance(group, bool) or group not in range(GROUPS):
+            raise checks.refuse("ray", "groups", groups, f"integers from 0 to {GROUPS - 1}")
+        seen[group] = True
+    return seen

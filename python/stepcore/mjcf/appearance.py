@@ -12,24 +12,23 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stepcore import checks, files
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.attach import Model
-from stepcore.mjcf.exclusions import Exclusions
-from stepcore.mjcf.include import expand
-from stepcore.mjcf.nodes import MJCFError, Node, inside, parse, sections
+from stepcore.mjcf.nodes import MJCFError, Node, Refusals, expand, inside, parse, sections
 from stepcore.mjcf.reader import Models, finish, read_sections
-from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.validation import seen_values
+from stepcore.mjcf.validation import Exclusions, seen_values
 from stepcore.mjcf.worldbody import AT_ORIGIN
 from stepcore.scene import frames
-from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.urdf.translate import DrawnLink, to_mjcf
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
 
 # MuJoCo's default colour of a geom.
 GREY = (0.5, 0.5, 0.5, 1.0)
@@ -116,7 +115,7 @@ class _DrawnAssets(Assets):
         super().__init__(*args)
         self.unread: dict[int, str] = {}
 
-    def _fill(self, scene: Contents, node: Node, asset: Any) -> None:
+    def _fill(self, scene: Scene, node: Node, asset: Any) -> None:
         try:
             super()._fill(scene, node, asset)
         except (ValueError, OSError) as error:
@@ -130,7 +129,7 @@ class _DrawnAssets(Assets):
         return self._place(node, node.attrs["file"], "texturedir")
 
 
-def read_looks(scene: Contents) -> Looks | None:
+def read_looks(scene: Scene) -> Looks | None:
     """Return the appearance of a scene according to its source file or text.
 
     Returns None for a scene built in code, and for a scene whose bodies or geoms have changed.
@@ -146,7 +145,7 @@ def read_looks(scene: Contents) -> Looks | None:
     if source.urdf:
         urdf = to_mjcf(root, source.directory, drawn=True)
         root, links, undrawn = urdf.tree, urdf.links, urdf.undrawn
-    drawn, refusals = Contents(), Refusals()
+    drawn, refusals = type(scene)(), Refusals()
     model = Models(drawn, refusals, Exclusions(source.without)).prepared(root, source.directory)
     world = read_sections(drawn, model, refusals, _DrawnAssets)
     refusals.raise_all()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from stepcore.mjcf.reader import read_text
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 # The number of digits that represents a double exactly; MuJoCo writes six by default.
 EXACT = 17
@@ -37,7 +37,7 @@ def is_mujoco(source: object) -> bool:
 
 
 def read_mujoco(
-    scene: Contents, source: Any, without: Iterable[str] = (), fuse: bool | None = None
+    scene: Scene, source: Any, without: Iterable[str] = (), fuse: bool | None = None
 ) -> None:
     """Fill an empty scene from an MjModel or an MjSpec; see `stepcore.load`."""
     name = type(source).__name__

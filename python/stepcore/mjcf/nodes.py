@@ -1,15 +1,21 @@
-"""Parse an MJCF text into a tree of `Node`; entity declarations are refused."""
+"""Parse MJCF into a tree of `Node`, with its includes, and collect the errors of a file.
+
+Entity declarations are refused. A *kind* is what can be left out of a file: a section ("tendon"),
+an element ("actuator/muscle"), an attribute ("geom/surfacevel"), or a key of `GROUPS`.
+"""
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from pathlib import Path
+from typing import Any, TypeVar, cast
 from xml.parsers import expat
 
-from stepcore.checks import brief
-from stepcore.mjcf.refusal_texts import effect
+from stepcore import files
+from stepcore.checks import brief, cut
 
 # An "&" that does not begin a reference.
 _AMPERSAND = re.compile(rb"&(?!(?:\w+|#\d+|#x[0-9a-fA-F]+);)", re.ASCII)
@@ -17,6 +23,8 @@ _BLANKS = re.compile(rb"(?:\xef\xbb\xbf)?(\s+)(<\?xml[^>]*>)")
 # A start tag with attributes that may lack blanks between them.
 _TAG = re.compile(rb"""(<[^\s<>!?/"'=]+)((?:\s*[^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))*)""")
 _ATTRIBUTE = re.compile(rb"""(\s*)([^\s<>"'=/]+\s*=\s*(?:"[^"<]*"|'[^'<]*'))""")
+# The name of stepcore's own <text>.
+OWN_TEXT = "stepcore"
 # The maximum nesting depth of elements, as in MuJoCo's parser.
 DEPTH = 500
 
@@ -161,6 +169,11 @@ class Node:
         return f"{self.file}:{self.line}: {label} ({why})"
 
 
+def is_own_text(node: Node) -> bool:
+    """Return whether a node is stepcore's own text."""
+    return node.tag == "text" and node.attrs.get("name") == OWN_TEXT
+
+
 def below(node: Node) -> Iterator[Node]:
     """Yield a node and all its descendants."""
     pending = [node]
@@ -269,3 +282,221 @@ def _plain_comments(raw: bytes) -> bytes:
 def _with_blanks(tag: re.Match[bytes]) -> bytes:
     attributes = _ATTRIBUTE.sub(lambda found: (found[1] or b" ") + found[2], cast(bytes, tag[2]))
     return cast(bytes, tag[1]) + attributes
+
+
+T = TypeVar("T")
+# Limits of a message: lines, characters per line, and line numbers listed per error.
+LINES = 20
+LINE = 600
+PLACES = 4
+# The number of errors after which reading stops, because looking up nearest names takes time.
+MOST_ERRORS = 100
+
+
+class Refusals:
+    """A collection of the errors of a file; `raise_all` raises them as one error."""
+
+    def __init__(self) -> None:
+        self.errors: list[MJCFError] = []
+        # Names of elements that could not be read; references to them are not new errors.
+        self._gone: set[str] = set()
+
+    def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
+        """Return the result of `read` for a node, or record its error and return None."""
+        if len(self.errors) >= MOST_ERRORS:
+            return None
+        try:
+            return read(node)
+        except MJCFError as error:
+            self.add(error, node)
+        except ValueError as error:
+            self.add(node.error(str(error)), node)
+        return None
+
+    def add(self, error: MJCFError, node: Node | None = None) -> None:
+        """Record an error. node: the element that is not read because of the error."""
+        if node is not None:
+            follows = bool(self._gone) and not error.kind and self._refers_to_gone(node)
+            self._gone.update(n.attrs["name"] for n in below(node) if "name" in n.attrs)
+            if follows:
+                return
+        self.errors += error.errors
+
+    def _refers_to_gone(self, node: Node) -> bool:
+        return any(
+            name in self._gone
+            for inner in below(node)
+            for attribute, name in inner.attrs.items()
+            if attribute != "name"
+        )
+
+    def raise_all(self) -> None:
+        """Raise the errors as one MJCFError, if there are any."""
+        if not self.errors:
+            return
+        files = list(dict.fromkeys(error.file for error in self.errors))
+        self.errors.sort(key=lambda error: (files.index(error.file), error.line))
+        first, *others = self.errors
+        if not others:
+            raise first
+        raise first.with_others(tuple(others), _message(self.errors))
+
+
+def _message(errors: list[MJCFError]) -> str:
+    """Return a line for each error; errors with the same text and file share a line."""
+    groups: dict[tuple[str, str], list[MJCFError]] = {}
+    for error in errors:
+        groups.setdefault((error.file, error.text), []).append(error)
+    lines = [cut(_line(group), LINE) for group in groups.values()]
+    if len(lines) > LINES:
+        lines[LINES:] = [f"… and {len(lines) - LINES} more"]
+    kinds = list(dict.fromkeys(error.kind for error in errors))
+    if all(kinds):
+        words = ", ".join(f'"{kind}"' for kind in kinds)
+        lines.append(cut(f"without=[{words}] leaves these things out", 600))
+    return "\n".join(lines)
+
+
+def _line(group: list[MJCFError]) -> str:
+    text = str(group[0])
+    rest = [str(error.line) for error in group[1 : 1 + PLACES]]
+    if not rest:
+        return text
+    more = f" and {len(group) - 1 - PLACES} more" if len(group) > 1 + PLACES else ""
+    return f"{text} (also in line {', '.join(rest)}{more})"
+
+
+# Kinds that appear in several sections.
+GROUPS = {
+    "flex": ("flexcomp", "deformable/flex", "equality/flex", "equality/flexstrain"),
+    "plugin": ("plugin",),
+}
+# Sections that can be left out as a whole.
+SECTIONS = ("contact", "tendon", "equality", "actuator", "sensor", "keyframe", "deformable")
+# The most specific key takes precedence.
+_EFFECTS = {
+    "flex": "its points move, collide, and pull on what they are pinned to",
+    "plugin": "it computes forces, shapes or sensors outside of the file",
+    "composite": "MuJoCo 4 has it no more; a replicate or flexcomp takes its place",
+    "attach": "it adds bodies of another model",
+    "contact/exclude": "it keeps two bodies from colliding",
+    "contact/pair": "it decides how two geoms collide",
+    "contact": "it decides which geoms collide, and how",
+    "tendon": "its springs, limits and actuators pull along a path",
+    "equality": "it ties bodies, joints or tendons together",
+    "actuator": "it puts a force on bodies that follows a control",
+    "sensor": "it measures; nothing moves otherwise without it",
+    "keyframe": "it is a state to start from",
+    "deformable": "its points move with bodies",
+    "geom/surfacevel": "it drags along what touches the geom",
+    "geom/adhesion": "it pulls touching geoms together",
+    "geom/type": "the shape collides and has mass",
+    "option/density": "the fluid slows bodies down",
+    "option/viscosity": "the fluid slows bodies down",
+    "option/wind": "the fluid moves, and bodies in it",
+    "option/integrator": "each step has another error",
+    "flag/sleep": "what rests would be left out of the step until something touches it",
+    "flag/diagexact": "limits, contacts and equalities would be softer or harder, by their inertia "
+    "at each state instead of that at qpos0",
+    "flag/ipc": "contacts would be barriers that nothing goes through",
+    "flag/speculative": "contacts would act a step before bodies touch, so that none goes through "
+    'another; law="rigid" or a smaller timestep does that here',
+    "body/gravcomp": "a force holds the body up against gravity",
+    "body/mocap": "the body stands where its user puts it",
+    "joint/springdamper": "a spring and a damper of given times act on the joint",
+    "joint/springyield": "the spring of the joint yields",
+    **dict.fromkeys(
+        ("fixed/springyield", "spatial/springyield"), "the spring of the tendon yields"
+    ),
+    "joint/actuatorfrcrange": "it clamps the sum of what actuators put on the joint",
+    "frame/scale": "it changes sizes, masses and forces within the frame",
+    "frame/massscale": "it changes masses within the frame",
+}
+
+
+def effect(kind: str) -> str:
+    """Return the effect of a kind on the motion; "" if there is no text on it."""
+    tag = kind.rpartition("/")[2]
+    group = next((name for name, tags in GROUPS.items() if kind in tags or tag in tags), "")
+    for name in (kind, group, tag, kind.partition("/")[0]):
+        if name in _EFFECTS:
+            return _EFFECTS[name]
+    return ""
+
+
+def read_main(shown: str) -> bytes:
+    """Return the bytes of a model's main file."""
+    try:
+        return files.read(shown, "an MJCF or URDF file")
+    except ValueError as error:
+        raise MJCFError(shown, 1, str(error)) from None
+
+
+def read_named(node: Node, shown: str) -> Node:
+    """Parse the XML file that an element names; read errors name the line of the element."""
+    try:
+        data = files.read(shown, "an MJCF or URDF file")
+    except FileNotFoundError as error:
+        raise node.missing(error) from None
+    except (IsADirectoryError, ValueError) as error:
+        raise node.error(str(error)) from None
+    return parse(data, shown)
+
+
+def expand(root: Node, base: Path | None, main: Path | None) -> list[str]:
+    """Replace every include below `root`, in place.
+
+    As in MuJoCo, a file is searched in the folder of the main file (`base`), then in the folder of
+    the including file. A file can be included once, and may be outside these folders. Only regular
+    files are read. Returns a note on each file outside the folder of the main file.
+    """
+    seen = {_identity(main)} if main is not None else set()
+    included_by: dict[str, str] = {}
+    pending = [(root, 1)]
+    while pending:
+        node, depth = pending.pop()
+        waiting = node.children[::-1]
+        node.children = []
+        while waiting:
+            child = waiting.pop()
+            if child.tag == "include":
+                waiting.extend(reversed(_included(child, base, seen, included_by)))
+            else:
+                if depth >= DEPTH:
+                    raise child.error(f"elements are nested deeper than {DEPTH}, with includes")
+                node.children.append(child)
+                pending.append((child, depth + 1))
+    return [
+        f"{by}: <include> reads {file}, which is outside the folder of the main file"
+        for file, by in included_by.items()
+        if base is not None and not Path(_identity(Path(file))).is_relative_to(_identity(base))
+    ]
+
+
+def _identity(path: Path) -> str:
+    return os.path.realpath(path)
+
+
+def _included(
+    node: Node, base: Path | None, seen: set[str], included_by: dict[str, str]
+) -> list[Node]:
+    name = node.attrs.get("file", "")
+    if set(node.attrs) != {"file"} or not name or node.children or "\0" in name:
+        raise node.error('<include> needs exactly one attribute, file="…", and no content')
+    if base is None:
+        raise node.error(f'<include file="{name}"> in a text needs loads(text, base=folder)')
+    places = [base / name, Path(node.file).parent / name]
+    path = next((place for place in places if os.path.isfile(place)), places[0])
+    if _identity(path) in seen:
+        above: str | None = node.file
+        while above is not None and _identity(Path(above)) != _identity(path):
+            above = included_by.get(above)
+        why = "was already included" if above is None else "includes itself"
+        raise node.error(f'<include file="{name}">: the file {why}')
+    seen.add(_identity(path))
+    shown = str(path)
+    included_by[shown] = node.file
+    root = read_named(node, shown)
+    if not root.children:
+        raise node.error(f'<include file="{name}">: the file has no elements')
+    return root.children

@@ -1,16 +1,25 @@
-"""Convert the section `<option>` and its flags to settings and features of the scene, and back."""
+"""The settings of a scene in MJCF: `<option>` with its flags, and what MJCF cannot express.
+
+`<custom><text name="stepcore" data="…"/>` has words "name=value", separated by blanks: settings
+(``integrator=midpoint``), features without an MJCF flag, and ``unnamed=body/body_3,joint/joint_1``,
+which lists elements that have a name in the file only because MJCF refers by name. MuJoCo ignores
+the text.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings
-from stepcore.mjcf.nodes import Node
+from stepcore.checks import nearest
+from stepcore.mjcf.nodes import OWN_TEXT, Node, is_own_text
+from stepcore.mjcf.schema import OWN_FEATURES
 from stepcore.mjcf.validation import bad
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 # MJCF's names of integrators, and stepcore's.
 INTEGRATORS = {
@@ -55,7 +64,7 @@ FLAGS_UNBUILT = ("diagexact", "ipc", "speculative")
 SLOW_STEPS = 10
 
 
-def read(scene: Contents, node: Node) -> None:
+def read(scene: Scene, node: Node) -> None:
     """Read an option section into `scene`; a later section overrides an earlier one."""
     values, options = node.values, scene.options
     if "timestep" in values:
@@ -105,7 +114,7 @@ def read(scene: Contents, node: Node) -> None:
         _flags(scene, child)
 
 
-def settle(scene: Contents, nodes: list[Node]) -> None:
+def settle(scene: Scene, nodes: list[Node]) -> None:
     """Convert what depends on several options after all sections are read.
 
     These are what MuJoCo's PGS and noslip have by default, and its sleep rule, which counts steps.
@@ -139,7 +148,7 @@ def sleep_time(dt: float) -> float:
     return SLOW_STEPS * dt
 
 
-def _override(scene: Contents, values: Mapping[str, Any]) -> None:
+def _override(scene: Scene, values: Mapping[str, Any]) -> None:
     """Read the parameters that replace those of every contact if the flag "override" is on."""
     for name in OVERRIDES:
         if f"o_{name}" in values:
@@ -156,7 +165,7 @@ def _refuse(node: Node) -> None:
             raise bad(node, "actuatorgroupdisable", group, "groups from 0 to 30")
 
 
-def _flags(scene: Contents, node: Node) -> None:
+def _flags(scene: Scene, node: Node) -> None:
     for name, word in node.values.items():
         on = word == "enable"
         if name == "warmstart":
@@ -177,7 +186,7 @@ def _flags(scene: Contents, node: Node) -> None:
             setattr(scene.features, name, on)
 
 
-def _note(scene: Contents, node: Node, text: str) -> None:
+def _note(scene: Scene, node: Node, text: str) -> None:
     scene.notes.append(f"{node.file}:{node.line}: {text}")
 
 
@@ -224,3 +233,79 @@ def shortest(number: float) -> str:
     """Return the shortest decimal text that reads back as exactly this number."""
     text = repr(number)
     return text[:-2] if text.endswith(".0") else text
+
+
+# Kinds of elements that references can name.
+NAMED_KINDS = ("geom", "site", "body", "joint", "tendon", "actuator", "mesh", "hfield")
+_WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
+_REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+def own_data(words: Mapping[str, Any], unnamed: Iterable[tuple[str, str]] = ()) -> str:
+    """Return the own_data of the text for these settings and features; "" if there are none.
+
+    words: settings and features by name.
+    unnamed: (kind, name) of elements without a name in the scene.
+    """
+    parts = [f"{name}={_word(value)}" for name, value in words.items()]
+    names = [f"{kind}/{name}" for kind, name in unnamed]
+    return " ".join([*parts, *(["unnamed=" + ",".join(names)] if names else [])])
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _value(text: str) -> Any:
+    if text in ("true", "false"):
+        return text == "true"
+    if _WHOLE.fullmatch(text) and len(text) < 20:
+        return int(text)
+    return float(text) if _REAL.fullmatch(text) else text
+
+
+def own_texts(nodes: Iterable[Node]) -> list[Node]:
+    """Return stepcore's own text as a list of at most one node; raise MJCFError for a second."""
+    texts = [node for node in nodes if is_own_text(node)]
+    if len(texts) > 1:
+        raise texts[1].error(f'a second <text name="{OWN_TEXT}">')
+    return texts
+
+
+def read_own_text(scene: Scene, node: Node) -> None:
+    """Read stepcore's own text into a scene that is otherwise complete."""
+    from stepcore._core import Settings
+
+    settings: dict[str, Any] = {}
+    known = Settings().as_dict()
+    seen = set()
+    for word in node.attrs.get("data", "").split():
+        name, equals, text = word.partition("=")
+        if not equals or not text:
+            raise node.error(f'<text name="{OWN_TEXT}"> has the word "{word}": must be name=value')
+        if name in seen:
+            raise node.error(f'<text name="{OWN_TEXT}"> has {name} twice')
+        seen.add(name)
+        if name == "unnamed":
+            _unname(scene, node, text)
+        elif name in OWN_FEATURES:
+            setattr(scene.features, name, _value(text))
+        elif name in known:
+            settings[name] = _value(text)
+        else:
+            near = nearest(name, [*known, *OWN_FEATURES, "unnamed"])
+            raise node.error(f'<text name="{OWN_TEXT}"> has an unknown name "{name}"{near}')
+    whole = Settings(**(scene.options | settings)).as_dict()
+    scene.options.update({name: whole[name] for name in settings})
+
+
+def _unname(scene: Scene, node: Node, text: str) -> None:
+    for word in text.split(","):
+        kind, _, name = word.partition("/")
+        if kind not in NAMED_KINDS:
+            kinds = ", ".join(f'"{kind}/name"' for kind in NAMED_KINDS)
+            raise node.error(f"unnamed={word}: must be one of {kinds}")
+        element = getattr(scene, kind)(name)
+        element.name = ""

@@ -17,27 +17,32 @@ from typing import TYPE_CHECKING
 
 from stepcore import checks, files
 from stepcore.checks import ElementError, flag, nearest
-from stepcore.mjcf import (
-    actuators,
-    custom,
-    keyframes,
-    option,
-    section_readers,
-)
+from stepcore.mjcf import option
+from stepcore.mjcf import sections as of_section
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.attach import Attacher, Model
-from stepcore.mjcf.body_frames import align, fuse
-from stepcore.mjcf.compiler import Compiler
-from stepcore.mjcf.copies import REFERENCES, Copies
-from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.exclusions import Exclusions
-from stepcore.mjcf.include import expand, read_main, read_named
-from stepcore.mjcf.masses import place_weightless, settle_masses
-from stepcore.mjcf.nodes import MJCFError, Node, Source, inside, parse, sections
-from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.replicate import expand_replicates
-from stepcore.mjcf.validation import validate
-from stepcore.mjcf.visual_geoms import discard_visual, leave_out_visual_geoms
+from stepcore.mjcf.attach import Attacher, Copies, Model, expand_replicates
+from stepcore.mjcf.bodies import (
+    align,
+    discard_visual,
+    fuse,
+    leave_out_visual_geoms,
+    place_weightless,
+    settle_masses,
+)
+from stepcore.mjcf.defaults import Compiler, Defaults
+from stepcore.mjcf.nodes import (
+    MJCFError,
+    Node,
+    Refusals,
+    Source,
+    expand,
+    inside,
+    parse,
+    read_main,
+    read_named,
+    sections,
+)
+from stepcore.mjcf.validation import REFERENCES, Exclusions, validate
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import gc_pause
 from stepcore.scene.consistency import check
@@ -45,18 +50,16 @@ from stepcore.scene.layout import Layout, named
 from stepcore.urdf import translate
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 # The sections read after the tree, each after the sections that it refers to.
 SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
-    "contact": section_readers.contact,
-    "tendon": section_readers.tendon,
-    "equality": section_readers.equality,
-    "actuator": actuators.read,
-    "sensor": section_readers.sensor,
+    "contact": of_section.contact,
+    "tendon": of_section.tendon,
+    "equality": of_section.equality,
+    "actuator": of_section.actuator,
+    "sensor": of_section.sensor,
 }
-
-
 # The maximum nesting depth of attached models.
 MOST_NESTED = 50
 
@@ -64,7 +67,7 @@ MOST_NESTED = 50
 class Models:
     """The models of one load; `prepared` validates one and expands <attach> and <replicate>."""
 
-    def __init__(self, scene: Contents, refusals: Refusals, exclusions: Exclusions) -> None:
+    def __init__(self, scene: Scene, refusals: Refusals, exclusions: Exclusions) -> None:
         self.scene = scene
         self.refusals = refusals
         self.exclusions = exclusions
@@ -113,7 +116,7 @@ class Models:
 
 @gc_pause.paused()
 def read_file(
-    scene: Contents,
+    scene: Scene,
     path: str | os.PathLike[str],
     without: Iterable[str] = (),
     fuse: bool | None = None,
@@ -129,7 +132,7 @@ def read_file(
 
 @gc_pause.paused()
 def read_text(
-    scene: Contents,
+    scene: Scene,
     text: str | bytes,
     *,
     base: str | os.PathLike[str] | None = None,
@@ -149,7 +152,7 @@ def read_text(
     _fill(scene, root, Source(data, directory, fuse=fuse), without)
 
 
-def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -> None:
+def _fill(scene: Scene, root: Node, source: Source, without: Iterable[str]) -> None:
     """Fill the scene from a model whose includes are expanded."""
     if source.fuse is not None:
         flag("load", "fuse", source.fuse)
@@ -188,7 +191,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
 
 
 def read_sections(
-    scene: Contents, model: Model, refusals: Refusals, kind: type[Assets] = Assets
+    scene: Scene, model: Model, refusals: Refusals, kind: type[Assets] = Assets
 ) -> WorldReader:
     """Read all sections without opening asset files; collect errors in `refusals`."""
     root, compiler, defaults = model.root, model.compiler, model.defaults
@@ -221,11 +224,11 @@ def finish(world: WorldReader, chosen: bool | None) -> None:
 
 def _read_keyframes(world: WorldReader) -> None:
     layout = Layout(world.scene)
-    rest = keyframes.default_state(layout)
+    rest = of_section.default_state(layout)
     for node in inside(world.root, "keyframe"):
-        world.refusals.at(node, partial(keyframes.read, world, layout, rest))
+        world.refusals.at(node, partial(of_section.keyframe, world, layout, rest))
     world.refusals.raise_all()
-    keyframes.add_empty_keys(world.scene, sections(world.root, "size"))
+    of_section.add_empty_keys(world.scene, sections(world.root, "size"))
 
 
 def _check_references(world: WorldReader) -> None:
@@ -268,8 +271,8 @@ def _fuse(world: WorldReader) -> None:
 
 
 def _read_own_text(world: WorldReader) -> None:
-    for node in custom.own_texts(inside(world.root, "custom")):
-        world.refusals.at(node, partial(custom.read, world.scene))
+    for node in option.own_texts(inside(world.root, "custom")):
+        world.refusals.at(node, partial(option.read_own_text, world.scene))
 
 
 def _check(world: WorldReader) -> None:
@@ -297,7 +300,7 @@ PASSES: tuple[Callable[[WorldReader], None], ...] = (
     # A free body is aligned with its inertia after fusing.
     align,
     # Free joints that a keyframe of an attached model omits take the final poses of their bodies.
-    keyframes.follow_bodies,
+    of_section.follow_bodies,
     # This pass removes names by which the passes above find elements.
     _read_own_text,
     # The check comes last, because nothing may change after it.

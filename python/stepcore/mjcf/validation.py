@@ -1,19 +1,18 @@
-"""Check a tree of nodes against the schema and convert the texts of attributes."""
+"""Check a tree of nodes against the schema, convert attributes, and leave out what the user asks.
+
+Elements that refer to a left-out element are left out too.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from stepcore.checks import nearest, shown
-from stepcore.mjcf.custom import ours
-from stepcore.mjcf.exclusions import Exclusions
-from stepcore.mjcf.nodes import MJCFError, Node
-from stepcore.mjcf.notation import Spec
-from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.schema import ROOT, SEEN, UNCHECKED
+from stepcore.checks import cut, nearest, refuse, shown
+from stepcore.mjcf.nodes import GROUPS, SECTIONS, MJCFError, Node, Refusals, effect, is_own_text
+from stepcore.mjcf.schema import ROOT, SEEN, UNCHECKED, Spec
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -95,7 +94,7 @@ def _read(node: Node, spec: Spec, parent: Node, above: str, ignored: list[str]) 
     _check_once(node, spec)
     if spec.role == "unbuilt":
         raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>")
-    if spec.role and spec.role != above and not ours(node):
+    if spec.role and spec.role != above and not is_own_text(node):
         ignored.append(node.listed(WHY[spec.role]))
 
 
@@ -181,3 +180,186 @@ def _int(node: Node, name: str, text: str) -> int:
 def bad(node: Node, name: str, value: object, limit: str) -> MJCFError:
     """Return the error about the value of an attribute. limit: the allowed values."""
     return node.error(f"<{node.tag}> {name} = {shown(value)}: must be {limit}")
+
+
+# The kind of element that each attribute names.
+REFERENCES = {
+    **{
+        name: name
+        for name in (
+            *("joint", "body", "geom", "site", "camera", "tendon", "actuator", "sensor"),
+            *("mesh", "hfield", "material", "texture", "flex", "skin"),
+        )
+    },
+    **dict.fromkeys(("joint1", "joint2", "jointinparent"), "joint"),
+    **dict.fromkeys(("body1", "body2", "subtree1", "subtree2", "target"), "body"),
+    **dict.fromkeys(("geom1", "geom2"), "geom"),
+    **dict.fromkeys(("site1", "site2", "sidesite", "refsite", "slidersite", "cranksite"), "site"),
+    **dict.fromkeys(("tendon1", "tendon2"), "tendon"),
+    **dict.fromkeys(("class", "childclass"), "default"),
+}
+# Attributes that name an object, and the attributes that give its kind.
+OBJECTS = {"objname": "objtype", "refname": "reftype"}
+# Sections whose elements share one set of names.
+_ONE_KIND = ("tendon", "actuator", "sensor", "equality", "keyframe")
+# The only elements of the tree that can be left out; the rest of the file needs the others.
+_OF_TREE = ("flexcomp", "composite", "attach", "replicate", "plugin", "camera", "light")
+_KEPT = ("compiler", "default", "worldbody", "asset", "size")
+
+
+def kind_of(node: Node) -> str:
+    """Return the kind by which references name an element: "joint", "tendon", "mesh", …"""
+    section, _, tag = node.path.partition("/")
+    if section in _ONE_KIND or not tag:
+        return section
+    return "joint" if tag == "freejoint" else tag
+
+
+def references(node: Node) -> Iterator[tuple[str, str, str]]:
+    """Yield (attribute, kind, name) of each reference in the element's own attributes."""
+    for attribute, name in node.attrs.items():
+        kind = REFERENCES.get(attribute, "")
+        if attribute in OBJECTS:
+            kind = node.attrs.get(OBJECTS[attribute], "").removeprefix("x")
+        if kind and name:
+            yield attribute, kind, name
+
+
+def _known_kinds() -> dict[str, str]:
+    """Return the kind for each accepted word: a group, a section, or a path with a "/"."""
+    words = {name: name for name in (*GROUPS, *SECTIONS)}
+    elements: list[tuple[str, str]] = []
+    with_attributes = {"option": ROOT.children["option"]}
+    for section, spec in ROOT.children.items():
+        if section != "default":
+            with_attributes |= spec.children
+        if section == "worldbody":
+            elements += [(section, tag) for tag in _OF_TREE]
+        elif section not in _KEPT:
+            elements += [(section, tag) for tag in spec.children]
+    tags = [tag for _, tag in elements]
+    for section, tag in elements:
+        words.setdefault(f"{section}/{tag}", f"{section}/{tag}")
+        if tags.count(tag) == 1:
+            words.setdefault(tag, f"{section}/{tag}")
+    with_attributes |= ROOT.children["worldbody"].children["body"].children
+    for tag, spec in with_attributes.items():
+        for attribute in spec.attrs:
+            if attribute not in (*spec.required, "name", "class"):
+                words.setdefault(f"{tag}/{attribute}", f"{tag}/{attribute}")
+    return words
+
+
+class Exclusions:
+    """The kinds that are left out of a file, and the nodes left out for each kind.
+
+    Raises ValueError for a kind that does not exist.
+    """
+
+    def __init__(self, without: Iterable[str] = ()) -> None:
+        self.nodes: dict[str, list[Node]] = {}
+        # The ids of all actuators of the file, in the order of the controls in keyframes.
+        self._actuators: list[int] = []
+        if not without:
+            return
+        if not isinstance(without, (list, tuple, set, frozenset)):
+            raise refuse("load", "without", without, 'a list of kinds, such as ["flex"]')
+        known = _known_kinds()
+        for word in without:
+            if not isinstance(word, str):
+                raise refuse("load", "without", word, "the name of a kind")
+            name = word.strip()
+            if name not in known:
+                name = name.removesuffix("s")
+            if name not in known:
+                near = nearest(word.strip(), known)
+                raise ValueError(f"load: without = {shown(word)}: no such kind{near}")
+            self.nodes[known[name]] = []
+
+    def kind(self, path: str) -> str:
+        """Return the kind that leaves out elements of this path, "section/tag"; "" if none does."""
+        section, _, tag = path.partition("/")
+        for kind in self.nodes:
+            group = GROUPS.get(kind, ())
+            if kind in (path, section) or path in group or tag in group:
+                return kind
+        return ""
+
+    def add(self, kind: str, node: Node) -> None:
+        """Record a node that is left out; for a section, record its elements."""
+        if "/" in node.path:
+            self.nodes[kind].append(node)
+            return
+        for child in node.children:
+            child.path = f"{node.tag}/{child.tag}"
+        self.nodes[kind] += node.children
+
+    def strip(self, node: Node) -> None:
+        """Remove the attributes of a node that are left out."""
+        for name in list(node.attrs):
+            kind = f"{node.tag}/{name}"
+            if kind in self.nodes:
+                del node.attrs[name]
+                self.nodes[kind].append(node)
+
+    def begin(self, root: Node) -> None:
+        """Record the actuators of the file, before any is left out."""
+        sections = [section for section in root.children if section.tag == "actuator"]
+        self._actuators = [id(node) for section in sections for node in section.children]
+
+    def follow(self, root: Node) -> None:
+        """Remove all elements that refer, directly or indirectly, to a left-out element."""
+        while self.nodes and self._remove_referring(root):
+            pass
+        gone = {id(node) for nodes in self.nodes.values() for node in nodes}
+        kept = [index for index, actuator in enumerate(self._actuators) if actuator not in gone]
+        if len(kept) < len(self._actuators):
+            for key in (node for section in root.children for node in section.children):
+                if key.tag == "key" and len(key.values.get("ctrl", ())) == len(self._actuators):
+                    key.values["ctrl"] = tuple(key.values["ctrl"][index] for index in kept)
+
+    def _remove_referring(self, root: Node) -> bool:
+        """Remove elements that refer to a removed element; return whether there were any."""
+        gone: dict[str, dict[str, str]] = {}
+        for kind, nodes in self.nodes.items():
+            for node in nodes:
+                if node.attrs.get("name"):
+                    section = node.path.partition("/")[0]
+                    gone.setdefault(section, {}).setdefault(node.attrs["name"], kind)
+        removed = False
+        for part in root.children:
+            kept = []
+            for node in part.children:
+                kind = "" if part.tag == "default" else _kind_referred_to(node, gone)
+                if kind:
+                    self.nodes[kind].append(node)
+                    removed = True
+                else:
+                    kept.append(node)
+            part.children = kept
+        return removed
+
+    def notes(self) -> list[str]:
+        """Return a note on each kind: the number of nodes left out, and their effect."""
+        return [_note(kind, nodes) for kind, nodes in self.nodes.items()]
+
+    def counts(self) -> list[str]:
+        """Return the kinds with left-out nodes, each with its count."""
+        return [f"{kind} ({len(nodes)})" for kind, nodes in self.nodes.items() if nodes]
+
+
+def _kind_referred_to(node: Node, gone: dict[str, dict[str, str]]) -> str:
+    """Return the kind of the first removed element that the node refers to, or ""."""
+    kinds = (gone.get(section, {}).get(name, "") for _, section, name in references(node))
+    return next(filter(None, kinds), "")
+
+
+def _note(kind: str, nodes: list[Node]) -> str:
+    if not nodes:
+        return f"without {kind}: the file has none"
+    names = [f'<{node.tag}> "{node.attrs["name"]}"' for node in nodes if node.attrs.get("name")]
+    listed = ", ".join(names[:5]) + (f" and {len(nodes) - 5} more" if len(nodes) > 5 else "")
+    does = effect(kind)
+    text = f"{nodes[0].file}:{nodes[0].line}: without {kind}: {len(nodes)} left out"
+    text += f" ({listed})" if names else ""
+    return cut(text + (f": {does}" if does else ""), 400)

@@ -8,12 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.attributes import given
-from stepcore.mjcf.compiler import Compiler
-from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.nodes import Node, inside, sections
-from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.schema import NOT_IN_WORLD
+from stepcore.mjcf.defaults import Compiler, Defaults
+from stepcore.mjcf.nodes import Node, Refusals, inside, sections
+from stepcore.mjcf.schema import NOT_IN_WORLD, given
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import Body, Element, Geom, Joint, Key, MassRules
@@ -21,7 +18,7 @@ from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.frames import Vec
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.scene.scene import Scene
 
 T = TypeVar("T")
 # Fields of a joint and of a geom that are not copied from attributes.
@@ -91,7 +88,7 @@ class WorldReader:
 
     def __init__(
         self,
-        scene: Contents,
+        scene: Scene,
         root: Node,
         compiler: Compiler,
         defaults: Defaults,

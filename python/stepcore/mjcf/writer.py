@@ -1,23 +1,33 @@
-"""Write a `Scene` as MJCF, with exact numbers and without defaults."""
+"""Write a `Scene` as MJCF, with exact numbers and without defaults, or in the text of its own file.
+
+If only settings have changed, `<option>`, `<flag>` and `<custom>` are edited in place, or new
+sections at the end override the earlier ones. An edited text is used only if it reads back as the
+scene.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
+import os
+import re
 from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.parsers import expat
 
-from stepcore import checks
-from stepcore.mjcf import custom
-from stepcore.mjcf.attributes import changed
-from stepcore.mjcf.nodes import DEPTH
-from stepcore.mjcf.option import said, to_say
-from stepcore.mjcf.schema import OWN_FEATURES
-from stepcore.mjcf.tags import Names, Tag, printed, text
+from stepcore import checks, files
+from stepcore._core import Settings
+from stepcore.mjcf.nodes import DEPTH, OWN_TEXT
+from stepcore.mjcf.option import NAMED_KINDS, implied, own_data, said, shortest, to_say
+from stepcore.mjcf.reader import read_text
+from stepcore.mjcf.schema import OWN_FEATURES, changed
 from stepcore.scene import frames
 from stepcore.scene.consistency import check
 from stepcore.scene.elements import (
     GRAVITY,
+    MAGNETIC,
     Actuator,
     Body,
     Element,
@@ -38,11 +48,108 @@ from stepcore.scene.elements.sensor import OF_ACCELERATION, OF_FRAME
 from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import ORIGIN, Vec
-from stepcore.scene.holdings import MAGNETIC
 from stepcore.scene.layout import SIZES, Layout
 
 if TYPE_CHECKING:
-    from stepcore.scene.contents import Contents
+    from stepcore.mjcf.nodes import Source
+    from stepcore.scene.layout import Layout
+    from stepcore.scene.scene import Scene
+
+# Characters that XML 1.0 does not allow, even escaped.
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+_ESCAPES = {"&": "&amp;", "<": "&lt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+
+
+class Tag:
+    """An element to write: its attributes in order, and its children."""
+
+    def __init__(self, kind: str, /, **attributes: Any) -> None:
+        self.kind = kind
+        self.attributes = {key: text(value) for key, value in attributes.items()}
+        self.inside: list[Tag] = []
+
+    def add(self, tag: Tag) -> Tag:
+        self.inside.append(tag)
+        return tag
+
+    def start(self) -> str:
+        words = [self.kind, *(f'{key}="{value}"' for key, value in self.attributes.items())]
+        return f"<{' '.join(words)}{'>' if self.inside else '/>'}"
+
+
+def text(value: Any) -> str:
+    """Return a value as the text of an attribute."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (tuple, list)):
+        return " ".join(shortest(number) for number in value)
+    return escaped(value) if isinstance(value, str) else shortest(value)
+
+
+def escaped(value: str) -> str:
+    """Escape a text for quotes; raise ValueError for characters that XML does not allow."""
+    if _FORBIDDEN.search(value):
+        raise ValueError(f"{value!r}: XML does not allow this character in a name")
+    return "".join(_ESCAPES.get(letter, letter) for letter in value)
+
+
+def printed(root: Tag, comment: str) -> str:
+    """Return the text of a whole file."""
+    lines: list[str] = []
+    # (indentation, tag to write or end tag) in reverse order.
+    pending: list[tuple[int, Tag | str]] = [(0, root)]
+    while pending:
+        indent, item = pending.pop()
+        if isinstance(item, str):
+            lines.append("  " * indent + item)
+            continue
+        lines.append("  " * indent + item.start())
+        if item.inside:
+            pending.append((indent, f"</{item.kind}>"))
+            pending += [(indent + 1, tag) for tag in reversed(item.inside)]
+    return comment + "\n".join(lines) + "\n"
+
+
+class Names:
+    """The names of elements in the written file.
+
+    referred: elements of any kind that others refer to, and that therefore need a name.
+    made: (kind, name) of elements that have a name only for that reason.
+    """
+
+    def __init__(self, layout: Layout, referred: Iterable[Element]) -> None:
+        self.given: dict[int, str] = {}
+        self.made: list[tuple[str, str]] = []
+        scene = layout.scene
+        wanted = {id(element) for element in referred}
+        # In MJCF every asset needs a name.
+        wanted |= {id(asset) for asset in (*scene.meshes, *scene.hfields)}
+        for kind in NAMED_KINDS:
+            # Elements inside bodies are numbered in document order.
+            self._name(kind, layout.elements(kind), wanted)
+
+    def _name(self, kind: str, elements: Iterable[Any], wanted: set[int]) -> None:
+        elements = list(elements)
+        taken = {element.name for element in elements}
+        for index, element in enumerate(elements):
+            name = element.name
+            if not name and id(element) in wanted:
+                name = f"{kind}_{index}"
+                while name in taken:
+                    name += "_"
+                taken.add(name)
+                self.made.append((kind, name))
+            self.given[id(element)] = name
+
+    def of(self, element: Element) -> str:
+        """Return the name of an element in the file."""
+        return self.given[id(element)]
+
+    def attribute(self, element: Element) -> dict[str, str]:
+        """Return the attribute ``name``, if the element has a name in the file."""
+        name = self.given.get(id(element), getattr(element, "name", ""))
+        return {"name": name} if name else {}
+
 
 # MuJoCo's grey with opacity 0.
 UNSEEN = (0.5, 0.5, 0.5, 0.0)
@@ -54,7 +161,7 @@ GENERAL = {"actearly": (), "actrange": ("intvelocity",)}
 TYPED = (*OF_FRAME, *OF_ACCELERATION, "insidesite", "user")
 
 
-def written(scene: Contents) -> str:
+def written(scene: Scene) -> str:
     """Return the scene as an MJCF text; see `Scene.to_mjcf`."""
     layout = Layout(scene)
     check(layout)
@@ -75,13 +182,13 @@ def written(scene: Contents) -> str:
     _add_section(root, "actuator", _actuators(scene.actuators, names))
     _add_section(root, "sensor", [_sensor(sensor, names) for sensor in scene.sensors])
     _add_section(root, "keyframe", [_key(key) for key in scene.keys])
-    data = custom.data(words, names.made)
+    data = own_data(words, names.made)
     if data:
-        root.add(Tag("custom")).add(Tag("text", name=custom.NAME, data=data))
+        root.add(Tag("custom")).add(Tag("text", name=OWN_TEXT, data=data))
     return printed(root, _left_out(scene))
 
 
-def _referred(scene: Contents) -> list[Element]:
+def _referred(scene: Scene) -> list[Element]:
     """Return the elements that others refer to by name."""
     holders: list[tuple[Element, Iterable[str]]] = [
         *((pair, ("geom1", "geom2")) for pair in scene.pairs),
@@ -109,7 +216,7 @@ def _add_section(root: Tag, name: str, tags: list[Tag]) -> None:
         root.add(Tag(name)).inside = tags
 
 
-def _left_out(scene: Contents) -> str:
+def _left_out(scene: Scene) -> str:
     """Return the comment about elements of the scene's file that the text leaves out, or ""."""
     count = len(scene.ignored)
     if not count:
@@ -118,14 +225,14 @@ def _left_out(scene: Contents) -> str:
     return f"<!-- Left out: {what} of the scene's file that cannot change the motion. -->\n"
 
 
-def _add_compiler(root: Tag, scene: Contents) -> None:
+def _add_compiler(root: Tag, scene: Scene) -> None:
     """Add the compiler section."""
     compiler = root.add(Tag("compiler", angle="radian", **changed(scene.mass_rules)))
     if ranges := changed(scene.lengthrange):
         compiler.add(Tag("lengthrange", **ranges))
 
 
-def _add_option(root: Tag, scene: Contents) -> dict[str, Any]:
+def _add_option(root: Tag, scene: Scene) -> dict[str, Any]:
     """Add the option section; return the settings that MJCF lacks."""
     attributes, flags, rest = said(to_say(scene.settings))
     whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
@@ -417,3 +524,183 @@ def _key(key: Key) -> Tag:
     given = changed(key)
     # An empty list cannot be written as an attribute.
     return Tag("key", **{name: value for name, value in given.items() if value != ()})
+
+
+# The first byte, the byte after the last, and the replacement.
+_Edit = tuple[int, int, bytes]
+
+
+def save(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write the scene to a file; see `Scene.save`."""
+    target = Path(files.path("path", path))
+    data = kept(scene, os.path.abspath(target.parent))
+    target.write_bytes(written(scene).encode() if data is None else data)
+
+
+def kept(scene: Scene, directory: str) -> bytes | None:
+    """Return the text of the scene's file with the current settings; None if not possible.
+
+    directory: the folder in which the text will be saved.
+    """
+    source = scene._source
+    original = None if source is None else _read(type(scene)(), source.data, source)
+    if source is None or original is None:
+        return None
+    same = original.with_settings(scene.settings)
+    same.name = scene.name
+    if same != scene:
+        return None
+    try:
+        tags = _Starts(source.data)
+    except expat.ExpatError:
+        return None
+    if tags.names_files and directory != source.directory:
+        return None
+    if original == scene:
+        return source.data
+    for in_place in (True, False):
+        data = _edited(source.data, tags, in_place, original, scene)
+        if data is not None and _read(type(scene)(), data, source) == scene:
+            return data
+    return None
+
+
+def _read(scene: Scene, data: bytes, source: Source) -> Scene | None:
+    """Fill an empty scene from a text and return it; None if the text cannot be read."""
+    try:
+        read_text(scene, data, base=source.directory)
+    except (ValueError, OSError):
+        return None
+    return scene
+
+
+@dataclass
+class _Start:
+    """A start tag: its byte range in the text, and whether the tag closes itself."""
+
+    start: int
+    stop: int
+    closed: bool
+
+
+class _Starts:
+    """The start tags with settings: the last of each path. The path of the root is "".
+
+    end: the byte position of the root's end tag.
+    names_files: whether any element has a file.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self.last: dict[str, _Start] = {}
+        self.end = -1
+        self.names_files = False
+        path: list[str] = []
+        parser = expat.ParserCreate()
+
+        def start(tag: str, attrs: dict[str, str]) -> None:
+            path.append(tag)
+            where = "/".join(path[1:])
+            self.names_files |= "file" in attrs
+            if where == "option":
+                self.last.pop("option/flag", None)
+            ours = where == "custom/text" and attrs.get("name") == OWN_TEXT
+            if ours or where in ("", "option", "option/flag"):
+                at = parser.CurrentByteIndex
+                # The tag ends at the first ">" outside quotes.
+                match = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(data, at)
+                stop = match.end() if match else at
+                self.last[where] = _Start(at, stop, data[stop - 2 : stop] == b"/>")
+
+        def end(_tag: str) -> None:
+            path.pop()
+            if not path:
+                self.end = parser.CurrentByteIndex
+
+        parser.StartElementHandler, parser.EndElementHandler = start, end
+        parser.Parse(data, True)
+
+
+def _edited(
+    data: bytes, tags: _Starts, in_place: bool, original: Scene, scene: Scene
+) -> bytes | None:
+    """Return the text with the settings of `scene`, or None if the root has no end tag.
+
+    in_place: whether to edit the last <option>; otherwise a new one is added at the end.
+    """
+    root = tags.last[""]
+    if root.closed:
+        return None
+    before, after = original.settings.as_dict(), scene.settings.as_dict()
+    implications = implied(before).keys() ^ implied(after).keys()
+    changed = {
+        name: value
+        for name, value in after.items()
+        if value != before[name] or name in implications
+    }
+    attributes, flags, _ = said(changed)
+    edits: list[_Edit] = []
+    added: list[Tag] = []
+    if scene.name != original.name:
+        edits.append(_with(data, root, {"model": scene.name}))
+    option, flag = tags.last.get("option"), tags.last.get("option/flag")
+    if not in_place or option is None:
+        if attributes or flags:
+            added.append(Tag("option", **attributes))
+            if flags:
+                added[-1].add(Tag("flag", **flags))
+    else:
+        start, stop, text = _with(data, option, attributes)
+        if flags and flag is not None:
+            edits.append(_with(data, flag, flags))
+        elif flags:
+            inner = Tag("flag", **flags).start().encode()
+            text = (
+                text[:-2].rstrip() + b">" + inner + b"</option>" if option.closed else text + inner
+            )
+        edits.append((start, stop, text))
+    rest = said(to_say(scene.settings))[2]
+    held = tags.last.get("custom/text")
+    if held is not None:
+        edits.append(_custom(data, held, rest))
+    elif rest:
+        added.append(Tag("custom"))
+        added[-1].add(Tag("text", name=OWN_TEXT, data=own_data(rest)))
+    if added:
+        lines = "".join(f"  {_on_one_line(tag)}\n" for tag in added)
+        edits.append((tags.end, tags.end, lines.encode()))
+    for start, stop, new in sorted(edits, reverse=True):
+        data = data[:start] + new + data[stop:]
+    return data
+
+
+def _custom(data: bytes, held: _Start, rest: dict[str, Any]) -> _Edit:
+    """Return the edit of stepcore's own text, which keeps the words other than settings."""
+    tag = data[held.start : held.stop].decode("utf-8", "replace")
+    match = re.search(r"""\bdata\s*=\s*["']([^"']*)["']""", tag)
+    settings = Settings().as_dict()
+    words = (match.group(1) if match else "").split()
+    others = [word for word in words if word.partition("=")[0] not in settings]
+    text = " ".join([*filter(None, [own_data(rest)]), *others])
+    if not text and held.closed:
+        # MuJoCo refuses a text without data.
+        return held.start, held.stop, b""
+    return _with(data, held, {"data": text})
+
+
+def _with(data: bytes, tag: _Start, attributes: dict[str, str]) -> _Edit:
+    """Return the edit that sets these attributes of a start tag."""
+    text = data[tag.start : tag.stop]
+    for name, value in attributes.items():
+        word = f'{name}="{escaped(value)}"'.encode()
+        match = re.search(rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')""" % name.encode(), text)
+        if match:
+            text = text[: match.start()] + word + text[match.end() :]
+        else:
+            cut = len(text) - (2 if tag.closed else 1)
+            text = text[:cut].rstrip() + b" " + word + text[cut:]
+    return tag.start, tag.stop, text
+
+
+def _on_one_line(tag: Tag) -> str:
+    inside = "".join(map(_on_one_line, tag.inside))
+    return tag.start() + (f"{inside}</{tag.kind}>" if inside else "")

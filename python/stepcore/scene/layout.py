@@ -14,19 +14,25 @@ from stepcore import checks
 from stepcore.scene.elements import Body, Element, Geom, Joint
 
 if TYPE_CHECKING:
-    from stepcore.scene.holdings import Holdings
+    from stepcore.scene.scene import Scene
 
 QPOS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "plane": 0}
 # These take their sizes from their assets.
 SIZES |= {"mesh": 0, "hfield": 0}
+# The scene's list of each kind of element.
+LISTS = {
+    **{"body": "bodies", "joint": "joints", "geom": "geoms", "mesh": "meshes"},
+    **{"hfield": "hfields", "site": "sites", "tendon": "tendons", "actuator": "actuators"},
+    **{"equality": "equalities", "sensor": "sensors", "pair": "pairs", "key": "keys"},
+}
 
 
 class Layout:
     """The elements of a scene in the order of the compiled model."""
 
-    def __init__(self, scene: Holdings) -> None:
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.bodies = _depth_first(scene.bodies)
         self.index = {id(body): i for i, body in enumerate(self.bodies)}
@@ -49,22 +55,11 @@ class Layout:
             raise checks.ElementError(owner, f"refers to {body}, which is not in this scene")
         return index
 
-    @property
-    def elements(self) -> dict[str, Sequence[Element]]:
-        """The elements of each kind, in the order of the compiled model."""
-        scene = self.scene
-        return {
-            "body": self.bodies,
-            "joint": self.joints,
-            "geom": self.geoms,
-            "site": self.sites,
-            "tendon": scene.tendons,
-            "actuator": scene.actuators,
-            "equality": scene.equalities,
-            "sensor": scene.sensors,
-            "pair": scene.pairs,
-            "key": scene.keys,
-        }
+    def elements(self, kind: str) -> Sequence[Any]:
+        """Return the elements of a kind, in the order of the compiled model."""
+        ordered = self if kind in ("body", "joint", "geom", "site") else self.scene
+        elements: Sequence[Any] = getattr(ordered, LISTS[kind])
+        return elements
 
     def body_called(self, body: Body) -> str:
         """Return the label of a body in errors: "body 'leg'", or "body 3" without a name."""
@@ -89,12 +84,7 @@ class Layout:
         """Return the index of an element among those of its kind; None if not in the scene."""
         kind = type(element).__name__.lower()
         if kind not in self._places:
-            assets: dict[str, Sequence[Element]] = {
-                "mesh": self.scene.meshes,
-                "hfield": self.scene.hfields,
-            }
-            listed = (assets | self.elements)[kind]
-            self._places[kind] = {id(each): at for at, each in enumerate(listed)}
+            self._places[kind] = {id(each): at for at, each in enumerate(self.elements(kind))}
         return self._places[kind].get(id(element))
 
     @cached_property
@@ -160,7 +150,7 @@ def _depth_first(bodies: list[Body]) -> list[Body]:
     return order
 
 
-def called(scene: Holdings, element: object) -> str:
+def called(scene: Scene, element: object) -> str:
     """Return the engine's label of an element: "joint 3 of body 'leg'" without a name.
 
     The label of an element that is not yet in the scene has the index that it would get.
@@ -168,9 +158,9 @@ def called(scene: Holdings, element: object) -> str:
     kind = type(element).__name__.lower()
     try:
         layout = Layout(scene)
-        if getattr(element, "name", "") or kind not in layout.elements:
+        if getattr(element, "name", "") or kind not in LISTS or kind in ("mesh", "hfield"):
             return str(element)
-        listed = layout.elements[kind]
+        listed = layout.elements(kind)
         index = next((k for k, other in enumerate(listed) if other is element), len(listed))
         body = getattr(element, "body", None)
         whose = f" of {layout.body_called(body)}" if isinstance(body, Body) else ""
@@ -180,7 +170,7 @@ def called(scene: Holdings, element: object) -> str:
         return str(element)
 
 
-def named(scene: Holdings, error: checks.ElementError) -> checks.ElementError:
+def named(scene: Scene, error: checks.ElementError) -> checks.ElementError:
     """Return the error with the element named as the engine names it."""
     again = checks.ElementError(called(scene, error.owner), error.text)
     again.owner = error.owner

@@ -20,9 +20,9 @@ from stepcore import _core, checks
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from stepcore.scene.contents import Contents
     from stepcore.scene.elements import Actuator
     from stepcore.scene.elements.world import LengthRange
+    from stepcore.scene.scene import Scene
 
 # Effects that MuJoCo leaves out of the simulation.
 OFF = ("contact", "spring", "damper", "gravity", "frictionloss", "sensor")
@@ -33,7 +33,7 @@ _found: dict[bytes, list[list[float]]] = {}
 MOST_KEPT = 64
 
 
-def fill(scene: Contents, data: dict[str, Any]) -> None:
+def fill(scene: Scene, data: dict[str, Any]) -> None:
     """Write the missing length ranges into the plain data of a scene.
 
     Raises ValueError, naming the actuator, if the simulation does not come to rest.
@@ -50,7 +50,7 @@ def fill(scene: Contents, data: dict[str, Any]) -> None:
         data["actuators"][index]["lengthrange"] = list(limits[index] or ())
 
 
-def asked(scene: Contents) -> list[int]:
+def asked(scene: Scene) -> list[int]:
     """Return the indices of the actuators whose range must be found."""
     rules = scene.lengthrange
     return [index for index, each in enumerate(scene.actuators) if _asks(each, rules)]
@@ -76,7 +76,7 @@ def _limits(actuator: Actuator) -> Sequence[float] | None:
     return bounds
 
 
-def _simulated(scene: Contents, data: dict[str, Any], asked: list[int]) -> list[list[float]]:
+def _simulated(scene: Scene, data: dict[str, Any], asked: list[int]) -> list[list[float]]:
     rules = scene.lengthrange
     bare = _bare(data)
     timestep = rules.timestep or scene.settings.dt

@@ -10,15 +10,14 @@ from stepcore.scene import length_ranges
 from stepcore.scene.consistency import check
 from stepcore.scene.elements import Body, Element
 from stepcore.scene.frames import ORIGIN
-from stepcore.scene.layout import SIZES, Layout
+from stepcore.scene.layout import LISTS, SIZES, Layout
 from stepcore.scene.value_paths import WHOLE, assign, find
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from stepcore.scene.contents import Contents
     from stepcore.scene.elements import HField
-    from stepcore.scene.holdings import Holdings
+    from stepcore.scene.scene import Scene
 
 
 def plain(layout: Layout) -> dict[str, Any]:
@@ -42,7 +41,7 @@ def plain(layout: Layout) -> dict[str, Any]:
     }
 
 
-def _whole(scene: Holdings) -> dict[str, Any]:
+def _whole(scene: Scene) -> dict[str, Any]:
     """Return the values that belong to the whole scene."""
     values = {word: getattr(scene, word) for word in (*WHOLE, "magnetic")}
     return {w: list(value) if isinstance(value, tuple) else value for w, value in values.items()}
@@ -50,18 +49,9 @@ def _whole(scene: Holdings) -> dict[str, Any]:
 
 def _varied(layout: Layout) -> dict[str, Sequence[Element]]:
     """Return the lists of elements whose values can be varied, by the engine's name of the list."""
-    scene = layout.scene
-    return {
-        "bodies": layout.bodies,
-        "joints": layout.joints,
-        "geoms": layout.geoms,
-        "sites": layout.sites,
-        "tendons": scene.tendons,
-        "actuators": scene.actuators,
-        "equalities": scene.equalities,
-        "keys": scene.keys,
-        "pairs": scene.pairs,
-    }
+    tree = ("body", "joint", "geom", "site")
+    kinds = (*tree, "tendon", "actuator", "equality", "key", "pair")
+    return {LISTS[kind]: layout.elements(kind) for kind in kinds}
 
 
 def _record(layout: Layout, element: Any) -> dict[str, Any]:
@@ -121,9 +111,7 @@ class Variation:
     body_mass: as in `value_paths.changed`.
     """
 
-    def __init__(
-        self, scene: Contents, paths: Iterable[str], body_mass: Mapping[str, float]
-    ) -> None:
+    def __init__(self, scene: Scene, paths: Iterable[str], body_mass: Mapping[str, float]) -> None:
         self.scene, self._body_mass = copy.deepcopy(scene), body_mass
         self._layout = Layout(self.scene)
         touched = [self._touched(path) for path in paths if path not in WHOLE]

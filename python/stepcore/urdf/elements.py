@@ -8,9 +8,8 @@ from __future__ import annotations
 import os
 
 from stepcore.checks import nearest
-from stepcore.mjcf.nodes import MJCFError, Node
-from stepcore.mjcf.notation import Spec, spec
-from stepcore.mjcf.refusals import Refusals
+from stepcore.mjcf.nodes import MJCFError, Node, Refusals
+from stepcore.mjcf.schema import Spec, spec
 from stepcore.mjcf.validation import values_of
 
 ORIGIN = spec("xyz:3 rpy:3")

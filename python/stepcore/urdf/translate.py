@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stepcore.checks import cut, nearest
-from stepcore.mjcf.nodes import MJCFError, Node
-from stepcore.mjcf.refusals import Refusals
+from stepcore.mjcf.nodes import MJCFError, Node, Refusals
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.frames import Vec

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from stepcore.engine.element import EQUALITIES, FRICTION_LOSSES, ROWS, Element, ElementSlopes
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Joint, Tendon
 from stepcore.scene.frames import Vec
+from stepcore.scene.scene import Scene
 
 # The elements that a diagnosis names. All other forces (gravity, fluid, applied forces) count with
 # the inertial forces.
@@ -96,7 +96,7 @@ def first_softened(model: Model) -> float:
     return min((softened_dt(s, model.settings.refsafe) for s in solrefs), default=math.inf)
 
 
-def solrefs_of(scene: Contents, law: str) -> Iterator[tuple[str, Vec]]:
+def solrefs_of(scene: Scene, law: str) -> Iterator[tuple[str, Vec]]:
     """Yield kind and solref of all limits, friction losses and equalities with rows under a law."""
     features = scene.features
     if not features.constraint or law not in ("solref", "penalty"):

@@ -140,6 +140,7 @@ def trade(
         target=target,
         budget=limit,
         by=by,
+        effort=effort,
         size=study.size,
         notes=[*study.schedule.notes, *(setup.model.scene.notes if runs.known else ())],
     )
@@ -154,6 +155,7 @@ def trade(
         with workers.deadline.stage("the rest of the search", SEARCHED):
             _searched(result, search_, further)
     result.take(search_)
+    result.ended = search_.ended
     if further and not full and result.chosen is not None and target is not None:
         said = search_.so_far(result.chosen)
         workers.deadline.so_far(f"{said}; {counted(further, 'untouched start')} are to prove it")

@@ -14,6 +14,7 @@ from stepcore.scene.elements.contact import ContactOverride as ContactOverride
 from stepcore.scene.elements.contact import Pair as Pair
 from stepcore.scene.elements.equality import Equality as Equality
 from stepcore.scene.elements.field_types import GRAVITY as GRAVITY
+from stepcore.scene.elements.field_types import MAGNETIC as MAGNETIC
 from stepcore.scene.elements.field_types import SOLIMP as SOLIMP
 from stepcore.scene.elements.field_types import SOLREF as SOLREF
 from stepcore.scene.elements.geom import Geom as Geom
