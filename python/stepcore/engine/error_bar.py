@@ -11,7 +11,7 @@ import numpy as np
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import INPUTS, STATE, Floats, refuse_late
 from stepcore.engine.control import ControlError, controls, fresh
-from stepcore.engine.norm import Matter, apart, largest, rms
+from stepcore.engine.norm import Matter, Tracks, apart, largest, rms
 from stepcore.engine.run_settings import converged_settings
 from stepcore.scene.layout import Layout
 
@@ -143,13 +143,13 @@ class FinerRun:
     def _distances(self) -> Floats:
         """How far each moving body is from where it is in the finer run [m]."""
         if self.far is None:
-            xpos, xquat = (
-                np.array([getattr(self.of, name), getattr(self.sim, name)])[:, None]
-                for name in ("xpos", "xquat")
-            )
-            both = self.matter.tracks(xpos, xquat)
-            self.far = apart(both.some([0]), both.some([1]), self.matter)[0, 0]
+            self.far = apart(self._poses(self.of), self._poses(self.sim), self.matter)[0, 0]
         return self.far
+
+    def _poses(self, sim: Sim) -> Tracks:
+        moving, ipos = self.matter.moving, self.matter.ipos[:, :, None]
+        com = sim.xpos[moving] + (sim.xmat[moving] @ ipos)[..., 0]
+        return Tracks(com[None, None], sim.xquat[moving][None, None])
 
     def kept(self) -> tuple[bytes, float, bool]:
         """Return what a copy goes on from."""

@@ -472,9 +472,8 @@ def pieces(
                 sim.ctrl = rows[0]
             if snapshots is not None:
                 snapshots.look(done)
-            made = samples(sim, names, count, None if rows is None else rows[None])
-            for name, values in zip(names, made, strict=True):
-                arrays[name][done + 1 : done + 1 + count] = values[0]
+            rooms = [array[None, done + 1 : done + 1 + count] for array in arrays.values()]
+            samples(sim, names, count, None if rows is None else rows[None], rooms=rooms)
             done += count
     if snapshots is not None:
         snapshots.look(steps)
@@ -487,6 +486,7 @@ def samples(
     steps: int,
     ctrl: Floats | None = None,
     told: Callable[[int], object] | None = None,
+    rooms: list[NDArray[Any]] | None = None,
 ) -> list[NDArray[Any]]:
     """Take steps, and return quantities after each of them, (worlds, steps, …).
 
@@ -495,6 +495,7 @@ def samples(
 
     ctrl: a row for each step, (worlds, steps, nu); None leaves the controls at hand.
     told: of a `Batch`: is told how many steps were made.
+    rooms: arrays to write into, and to return.
     """
     own = () if told is None else (told,)
     if _sampled(world, names):
@@ -502,29 +503,33 @@ def samples(
         if ctrl is None and "ctrl" in names:
             # As they were given, not as single precision has them.
             made[names.index("ctrl")][:] = world._arrays["ctrl"].reshape(len(made[0]), 1, -1)
+        for room, values in zip(rooms or (), made, strict=rooms is not None):
+            room[...] = values
         return list(made)
     if ctrl is not None and (bad := not_finite(world, ctrl)):
         raise ValueError(f"ctrl{list(bad)} = {ctrl[bad]}: must be finite; nothing was stepped")
-    lead = (None,) if world._arrays["qpos"].ndim == 1 else ()
-
-    def read(name: str) -> NDArray[Any]:
-        return np.array(getattr(world, name))[lead]
-
-    seen = []
+    qpos = world._arrays["qpos"]
+    batch, n = qpos.ndim > 1, len(qpos) if qpos.ndim > 1 else 1
     for step in range(steps):
-        rows = None if ctrl is None else ctrl[:, step : step + 1]
-        if getattr(world, "_finer", None) is None:
-            world._call(world._core.follow, every_step((), 1), rows)
+        if ctrl is not None:
+            world._arrays["ctrl"][...] = ctrl[:, step] if batch else ctrl[0, step]
+        if batch:
+            world._call(world._core.step, 1)
         else:
-            if rows is not None:
-                world.ctrl = rows[0, 0]
             world.step()
-        seen.append([read(name) for name in names])
+        values = [getattr(world, name) for name in names]
+        rooms = [_room(value, n, steps, batch) for value in values] if rooms is None else rooms
+        for room, value in zip(rooms, values, strict=True):
+            room[:, step] = value
         if told is not None:
             told(1)
-    if not seen:
-        return [read(name)[:, None][:, :0] for name in names]
-    return [np.stack(values, axis=1) for values in zip(*seen, strict=True)]
+    return rooms or [_room(getattr(world, name), n, 0, batch) for name in names]
+
+
+def _room(value: Any, n: int, steps: int, batch: bool) -> NDArray[Any]:
+    """Return an array for so many steps of a quantity of n worlds."""
+    given = np.asarray(value)
+    return np.empty((n, steps, *given.shape[batch:]), dtype=given.dtype)
 
 
 def _sampled(world: World, names: Sequence[str]) -> bool:
