@@ -24,13 +24,12 @@ if TYPE_CHECKING:
     from stepcore.engine.batch import Batch
     from stepcore.report.progress import Choice
 
-# A gradient that grows more than this on its way back says nothing beyond the next step or two.
+# A gradient that grows more than this on its way back says nothing beyond the next step or two; nor
+# does a part of one that is smaller by this.
 GROWTH = 1e6
 # One that is another by this share of itself in steps half as long says nothing either.
 APART = 0.5
 TINY = np.finfo(float).tiny
-# Of what is asked: a share below which nothing is said of the initial state.
-LEFT = 1e-6
 # Steps before and after one, in which its contact is looked for.
 NEAR = 50
 # Steps of a world that are linearised together, and as many numbers of matrices as are in memory
@@ -444,12 +443,12 @@ def apart(back: Adjoints, finer: Adjoints, steps: Steps, asked: Floats) -> dict[
     most = np.maximum(asked, back.sizes.max(axis=1, initial=0.0))
     both = finer.ctrl[:, ::2] + finer.ctrl[:, 1::2]
     parts = {
-        "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], LEFT * most),
-        "the controls": _distance(back.ctrl, both, LEFT * back.ctrl_terms),
+        "the initial state": _distance(back.rows[:, 0], finer.rows[:, 0], most / GROWTH),
+        "the controls": _distance(back.ctrl, both, back.ctrl_terms / GROWTH),
     }
     changes = np.sum(np.abs(back.after * steps.changes()), axis=(1, 2))
     for k, column in enumerate(steps.by):
-        least = LEFT * changes / abs(column.value)
+        least = changes / GROWTH / abs(column.value)
         parts[f"`{column.label}`"] = _distance(back.values[:, k], finer.values[:, k], least)
     return parts
 

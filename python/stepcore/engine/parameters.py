@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from stepcore import _core
     from stepcore.engine.model import Model
 
-# So many models are compiled in the calling thread: starting others takes longer.
-FEW = 2
 # Where the model is compiled around a value: these multiples of a share of it. Of a number that
 # goes with 1/p³ the derivative is then off by 2e-12 of itself, and by 1e-12 for rounding.
 AROUND = (-2, -1, 1, 2)
@@ -277,7 +275,7 @@ class Variants:
 
         # Scenes are created one after another, while the engine compiles earlier ones.
         scenes = map(data, worlds)
-        if len(worlds) <= FEW:
+        if len(worlds) == 1:
             return list(map(compiled, scenes))
         # Imported here because only parameters need Python threads.
         from concurrent.futures import ThreadPoolExecutor

@@ -393,16 +393,8 @@ def _float(owner: Any, name: str, value: object) -> float:
         raise checks.refuse(owner, name, value, "a number below 1e308") from None
 
 
-def _is(kind: type, limit: str) -> checks.Check:
-    def check(owner: Any, name: str, value: object) -> Any:
-        if not isinstance(value, kind):
-            raise checks.refuse(owner, name, value, limit)
-        return value
-
-    return check
-
-
-_list, _dict = _is(list, "a list"), _is(dict, "an object")
+_list = checks.checked(lambda value: value if isinstance(value, list) else None, "a list")
+_dict = checks.checked(lambda value: value if isinstance(value, dict) else None, "an object")
 
 
 def _each(check: checks.Check) -> checks.Check:
@@ -415,7 +407,8 @@ def _id(owner: Any, name: str, value: object) -> tuple[str, int, int]:
     entries = _list(owner, name, value)
     if len(entries) != 3 or not isinstance(entries[0], str):
         raise checks.refuse(owner, name, value, "(kind, index, part)")
-    return entries[0], *(checks.whole(-1, 2**63 - 1)(owner, name, entry) for entry in entries[1:])
+    index, part = (checks.whole(-1, 2**63 - 1)(owner, name, entry) for entry in entries[1:])
+    return entries[0], index, part
 
 
 def _shares(owner: Any, name: str, value: object) -> dict[str, float]:
@@ -432,14 +425,11 @@ def _state(owner: Any, name: str, value: object) -> bytes:
 
 
 def _input(owner: Any, name: str, value: object) -> tuple[Any, ...]:
-    entries = _list(owner, name, value)
-    if len(entries) != 1 + len(INPUTS):
-        raise checks.refuse(owner, name, value, f"a list of {1 + len(INPUTS)} entries")
-    arrays = [
-        list(checks.numbers(owner, f"{name}[{k + 1}]", array))
-        for k, array in enumerate(entries[1:])
-    ]
-    return whole(owner, f"{name}[0]", entries[0]), *arrays
+    entries, most = _list(owner, name, value), 1 + len(INPUTS)
+    if len(entries) != most:
+        raise checks.refuse(owner, name, value, f"a list of {most} entries")
+    arrays = (checks.numbers(owner, f"{name}[{k}]", entries[k]) for k in range(1, most))
+    return whole(owner, f"{name}[0]", entries[0]), *map(list, arrays)
 
 
 def _event(owner: Any, name: str, value: object) -> dict[str, Any]:

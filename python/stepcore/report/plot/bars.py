@@ -131,8 +131,9 @@ def tuning(result: Tuning) -> Any:
     return figure
 
 
+# The number of letters of an entry's or a feature's name.
+LETTERS = 46
 STAGES = {"place": BLUE, "detect": ORANGE, "solve": RED, "commit": GREEN}
-ENTRY_LETTERS = 48
 
 
 def plan(plan: Plan) -> Any:
@@ -140,7 +141,7 @@ def plan(plan: Plan) -> Any:
     timed = plan.micros is not None
     costs = [(entry, entry.micros if timed else entry.flops) for entry in plan.used]
     bars = [(e, float(cost)) for e, cost in costs if e.stage in STAGES and cost is not None]
-    figure, (axes,), places = named_bars([entry.name for entry, _ in bars], ENTRY_LETTERS)
+    figure, (axes,), places = named_bars([entry.name for entry, _ in bars], LETTERS)
     for place, (entry, value) in zip(places, bars, strict=True):
         bar(axes, place, value, STAGES[entry.stage], f"{value:.2f}" if timed else f"{value:.0f}")
     axes.set_xlim(right=1.12 * max([1e-3, *(value for _, value in bars)]))
@@ -151,8 +152,8 @@ def plan(plan: Plan) -> Any:
     return figure
 
 
-# The number of features drawn, largest savings first, and the number of letters of a name.
-FEATURES, FEATURE_LETTERS = 24, 46
+# The number of features drawn, largest savings first.
+FEATURES = 24
 # Errors below this fraction of the tolerance have no bar, only a number.
 SMALL = 1e-3
 
@@ -163,7 +164,7 @@ def ablation(result: Ablation) -> Any:
     names = [f"all {len(result.removed)} that are not needed"]
     names += [row.removal.label for row in rows]
     rows = [result.best, *rows]
-    figure, (work, error), places = named_bars(names, FEATURE_LETTERS, 2, 9.0, 2.2)
+    figure, (work, error), places = named_bars(names, LETTERS, 2, 9.0, 2.2)
     tolerance = result.tolerance
     # The axis begins a decade below the smallest error that counts.
     measured = [row.trial.error for row in rows if result.measurable(row)]
