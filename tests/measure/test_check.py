@@ -316,6 +316,30 @@ def strung(tendon, rest="", key=""):
     </spatial></tendon>{rest}{key}</mujoco>"""
 
 
+def test_a_tendon_whose_start_is_beyond_its_range():
+    found = the(strung('range="0 .4"'), "outside a limit")
+    assert found.severity == "warning" and found.element == "tendon `cord`"
+    assert found.value == pytest.approx(0.5) and found.unit == "m"
+    assert "500 mm, outside of its range of 0 m to 400 mm" in found.text
+    assert kinds(strung('range="0 .6"')) == []
+
+
+def test_a_tendon_whose_keyframe_is_beyond_its_range():
+    home = '<keyframe><key name="home" qpos="-.2"/></keyframe>'
+    found = the(strung('range=".4 .6"', key=home), "outside a limit")
+    assert found.severity == "error" and found.text.startswith("Keyframe `home`")
+    assert found.value == pytest.approx(0.3)
+
+
+def test_a_fixed_tendon_s_length_has_no_unit():
+    text = strung('range="0 .6"').replace(
+        "</tendon>",
+        '<fixed name="sum" range=".1 .3"><joint joint="rail" coef="2"/></fixed></tendon>',
+    )
+    found = the(text, "outside a limit")
+    assert found.unit == "" and "a length of 0, outside of its range of 0.1 to 0.3" in found.text
+
+
 def test_a_tendon_that_nothing_uses():
     found = the(strung(""), "unused tendon")
     assert found.severity == "remark" and found.text.startswith("Tendon `cord` does nothing:")

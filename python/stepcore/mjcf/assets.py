@@ -136,7 +136,12 @@ class Assets:
         if "face" in values and given != ["vertex"]:
             raise node.error("<mesh> has faces, but no vertices of its own")
         if "face" in values:
-            mesh.faces = _faces(node, values["face"])
+            face = values["face"]
+            if len(face) % 3 or not face:
+                raise bad(node, "face", face, "3 indices for each face")
+            if min(face) < 0:
+                raise bad(node, "face", min(face), "indices of vertices, >= 0")
+            mesh.faces = np.array(face).reshape(-1, 3)
         count = len(mesh.vertices)
         if count < 4:
             raise node.error(f"<mesh> has {count} vertices: must be at least 4")
@@ -242,14 +247,6 @@ class Assets:
                 read_bytes=size,
                 asset_bytes=size + sum(map(os.path.getsize, there)),
             )
-
-
-def _faces(node: Node, face: tuple[int, ...]) -> Any:
-    if len(face) % 3 or not face:
-        raise bad(node, "face", face, "3 indices for each face")
-    if min(face) < 0:
-        raise bad(node, "face", min(face), "indices of vertices, >= 0")
-    return np.array(face).reshape(-1, 3)
 
 
 def _is_zero(word: str) -> bool:
@@ -411,7 +408,6 @@ def _power(values: Array, exponent: float) -> Array:
 
 
 def _quads(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Return the triangles a b c and b d c of each quadrangle."""
     first, second = np.stack([a, b, c], axis=-1), np.stack([b, d, c], axis=-1)
     return np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
 

@@ -18,8 +18,7 @@ from typing import Any
 from stepcore.checks import nearest
 from stepcore.mjcf.defaults import MAIN, Compiler, Defaults
 from stepcore.mjcf.nodes import Node, below, inside, sections
-from stepcore.mjcf.schema import FLAGS, ROOT
-from stepcore.mjcf.sections import sizes
+from stepcore.mjcf.schema import FLAGS_OFF, ROOT
 from stepcore.mjcf.validation import bad, kind_of, references
 from stepcore.scene import frames
 from stepcore.scene.frames import Vec
@@ -47,13 +46,11 @@ def named_by(node: Node) -> Iterator[tuple[str, str]]:
 
 
 def add_name(names: Names, node: Node) -> None:
-    """Add the name of an element, if it has one."""
     if node.attrs.get("name"):
         names.setdefault(kind_of(node), set()).add(node.attrs["name"])
 
 
 def names_in(nodes: Iterable[Node]) -> Names:
-    """Return the names of elements and their descendants."""
     names: Names = {}
     for node in nodes:
         for inner in below(node):
@@ -78,7 +75,6 @@ def copied(node: Node, made: dict[int, Node] | None = None) -> Node:
 
 
 def _alone(node: Node) -> Node:
-    """Copy an element without its children."""
     copy = Node(node.tag, dict(node.attrs), node.file, node.line)
     copy.values, copy.path, copy.compiler = dict(node.values), node.path, node.compiler
     copy.parts = node.parts
@@ -86,7 +82,6 @@ def _alone(node: Node) -> Node:
 
 
 def rename(node: Node, names: Names, prefix: str = "", suffix: str = "") -> None:
-    """Rename an element and its descendants, and update their references to `names`."""
     for inner in below(node):
         changed = {a: name for a, kind, name in references(inner) if name in names.get(kind, ())}
         if inner.attrs.get("name"):
@@ -97,7 +92,6 @@ def rename(node: Node, names: Names, prefix: str = "", suffix: str = "") -> None
 
 
 def section_of(tag: str, nodes: list[Node]) -> Node:
-    """Return a new section with these elements."""
     section = Node(tag, {}, nodes[0].file, nodes[0].line)
     section.children = nodes
     return section
@@ -146,7 +140,6 @@ class Referring:
         self._changed = False
 
     def append(self, parts: Iterable[Part]) -> None:
-        """Add elements at the end of their sections."""
         for tag, node in parts:
             names = set(named_by(node))
             for name in names:
@@ -219,7 +212,6 @@ def expand_replicates(root: Node, compiler: Compiler, copies: Copies) -> None:
 
 
 def _parents(root: Node) -> list[Node]:
-    """Return the parents of <replicate> elements, the innermost first."""
     every = [node for tree in sections(root, "worldbody") for node in below(tree)]
     depth: dict[int, int] = {}
     for node in every:
@@ -274,16 +266,14 @@ def _poses(node: Node, compiler: Compiler) -> Iterator[tuple[Vec, Vec]]:
 
 # Bodies and frames by tag and name, each with the childclass inherited at its position.
 Places = dict[tuple[str, str], tuple[Node, str]]
-# Merging takes the smaller value of the options in MINIMUM, the larger of those in MAXIMUM.
-MINIMUM = (
-    *("timestep", "tolerance", "ls_tolerance", "noslip_tolerance", "ccd_tolerance"),
-    "sleep_tolerance",
-)
-MAXIMUM = (
-    *("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"),
-    *("sdf_iterations", "sdf_initpoints"),
-)
-UNION = "actuatorgroupdisable"
+# How options of two models merge; all others must be the same.
+MERGED: dict[str, Callable[[Any, Any], Any]] = {
+    **dict.fromkeys(("timestep", "tolerance", "ls_tolerance", "noslip_tolerance"), min),
+    **dict.fromkeys(("ccd_tolerance", "sleep_tolerance"), min),
+    **dict.fromkeys(("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"), max),
+    **dict.fromkeys(("sdf_iterations", "sdf_initpoints"), max),
+    "actuatorgroupdisable": lambda here, there: tuple(dict.fromkeys((*here, *there))),
+}
 
 
 @dataclass
@@ -296,7 +286,6 @@ class Model:
 
     @cached_property
     def places(self) -> Places:
-        """The model's bodies and frames."""
         return _add_places({}, inside(self.root, "worldbody"), MAIN)
 
     @cached_property
@@ -310,12 +299,10 @@ class Model:
 
     @cached_property
     def keys(self) -> list[Node]:
-        """The model's keyframes, with their vectors split by element."""
         return _split_keys(self.root, self.defaults)
 
     @cached_property
     def referring(self) -> Referring:
-        """The references to the model's tree, indexed at the first access."""
         return Referring(self.root)
 
 
@@ -345,7 +332,6 @@ class Attacher:
                 self.assets[name] = node
 
     def run(self) -> None:
-        """Expand every <attach>, in document order."""
         attachments = []
         pending = inside(self.model.root, "worldbody")[::-1]
         while pending:
@@ -399,7 +385,6 @@ class Attacher:
             _add_places(self.places, twins, childclass)
 
     def _other(self, node: Node) -> Model:
-        """Return the model whose elements an <attach> copies."""
         if "body" in node.attrs and "frame" in node.attrs:
             raise node.error("<attach> has both body and frame")
         name = node.attrs.get("model")
@@ -430,7 +415,6 @@ class Attacher:
 
 
 def _add_places(places: Places, nodes: list[Node], childclass: str) -> Places:
-    """Add the bodies and frames among these nodes and their descendants."""
     pending = [(node, childclass) for node in reversed(nodes)]
     while pending:
         node, around = pending.pop()
@@ -527,7 +511,7 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
     """
     mine, my_flags = _written_options(root)
     theirs, their_flags = _written_options(child)
-    both = [(mine, theirs), (my_flags, their_flags)]
+    both = ((mine, theirs), (my_flags, their_flags))
     named = f'"{child.attrs.get("model", "") or node.attrs.get("model", "")}"'
 
     def check(name: str, here: Any, there: Any) -> Any:
@@ -553,27 +537,23 @@ def _merge_options(root: Node, child: Node, node: Node, policy: str) -> list[str
     section = Node("option", {}, node.file, node.line)
     for name, there in theirs.items():
         here = mine.get(name, there)
-        if name in MINIMUM:
-            section.values[name] = min(here, there)
-        elif name in MAXIMUM:
-            section.values[name] = max(here, there)
-        elif name == UNION:
-            section.values[name] = tuple(dict.fromkeys((*here, *there)))
-        else:
-            section.values[name] = check(name, here, there)
+        merge = MERGED.get(name)
+        section.values[name] = merge(here, there) if merge else check(name, here, there)
     # A flag differs from its default if either model changes it.
-    turned = {name: word for name, word in their_flags.items() if _turns(name, word)}
+    turned = {
+        name: word
+        for name, word in their_flags.items()
+        if word == ("enable" if name in FLAGS_OFF else "disable")
+    }
     if turned:
-        inner = Node("flag", {}, node.file, node.line)
-        inner.values = dict(turned)
-        section.children = [inner]
+        section.children = [Node("flag", {}, node.file, node.line)]
+        section.children[0].values = dict(turned)
     root.children.append(section)
     changed = [name for name, value in section.values.items() if value != mine.get(name)]
     return note([*changed, *turned], "used")
 
 
 def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the options and the flags in a model's file."""
     options: dict[str, Any] = {}
     flags: dict[str, Any] = {}
     for section in root.children:
@@ -584,27 +564,18 @@ def _written_options(root: Node) -> tuple[dict[str, Any], dict[str, Any]]:
     return options, flags
 
 
-def _turns(name: str, word: str) -> bool:
-    """Return whether a flag differs from its default.
-
-    The flag "override" and those after it are off by default.
-    """
-    flags = FLAGS.split()
-    return word == ("enable" if name in flags[flags.index("override") :] else "disable")
-
-
 def _split_keys(root: Node, defaults: Defaults) -> list[Node]:
     """Return the keyframes of a model, with each vector split by element in `parts`."""
     keys = inside(root, "keyframe")
     if not keys:
         return []
     joints, mocaps = _joints_and_mocaps(root, defaults)
-    actuators = [(node, *sizes(defaults.gains(node))) for node in inside(root, "actuator")]
+    laws = [(node, defaults.gains(node)) for node in inside(root, "actuator")]
     layout = {
         "qpos": [(node, QPOS[kind]) for kind, node in joints],
         "qvel": [(node, DOFS[kind]) for kind, node in joints],
-        "ctrl": [(node, controls) for node, controls, _ in actuators],
-        "act": [(node, activations) for node, _, activations in actuators],
+        "ctrl": [(node, len(gains.inputs) or 1) for node, gains in laws],
+        "act": [(node, gains.law.states) for node, gains in laws],
         "mpos": [(node, 3) for node in mocaps],
         "mquat": [(node, 4) for node in mocaps],
     }

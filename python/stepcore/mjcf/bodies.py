@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import Shape, WorldReader
     from stepcore.scene.scene import Scene
 
-# Sensors whose readings depend on masses, even of bodies that cannot move.
 OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
 NOTE = (
     "an attached model makes masses by other rules (<compiler>): bodies have the masses that their "
@@ -74,7 +73,6 @@ class Weight:
         return tuple(float(self.inertia[place]) for place in places)
 
     def equals(self, other: Weight | None) -> bool:
-        """Return whether mass, centre of mass and inertia are bit-identical."""
         return other is not None and (
             self.mass == other.mass
             and bool((self.ipos == other.ipos).all())
@@ -82,7 +80,6 @@ class Weight:
         )
 
     def give(self, body: Body) -> None:
-        """Assign these properties to a body."""
         body.mass, body.inertia, body.iquat = self.mass, self.six, self.iquat
         body.ipos = tuple(map(float, self.ipos))
 
@@ -126,7 +123,13 @@ def place_weightless(world: WorldReader) -> None:
     depend on masses.
     """
     scene = world.scene
-    touching, sensed = {id(geom.body) for geom in scene.geoms}, _senses_mass(scene)
+    touching = {id(geom.body) for geom in scene.geoms}
+    # Sensors may depend on masses or centres of mass even of bodies that cannot move.
+    sensed = any(
+        sensor.type in OF_MASS
+        or (sensor.type != "contact" and "body" in (sensor.objtype, sensor.reftype))
+        for sensor in scene.sensors
+    )
     groups: dict[tuple[object, ...], tuple[MassRules, list[Body]]] = {}
     for body in scene.bodies:
         rules = world.rules_of(body)
@@ -141,13 +144,6 @@ def place_weightless(world: WorldReader) -> None:
             if known[id(body)].mass == 0.0:
                 pos, quat = world.written[id(body)]
                 Weight(0.0, np.array(pos), np.zeros((3, 3)), quat).give(body)
-
-
-def _senses_mass(scene: Scene) -> bool:
-    """Return whether a sensor depends on masses or centres of mass of bodies that cannot move."""
-    kinds = {(sensor.type, sensor.objtype, sensor.reftype) for sensor in scene.sensors}
-    centred = any(kind != "contact" and "body" in ends for kind, *ends in kinds)
-    return centred or any(kind in OF_MASS for kind, *_ in kinds)
 
 
 def settle_masses(world: WorldReader) -> None:
@@ -253,7 +249,6 @@ def discard_visual(world: WorldReader) -> None:
 
 
 def _remove(world: WorldReader, gone: set[int]) -> None:
-    """Remove geoms by ``id``, unless they are kept for drawing."""
     if world.assets.drawn:
         world.only_drawn |= gone
     else:
@@ -283,13 +278,7 @@ BOUNDS = ("boundmass", "boundinertia", "balanceinertia")
 def fuse(world: WorldReader) -> None:
     """Fuse each body that cannot move relative to its parent with the parent, world first."""
     scene, root = world.scene, world.root
-    jointed = {id(joint.body) for joint in scene.joints}
-    # A body that an element refers to by name is not fused.
-    named = {name for node in below(root) for _, kind, name in references(node) if kind == "body"}
-    # Nor is a body with a force or torque sensor, which measures the load from the parent.
-    sensors = inside(root, "sensor")
-    measured = {node.attrs.get("site") for node in sensors if node.tag in ("force", "torque")}
-    measured_on = {id(site.body) for site in scene.sites if site.name and site.name in measured}
+    kept = _kept_apart(world)
     options = [section.values for section in sections(root, "option")]
     fluid = any(o.get(name, 0.0) > 0 for o in options for name in ("density", "viscosity"))
     layout = Layout(scene)
@@ -304,8 +293,7 @@ def fuse(world: WorldReader) -> None:
         if id(carrier) in whole:
             body.pos, body.quat = frames.composed(poses[id(carrier)], body.pos, body.quat)
             body.parent = carrier = whole[id(carrier)]
-        kept = id(body) in jointed or id(body) in measured_on or (body.name and body.name in named)
-        if kept:
+        if id(body) in kept:
             continue
         if carrier is not scene.world and not known:
             known = weights(scene, scene.bodies[1:])
@@ -316,8 +304,7 @@ def fuse(world: WorldReader) -> None:
             scene.fused[body.name] = carrier.name
         if carrier is not scene.world:
             _add_weight(world, body, carrier, known)
-    placed: list[Geom | Site] = [*layout.geoms, *layout.sites]
-    for element in placed:
+    for element in (*layout.geoms, *layout.sites):
         key = id(element.body)
         if key in whole:
             element.pos, element.quat = frames.composed(poses[key], element.pos, element.quat)
@@ -333,10 +320,24 @@ def fuse(world: WorldReader) -> None:
         )
 
 
+def _kept_apart(world: WorldReader) -> set[int]:
+    """Return the ids of the bodies that are not fused, whatever their masses."""
+    scene, root = world.scene, world.root
+    # A body that an element refers to by name.
+    named = {name for node in below(root) for _, kind, name in references(node) if kind == "body"}
+    # A force or torque sensor measures the load from the parent of its body.
+    sensors = inside(root, "sensor")
+    measured = {node.attrs.get("site") for node in sensors if node.tag in ("force", "torque")}
+    return (
+        {id(joint.body) for joint in scene.joints}
+        | {id(body) for body in scene.bodies if body.name and body.name in named}
+        | {id(site.body) for site in scene.sites if site.name and site.name in measured}
+    )
+
+
 def _may_fuse(
     world: WorldReader, body: Body, carrier: Body, known: dict[int, Weight], fluid: bool
 ) -> bool:
-    """Return whether the body's attributes and the fluid allow fusing it with the carrier."""
     values = world.nodes[id(body)].values
     if values.get("mocap") or values.get("fuse") is False or "sleep" in values:
         return False
@@ -403,7 +404,6 @@ def align(world: WorldReader) -> None:
 
 
 def _is_aligned(world: WorldReader, joint: Joint) -> bool:
-    """Return whether the joint's `align` or its model's `alignfree` requests alignment."""
     node = world.nodes[id(joint)]
     asked = node.values.get("align", "auto")
     alignfree = (node.compiler or world.main).values.get("alignfree")

@@ -62,7 +62,6 @@ def spec(
     role: str = "",
     once: tuple[str, ...] = (),
 ) -> Spec:
-    """Return a `Spec` from the notation above."""
     types: dict[str, str] = {}
     required = []
     for word in attrs.split():
@@ -89,7 +88,6 @@ def of(kind: type[Element], *names: str, but: str = "") -> str:
 
 
 def without(attrs: str, names: str) -> str:
-    """Return `attrs` without the attributes in `names`."""
     drop = set(names.split())
     return " ".join(w for w in attrs.split() if w.partition(":")[0].rstrip("!") not in drop)
 
@@ -102,7 +100,6 @@ _OWN = (
 
 
 def default_of(attrs: str) -> Spec:
-    """Return the schema of a default-class element for an element with these attributes."""
     return spec(without(attrs, _OWN).replace("!", ""))
 
 
@@ -132,6 +129,8 @@ FLAGS = (
     "filterparent actuation refsafe sensor midphase eulerdamp autoreset nativeccd island "
     "multiccd override energy fwdinv invdiscrete sleep diagexact ipc speculative"
 )
+# These flags are off by default; all others are on.
+FLAGS_OFF = tuple(FLAGS.split()[FLAGS.split().index("override") :])
 # Features without an MJCF flag.
 OWN_FEATURES = tuple(name for name in table(Features) if name not in FLAGS.split())
 _OVERRIDES = " ".join(f"o_{word}" for word in of(ContactOverride, but="enable").split())

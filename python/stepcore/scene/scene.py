@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 from stepcore import checks, files
 from stepcore.scene import frames, hfield_files, length_ranges, mesh_files
-from stepcore.scene.consistency import check
 from stepcore.scene.element import belongs, table
 from stepcore.scene.elements import (
     GRAVITY,
@@ -37,7 +36,7 @@ from stepcore.scene.elements import (
 from stepcore.scene.elements.sensor import OBJECTS
 from stepcore.scene.layout import LISTS, Layout, named
 from stepcore.scene.names import Names
-from stepcore.scene.records import essence, plain
+from stepcore.scene.records import check, essence, plain
 from stepcore.signatures import takes_settings
 
 if TYPE_CHECKING:
@@ -502,7 +501,6 @@ class Scene(checks.KnownNames):
         return self._add(self.tendons, Tendon, fields, name=name, path=stops)
 
     def _stop(self, stop: Any) -> Any:
-        """Return a stop of a tendon's path with names replaced by elements."""
         match stop:
             case str():
                 return self.site(stop)
@@ -793,7 +791,6 @@ class Scene(checks.KnownNames):
 
 
 def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
-    """Set a geom's size and pose from its two end points."""
     both = [field for field in ("pos", "quat") if field in fields]
     if both:
         raise checks.ElementError(geom, f"{both[0]} and fromto are both given")
@@ -805,7 +802,6 @@ def _place(geom: Geom, fromto: Vector, fields: Mapping[str, Any]) -> None:
 
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-    """Return a new element; raise ValueError with the nearest name for an unknown field."""
     known = table(kind)
     for field in fields:
         if field not in known:

@@ -46,8 +46,6 @@ AS_SHIPPED = "the run as shipped"
 PERIODS = 100
 # Largest number of steps if no horizon is given: some seconds of computing.
 LONGEST = 200_000
-# The size that a depth in "%" is relative to [m]; such a depth has no meaning here.
-NO_SIZE = 1.0
 # A failure keeps only the sentences on its time and its cause; the diagnosis gives the cure.
 SENTENCES = 2
 # Largest number of commands; and the stability margin below which `diagnose` is named.
@@ -217,7 +215,7 @@ def check(
     ['outside a limit']
     """
     setup = set_up(check, model, motion, fields, missing="nothing to check")
-    wanted = None if depth is None else units.length("check", "depth", depth, NO_SIZE)
+    wanted = None if depth is None else units.length("check", "depth", depth, 1.0)
     compiled, motion, workers = setup.model, setup.motion, setup.workers
     dt, (start, held) = compiled.settings.dt, home(compiled, motion.key)
     # What the scene alone says comes first: it takes no run.

@@ -25,10 +25,10 @@ LARGE, SMALL = 10.0, 5.0
 # Inertia below which units are too large [kg·m²]: ten times MuJoCo's mjMINVAL. A worm of 2e-15
 # fails there with a rank-deficient Hessian, one of 2e-13 trains well (MuJoCo's issue 1086).
 TINY = 1e-14
-# Radians read as degrees [°]: at most one turn of 2π, and seldom less than LEAST.
-TURN, LEAST = 2 * math.pi * 1.001, 0.5
-# Ratio of degrees to radians between a control range and a joint range, and the tolerance.
-DEGREES, NEAR = 180 / math.pi, 0.1
+# Radians read as degrees [°] are at most one turn of 2π, and seldom less than this.
+LEAST = 0.5
+# How far a control range may be from its joint's range in degrees, relative to it.
+NEAR = 0.1
 # Densities of water and steel [kg/m³]; then bounds: above osmium and below air nothing is solid.
 WATER, STEEL = 1000.0, 7850.0
 DENSEST, LIGHTEST = 25_000.0, 1.0
@@ -121,7 +121,7 @@ def _angles(model: Model) -> Iterator[Finding]:
         finite = np.isfinite(model.jnt_range).all(axis=1)
         joints = [k for k, kind in enumerate(model.jnt_type) if kind == "hinge" and finite[k]]
     most = max((float(np.abs(np.degrees(model.jnt_range[k])).max()) for k in joints), default=0.0)
-    if LEAST <= most <= TURN:
+    if LEAST <= most <= 2 * math.pi * 1.001:
         small, (low, high) = named(model, "joint", joints), np.degrees(model.jnt_range[joints[0]])
         problem = (
             f"the range of {listed(small, 'joints')} is {low:.4g} to {high:.4g} degrees, as if "
@@ -140,7 +140,7 @@ def _controls(model: Model) -> Iterator[Finding]:
         if not np.isfinite([*bounds, *limits]).all():
             continue
         ratio = float(np.abs(bounds).max() / np.abs(limits).max())
-        if abs(ratio / DEGREES - 1) < NEAR:
+        if abs(ratio * math.pi / 180 - 1) < NEAR:
             wrong.append(of.index)
     if wrong:
         servos, (low, high) = named(model, "actuator", wrong), model.actuator_ctrlrange[wrong[0]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
@@ -13,12 +13,13 @@ from stepcore.engine.actuator import Actuator, actuators
 from stepcore.engine.coordinates import turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
 from stepcore.measure.monitors.actuators import strength
+from stepcore.measure.monitors.contacts import LEFT
 from stepcore.measure.monitors.finding import PLOT, Finding, listed, named
 from stepcore.measure.monitors.joints import (
     BEYOND,
-    LEFT,
     is_angular,
     length_of,
     limit_remedy,
@@ -26,7 +27,7 @@ from stepcore.measure.monitors.joints import (
 )
 from stepcore.measure.monitors.recording import Recording, followed
 from stepcore.measure.monitors.soft_rows import yielding
-from stepcore.report.units import hertz, rounded, seconds
+from stepcore.report.units import hertz, metres, rounded, seconds
 from stepcore.scene.layout import Layout
 
 # Least excess over a limit, relative to the range; rest poses are often slightly outside.
@@ -35,8 +36,8 @@ OUTSIDE = 0.02
 KEYED = 1e-3
 # A force beyond its range by this factor is more than rounding.
 BEYOND_RANGE = 1.01
-# ω dt, and damping rate × dt, above which a servo without armature is too stiff.
-STIFF, DAMPED = 0.5, 1.0
+# ω dt above which a servo without armature is too stiff; a damping rate × dt may be 1.
+STIFF = 0.5
 # The run in which an actuator pushes against a limit [s], and its steps.
 PUSHED, STEPS = 1.0, 4000
 
@@ -53,9 +54,9 @@ def about_ranges(
     keys = [(f"Keyframe `{frame.name or k}`", frame) for k, frame in enumerate(model.keys)]
     states += [(frame.qpos, name, True) for name, frame in keys]
     if features.limit:
-        known: set[Element] = set()
+        sim, known = Sim(model), set[Element]()
         for qpos, where, keyed in states:
-            for finding in _outside(model, qpos, where, keyed):
+            for finding in _outside(model, sim, qpos, where, keyed):
                 # Keyframes of one series are often outside in the same joints.
                 if not known.issuperset(finding.elements):
                     known.update(finding.elements)
@@ -72,35 +73,52 @@ def about_ranges(
     yield from _unused(model)
 
 
-def _outside(model: Model, qpos: np.ndarray, where: str, keyed: bool) -> Iterator[Finding]:
-    """Yield joints that a state places outside their limits."""
-    outside = []
-    for k, (low, high) in enumerate(model.jnt_range.tolist()):
+def _outside(
+    model: Model, sim: Sim, qpos: np.ndarray, where: str, keyed: bool
+) -> Iterator[Finding]:
+    """Yield joints and tendons that a state places outside their limits."""
+    sim.qpos = qpos
+    joints = [
+        (_coordinate(qpos, int(model.jnt_qposadr[k]), kind), *model.jnt_range[k].tolist())
+        for k, kind in enumerate(model.jnt_type)
+    ]
+    lengths = sim.ten_length.tolist() if model.ntendon else []
+    tendons = [(x, *ends) for x, ends in zip(lengths, model.tendon_range.tolist(), strict=True)]
+    for kind, every in (("joint", joints), ("tendon", tendons)):
         # Without a limit the range is infinite.
-        if model.jnt_type[k] != "free" and math.isfinite(high - low):
-            value = _coordinate(qpos, int(model.jnt_qposadr[k]), model.jnt_type[k])
-            over = max(low - value, value - high) / (high - low)
-            if over > (KEYED if keyed else OUTSIDE):
-                outside.append((over, k, value))
-    if not outside:
-        return
-    outside.sort(reverse=True)
-    share, k, value = outside[0]
-    joints, (low, high) = named(model, "joint", [at for _, at, _ in outside]), model.jnt_range[k]
-    say = partial(length_of, model, k)
-    cure = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
-    cure += f" (the nearest is {low if value < low else high:.4g}), or widen the range"
-    over = "outside of"
-    if share <= OUTSIDE:
-        over = f"{say(max(low - value, value - high))} beyond"
-    problem = (
-        f"{where} has {listed(joints, 'joints')} at {say(value)}, {over} its range "
-        f"of {say(low)} to {say(high)}, whose limit throws it back"
-    )
-    severity = "error" if keyed else "warning"
-    severity = severity if share > OUTSIDE else "remark"
-    unit = "rad" if is_angular(model, k) else "m"
-    yield Finding("outside a limit", severity, problem, cure, joints, value, unit)
+        outside = sorted(
+            (
+                (over / (high - low), k)
+                for k, (value, low, high) in enumerate(every)
+                if math.isfinite(high - low)
+                and (over := max(low - value, value - high))
+                > (KEYED if keyed else OUTSIDE) * (high - low)
+            ),
+            reverse=True,
+        )
+        if not outside:
+            continue
+        (share, k), (value, low, high) = outside[0], every[outside[0][1]]
+        say: Callable[[float], str]
+        elements, at, cure = named(model, kind, [k for _, k in outside]), "at", "correct the pose"
+        if kind == "joint":
+            say, unit = partial(length_of, model, k), "rad" if is_angular(model, k) else "m"
+            cure = "correct its qpos" if keyed else "give a keyframe, or correct its ref"
+            cure += f" (the nearest is {low if value < low else high:.4g})"
+        else:
+            # The length of a fixed tendon, a sum of joints, has no unit.
+            at, unit = "at a length of", "" if model.scene.tendons[k].path.fixed else "m"
+            say = metres if unit else "{:.4g}".format
+        beyond = "outside of"
+        if share <= OUTSIDE:
+            beyond = f"{say(max(low - value, value - high))} beyond"
+        problem = (
+            f"{where} has {listed(elements, f'{kind}s')} {at} {say(value)}, {beyond} its range "
+            f"of {say(low)} to {say(high)}, whose limit throws it back"
+        )
+        cure, severity = f"{cure}, or widen the range", "error" if keyed else "warning"
+        severity = severity if share > OUTSIDE else "remark"
+        yield Finding("outside a limit", severity, problem, cure, elements, value, unit)
 
 
 def _coordinate(qpos: np.ndarray, at: int, kind: str) -> float:
@@ -262,9 +280,9 @@ def _without_armature(model: Model, direct: list[Actuator]) -> Iterator[Finding]
             continue
         kp, kv = max(of.stiffness, 0.0), max(of.damping, 0.0)
         omega = math.sqrt(kp / of.inertia)
-        excess = max(omega * dt / STIFF, kv / of.inertia * dt / DAMPED)
+        excess = max(omega * dt / STIFF, kv / of.inertia * dt)
         if excess > 1:
-            needed = max(kp * dt**2 / STIFF**2, kv * dt / DAMPED) - of.inertia
+            needed = max(kp * dt**2 / STIFF**2, kv * dt) - of.inertia
             stiff.append((excess, of.index, omega, needed))
     if not stiff:
         return

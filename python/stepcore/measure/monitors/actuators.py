@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from stepcore.experiment.change import Change
 from stepcore.experiment.moves import SINKS, TILT, moves_about, roots
 from stepcore.measure.monitors.contacts import centre_of_mass
 from stepcore.measure.monitors.finding import OTHERS, PLOT, Cure, Finding, Remedy, listed, named
+from stepcore.measure.monitors.joints import width_of
 from stepcore.measure.monitors.recording import FEWEST, REST, Recording
 from stepcore.report.units import (
     FORCES,
@@ -44,7 +44,7 @@ SATURATED = 1 / 3
 ALIKE = 1.1
 # Least sag that is told and that will be noticed, relative to the joint's range (a hinge's, at most
 # 3 rad): 30 mrad move the hand of an arm of 0.8 m by 24 mm. And the share that a cure should leave.
-SAGS, OBVIOUS, WIDEST, LEFT = 0.01, 0.033, 3.0, 1 / 3
+SAGS, OBVIOUS, LEFT = 0.01, 0.033, 1 / 3
 
 
 def actuator_findings(run: Recording) -> Iterator[Finding]:
@@ -79,12 +79,8 @@ def _servos(model: Model) -> list[Actuator]:
 # Saturation.
 
 
-@dataclass(frozen=True)
-class AtEnd:
-    """An actuator whose force was at the end of its range for a share of the run.
-
-    value: the end of the force range [N or N·m].
-    """
+class AtEnd(NamedTuple):
+    """An actuator whose force was at an end [N or N·m] of its range for a share of the run."""
 
     actuator: int
     share: float
@@ -125,14 +121,11 @@ def _saturated(model: Model, full: list[AtEnd]) -> Finding:
 # Sag.
 
 
-@dataclass(frozen=True)
-class Servo:
+class Servo(NamedTuple):
     """A position servo at rest under a constant control.
 
-    error: commanded length minus length [rad or m], before the gear.
-    force: the servo's force [N·m or N].
-    loaded: whether the servo pushes against a weight rather than a limit or an object it grips or
-        presses.
+    error: commanded length minus length [rad or m], before the gear. force: [N·m or N].
+    loaded: whether it pushes against a weight, and not a limit or an object that it presses.
     """
 
     actuator: Actuator
@@ -147,12 +140,10 @@ def at_rest(run: Recording) -> Iterator[Servo]:
         return
     for of in _servos(run.model):
         asked, error = _errors(run, of)
-        if np.ptp(run["ctrl"][run.late :, of.index]) == 0 and float(np.ptp(error)) < STEADY * abs(
-            float(error.mean())
-        ):
+        mean, held = float(error.mean()), np.ptp(run["ctrl"][run.late :, of.index]) == 0
+        if held and float(np.ptp(error)) < STEADY * abs(mean):
             force = float(run["actuator_force"][-1, of.index])
-            loaded = _loaded(run, of, float(asked[-1]), force)
-            yield Servo(of, float(error.mean()), force, loaded)
+            yield Servo(of, mean, force, _loaded(run, of, float(asked[-1]), force))
 
 
 def _errors(run: Recording, of: Actuator) -> tuple[Floats, Floats]:
@@ -201,9 +192,9 @@ def sag_of(run: Recording, indices: Collection[int]) -> float | None:
 
 def _notable(model: Model, of: Actuator) -> float:
     """Return the least sag that is told, before the gear [rad or m]."""
-    low, high = (float(bound) for bound in model.jnt_range[of.joint])
-    widest = WIDEST if _turns(model, of) else 1.0
-    return SAGS * min(high - low, widest) * abs(of.gear)
+    assert of.joint is not None
+    widest = math.inf if _turns(model, of) else 1.0
+    return SAGS * min(width_of(model, of.joint), widest) * abs(of.gear)
 
 
 def _turns(model: Model, of: Actuator) -> bool:

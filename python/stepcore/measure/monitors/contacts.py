@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,15 +35,12 @@ TEST_CONTACTS = (
 )
 
 
-@dataclass(frozen=True)
-class Contact:
+class Contact(NamedTuple):
     """The behaviour of one contact of a pair of geoms.
 
-    depth: the overlap at the start, or at rest [m].
-    force: the normal force at rest [N].
-    speed: the mean tangential speed, or the speed at which the geoms left their overlap [m/s].
-    movable: whether some joint can separate the geoms.
-    settled: whether the contact came to rest.
+    depth: the overlap at the start, or at rest [m]. force: the normal force at rest [N].
+    speed: at which it slides, or at which the geoms left their overlap [m/s].
+    movable: whether some joint can separate the geoms. settled: whether it came to rest.
     """
 
     pair: int

@@ -13,7 +13,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,8 +42,6 @@ from stepcore.scene.layout import Layout
 # Largest relative deviation from the mean velocity; length of the window in time constants; and
 # least load, as a share of the largest friction.
 UNSTEADY, WINDOW, RUBS = 0.5, 10.0, 0.05
-# Least slip, relative to the speed at which the surfaces turn on each other.
-RESTS = 1.0
 # Threshold of the slip in one second, relative to the thickness of the thinner geom.
 CREEP = 0.01
 # Largest impratio that is advised: beyond it, the rows differ too much in scale to be solved.
@@ -61,8 +59,7 @@ CREEPS = 1e-3
 IMPEDANCES = ((0.99, 0.999), (0.999, 0.9999), (0.9999, 0.9999))
 
 
-@dataclass(frozen=True)
-class Creep:
+class Creep(NamedTuple):
     """A contact that slips, or a joint that drifts, although its friction holds it.
 
     of: the contact's pair, or the joint. speed: the mean [m/s or rad/s]. share: of its friction.
@@ -114,7 +111,7 @@ def _fastest(
             drift, used = velocity[window].mean(axis=0), float(share[window].mean())
             mean = float(np.linalg.norm(drift))
             unsteady = np.linalg.norm(velocity[window] - drift, axis=1).max() > UNSTEADY * mean
-            turns = mean < RESTS * rolls[window].mean()
+            turns = mean < rolls[window].mean()
             if used >= RUBS and not unsteady and not turns and (not best or mean > best.speed):
                 begin, end = run.times[readings[window[[0, -1]]]].tolist()
                 best = Creep(of, mean, used, begin, end)

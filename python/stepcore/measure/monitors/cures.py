@@ -21,11 +21,9 @@ from stepcore.measure.monitors.finding import Cure, Finding, Next, Remedy
 # A cure that leaves more than a finding's threshold is still named if it leaves at most this share
 # of the problem.
 HELPS = 0.5
-# The runs of all cures: their number, where a run with half the time step counts as two, and their
-# cost in steps × (dofs + 2). Go2 takes 0.35 s for 10⁵ of that, its findings included.
-RUNS, EFFORT = 24.0, 3e5
-# The largest number of time steps of a cure's run, relative to the run.
-FINER = 16.0
+# The cost of all cures' runs, in steps × (dofs + 2). Go2 takes 0.35 s for 10⁵ of that, its findings
+# included.
+EFFORT = 3e5
 
 # Runs the motion of a finding with another model, and returns the `Recording`; None if that fails.
 Again = Callable[[Model], Any]
@@ -36,7 +34,7 @@ def verified(
 ) -> list[Finding]:
     """Return findings with the cures that were seen to hold, and with what they leave.
 
-    Cures whose runs would cost more than `RUNS` and `EFFORT` are named without a promise.
+    Cures whose runs would cost more than `EFFORT` are named without a promise.
 
     model: the model of the run. again: runs the same motion with another model; by default only
     cures with a motion of their own are run. steps: the number of time steps of the run.
@@ -48,12 +46,11 @@ def verified(
 
 @dataclasses.dataclass
 class _Trials:
-    """The runs of cures. cost: of one run. runs, effort: what is left."""
+    """The runs of cures. cost: of one run. effort: what is left."""
 
     model: Model
     again: Again
     cost: float
-    runs: float = RUNS
     effort: float = EFFORT
 
     def cured(self, finding: Finding) -> Finding | None:
@@ -102,9 +99,9 @@ class _Trials:
         """
         dt = self.model.settings.dt
         runs = max(1.0, dt / dict(cure.change.settings).get("dt", dt))
-        if runs > min(FINER, self.runs) or runs * self.cost > self.effort:
+        if runs * self.cost > self.effort:
             return False, None
-        self.runs, self.effort = self.runs - runs, self.effort - runs * self.cost
+        self.effort -= runs * self.cost
         ran, left = False, None
         with (deadline.current() or deadline.Deadline()).stage("runs of all cures"):
             try:

@@ -9,8 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from stepcore.engine.coordinates import Coordinates, rotated, turned
 from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
-from stepcore.measure.monitors.contacts import TEST_CONTACTS
+from stepcore.measure.monitors.contacts import LEFT, TEST_CONTACTS
 from stepcore.measure.monitors.finding import (
     OTHERS,
     PLOT,
@@ -39,8 +38,6 @@ from stepcore.scene.layout import QPOS, Layout
 KEPT = 0.05
 # Thresholds of findings: a gap, relative to the smaller body; an excess, relative to the range.
 GAPES, BEYOND = 0.01, 0.05
-# The share of these thresholds that a cure leaves.
-LEFT = 0.1
 # A force overcomes a limit from this share of the limit's own force.
 OVERPOWERS = 0.5
 # Ranges wider than this do not define how exact a limit should be [rad].
@@ -63,8 +60,7 @@ def joint_findings(run: Recording) -> Iterator[Finding]:
 # Connections.
 
 
-@dataclass(frozen=True)
-class Gape:
+class Gape(NamedTuple):
     """A connection with a gap: the largest one [m], and that at rest; None if it did not settle."""
 
     equality: int
@@ -147,14 +143,12 @@ def _gaps(run: Recording) -> Iterator[Finding]:
 # Limits.
 
 
-@dataclass(frozen=True)
-class Beyond:
+class Beyond(NamedTuple):
     """A joint beyond its range.
 
-    kept: the excess at rest, or the excess reached for a twentieth of the run or more [rad or m].
+    kept: the excess at rest, or that reached for a twentieth of the run or more [rad or m].
     rest: the excess at rest; None if the joint did not settle.
-    forces: the elements that pushed outwards during the excess, with their forces [N·m or N],
-        strongest first. limit: the force of the limit itself.
+    forces: the elements that push outwards [N·m or N], strongest first. limit: the limit's force.
     """
 
     joint: int
@@ -194,7 +188,7 @@ def overpowered(run: Recording) -> list[Beyond]:
             pushed = _pushed(run, at, series)
             some = tuple(force for force in pushed.forces if force[0][0] not in RESISTS)
             if some and some[0][1] > OVERPOWERS * pushed.limit:
-                found.append(replace(pushed, forces=some))
+                found.append(pushed._replace(forces=some))
     return sorted(found, key=lambda at: -at.kept / width_of(run.model, at.joint))
 
 
@@ -211,7 +205,7 @@ def _pushed(run: Recording, at: Beyond, series: Floats) -> Beyond:
         if limit:
             outwards = [(of, -math.copysign(f, f * limit)) for of, f in acting.items() if f]
             forces = sorted((f for f in outwards if f[1] > 0), key=lambda f: -f[1])
-            return replace(at, forces=tuple(forces), limit=abs(limit))
+            return at._replace(forces=tuple(forces), limit=abs(limit))
     return at
 
 

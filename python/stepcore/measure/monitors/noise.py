@@ -6,54 +6,58 @@ this is its RMS; of a motion that is resolved by the readings, the second differ
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Collection, Iterator
-from functools import partial
 
 import numpy as np
 
-from stepcore.engine.element import Element
 from stepcore.engine.model import Model
 from stepcore.experiment.change import Change
 from stepcore.measure.monitors.cures import assigned
 from stepcore.measure.monitors.finding import Cure, Finding, Remedy, listed, named
-from stepcore.measure.monitors.recording import Recording
+from stepcore.measure.monitors.recording import STEADY, Recording
 from stepcore.report.units import newtons, percent, seconds
 
 # Least noise that is told, relative to the mean force: force control of a few per cent is usual.
 NOISY = 0.05
 # Readings further apart than this do not tell noise from motion [s].
 APART = 0.01
-# Surfaces that move slower than this on each other stand still [m/s]; means of a thing at rest
-# agree within this share.
-STILL, LASTS = 0.01, 0.2
+# Surfaces that move slower than this on each other stand still [m/s].
+STILL = 0.01
 # Sensors whose noise is watched.
 SENSORS = ("force", "torque", "touch")
-# Factors of the time constant and parts of the time step that are tried.
-SOFTER, PARTS = (2.0, 4.0), (2, 4)
+# Factors of the time constant, and parts of the time step, that are tried.
+FACTORS = (2, 4)
 
 
 def noise_findings(run: Recording) -> Iterator[Finding]:
     """Yield the noisiest contacts, and the noisiest sensors."""
     if run.late < 0 or run.spacing > APART:
         return
-    loud = _loud(of_contacts(run))
-    if loud:
-        pair, (rms, mean) = loud[0]
-        pairs = [entry[0] for entry in loud]
-        contacts = named(run.model, "contact", pairs)
-        words = f"{listed(contacts, 'contacts')} pushes with {newtons(mean)} and a noise of"
-        left = partial(_left, of_contacts, pair)
-        yield _finding(run.model, words, contacts, (rms, mean, "N"), pairs, left)
-    loud = _loud(of_sensors(run))
-    if loud:
-        sensor, (rms, mean) = loud[0]
-        sensors = named(run.model, "sensor", [entry[0] for entry in loud])
-        unit = "N·m" if run.model.sensor_type[sensor] == "torque" else "N"
-        words = f"{listed(sensors, 'sensors')} reads {mean:.3g} {unit} with a noise of"
-        pairs = sorted({pair for pair, _ in run.contacts.groups})
-        left = partial(_left, of_sensors, sensor)
-        yield _finding(run.model, words, sensors, (rms, mean, unit), pairs, left)
+    model = run.model
+    for kind, noises in (("contact", of_contacts), ("sensor", of_sensors)):
+        found = noises(run).items()
+        loud = sorted((both[0], k) for k, both in found if both[0] > NOISY * both[1] > 0)
+        if not loud:
+            continue
+        keys = [k for _, k in reversed(loud)]
+        (rms, mean), elements = noises(run)[keys[0]], named(model, kind, keys)
+        torque = kind == "sensor" and model.sensor_type[keys[0]] == "torque"
+        unit = "N·m" if torque else "N"
+        words = f"{listed(elements, f'{kind}s')} reads {mean:.3g} {unit} with a noise of"
+        if kind == "contact":
+            words = f"{listed(elements, 'contacts')} pushes with {newtons(mean)} and a noise of"
+        problem = f"{words} {rms:.3g} {unit} RMS ({percent(rms / mean)})"
+        remedy = Remedy(
+            tuple(_knobs(model, keys if kind == "contact" else sorted(set(run.contacts.pair)))),
+            functools.partial(_left, noises, keys[0]),
+            NOISY * mean,
+            _said(unit),
+            # What no knob lowers is the motion.
+            needed=True,
+        )
+        yield Finding("force noise", "remark", problem, "", elements, rms, unit, remedy=remedy)
 
 
 Noises = dict[int, tuple[float, float]]
@@ -90,21 +94,8 @@ def _left(of: Callable[[Recording], Noises], key: int, run: Recording) -> float 
     return None if found is None else found[0]
 
 
-def _finding(
-    model: Model,
-    words: str,
-    elements: tuple[Element, ...],
-    size: tuple[float, float, str],
-    pairs: Collection[int],
-    left: Callable[[Recording], float | None],
-) -> Finding:
-    """Return the finding; size: the noise, the mean, and their unit."""
-    rms, mean, unit = size
-    problem = f"{words} {rms:.3g} {unit} RMS ({percent(rms / mean)})"
-    # What no knob lowers is the motion.
-    ways, enough = tuple(_knobs(model, pairs)), NOISY * mean
-    remedy = Remedy(ways, left, enough, lambda value: f"{value:.3g} {unit}", needed=True)
-    return Finding("force noise", "remark", problem, "", elements, rms, unit, remedy=remedy)
+def _said(unit: str) -> Callable[[float], str]:
+    return lambda value: f"{value:.3g} {unit}"
 
 
 def _knobs(model: Model, pairs: Collection[int]) -> Iterator[tuple[Cure, ...]]:
@@ -115,7 +106,7 @@ def _knobs(model: Model, pairs: Collection[int]) -> Iterator[tuple[Cure, ...]]:
     constants = [max(ref[0], 2 * settings.dt) for ref in solrefs if ref[0] > 0]
     if settings.law == "solref" and solrefs:
         base = max(constants, default=2 * settings.dt)
-        softer = (float(f"{base * factor:.3g}") for factor in SOFTER)
+        softer = (float(f"{base * factor:.3g}") for factor in FACTORS)
         yield tuple(
             Cure(
                 f'solref="{constant:g} 1" on the geoms that touch',
@@ -125,7 +116,7 @@ def _knobs(model: Model, pairs: Collection[int]) -> Iterator[tuple[Cure, ...]]:
         )
     if settings.cone == "pyramidal":
         yield (Cure('cone="elliptic"', Change(cone="elliptic")),)
-    dts = [settings.dt / part for part in PARTS]
+    dts = [settings.dt / part for part in FACTORS]
     yield tuple(Cure(f"a dt of {seconds(dt)}", Change(dt=dt)) for dt in dts)
 
 
@@ -148,12 +139,4 @@ def _lasts(series: np.ndarray) -> bool:
     half = len(series) // 2
     means = [np.atleast_1d(part.mean(axis=0)) for part in (series[:half], series[half:])]
     apart = float(np.linalg.norm(means[1] - means[0]))
-    return apart < LASTS * float(np.linalg.norm(means[0] + means[1])) / 2
-
-
-def _loud(
-    noises: Noises,
-) -> list[tuple[int, tuple[float, float]]]:
-    """Return what is noisy, the noisiest first."""
-    loud = [(k, both) for k, both in noises.items() if both[0] > NOISY * both[1] > 0]
-    return sorted(loud, key=lambda entry: -entry[1][0])
+    return apart < STEADY * float(np.linalg.norm(means[0] + means[1])) / 2

@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,8 +40,7 @@ ARRIVES = 10
 SHORT, PARTS = 0.5, (1, 2, 4)
 
 
-@dataclass(frozen=True)
-class Passage:
+class Passage(NamedTuple):
     """A geom that passed through another one.
 
     mover, wall: the geoms. pair: their index. speed: along the normal of the surface [m/s].
