@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from stepcore.engine.actuator import actuators
 from stepcore.engine.arrays import Floats
 from stepcore.engine.coordinates import Coordinates, rotated, turned
 from stepcore.engine.element import Element
@@ -235,8 +236,8 @@ def _overpowered(run: Recording) -> Iterator[Finding]:
     pusher = "gravity" if kind == "gravity" else model.element_name(kind, index)
     cure = "less of that force"
     if kind == "actuator":
-        servo = model.actuator_bias[index, 1] < 0
-        cure = f"a smaller {'forcerange or ' * bool(servo)}ctrlrange of {pusher}"
+        ranges = "forcerange or ctrlrange" if actuators(model)[index].holds else "ctrlrange"
+        cure = f"a smaller {ranges} of {pusher}"
     strength = quantity(force, TORQUES if angular else FORCES)
     also = [
         f"{model.element_name('joint', at.joint)} by {length_of(model, at.joint, at.kept)}"
