@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from stepcore.engine.replay import replay as replay
     from stepcore.engine.rollout import Rollout as Rollout
     from stepcore.engine.sim import Sim as Sim
+    from stepcore.engine.stiffness import StiffnessWarning as StiffnessWarning
     from stepcore.engine.tables import Keyframe as Keyframe
     from stepcore.engine.trajectory import Trajectory as Trajectory
     from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
     from stepcore.measure.convergence import converge as converge
     from stepcore.measure.diagnosis import Diagnosis as Diagnosis
     from stepcore.measure.diagnosis import diagnose as diagnose
-    from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning as StiffnessWarning
     from stepcore.measure.identification import Identification as Identification
     from stepcore.measure.identification import identify as identify
     from stepcore.measure.monitors import Finding as Finding
@@ -118,7 +118,7 @@ _MODULES = {
     "stepcore.measure.check": "Check check",
     "stepcore.measure.convergence": "Convergence converge",
     "stepcore.measure.diagnosis": "Diagnosis diagnose",
-    "stepcore.measure.diagnosis.stiffness_warning": "StiffnessWarning",
+    "stepcore.engine.stiffness": "StiffnessWarning",
     "stepcore.measure.identification": "Identification identify",
     "stepcore.measure.monitors": "Finding",
     "stepcore.measure.plan": "plan",

@@ -10,7 +10,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.start import Start
-from stepcore.measure.diagnosis.isolated import joint_gains
+from stepcore.engine.stiffness import joint_gains
 from stepcore.measure.monitors.actuators import on_one_dof, strength
 from stepcore.measure.monitors.finding import PLOT, Finding, listed, named
 from stepcore.report.units import hertz, rounded, seconds

@@ -13,9 +13,9 @@ from stepcore._core import SimulationError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.engine.start import Start
-from stepcore.measure.diagnosis.limits import step_stability
-from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
-from stepcore.measure.diagnosis.stiffness_warning import MARGIN
+from stepcore.engine.stiffness import MARGIN
+from stepcore.measure.diagnosis.linear import Held
+from stepcore.measure.diagnosis.running import State, with_converged_rows
 from stepcore.measure.monitors.actuators import on_one_dof
 from stepcore.measure.tune.goal import PASSES, RISES, SETTLES, WITHIN, Goal, Tuned
 from stepcore.report.units import rounded, seconds
@@ -259,9 +259,9 @@ class _Bench:
         """Return whether the step is stable at the start with a margin of `MARGIN`."""
         begin = self.start
         act = np.zeros(0) if begin.act is None else begin.act
-        state = State("the start", 0.0, begin.qpos, begin.qvel, self.ctrl, act=act)
-        here = step_stability(with_converged_rows(model), [state], LINEAR)
-        return here.stable(model.settings.integrator, MARGIN * model.settings.dt)
+        state = State("the start", 0.0, begin.qpos, begin.qvel, self.ctrl, act)
+        held = Held(with_converged_rows(model), state, LINEAR)
+        return held.stable(model.settings.integrator, MARGIN * model.settings.dt)
 
     def bound(self, servo: Servo) -> float:
         """Return the largest force of a servo."""
